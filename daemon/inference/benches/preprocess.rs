@@ -36,7 +36,7 @@ fn main() {
         let (sender, receiver) = sync_channel(1);
         let reply = Box::new(move |done: FinishedJob| sender.send(done).expect("is awaited"));
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
-        let job = Job { sample: sample.clone(), recorder, received: clock.mono(), reply };
+        let job = Job::for_whole_answer(sample.clone(), recorder, clock.mono(), reply);
         pool.submit(job).expect("the queue is empty");
         let FinishedJob { recorder, result } = receiver.recv().expect("is answered");
         result.expect("the picture is classified");

@@ -281,6 +281,12 @@ pub enum InferenceError {
         /// Capacity of the queue.
         capacity: usize,
     },
+    /// The request was cancelled before its answer was complete.
+    #[error("model {model} stopped: nobody waits for the answer any more")]
+    Cancelled {
+        /// The model.
+        model: String,
+    },
     /// The model is shutting down.
     #[error("model {model} is shutting down")]
     Stopped {

@@ -1,12 +1,13 @@
 //! Jobs of a pool and their results.
 
 use std::fmt;
+use std::sync::Arc;
 
 use peernet_clock::MonoTime;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-use crate::InferenceError;
+use crate::{InferenceError, PatientRequester, Requester};
 
 /// Sample for which a model computes an answer, with its recorder and its callback.
 pub struct Job {
@@ -16,12 +17,21 @@ pub struct Job {
     pub recorder: Recorder,
     /// Time at which this host received the sample: the beginning of the stage `queue`.
     pub received: MonoTime,
+    /// Receiver of parts of the answer, which may cancel the request.
+    pub requester: Arc<dyn Requester>,
     /// Callback for the result. It is called once, on the thread that computed the result, and must not block.
     pub reply: Reply,
 }
 
+impl Job {
+    /// Returns a job whose requester takes no parts of the answer and never cancels.
+    pub fn for_whole_answer(sample: Sample, recorder: Recorder, received: MonoTime, reply: Reply) -> Self {
+        Self { sample, recorder, received, requester: Arc::new(PatientRequester), reply }
+    }
+}
+
 /// Callback for the result of a job.
-pub(crate) type Reply = Box<dyn FnOnce(FinishedJob) + Send>;
+pub type Reply = Box<dyn FnOnce(FinishedJob) + Send>;
 
 /// Finished job.
 pub struct FinishedJob {

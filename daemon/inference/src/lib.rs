@@ -12,16 +12,18 @@ mod job;
 pub mod model;
 mod pool;
 mod queue;
+mod requester;
 mod scratch;
 mod temp_dirs;
 mod thread;
 
 pub use bank::{Bank, BankConfig};
 pub use error::{InferenceError, LibraryError, LoadError};
-pub use job::{FinishedJob, Job, RefusedJob};
+pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
+pub use requester::{Cancelled, PatientRequester, Requester};
 pub use scratch::Scratch;
 
 use peernet_logger::Recorder;
@@ -30,11 +32,17 @@ use peernet_sample::Sample;
 /// A loaded model, as used by one thread.
 pub trait Worker: Send {
     /// Computes the answer, and records each of the stages `preprocessing`, `inference` and `postprocessing` that
-    /// the model has.
+    /// the model has. May send parts of the answer to `requester`, and stops early, where it can, if the request is
+    /// cancelled.
     ///
     /// # Errors
     /// If this sample cannot be computed. The next sample may succeed.
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError>;
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError>;
 }
 
 /// A loaded model.

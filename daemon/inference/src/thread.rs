@@ -10,7 +10,7 @@ use peernet_sample::Sample;
 
 use crate::job::Reply;
 use crate::queue::Queue;
-use crate::{FinishedJob, InferenceError, Job, Model, Worker};
+use crate::{FinishedJob, InferenceError, Job, Model, Requester, Worker};
 
 /// A worker with the objects that it needs to answer jobs; used by one thread at a time.
 pub(crate) struct WorkerSlot {
@@ -32,13 +32,22 @@ impl WorkerSlot {
 
     /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
     pub(crate) fn compute(&mut self, job: Job) -> (Reply, FinishedJob) {
-        let Job { sample, mut recorder, received, reply } = job;
+        let Job { sample, mut recorder, received, requester, reply } = job;
         recorder.record_timer(stage::QUEUE, received, self.clock.mono());
-        let result = self.infer(&sample, &mut recorder);
+        let result = self.infer(&sample, &mut recorder, &*requester);
         (reply, FinishedJob { recorder, result })
     }
 
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
+        // A request that was cancelled in the queue costs no computation.
+        if requester.is_cancelled() {
+            return Err(InferenceError::Cancelled { model: self.name.to_string() });
+        }
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
             None => {
@@ -53,7 +62,7 @@ impl WorkerSlot {
         };
         // The panic closes the recorder's open nodes as it unwinds, so that the recorder stays usable. The worker is
         // discarded.
-        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, recorder))) {
+        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, recorder, requester))) {
             Ok(result) => {
                 self.worker = Some(worker);
                 result

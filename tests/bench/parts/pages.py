@@ -1,4 +1,4 @@
-"""Duration of the queries of each page with a hundred million stored nodes, by the aggregator's own benchmark."""
+"""Duration of each page and API resource with a hundred million stored nodes, by a benchmark of the crate web."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import re
 from programs import ROOT, Failure, output
 from report import Section, Table
 
-BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-aggregator", "--bench", "pages"]
-# A query with median and maximum time over the small and over the large database, in ms, and the medians' ratio.
+BENCH = ["cargo", "bench", "--locked", "--quiet", "--package", "peernet-web", "--bench", "pages"]
+# A page with median and maximum time over the small and over the large database, in ms, and the medians' ratio.
 ROW = re.compile(r"^\| ([^|]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", re.MULTILINE)
 
 TIME_AIM_MS = 200.0
 RATIO_AIM = 2.0
-# Below this, the ratio depends more on the machine than on the query.
+# Below this, the ratio depends more on the machine than on the page.
 MEASURABLE_MS = 5.0
 
 
@@ -29,8 +29,8 @@ def measure(quick: bool) -> Section:
         raise Failure(f"{' '.join(BENCH)} printed no row:\n{printed}")
     section = Section("Pages over many nodes")
     section.say(
-        f"The queries of each page to the store, 20 times each, with a database that contains a run of {nodes:,} nodes, and with "
-        "one of at most 1,000,000; milliseconds."
+        f"Each page and API resource 20 times, from the request to the compressed answer, with a database that contains a run of "
+        f"{nodes:,} nodes, and with one of at most 1,000,000; milliseconds."
     )
     table = Table("page", "small, median", "most", "large, median", "most", "ratio")
     for name, *figures in rows:

@@ -111,8 +111,29 @@ impl CloudLink {
             self.judge(network, exchange.observation.as_ref(), message_delays, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
+        if let Some(first_part) = exchange.first_part {
+            self.correct_first_part(tree, [up, first_part], exchange.observation.as_ref());
+        }
         self.report(changes);
         transport
+    }
+
+    /// Judges the delay of the first part of an answer and sets it in the tree. `up` is the way of the request.
+    fn correct_first_part(
+        &self,
+        tree: &mut Tree,
+        [up, first_part]: [NodeId; 2],
+        observation: Option<&ExchangeObservation>,
+    ) {
+        let epochs = observation.map(|found| (Some(found.edge_epoch), found.cloud_epoch));
+        let (edge, cloud) = epochs.unwrap_or_default();
+        let crossings = Crossing::in_tree(tree, up, (edge, cloud))
+            .zip(Crossing::in_tree(tree, first_part, (cloud, edge)));
+        let Some((up, down)) = crossings else { return };
+        let [_, delay] = self.judge_stamps(&up, Some(&down));
+        if let Some(Measure::Transit(transit)) = tree.measure_mut(first_part) {
+            transit.delay = delay;
+        }
     }
 
     /// Judges an exchange. It has no observation if a host reports that its clock was stepped during the exchange.

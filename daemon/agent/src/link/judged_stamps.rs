@@ -1,7 +1,7 @@
 //! Stamps of messages that agents observe at both ends of a link.
 
 use peernet_clock::{Clock, MonoTime, OneWayDelay, RawTime, Stamp, WallTime};
-use peernet_logger::{RawStamps, Transit};
+use peernet_logger::{Measure, NodeId, RawStamps, Transit, Tree};
 
 /// Time at which a host received a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,6 +22,21 @@ pub(crate) struct Crossing {
 }
 
 impl Crossing {
+    /// Returns the crossing of a transit in a tree, with the epochs of sender and receiver. `None` unless it has
+    /// arrived and has stamps of the free-running clocks.
+    pub(super) fn in_tree(
+        tree: &Tree,
+        node: NodeId,
+        (sender, receiver): (Option<u32>, Option<u32>),
+    ) -> Option<Self> {
+        let Measure::Transit(transit) = &tree.get(node)?.measure else { return None };
+        let raw = transit.raw_stamps?;
+        Some(Self {
+            sender: HostStamp { wall: transit.sent, raw: raw.sent, epoch: sender },
+            receiver: HostStamp { wall: transit.received?, raw: raw.received, epoch: receiver },
+        })
+    }
+
     pub(super) fn times(&self) -> (RawTime, RawTime) {
         (self.sender.raw, self.receiver.raw)
     }

@@ -20,6 +20,7 @@ mod failure_log;
 mod in_flight;
 mod iteration;
 mod load;
+mod local_requester;
 mod observe;
 mod pipeline_loop;
 mod placement;

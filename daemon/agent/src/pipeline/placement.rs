@@ -14,6 +14,7 @@ use peernet_stream::{Condition, FaultyHost, Outcome, Placement as Description, P
 use tokio::sync::{oneshot, watch};
 
 use super::context::PipelineContext;
+use super::local_requester::{CancelOnDrop, LocalRequester};
 use crate::conditions::{InspectionSettings, inspect_host_in_time};
 use crate::config::{ObserveConfig, PipelineConfig, PlacementConfig, RemoteConfig};
 use crate::link::{Crossing, LinkedSession};
@@ -315,7 +316,10 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
         // The receiver is gone after a timeout.
         let _ = reply.send(done);
     });
-    if let Err(refused) = pool.submit(Job { sample: sample.clone(), recorder: log, received, reply }) {
+    let requester = Arc::<LocalRequester>::default();
+    let _cancel = CancelOnDrop(Arc::clone(&requester));
+    if let Err(refused) = pool.submit(Job { sample: sample.clone(), recorder: log, received, requester, reply })
+    {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
         return Computed { log: refused.job.recorder, result, transport: None };
     }

@@ -389,8 +389,9 @@ fn failure_from_error(error: &InferenceError) -> Failure {
         InferenceError::QueueFull { .. } | InferenceError::Stopped { .. } => {
             Failure::Overloaded(error.to_string())
         }
-        InferenceError::Input { .. } | InferenceError::Failed { .. } | InferenceError::Panicked { .. } => {
-            Failure::Failed(error.to_string())
-        }
+        InferenceError::Input { .. }
+        | InferenceError::Failed { .. }
+        | InferenceError::Panicked { .. }
+        | InferenceError::Cancelled { .. } => Failure::Failed(error.to_string()),
     }
 }

@@ -1,10 +1,12 @@
 //! The service that a session of a peer uses.
 
 use std::sync::Arc;
+use std::time::Duration;
 
-use peernet_inference::{Bank, FinishedJob, Job, LoadError, Pool};
+use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, Pool, Requester};
 use peernet_logger::Slug;
-use peernet_networks::{Failure, IncomingRequest, SessionHello};
+use peernet_networks::{Failure, IncomingRequest, PartSender, RequestCancelled, SessionHello};
+use peernet_sample::Sample;
 
 use super::{ServeContext, failure_from_error};
 use crate::host::Host;
@@ -75,7 +77,7 @@ impl Service {
         request: IncomingRequest,
         answered: impl FnOnce(&FinishedJob) + Send + 'static,
     ) {
-        let IncomingRequest { sample, recorder, received, reply, .. } = request;
+        let IncomingRequest { sample, recorder, received, parts, reply, .. } = request;
         match self {
             Self::Model(pool) => {
                 let reply = Box::new(move |done: FinishedJob| {
@@ -83,7 +85,9 @@ impl Service {
                     let FinishedJob { recorder, result } = done;
                     reply.send(recorder, result.map_err(|error| failure_from_error(&error)));
                 });
-                if let Err(refused) = pool.submit(Job { sample, recorder, received: received.mono, reply }) {
+                let requester = Arc::new(PeerRequester(parts));
+                let job = Job { sample, recorder, received: received.mono, requester, reply };
+                if let Err(refused) = pool.submit(job) {
                     let Job { recorder, reply, .. } = *refused.job;
                     reply(FinishedJob { recorder, result: Err(refused.reason) });
                 }
@@ -95,6 +99,23 @@ impl Service {
                 );
             }
         }
+    }
+}
+
+/// A peer that requested an answer of a model.
+struct PeerRequester(PartSender);
+
+impl Requester for PeerRequester {
+    fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
+        self.0.send(&part).map_err(|RequestCancelled| Cancelled)
+    }
+
+    fn is_cancelled(&self) -> bool {
+        self.0.is_cancelled()
+    }
+
+    fn wait(&self, duration: Duration) -> Result<(), Cancelled> {
+        self.0.wait(duration).map_err(|RequestCancelled| Cancelled)
     }
 }
 

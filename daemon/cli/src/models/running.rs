@@ -63,7 +63,7 @@ impl Running {
         let reply = Box::new(move |done| drop(sender.send(done)));
         let recorder = Recorder::new(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();
-        if let Err(refused) = self.pool.submit(Job { sample, recorder, received, reply }) {
+        if let Err(refused) = self.pool.submit(Job::for_whole_answer(sample, recorder, received, reply)) {
             return (Err(refused.reason), refused.job.recorder.finish());
         }
         match receiver.recv() {

@@ -8,7 +8,7 @@ use peernet_sample::{Description, Sample};
 use serde::{Deserialize, Serialize};
 
 use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 /// Largest fixed answer, bytes (1 GiB).
 const MAX_ANSWER_BYTES: usize = 1 << 30;
@@ -84,7 +84,12 @@ struct EchoWorker {
 }
 
 impl Worker for EchoWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        _requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let _inference = recorder.time(stage::INFERENCE);
         Ok(self.answer.as_ref().unwrap_or(sample).clone())
     }

@@ -13,7 +13,7 @@ use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::Sample;
 
 use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 /// Environment variable that contains the device.
 const DEVICE: &str = "PEERNET_DEVICE";
@@ -114,7 +114,12 @@ struct ExecWorker {
 }
 
 impl Worker for ExecWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        _requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let program_call =
             self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;

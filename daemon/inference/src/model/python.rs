@@ -11,7 +11,7 @@ use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 
 use super::{Keys, LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 impl ModelConfig {
     /// Returns the configuration of a Python object; `pickle` as in [`PythonConfig`].
@@ -100,7 +100,12 @@ struct PythonWorker {
 }
 
 impl Worker for PythonWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        _requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let called = self.object.call(&sample.parts);
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {

@@ -9,7 +9,7 @@ use peernet_sample::{Description, Sample};
 use serde::{Deserialize, Serialize};
 
 use super::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, Worker};
 
 /// Longest stage, milliseconds: one day.
 const MAX_STAGE_MS: usize = 24 * 3600 * 1000;
@@ -50,8 +50,8 @@ impl ModelKind for SleepConfig {
         ]
     }
 
-    fn load(&self, _shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
-        Ok(Arc::new(Sleep { config: self.clone() }))
+    fn load(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        Ok(Arc::new(Sleep { name: shared.name.clone(), config: self.clone() }))
     }
 }
 
@@ -69,6 +69,7 @@ impl ModelConfig {
 
 /// Model of known latency: three stages with configured durations.
 struct Sleep {
+    name: Slug,
     config: SleepConfig,
 }
 
@@ -81,6 +82,7 @@ impl Model for Sleep {
             (stage::POSTPROCESSING, postprocessing_ms),
         ];
         Ok(Box::new(SleepWorker {
+            name: self.name.clone(),
             stages: stages.map(|(name, ms)| (name, Duration::from_millis(u64::from(ms)))),
         }))
     }
@@ -97,14 +99,20 @@ impl Model for Sleep {
 }
 
 struct SleepWorker {
+    name: Slug,
     stages: [(peernet_logger::Name, Duration); 3],
 }
 
 impl Worker for SleepWorker {
-    fn infer(&mut self, _sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        _sample: &Sample,
+        recorder: &mut Recorder,
+        requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         for (name, duration) in &self.stages {
             let _stage = recorder.time(name.clone());
-            std::thread::sleep(*duration);
+            requester.wait(*duration).map_err(|_| InferenceError::Cancelled { model: self.name.to_string() })?;
         }
         Ok(Sample::from_part(Description::bytes(), Bytes::new()))
     }

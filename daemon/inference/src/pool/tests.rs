@@ -7,7 +7,7 @@ use peernet_logger::{HostId, Recorder, stage};
 use peernet_sample::{Description, Sample};
 
 use super::*;
-use crate::Worker;
+use crate::{Requester, Worker};
 use crate::model::echo::{Echo, EchoConfig};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
@@ -30,7 +30,12 @@ impl Model for TestModel {
 }
 
 impl Worker for TestModel {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        _requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let _inference = recorder.time(stage::INFERENCE);
         (self.0)(sample)
     }
@@ -60,7 +65,7 @@ fn sample(text: &'static str) -> Sample {
 
 fn job(text: &'static str, reply: impl FnOnce(FinishedJob) + Send + 'static) -> Job {
     let recorder = Recorder::new(clock(), HostId::random());
-    Job { sample: sample(text), recorder, received: MonoTime::from_nanos(0), reply: Box::new(reply) }
+    Job::for_whole_answer(sample(text), recorder, MonoTime::from_nanos(0), Box::new(reply))
 }
 
 /// Creates a job and the receiver of its result.

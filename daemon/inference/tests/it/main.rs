@@ -62,7 +62,7 @@ fn run(pool: &Pool, sample: Sample) -> FinishedJob {
     let clock = clock();
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
     let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
-    pool.submit(Job { sample, recorder, received: clock.mono(), reply }).expect("the queue has room");
+    pool.submit(Job::for_whole_answer(sample, recorder, clock.mono(), reply)).expect("the queue has room");
     receiver.recv().expect("is answered")
 }
 

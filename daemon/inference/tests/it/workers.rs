@@ -16,7 +16,7 @@ fn answers(more: &str) -> Vec<Answer> {
         let sender = sender.clone();
         let reply = Box::new(move |done: FinishedJob| sender.send((index, done.result)).expect("is awaited"));
         let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
-        let job = Job { sample: jpeg(file), recorder, received: clock.mono(), reply };
+        let job = Job::for_whole_answer(jpeg(file), recorder, clock.mono(), reply);
         pool.submit(job).expect("the queue has room");
     }
     drop(sender);
@@ -51,7 +51,7 @@ fn pool_serves_until_it_is_shut_down() {
     bank.shutdown();
     let clock = clock();
     let recorder = Recorder::new(Arc::clone(&clock), HostId::random());
-    let job = Job { sample: jpeg(file), recorder, received: clock.mono(), reply: Box::new(|_| {}) };
+    let job = Job::for_whole_answer(jpeg(file), recorder, clock.mono(), Box::new(|_| {}));
     let refused = pool.submit(job).expect_err("is shut down");
     assert_eq!(refused.reason.to_string(), "model qc is shutting down");
 }

@@ -22,6 +22,9 @@ pub(crate) const MAX_PARTS: usize = 64;
 /// Largest number of frames of a message: header, tree and payload parts.
 pub(crate) const MAX_FRAMES: usize = 2 + MAX_PARTS;
 
+/// Largest number of parts of one answer that were sent and are not acknowledged.
+pub(crate) const MAX_UNREAD_PARTS: u32 = 64;
+
 /// Largest nesting depth of a header.
 const MAX_DEPTH: usize = 32;
 
@@ -60,6 +63,12 @@ pub(crate) enum Header {
     Request(Request),
     /// The cloud answers a request. The tree delta and the payload follow.
     Reply(Reply),
+    /// The cloud sends a part of an answer before the answer is complete. The payload follows.
+    PartialReply(PartialReply),
+    /// The edge has read partial replies of a request, so that the cloud may send more.
+    PartsRead(PartsRead),
+    /// The edge does not wait for the answer to a request any more.
+    Cancel(Cancel),
     /// The cloud reports the state of its clocks.
     Clock(Box<ClockUpdate>),
     /// The cloud reports what it has sent and received on the session's connection so far.
@@ -159,6 +168,37 @@ pub(crate) struct Reply {
     pub(crate) arrived_raw: Option<RawTime>,
 }
 
+/// A part of an answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
+///
+/// The reply repeats the whole answer, so that an edge can ignore partial replies and lost ones cost nothing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct PartialReply {
+    pub(crate) session: SessionId,
+    pub(crate) request: u64,
+    /// Number of the part within the answer, from 0.
+    pub(crate) part: u32,
+    /// Departure of the part. As in a reply, its `start` is the time since the arrival of the request.
+    pub(crate) departure: Departure,
+    pub(crate) sample: SampleHeader,
+}
+
+/// Acknowledgement of partial replies. A cloud sends at most [`MAX_UNREAD_PARTS`] parts of an answer that are not
+/// acknowledged.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct PartsRead {
+    pub(crate) session: SessionId,
+    pub(crate) request: u64,
+    /// Number of the newest part that was read, plus one. Parts before it that were lost count as read.
+    pub(crate) through: u32,
+}
+
+/// Cancellation of a request. Its reply, if one is sent, is dropped as late.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Cancel {
+    pub(crate) session: SessionId,
+    pub(crate) request: u64,
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Outcome {
@@ -206,7 +246,7 @@ impl Header {
         let mut wire = Vec::with_capacity(256);
         let written = match self {
             // Field names would take most of the bytes of these frequent messages.
-            Self::Request(_) | Self::Reply(_) => rmp_serde::encode::write(&mut wire, self),
+            Self::Request(_) | Self::Reply(_) | Self::PartialReply(_) => rmp_serde::encode::write(&mut wire, self),
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
         written.map_err(|error| HeaderError::NotEncodable(error.to_string()))?;

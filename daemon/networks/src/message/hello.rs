@@ -22,14 +22,18 @@ use super::{deserialize_text, to_printable};
 /// | --- | --- |
 /// | 0.1.0 | 4 |
 /// | 0.2.0 | 4, states ranges |
-/// | 0.3.0 | 4 and 5 |
+/// | 0.3.0 | 4 to 6 |
 ///
 /// Version 5 adds stamps of the free-running clocks to departures, replies and clock states, and reports of the cloud's
 /// statistics. Epochs count interruptions of the free-running clock in version 5 and steps of the wall clock in version 4.
-pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 5, Release(0, 1, 0));
+/// Version 6 adds partial replies, their acknowledgement, and the cancellation of requests.
+pub const SESSION_VERSIONS: VersionRange = VersionRange::new(4, 6, Release(0, 1, 0));
 
 /// First version in which messages carry stamps of the free-running clocks.
 pub const RAW_STAMPS_SINCE: u16 = 5;
+
+/// First version with partial replies and cancellation.
+pub(crate) const PARTIAL_REPLIES_SINCE: u16 = 6;
 
 /// First version in which clouds report the statistics of their end of a session's connection.
 pub(crate) const STATISTICS_SINCE: u16 = 5;

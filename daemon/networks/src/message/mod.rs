@@ -6,6 +6,9 @@
 //! | accepted, refused | cloud | session id and acceptance, or the reason | | |
 //! | request | edge | session, number, departure, description of the sample | tree | payload parts, unchanged |
 //! | reply | cloud | session, number, departure, outcome | tree delta | payload parts, unchanged |
+//! | partial-reply | cloud | session, number, number of the part, departure, description of the part | empty | payload parts, unchanged |
+//! | parts-read | edge | session, number, number of parts read | | |
+//! | cancel | edge | session, number | | |
 //! | clock | cloud | session, state of the cloud's clocks | | |
 //! | statistics | cloud | session, statistics of the cloud's end of the connection | | |
 //! | unknown-session | cloud | session, number | | |
@@ -31,10 +34,11 @@ pub(crate) mod strategies;
 
 pub use clock_socket::{ClockSocketName, InvalidClockSocketName};
 pub(crate) use header::{
-    Accepted, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, Open, Outcome, RefusalKind,
-    Refused, Reply, Request, SampleHeader, StatisticsReport, UnknownSession,
+    Accepted, Cancel, ClockUpdate, Departure, Goodbye, Header, HeaderError, MAX_FRAMES, MAX_UNREAD_PARTS,
+    Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request, SampleHeader,
+    StatisticsReport, UnknownSession,
 };
-pub(crate) use hello::STATISTICS_SINCE;
+pub(crate) use hello::{PARTIAL_REPLIES_SINCE, STATISTICS_SINCE};
 pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
     SessionId,

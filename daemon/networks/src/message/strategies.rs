@@ -11,8 +11,8 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{
-    Accepted, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
-    RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
+    Accepted, Cancel, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
+    PartialReply, PartsRead, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
     StatisticsReport, UnknownSession,
 };
 
@@ -199,6 +199,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
             |((session, request, departure), sample, returned, outcome, (hello, accepted, clock), rest)| {
                 let (kind, reason, max_message_bytes, planned_iterations, arrived_raw) = rest;
                 let (versions, arrival_epoch) = (hello.versions, clock.epoch);
+                let (part, part_sample) = (arrival_epoch, sample.clone());
                 let protocol = versions.oldest();
                 let lost = planned_iterations.filter(|_| reason.is_empty());
                 let sent = DirectionStatistics { bytes: max_message_bytes, lost, ..DirectionStatistics::default() };
@@ -215,6 +216,9 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     1 => Just(Header::Refused(Refused { versions, kind, reason: reason.clone() })),
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
+                    2 => Just(Header::PartialReply(PartialReply { session, request, part, departure, sample: part_sample })),
+                    1 => Just(Header::PartsRead(PartsRead { session, request, through: part })),
+                    1 => Just(Header::Cancel(Cancel { session, request })),
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
                     1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),
                     1 => Just(Header::UnknownSession(UnknownSession { session, request })),

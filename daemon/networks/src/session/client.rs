@@ -5,7 +5,9 @@ use std::fmt;
 
 use peernet_stream::{ConnectionStatistics, VersionMismatch, VersionRange};
 
-use crate::message::{Accepted, Header, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId};
+use crate::message::{
+    Accepted, Header, PartialReply, PeerClock, RefusalKind, Refused, Reply, SESSION_VERSIONS, SessionId,
+};
 
 /// Reason for the end of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -78,8 +80,12 @@ pub(crate) struct ClientSession<W> {
 pub(crate) enum CloudMessage<W> {
     /// The answer for this waiter.
     Answer(W, Reply),
+    /// A part of the answer to a request in flight.
+    Part(PartialReply),
     /// An answer to a request that was cancelled or has ended already.
     LateAnswer,
+    /// A part of an answer to a request that was cancelled or has ended already.
+    LatePart,
     /// New state of the cloud's clocks.
     Clock(PeerClock),
     /// Statistics of the cloud's end of the connection.
@@ -114,6 +120,11 @@ impl<W> ClientSession<W> {
         self.waiters.remove(&request).is_some()
     }
 
+    /// Returns the waiter of a request in flight.
+    pub(crate) fn waiter_mut(&mut self, request: u64) -> Option<&mut W> {
+        self.waiters.get_mut(&request)
+    }
+
     /// Handles a message from the cloud.
     pub(crate) fn receive(&mut self, header: Header) -> CloudMessage<W> {
         match header {
@@ -128,6 +139,14 @@ impl<W> ClientSession<W> {
                 // An answer may arrive after its request timed out; it must not be mistaken for an invalid answer.
                 None => CloudMessage::LateAnswer,
             },
+            Header::PartialReply(part) if part.session != self.session => {
+                CloudMessage::Malformed("a part of an answer of another session")
+            }
+            Header::PartialReply(part) if part.request >= self.next_request => {
+                CloudMessage::Malformed("a part of an answer to a request that was never sent")
+            }
+            Header::PartialReply(part) if self.waiters.contains_key(&part.request) => CloudMessage::Part(part),
+            Header::PartialReply(_) => CloudMessage::LatePart,
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
             Header::Statistics(report) if report.session == self.session => {
@@ -143,7 +162,12 @@ impl<W> ClientSession<W> {
             Header::UnknownSession(_) | Header::Goodbye(_) => {
                 CloudMessage::Malformed("the end of another session")
             }
-            Header::Open(_) | Header::Accepted(_) | Header::Refused(_) | Header::Request(_) => {
+            Header::Open(_)
+            | Header::Accepted(_)
+            | Header::Refused(_)
+            | Header::Request(_)
+            | Header::PartsRead(_)
+            | Header::Cancel(_) => {
                 CloudMessage::Malformed("a message that an open session never receives")
             }
         }
@@ -272,7 +296,12 @@ mod tests {
                                 prop_assert!(ended.insert(waiter));
                             }
                         }
-                        CloudMessage::Clock(_) | CloudMessage::Statistics(_) | CloudMessage::LateAnswer | CloudMessage::Malformed(_) => {}
+                        CloudMessage::Part(part) => prop_assert!(!ended.contains(&part.request)),
+                        CloudMessage::LatePart
+                        | CloudMessage::Clock(_)
+                        | CloudMessage::Statistics(_)
+                        | CloudMessage::LateAnswer
+                        | CloudMessage::Malformed(_) => {}
                     },
                     Step::End => {
                         over = true;

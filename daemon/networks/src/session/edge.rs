@@ -10,8 +10,9 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result};
+use super::exchange::{Absorbed, ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result};
 use super::open::{OpenError, OpenedSession, handshake};
+use super::parts::PartHandler;
 use super::receiving::ReceivingTask;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
@@ -147,8 +148,22 @@ impl Session {
     ///
     /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
     /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future cancels the
-    /// request.
+    /// request, and so does the end of `timeout`; the cloud then stops computing where the model allows it.
     pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
+        self.request_in_parts(recorder, sample, timeout, None).await
+    }
+
+    /// Sends a sample as [`request`](Self::request) does. `handler` takes each part of the answer that arrives before
+    /// the answer is complete.
+    ///
+    /// If there was any part, also records `first-part`, `first-part-download` and `parts`.
+    pub async fn request_in_parts(
+        &self,
+        recorder: Recorder,
+        sample: &Sample,
+        timeout: Duration,
+        handler: Option<PartHandler>,
+    ) -> Exchange {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
             recorder,
@@ -156,6 +171,7 @@ impl Session {
             arrived_at: None,
             upload: None,
             download: None,
+            first_part: None,
             observation: None,
         };
         let now = tokio::time::Instant::now();
@@ -164,7 +180,7 @@ impl Session {
             Ok(slot) => slot,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
-        let mut pending = match shared.send(&mut exchange.recorder, sample, deadline) {
+        let mut pending = match shared.send(&mut exchange.recorder, sample, deadline, handler) {
             Ok(pending) => pending,
             Err(error) => return Exchange { result: Err(error), ..exchange },
         };
@@ -202,8 +218,12 @@ impl Session {
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
             Ok(absorbed) => {
-                exchange.download = absorbed.map(|(down, _)| down);
-                exchange.observation = absorbed.and_then(|(_, observation)| observation);
+                if let Some(Absorbed { download, first_part, observation }) = absorbed {
+                    exchange.download = Some(download);
+                    exchange.first_part = first_part;
+                    exchange.observation = observation;
+                    arrived.parts.record(&mut exchange.recorder, sent.departed.stamp.mono);
+                }
                 request_result(arrived.reply.outcome, arrived.frames)
             }
             Err(problem) => {

@@ -9,6 +9,7 @@ use peernet_logger::{
 };
 use peernet_sample::Sample;
 
+use super::parts::ArrivedParts;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
@@ -25,6 +26,8 @@ pub struct Exchange {
     pub upload: Option<NodeId>,
     /// The `download` node; `None` if no model answered.
     pub download: Option<NodeId>,
+    /// The [`FIRST_PART_DOWNLOAD`](crate::FIRST_PART_DOWNLOAD) node; `None` if the answer came in one piece.
+    pub first_part: Option<NodeId>,
     /// The four stamps of `upload` and `download`, from which the clock relation of the two hosts is estimated.
     ///
     /// The edge's stamps are of its free-running clock. The cloud's stamps are of its free-running clock since version
@@ -43,6 +46,8 @@ const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 pub(crate) struct ArrivedReply {
     pub(crate) reply: Reply,
     pub(crate) frames: Frames,
+    /// Parts of the answer that arrived before.
+    pub(crate) parts: ArrivedParts,
     pub(crate) stamp: Stamp,
     /// Edge's epoch, read right after the arrival was stamped.
     pub(crate) epoch: u32,
@@ -143,9 +148,20 @@ pub(crate) enum TreeDeltaError {
     Tree(#[from] TreeError),
 }
 
-/// Adds the cloud's part to the tree: closes `upload`, appends the cloud's nodes and `download`. Returns the `download`
-/// node and the stamps of the exchange, or `None` if no model answered. `has_raw_stamps` is `true` if the session's
-/// version has stamps of the cloud's free-running clock.
+/// The transits from the cloud that an answer added to the tree, and its stamps.
+#[derive(Debug)]
+pub(crate) struct Absorbed {
+    /// The `download` node.
+    pub(crate) download: NodeId,
+    /// The node of the first part's download, if the answer came in parts.
+    pub(crate) first_part: Option<NodeId>,
+    /// The stamps of the exchange; `None` if a clock was interrupted.
+    pub(crate) observation: Option<ExchangeObservation>,
+}
+
+/// Adds the cloud's nodes to the tree: closes `upload`, appends the nodes of the delta, the download of the first part,
+/// and `download`. Returns `None` if no model answered. `has_raw_stamps` is `true` if the session's version has stamps
+/// of the cloud's free-running clock.
 ///
 /// A tree delta may only add nodes of the host that made it.
 ///
@@ -157,7 +173,7 @@ pub(crate) fn absorb(
     has_raw_stamps: bool,
     departed: &DepartedRequest,
     arrived: &ArrivedReply,
-) -> Result<Option<(NodeId, Option<ExchangeObservation>)>, TreeDeltaError> {
+) -> Result<Option<Absorbed>, TreeDeltaError> {
     let (Some(departure), Some(delta)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
@@ -183,6 +199,9 @@ pub(crate) fn absorb(
     let raw_stamps = Some(RawStamps { sent: cloud_times.1, received: arrived.stamp.raw });
     let transit =
         Transit { sent: departure.sent, received: Some(arrived.stamp.wall), delay: None, raw_stamps };
+    let first_part = arrived.parts.download(host);
+    let has_parts = first_part.is_some();
+    delta.nodes.extend(first_part);
     delta.nodes.push(Node {
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
@@ -195,8 +214,9 @@ pub(crate) fn absorb(
     let up = RawStamps { sent: departed.stamp.raw, received: cloud_times.0 };
     set_raw_stamps(recorder.tree_mut(), departed.upload, up);
     let last = recorder.tree().nodes().len() - 1;
-    let download = u32::try_from(last).map(NodeId).map_err(|_| TreeDeltaError::TooManyNodes)?;
-    Ok(Some((download, observation)))
+    let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
+    let first_part = has_parts.then(|| NodeId(last - 1));
+    Ok(Some(Absorbed { download: NodeId(last), first_part, observation }))
 }
 
 fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {

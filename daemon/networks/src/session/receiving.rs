@@ -8,10 +8,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
 use super::exchange::{ArrivedReply, Sizes};
+use super::parts::PartHandler;
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
-use crate::message::{Goodbye, Header};
-use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss, SendOptions};
+use crate::message::{Goodbye, Header, PartialReply, PartsRead};
+use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss};
 
 impl SessionState {
     /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
@@ -29,13 +30,20 @@ impl SessionState {
         };
         match message {
             CloudMessage::Answer(waiter, reply) => {
-                let reply = ArrivedReply { reply, frames, stamp: arrived, epoch: self.clock.epoch() };
+                let (parts, epoch) = (waiter.parts, self.clock.epoch());
+                let reply = ArrivedReply { reply, frames, parts, stamp: arrived, epoch };
                 // Fails if the request was cancelled at this moment.
-                if waiter.send(Answer::Reply(Box::new(reply))).is_err() {
+                if waiter.answer.send(Answer::Reply(Box::new(reply))).is_err() {
                     self.counters.count_late();
                 }
                 None
             }
+            CloudMessage::Part(part) => {
+                self.receive_part(part, frames, arrived);
+                None
+            }
+            // The rest of an answer whose request was cancelled.
+            CloudMessage::LatePart => None,
             CloudMessage::Statistics(statistics) => {
                 self.peer_statistics.send_replace(Some(*statistics));
                 None
@@ -60,13 +68,34 @@ impl SessionState {
         }
     }
 
+    /// Handles a part of an answer.
+    fn receive_part(&self, part: PartialReply, frames: Frames, arrived: Stamp) {
+        let (handler, through) = self.requests.add_part(&part, arrived);
+        let request = part.request;
+        match part.sample.into_sample(frames.into_iter().skip(2)) {
+            Ok(sample) => {
+                if let Some(PartHandler(handler)) = handler {
+                    handler(&sample);
+                }
+            }
+            Err(problem) => {
+                tracing::debug!(%problem, "dropped an invalid part of an answer");
+                self.counters.count_malformed();
+            }
+        }
+        if let Some(through) = through {
+            let session = self.terms.session;
+            self.send_control(&Header::PartsRead(PartsRead { session, request, through }));
+        }
+    }
+
     /// Ends a request of which the request message or the answer was lost. `what` says which.
     fn lose_request(&self, loss: MessageLoss, what: &str) {
         let waiter = loss.tag.and_then(|request| self.requests.lose_request(request));
         if let Some(waiter) = waiter {
             self.counters.count_lost(1);
             // Fails if the request was cancelled at this moment; it then needs no answer.
-            let _ = waiter.send(Answer::Lost(format!("{what}: {loss}")));
+            let _ = waiter.answer.send(Answer::Lost(format!("{what}: {loss}")));
         }
     }
 }
@@ -126,18 +155,7 @@ impl ReceivingTask {
             reason: "the edge closed the session".into(),
             planned_iterations: self.shared.planned_iterations.get().copied(),
         };
-        let sent = Header::Goodbye(goodbye).encode().map_err(|error| error.to_string()).and_then(|header| {
-            let bytes = header.len() as u64;
-            self.shared
-                .sender
-                .send(vec![header], SendOptions::default())
-                .map_err(|error| error.to_string())?;
-            Ok(bytes)
-        });
-        match sent {
-            Ok(bytes) => self.shared.counters.count_sent(bytes),
-            Err(error) => tracing::debug!(error, "cannot send a goodbye to the cloud"),
-        }
+        self.shared.send_control(&Header::Goodbye(goodbye));
     }
 }
 

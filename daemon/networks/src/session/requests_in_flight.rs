@@ -2,12 +2,14 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use peernet_clock::Stamp;
 use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{ClientSession, CloseReason, CloudMessage};
 use super::exchange::{ArrivedReply, Awaited, RequestError};
-use crate::message::{Header, SessionId};
+use super::parts::{ArrivedParts, PartHandler};
+use crate::message::{Header, PartialReply, SessionId};
 use crate::statistics::Counters;
 
 /// Outcome of a request.
@@ -20,8 +22,14 @@ pub(super) enum Answer {
     SessionEnded(CloseReason),
 }
 
-/// Sender to the task that waits for an answer.
-pub(super) type Waiter = oneshot::Sender<Answer>;
+/// The task that waits for an answer, and the parts of the answer that have arrived.
+#[derive(Debug)]
+pub(super) struct Waiter {
+    pub(super) answer: oneshot::Sender<Answer>,
+    pub(super) parts: ArrivedParts,
+    /// Takes each part when it arrives.
+    handler: Option<PartHandler>,
+}
 
 /// Requests of a session in flight. When the session is over, all of them end, and no further request can start.
 #[derive(Debug)]
@@ -71,16 +79,33 @@ impl RequestsInFlight {
     ///
     /// # Errors
     /// If the session is over.
-    pub(super) fn start_request(&self) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
-        let (waiter, answer) = oneshot::channel();
+    pub(super) fn start_request(
+        &self,
+        handler: Option<PartHandler>,
+    ) -> Result<(u64, oneshot::Receiver<Answer>), RequestError> {
+        let (sender, answer) = oneshot::channel();
+        let waiter = Waiter { answer: sender, parts: ArrivedParts::default(), handler };
         let request =
             self.client().start_request(waiter).map_err(|reason| RequestError::Lost(reason.to_string()))?;
         Ok((request, answer))
     }
 
-    /// Stops waiting for the answer to a request.
-    pub(super) fn cancel_request(&self, request: u64) {
-        self.client().cancel_request(request);
+    /// Stops waiting for the answer to a request. Returns whether the request was still in flight.
+    pub(super) fn cancel_request(&self, request: u64) -> bool {
+        self.client().cancel_request(request)
+    }
+
+    /// Adds a part of an answer. Returns the handler of the parts, and the number of parts to acknowledge if it is time
+    /// to.
+    pub(super) fn add_part(
+        &self,
+        part: &PartialReply,
+        arrived: Stamp,
+    ) -> (Option<PartHandler>, Option<u32>) {
+        let mut client = self.client();
+        let Some(waiter) = client.waiter_mut(part.request) else { return (None, None) };
+        let acknowledged = waiter.parts.add(part.part, part.departure, arrived);
+        (waiter.handler.clone(), acknowledged)
     }
 
     /// Handles a message from the cloud.
@@ -121,7 +146,7 @@ pub(super) fn end_all(reason: &CloseReason, waiters: Vec<Waiter>, counters: &Cou
     counters.count_lost(waiters.len() as u64);
     for waiter in waiters {
         // Fails if the request was cancelled at this moment; it then needs no answer.
-        let _ = waiter.send(Answer::SessionEnded(reason.clone()));
+        let _ = waiter.answer.send(Answer::SessionEnded(reason.clone()));
     }
 }
 
@@ -145,7 +170,7 @@ mod tests {
         let (requests, counters) = (RequestsInFlight::new(SessionId::random(), 1), Counters::default());
         let soon = tokio::time::Instant::now() + std::time::Duration::from_secs(60);
         let slot = requests.acquire_slot(&mut recorder(), soon).await.expect("one is free");
-        let (_, answer) = requests.start_request().expect("open");
+        let (_, answer) = requests.start_request(None).expect("open");
         let mut queued = recorder();
         let (second, ()) = tokio::join!(requests.acquire_slot(&mut queued, soon), async {
             requests.end(&CloseReason::UnknownSession, &counters);
@@ -155,7 +180,7 @@ mod tests {
         let close_reason = CloseReason::UnknownSession.to_string();
         assert_eq!(second.map(drop), Err(RequestError::Lost(close_reason.clone())));
         assert!(matches!(answer.await, Ok(Answer::SessionEnded(CloseReason::UnknownSession))));
-        assert_eq!(requests.start_request().map(drop), Err(RequestError::Lost(close_reason)));
+        assert_eq!(requests.start_request(None).map(drop), Err(RequestError::Lost(close_reason)));
         assert_eq!(requests.wait_for_end().await, CloseReason::UnknownSession);
         assert_eq!(counters.statistics(&TransportStatistics::default()).lost_messages, 1);
     }

@@ -1,13 +1,15 @@
 //! State machine of all sessions of a listener at the cloud, without I/O.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
+use super::request_control::RequestControl;
 use crate::SessionSettings;
 use crate::message::{
-    Accepted, ClockUpdate, Goodbye, Header, Open, Outcome, PeerClock, RefusalKind, Refused, Reply, Request,
-    SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    Accepted, Cancel, ClockUpdate, Goodbye, Header, Open, Outcome, PARTIAL_REPLIES_SINCE, PartsRead,
+    PeerClock, RefusalKind, Refused, Reply, Request, SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
 };
 use crate::statistics::Counters;
 use crate::transport::{AddressGroup, ConnectionId, Peer};
@@ -37,10 +39,20 @@ struct SessionEntry {
     /// Version of the protocol that was chosen.
     version: u16,
     accepted: bool,
-    in_flight: HashSet<u64>,
+    in_flight: InFlight,
     /// Largest message that the edge accepts. Bytes.
     max_message_bytes: u64,
     counters: Arc<Counters>,
+}
+
+/// Requests of a session that wait for their answers. They are cancelled when the session ends.
+#[derive(Debug, Default)]
+struct InFlight(HashMap<u64, Arc<RequestControl>>);
+
+impl Drop for InFlight {
+    fn drop(&mut self) {
+        self.0.values().for_each(|control| control.cancel());
+    }
 }
 
 /// Effect of a message from an edge.
@@ -52,6 +64,8 @@ pub(crate) enum EdgeMessage {
     Request(Request),
     /// The message only needs this answer.
     Answer(Header),
+    /// The message changed the state of a request, or the request has ended already.
+    Handled,
     /// The edge ended its session. If it ended its run as well, the number is the number of iterations of the run.
     Closed(SessionId, Option<u64>),
     /// The message is not valid, for this reason.
@@ -81,6 +95,28 @@ pub(crate) struct Route {
     pub(crate) counters: Arc<Counters>,
 }
 
+/// What becomes of the answer to a request.
+#[derive(Debug)]
+pub(crate) enum FinishedRequest {
+    /// It is sent to the edge.
+    Send(Route),
+    /// The edge does not wait for it any more.
+    Cancelled,
+    /// The session is gone, or the request had its answer already.
+    Unknown,
+}
+
+impl SessionEntry {
+    fn route(&self) -> Route {
+        Route {
+            peer: self.peer.clone(),
+            max_message_bytes: self.max_message_bytes,
+            version: self.version,
+            counters: Arc::clone(&self.counters),
+        }
+    }
+}
+
 impl Server {
     pub(crate) fn new(settings: &SessionSettings) -> Self {
         Self {
@@ -98,6 +134,12 @@ impl Server {
         match header {
             Header::Open(open) => self.open(peer, *open),
             Header::Request(request) => self.request(peer, request),
+            Header::PartsRead(PartsRead { session, request, through }) => {
+                self.control(peer, session, request, |control| control.acknowledge(through))
+            }
+            Header::Cancel(Cancel { session, request }) => {
+                self.control(peer, session, request, RequestControl::cancel)
+            }
             Header::Goodbye(goodbye) => {
                 if self.find_own_session(peer, goodbye.session).is_none() {
                     return EdgeMessage::Malformed("a goodbye of an unknown session");
@@ -108,6 +150,7 @@ impl Server {
             Header::Accepted(_)
             | Header::Refused(_)
             | Header::Reply(_)
+            | Header::PartialReply(_)
             | Header::Clock(_)
             | Header::Statistics(_)
             | Header::UnknownSession(_) => EdgeMessage::Malformed("a message that only a cloud sends"),
@@ -147,7 +190,7 @@ impl Server {
             host: open.hello.host,
             version,
             accepted: false,
-            in_flight: HashSet::new(),
+            in_flight: InFlight::default(),
             max_message_bytes: open.max_message_bytes,
             counters: Arc::default(),
         };
@@ -218,7 +261,7 @@ impl Server {
         if !entry.accepted {
             return EdgeMessage::Malformed("a request before the session was accepted");
         }
-        if entry.in_flight.len() >= max_in_flight {
+        if entry.in_flight.0.len() >= max_in_flight {
             let outcome =
                 Outcome::Overloaded(format!("{max_in_flight} requests of this session are in flight"));
             return EdgeMessage::Answer(Header::Reply(Reply {
@@ -230,10 +273,42 @@ impl Server {
                 arrived_raw: None,
             }));
         }
-        if !entry.in_flight.insert(number) {
-            return EdgeMessage::Malformed("a request whose number is in flight already");
+        match entry.in_flight.0.entry(number) {
+            Entry::Occupied(_) => EdgeMessage::Malformed("a request whose number is in flight already"),
+            Entry::Vacant(free) => {
+                free.insert(Arc::default());
+                EdgeMessage::Request(request)
+            }
         }
-        EdgeMessage::Request(request)
+    }
+
+    /// Applies a message about a request. A request that has ended already needs nothing.
+    fn control(
+        &mut self,
+        peer: &Peer,
+        session: SessionId,
+        request: u64,
+        apply: impl FnOnce(&RequestControl),
+    ) -> EdgeMessage {
+        let Some(entry) = self.find_own_session(peer, session) else {
+            return EdgeMessage::Answer(Header::UnknownSession(UnknownSession { session, request }));
+        };
+        if let Some(control) = entry.in_flight.0.get(&request) {
+            apply(control);
+        }
+        EdgeMessage::Handled
+    }
+
+    /// Returns the state of a request in flight.
+    pub(crate) fn request_control(&self, session: SessionId, request: u64) -> Option<Arc<RequestControl>> {
+        self.sessions.get(&session)?.in_flight.0.get(&request).cloned()
+    }
+
+    /// Returns the destination of the parts of an answer. `None` if the session is gone or its version has no partial
+    /// replies.
+    pub(crate) fn route_of_parts(&self, session: SessionId) -> Option<Route> {
+        let entry = self.sessions.get(&session)?;
+        (entry.version >= PARTIAL_REPLIES_SINCE).then(|| entry.route())
     }
 
     /// Returns the session if it belongs to the connection of `peer`.
@@ -293,15 +368,14 @@ impl Server {
         open.map(|(session, entry)| (*session, entry.peer.clone(), Arc::clone(&entry.counters))).collect()
     }
 
-    /// Ends a request that has its answer. Returns the destination of the answer; `None` if the session is gone.
-    pub(crate) fn finish_request(&mut self, session: SessionId, request: u64) -> Option<Route> {
-        let entry = self.sessions.get_mut(&session)?;
-        entry.in_flight.remove(&request).then(|| Route {
-            peer: entry.peer.clone(),
-            max_message_bytes: entry.max_message_bytes,
-            version: entry.version,
-            counters: Arc::clone(&entry.counters),
-        })
+    /// Ends a request that has its answer.
+    pub(crate) fn finish_request(&mut self, session: SessionId, request: u64) -> FinishedRequest {
+        let Some(entry) = self.sessions.get_mut(&session) else { return FinishedRequest::Unknown };
+        match entry.in_flight.0.remove(&request) {
+            None => FinishedRequest::Unknown,
+            Some(control) if control.is_cancelled() => FinishedRequest::Cancelled,
+            Some(_) => FinishedRequest::Send(entry.route()),
+        }
     }
 
     /// Returns the message counters of a session.
@@ -355,7 +429,7 @@ impl Server {
 
     /// Returns the number of requests that wait for their answer.
     pub(crate) fn in_flight(&self) -> usize {
-        self.sessions.values().map(|entry| entry.in_flight.len()).sum()
+        self.sessions.values().map(|entry| entry.in_flight.0.len()).sum()
     }
 
     fn remove_session(&mut self, session: SessionId) -> Option<SessionEntry> {

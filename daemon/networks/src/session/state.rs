@@ -8,10 +8,11 @@ use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
 use super::exchange::{DepartedRequest, RequestError, Sizes};
+use super::parts::PartHandler;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
-    Departure, Header, HeaderError, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
+    Cancel, Departure, Header, HeaderError, PARTIAL_REPLIES_SINCE, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
     TreeFrameError, add_upload, encode_tree,
 };
 use crate::statistics::{ConnectionStatistics, Counters};
@@ -72,10 +73,11 @@ enum UnsendableSample {
     TooLarge { bytes: u64, max_bytes: u64 },
 }
 
-/// A request in flight. Dropping it cancels the request.
+/// A request in flight. Dropping it cancels the request, also on the cloud.
 pub(super) struct PendingRequest<'a> {
-    requests: &'a RequestsInFlight,
+    state: &'a SessionState,
     request: u64,
+    is_sent: bool,
     pub(super) departed: DepartedRequest,
     pub(super) sizes: Sizes,
     pub(super) answer: oneshot::Receiver<Answer>,
@@ -83,7 +85,11 @@ pub(super) struct PendingRequest<'a> {
 
 impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
-        self.requests.cancel_request(self.request);
+        let is_unanswered = self.state.requests.cancel_request(self.request);
+        if is_unanswered && self.is_sent && self.state.terms.version >= PARTIAL_REPLIES_SINCE {
+            let session = self.state.terms.session;
+            self.state.send_control(&Header::Cancel(Cancel { session, request: self.request }));
+        }
     }
 }
 
@@ -93,6 +99,19 @@ impl SessionState {
         self.counters.statistics(&self.sender.statistics())
     }
 
+    /// Sends a message without payload. A message that the network does not accept is dropped.
+    pub(super) fn send_control(&self, header: &Header) {
+        let sent = header.encode().map_err(|error| error.to_string()).and_then(|header| {
+            let bytes = header.len() as u64;
+            self.sender.send(vec![header], SendOptions::default()).map_err(|error| error.to_string())?;
+            Ok(bytes)
+        });
+        match sent {
+            Ok(bytes) => self.counters.count_sent(bytes),
+            Err(error) => tracing::debug!(error, "cannot send a message to the cloud; it is dropped"),
+        }
+    }
+
     /// Encodes a sample and hands it to the network. The calling task writes to the socket itself, because a switch to
     /// another task would take time.
     pub(super) fn send(
@@ -100,6 +119,7 @@ impl SessionState {
         recorder: &mut Recorder,
         sample: &Sample,
         deadline: tokio::time::Instant,
+        handler: Option<PartHandler>,
     ) -> Result<PendingRequest<'_>, RequestError> {
         let failed =
             |error: UnsendableSample| RequestError::Failed(format!("the sample cannot be sent: {error}"));
@@ -112,7 +132,7 @@ impl SessionState {
                 return Err(failed(error));
             }
         };
-        let (request, answer) = self.requests.start_request()?;
+        let (request, answer) = self.requests.start_request(handler)?;
 
         // This epoch is read before the departure is stamped, and the epoch of the answer after its arrival is stamped.
         // If both are equal, no step of the clock lies between the two stamps.
@@ -128,8 +148,9 @@ impl SessionState {
         let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
         let departed = DepartedRequest { upload: add_upload(recorder.tree_mut(), departure), stamp, epoch };
         // From here on an early return drops `pending`, which cancels the request.
+        let sizes = Sizes::default();
         let mut pending =
-            PendingRequest { requests: &self.requests, request, departed, sizes: Sizes::default(), answer };
+            PendingRequest { state: self, request, is_sent: false, departed, sizes, answer };
         let header = Header::Request(Request {
             session: self.terms.session,
             request,
@@ -145,6 +166,7 @@ impl SessionState {
         match self.sender.send(frames, options) {
             Ok(()) => {
                 self.counters.count_sent(pending.sizes.total());
+                pending.is_sent = true;
                 Ok(pending)
             }
             Err(SendFailure::Full) => Err(RequestError::Overloaded(SendFailure::Full.to_string())),

@@ -8,6 +8,7 @@ mod fake_cloud;
 mod handshake;
 mod hostile;
 mod limits;
+mod partial_replies;
 mod requests;
 mod ros;
 mod ros_limits;

@@ -4,11 +4,12 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{Awaited, Failure, RequestError, SessionSettings};
+use peernet_networks::{Awaited, Failure, PartSender, RequestCancelled, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
+use peernet_stream::{Release, VersionRange};
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, echo, over_every_network, recorder, request, sample, settings, text,
+    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings, text,
     unused_address, within,
 };
 
@@ -17,7 +18,8 @@ over_every_network!(
     tree_returns_with_both_hosts_and_transits,
     answers_out_of_order_reach_their_requests,
     failures_return_with_reason_and_measurements,
-    late_answer_is_dropped_and_counted,
+    request_is_cancelled_at_its_time_limit,
+    late_answer_of_older_version_is_counted,
     abandoned_request_frees_its_place,
     requests_beyond_tighter_limit_wait_and_record_it,
     too_large_sample_or_answer_fails_alone,
@@ -155,9 +157,34 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     echo(&mut cloud, &session, "all is well").await;
 }
 
-async fn late_answer_is_dropped_and_counted(network: TestNetwork) {
+/// Waits on a thread until a request is cancelled.
+async fn until_cancelled(parts: PartSender) {
+    let waiting = tokio::task::spawn_blocking(move || parts.wait(TIME_LIMIT));
+    assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
+}
+
+async fn request_is_cancelled_at_its_time_limit(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
+    let pending = request(&session, "slow", Duration::from_millis(30));
+    let slow = cloud.next_request().await;
+    assert_eq!(within(pending).await.expect("no panic").result, Err(RequestError::Timeout(Awaited::Answer)));
+    // The cloud handles messages while it waits for the next one.
+    let next = request(&session, "next", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    until_cancelled(slow.parts).await;
+    slow.reply.send(slow.recorder, Ok(slow.sample));
+    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
+    assert_eq!(within(next).await.expect("no panic").result.as_ref().map(text), Ok("next"));
+    let counted = session.statistics();
+    assert_eq!((counted.late_messages, counted.lost_messages), (0, 0), "the answer was not sent");
+    assert_eq!(cloud.listener.statistics().lost_messages, 0);
+}
+
+async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let before_cancellation = VersionRange::new(4, 5, Release(0, 1, 0));
+    let session = cloud.session_with_clock(clock(), before_cancellation).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
@@ -179,12 +206,14 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
     let one = SessionSettings { max_in_flight: 1, ..settings() };
     let (session, _) = cloud.session(one).await;
     let pending = request(&session, "dropped", TIME_LIMIT);
-    let incoming = cloud.next_request().await;
+    let dropped = cloud.next_request().await;
     pending.abort();
     assert!(within(pending).await.expect_err("aborted").is_cancelled());
-    incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     echo(&mut cloud, &session, "next").await;
-    assert_eq!(session.statistics().late_messages, 1);
+    until_cancelled(dropped.parts).await;
+    dropped.reply.send(dropped.recorder, Ok(dropped.sample));
+    echo(&mut cloud, &session, "last").await;
+    assert_eq!(session.statistics().late_messages, 0);
 }
 
 async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {

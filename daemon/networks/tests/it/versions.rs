@@ -7,7 +7,7 @@ use crate::fake_cloud::FakeCloud;
 use crate::support::{Cloud, accepted, hello, open, settings, within};
 use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 
-const NEWEST: u16 = 5;
+const NEWEST: u16 = 6;
 
 /// Returns the hello of an edge that speaks other versions, with names that this version does not know.
 fn hello_of_later_release(oldest: u16, newest: u16) -> Header {
@@ -113,11 +113,11 @@ async fn refused_edge_says_what_to_update() {
         let (kind, reason) = ("incompatible".into(), "words of the cloud".into());
         Header::Refused { protocol, newest, since, kind, reason }
     };
-    let (opened, _, address) = open_with_answer(refused(6, Some(7), Some((0, 4, 0)))).await;
+    let (opened, _, address) = open_with_answer(refused(7, Some(8), Some((0, 4, 0)))).await;
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
-            "this program speaks versions 4 to 5 of the session protocol, the cloud at {address} versions 6 to 7: update this \
+            "this program speaks versions 4 to 6 of the session protocol, the cloud at {address} versions 7 to 8: update this \
              program to at least PEERNet 0.4.0"
         )
     );
@@ -126,7 +126,7 @@ async fn refused_edge_says_what_to_update() {
     assert_eq!(
         opened.expect_err("refused").to_string(),
         format!(
-            "the cloud at {address} speaks version 3 of the session protocol, this program versions 4 to 5: update the cloud at \
+            "the cloud at {address} speaks version 3 of the session protocol, this program versions 4 to 6: update the cloud at \
              {address} to at least PEERNet 0.1.0"
         )
     );

@@ -12,7 +12,7 @@ use super::card::Card;
 use super::classify::classify;
 use super::preprocess::Preprocessor;
 use super::{Plan, UNKNOWN_LABEL};
-use crate::{InferenceError, LoadError, Worker};
+use crate::{InferenceError, LoadError, Requester, Worker};
 
 /// Reason that a run of the session gave no output that fits the card.
 #[derive(Debug, thiserror::Error)]
@@ -73,7 +73,12 @@ fn compute(card: &Card, session: &mut Session, tensor: &[f32], numbers: &mut Vec
 }
 
 impl Worker for OnnxWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        _requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         {
             let _stage = recorder.time(stage::PREPROCESSING);
             self.preprocessor.preprocess(sample).map_err(|error| InferenceError::Input {

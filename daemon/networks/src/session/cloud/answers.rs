@@ -9,7 +9,7 @@ use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use crate::message::{
-    Departure, Header, HeaderError, Outcome, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_tree_delta,
+    Departure, Header, HeaderError, Outcome, PartialReply, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_tree_delta,
 };
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;
@@ -68,6 +68,46 @@ pub(super) fn encode_answer(
     frames.extend([header, delta.unwrap_or_default()]);
     frames.extend(payload);
     Ok(frames)
+}
+
+/// Encodes a part of an answer with its number; the request was received at `received`. The departure is stamped last.
+///
+/// # Errors
+/// If the part is larger than the edge accepts, or its header cannot be encoded.
+pub(super) fn encode_part(
+    clock: &dyn Clock,
+    route: &Route,
+    key: RequestKey,
+    (number, received): (u32, MonoTime),
+    part: &Sample,
+) -> Result<Frames, UnsendablePart> {
+    let (bytes, max_bytes) = (part.payload_bytes(), route.max_message_bytes);
+    if bytes > max_bytes {
+        return Err(UnsendablePart::TooLarge { bytes, max_bytes });
+    }
+    let sample = SampleHeader::from_sample(part)?;
+    let stamp = clock.stamp();
+    let departure = Departure {
+        sent: stamp.wall,
+        start: stamp.mono - received,
+        epoch: clock.epoch(),
+        sent_raw: Some(stamp.raw),
+    };
+    let RequestKey { session, request, .. } = key;
+    let header = Header::PartialReply(PartialReply { session, request, part: number, departure, sample });
+    let mut frames = Vec::with_capacity(2 + part.parts.len());
+    frames.extend([header.encode()?, Bytes::new()]);
+    frames.extend(part.parts.iter().map(|part| part.bytes.clone()));
+    Ok(frames)
+}
+
+/// Reason why a part of an answer cannot be sent.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum UnsendablePart {
+    #[error("it has {bytes} bytes, more than the edge accepts ({max_bytes})")]
+    TooLarge { bytes: u64, max_bytes: u64 },
+    #[error(transparent)]
+    Header(#[from] HeaderError),
 }
 
 /// Returns the outcome and the payload that are sent for a result. An answer that is larger than the edge accepts

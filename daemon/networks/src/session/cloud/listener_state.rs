@@ -2,17 +2,17 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use peernet_clock::{LogThrottle, SharedClock};
+use peernet_clock::{LogThrottle, MonoTime, SharedClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::Sample;
 
-use super::answers::{AnswersBeingSent, encode_answer};
+use super::answers::{AnswersBeingSent, encode_answer, encode_part};
 use super::output::ListenerOutput;
 use crate::SessionSettings;
 use crate::message::{Header, PeerClock, SessionAccepted, SessionId, StatisticsReport};
 use crate::session::budget::RequestBudget;
 use crate::session::incoming::{Failure, RequestKey};
-use crate::session::server::{Route, Server};
+use crate::session::server::{FinishedRequest, Route, Server};
 use crate::transport::{CloudSender, ConnectionId, Peer};
 
 /// State that a listener shares with all answers in progress. Answers hold it weakly, so that the connections are
@@ -100,7 +100,12 @@ impl ListenerState {
         // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
         // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
-            let route = self.server().finish_request(key.session, key.request);
+            let finished = self.server().finish_request(key.session, key.request);
+            let route = match finished {
+                FinishedRequest::Send(route) => Some(route),
+                FinishedRequest::Cancelled => return,
+                FinishedRequest::Unknown => None,
+            };
             let sent = route.as_ref().is_some_and(|route| self.send_answer(route, key, recorder, result));
             if !sent {
                 self.output.counters.count_lost(1);
@@ -124,6 +129,27 @@ impl ListenerState {
                 tracing::warn!(%error, "cannot encode an answer; it is dropped");
                 false
             }
+        }
+    }
+
+    /// Returns the destination of the parts of an answer. `None` if the session is gone or knows no parts.
+    pub(crate) fn route_of_parts(&self, session: SessionId) -> Option<Route> {
+        self.server().route_of_parts(session)
+    }
+
+    /// Sends a part of an answer with its number; the request was received at `received`. A part that cannot be sent is
+    /// dropped: the answer repeats its content.
+    pub(crate) fn send_part(
+        &self,
+        route: &Route,
+        key: RequestKey,
+        (number, received): (u32, MonoTime),
+        part: &Sample,
+    ) {
+        match encode_part(&*self.clock, route, key, (number, received), part) {
+            // Without a tag: a lost part must not end its request.
+            Ok(frames) => drop(self.output.send(&route.peer, frames, None, Some(&route.counters))),
+            Err(error) => tracing::debug!(%error, "cannot send a part of an answer; it is dropped"),
         }
     }
 

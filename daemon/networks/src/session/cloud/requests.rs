@@ -14,6 +14,7 @@ use crate::session::exchange::Sizes;
 use crate::session::incoming::{
     ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };
+use crate::session::part_sender::PartSender;
 use crate::session::server::{EdgeMessage, Server};
 use crate::transport::{Frames, Peer};
 
@@ -59,6 +60,7 @@ pub(super) fn handle_message(
             shared.send_message(peer, &header);
             None
         }
+        EdgeMessage::Handled => None,
         EdgeMessage::Closed(session, planned_iterations) => {
             shared.update_admission(peer.connection);
             Some(Incoming::Closed { session, said_goodbye: true, planned_iterations })
@@ -80,6 +82,8 @@ fn incoming_request(
     (received, arrival): (Stamp, ArrivalStamp),
 ) -> Option<Incoming> {
     let key = RequestKey { session: request.session, request: request.request, arrival };
+    // The session may have ended in the meantime; the answer then has no destination.
+    let control = shared.server().request_control(key.session, key.request).unwrap_or_default();
     let frames = match shared.budget.reserve_frames(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {
@@ -92,8 +96,9 @@ fn incoming_request(
     match (recorder, sample) {
         (Ok(recorder), Ok(sample)) => {
             let reply = Responder::new(key, Arc::downgrade(shared));
+            let parts = PartSender::new(key, received.mono, control, Arc::downgrade(shared));
             let session = key.session;
-            Some(Incoming::Request(IncomingRequest { session, sample, recorder, received, reply }))
+            Some(Incoming::Request(IncomingRequest { session, sample, recorder, received, parts, reply }))
         }
         (Err(problem), _) | (_, Err(problem)) => {
             shared.report_malformed(peer, &problem.to_string());

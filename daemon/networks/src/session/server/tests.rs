@@ -1,5 +1,7 @@
 //! Tests of the cloud's state machine: single steps, and arbitrary steps of many edges.
 
+use std::collections::HashSet;
+
 use peernet_clock::ClockIdentity;
 use peernet_logger::HostId;
 use peernet_stream::Hardware;
@@ -78,9 +80,40 @@ fn answer_is_routed_once_to_the_requesting_connection() {
         matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Malformed(_)),
         "in flight already"
     );
-    let route = server.finish_request(session, 7).expect("in flight");
+    let route = server.finish_request(session, 7);
+    let FinishedRequest::Send(route) = route else { panic!("{route:?}") };
     assert_eq!((route.peer.connection, route.max_message_bytes), (ConnectionId(5), 1_000));
-    assert!(server.finish_request(session, 7).is_none());
+    assert!(matches!(server.finish_request(session, 7), FinishedRequest::Unknown));
+}
+
+#[test]
+fn cancelled_request_needs_no_answer() {
+    let mut server = server();
+    let session = open_session(&mut server, 5);
+    server.accept(session, accepted()).expect("the edge is there");
+    assert!(matches!(server.receive(&peer(5), request(session, 7)), EdgeMessage::Request(_)));
+    let control = server.request_control(session, 7).expect("in flight");
+    let cancel = |request| Header::Cancel(Cancel { session, request });
+    assert!(
+        matches!(server.receive(&peer(6), cancel(7)), EdgeMessage::Answer(Header::UnknownSession(_))),
+        "only its own connection may cancel"
+    );
+    assert!(!control.is_cancelled());
+    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled);
+    assert!(control.is_cancelled());
+    assert!(matches!(server.finish_request(session, 7), FinishedRequest::Cancelled));
+    assert_eq!(server.receive(&peer(5), cancel(7)), EdgeMessage::Handled, "it has ended already");
+}
+
+#[test]
+fn end_of_session_cancels_its_requests() {
+    let mut server = server();
+    let session = open_session(&mut server, 5);
+    server.accept(session, accepted()).expect("the edge is there");
+    server.receive(&peer(5), request(session, 7));
+    let control = server.request_control(session, 7).expect("in flight");
+    assert_eq!(server.remove_connection(ConnectionId(5)), [session]);
+    assert!(control.is_cancelled());
 }
 
 #[test]
@@ -219,6 +252,9 @@ fn with_session(mut header: Header, session: SessionId) -> Header {
     match &mut header {
         Header::Request(request) => request.session = session,
         Header::Reply(reply) => reply.session = session,
+        Header::PartialReply(part) => part.session = session,
+        Header::PartsRead(read) => read.session = session,
+        Header::Cancel(cancel) => cancel.session = session,
         Header::Clock(update) => update.session = session,
         Header::Statistics(report) => report.session = session,
         Header::UnknownSession(unknown) => unknown.session = session,
@@ -234,7 +270,7 @@ proptest! {
     fn limits_and_counts_hold_for_any_messages(steps in proptest::collection::vec(step(), 0..120)) {
         let mut server = server();
         let mut sessions = vec![SessionId::random()];
-        let mut in_flight = HashSet::new();
+        let (mut in_flight, mut cancelled) = (HashSet::new(), HashSet::new());
         for step in steps {
             match step {
                 Step::Open(connection) => {
@@ -245,12 +281,17 @@ proptest! {
                 }
                 Step::Receive(connection, session, header) => {
                     let header = with_session(*header, *session.get(&sessions));
+                    let is_cancel_of = match &header {
+                        Header::Cancel(cancel) => Some((cancel.session, cancel.request)),
+                        _ => None,
+                    };
                     match server.receive(&peer(connection), header) {
                         EdgeMessage::Open(session, _) => sessions.push(session),
                         EdgeMessage::Request(request) => {
                             prop_assert!(in_flight.insert((request.session, request.request)));
                         }
                         EdgeMessage::Closed(session, _) => in_flight.retain(|(of, _)| *of != session),
+                        EdgeMessage::Handled => cancelled.extend(is_cancel_of.filter(|key| in_flight.contains(key))),
                         EdgeMessage::Answer(_) | EdgeMessage::Malformed(_) => {}
                     }
                 }
@@ -268,7 +309,18 @@ proptest! {
                 }
                 Step::Finish(session, number) => {
                     let session = *session.get(&sessions);
-                    prop_assert_eq!(server.finish_request(session, number).is_some(), in_flight.remove(&(session, number)));
+                    let key = (session, number);
+                    let expected = match (in_flight.remove(&key), cancelled.remove(&key)) {
+                        (true, false) => "send",
+                        (true, true) => "cancelled",
+                        (false, _) => "unknown",
+                    };
+                    let finished = match server.finish_request(session, number) {
+                        FinishedRequest::Send(_) => "send",
+                        FinishedRequest::Cancelled => "cancelled",
+                        FinishedRequest::Unknown => "unknown",
+                    };
+                    prop_assert_eq!(finished, expected);
                 }
                 Step::Gone(connection) => {
                     for session in server.remove_connection(ConnectionId(connection)) {
@@ -278,7 +330,7 @@ proptest! {
             }
             prop_assert_eq!(server.in_flight(), in_flight.len());
             prop_assert!(server.sessions.len() <= 3);
-            prop_assert!(server.sessions.values().all(|entry| entry.in_flight.len() <= 2));
+            prop_assert!(server.sessions.values().all(|entry| entry.in_flight.0.len() <= 2));
             let listed: usize = server.connections.values().map(Vec::len).sum();
             prop_assert_eq!(listed, server.sessions.len());
         }

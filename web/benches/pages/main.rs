@@ -1,28 +1,29 @@
-//! Benchmark of the pages' queries on a large database: a run of a million nodes is compared with a run of the given
-//! number of nodes. Both are ingested over ZeroMQ.
+//! Benchmark of whole pages and API resources on a large database, from the request to the compressed answer: a run of a
+//! million nodes is compared with a run of the given number of nodes. Both are ingested over ZeroMQ.
 //!
-//! `cargo bench -p peernet-aggregator --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about
-//! 6 GB. With `FOLDER`, the databases are kept there and used again by later runs.
+//! `cargo bench -p peernet-web --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about 6 GB.
+//! With `FOLDER`, the databases are kept there and used again by later runs.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
-#[path = "../../tests/it/clocks.rs"]
+#[path = "../../../daemon/aggregator/tests/it/clocks.rs"]
 #[expect(unreachable_pub, dead_code, reason = "shared with the tests")]
 mod clocks;
 mod fill;
-#[path = "../../tests/it/generate.rs"]
+#[path = "../../../daemon/aggregator/tests/it/generate.rs"]
 #[expect(unreachable_pub, dead_code, reason = "shared with the tests")]
 mod generate;
-mod questions;
+mod requests;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use peernet_aggregator::{Aggregator, AggregatorConfig};
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+use peernet_web::{WebConfig, Zone};
 use tokio_util::sync::CancellationToken;
 
-use crate::questions::{ResponseTimes, measure};
+use crate::requests::{ResponseTimes, measure};
 
 /// Nodes of the small run; half of the large one if that is smaller.
 const SMALL: u64 = 1_000_000;
@@ -37,12 +38,12 @@ async fn main() {
     let few = SMALL.min(nodes / 2);
     let small = answers(&folder, few).await;
     let large = answers(&folder, nodes).await;
-    println!("\n| question | {few} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");
+    println!("\n| page | {few} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");
     println!("| --- | --- | --- | --- | --- | --- |");
     for (less, more) in small.iter().zip(&large) {
         println!(
             "| {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
-            less.question,
+            less.page,
             less.median_ms,
             less.max_ms,
             more.median_ms,
@@ -52,7 +53,7 @@ async fn main() {
     }
 }
 
-/// Measures all queries on a database of `nodes` nodes. Fills the database if it does not exist.
+/// Measures all pages on a database of `nodes` nodes. Fills the database if it does not exist.
 async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
     let database = folder.join(format!("{nodes}.sqlite"));
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "pages")));
@@ -69,7 +70,9 @@ async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
     }
     let stop = CancellationToken::new();
     let running = start(&database, &clock, stop.clone()).await;
-    let times = measure(running.handle.store(), &clock).await;
+    let config = WebConfig { time_zone: Zone::Utc, ..WebConfig::default() };
+    let router = peernet_web::router(&config, running.handle.clone(), Arc::clone(&clock), stop.clone());
+    let times = measure(&router, &clock).await;
     stop.cancel();
     running.join().await.expect("ends well");
     times

@@ -1,0 +1,44 @@
+//! A pipeline of this host as the requester of an answer.
+
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::time::Duration;
+
+use peernet_inference::{Cancelled, Requester};
+use peernet_sample::Sample;
+
+/// Requester on this host. It takes no parts of an answer, because actuators act on complete answers.
+#[derive(Debug, Default)]
+pub(super) struct LocalRequester {
+    is_cancelled: Mutex<bool>,
+    cancelled: Condvar,
+}
+
+/// Cancels the request when it is dropped: after the timeout, or when the pipeline stops waiting.
+#[derive(Debug)]
+pub(super) struct CancelOnDrop(pub(super) Arc<LocalRequester>);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        *self.0.is_cancelled.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.0.cancelled.notify_all();
+    }
+}
+
+impl Requester for LocalRequester {
+    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+        if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
+    }
+
+    fn is_cancelled(&self) -> bool {
+        *self.is_cancelled.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn wait(&self, duration: Duration) -> Result<(), Cancelled> {
+        let state = self.is_cancelled.lock().unwrap_or_else(PoisonError::into_inner);
+        let (state, _) = self
+            .cancelled
+            .wait_timeout_while(state, duration, |is_cancelled| !*is_cancelled)
+            .unwrap_or_else(PoisonError::into_inner);
+        if *state { Err(Cancelled) } else { Ok(()) }
+    }
+}

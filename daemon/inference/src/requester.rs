@@ -1,0 +1,50 @@
+//! The requester of an answer, as a model sees it.
+
+use std::time::Duration;
+
+use peernet_sample::Sample;
+
+/// Receiver of one answer. A model may send it parts of the answer before the answer is complete, and stops computing
+/// when nobody waits for the answer any more.
+pub trait Requester: Send + Sync {
+    /// Sends a part of the answer. Waits while too many earlier parts are unread.
+    ///
+    /// The complete answer repeats what its parts contained, so that a lost part costs nothing but its earliness.
+    ///
+    /// # Errors
+    /// If the request was cancelled.
+    fn send_part(&self, part: Sample) -> Result<(), Cancelled>;
+
+    /// Returns whether the request was cancelled: its time limit passed, or the other end is gone.
+    fn is_cancelled(&self) -> bool;
+
+    /// Waits for `duration`.
+    ///
+    /// # Errors
+    /// If the request is cancelled; returns at once then.
+    fn wait(&self, duration: Duration) -> Result<(), Cancelled>;
+}
+
+/// Error: nobody waits for the answer any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("nobody waits for the answer any more: its time limit passed, or the other end is gone")]
+pub struct Cancelled;
+
+/// Requester that takes no parts and never cancels.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PatientRequester;
+
+impl Requester for PatientRequester {
+    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+        Ok(())
+    }
+
+    fn is_cancelled(&self) -> bool {
+        false
+    }
+
+    fn wait(&self, duration: Duration) -> Result<(), Cancelled> {
+        std::thread::sleep(duration);
+        Ok(())
+    }
+}

@@ -1,0 +1,115 @@
+//! Parts of an answer that arrive at the edge before the answer is complete.
+
+use std::fmt;
+use std::sync::Arc;
+
+use peernet_clock::{MonoTime, Stamp};
+use peernet_logger::{HostIndex, Measure, Name, Node, NodeId, RawStamps, Recorder, Transit, Unit};
+use peernet_sample::Sample;
+
+use crate::message::{Departure, MAX_UNREAD_PARTS};
+
+/// Edge: time from the departure of the request to the arrival of the first part of its answer.
+pub const FIRST_PART: Name = Name::from_static("first-part");
+/// Cloud to edge: like `download`, for the first part of the answer.
+pub const FIRST_PART_DOWNLOAD: Name = Name::from_static("first-part-download");
+/// Number of parts of the answer that arrived.
+pub const PARTS: Name = Name::from_static("parts");
+
+/// Number of parts after which the edge acknowledges them. A quarter of the window, so that the cloud does not wait for
+/// an acknowledgement on its way.
+const ACKNOWLEDGE_AFTER: u32 = MAX_UNREAD_PARTS / 4;
+
+/// Function that takes each part of an answer when it arrives. It is called on the task that receives messages, and must
+/// not block.
+#[derive(Clone)]
+pub struct PartHandler(pub Arc<dyn Fn(&Sample) + Send + Sync>);
+
+impl fmt::Debug for PartHandler {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("PartHandler")
+    }
+}
+
+/// Record of the parts of one answer that have arrived.
+#[derive(Debug, Default)]
+pub(super) struct ArrivedParts {
+    count: u32,
+    first: Option<FirstPart>,
+    /// Number of the newest part, plus one.
+    through: u32,
+    acknowledged: u32,
+}
+
+/// Departure and arrival of the part that arrived first.
+#[derive(Clone, Copy, Debug)]
+struct FirstPart {
+    departure: Departure,
+    arrived: Stamp,
+}
+
+impl ArrivedParts {
+    /// Adds a part with this number. Returns the number of parts to acknowledge, if it is time to.
+    pub(super) fn add(&mut self, number: u32, departure: Departure, arrived: Stamp) -> Option<u32> {
+        self.count += 1;
+        self.first.get_or_insert(FirstPart { departure, arrived });
+        self.through = self.through.max(number.saturating_add(1));
+        let is_due = self.through - self.acknowledged >= ACKNOWLEDGE_AFTER;
+        is_due.then(|| {
+            self.acknowledged = self.through;
+            self.through
+        })
+    }
+
+    /// Returns the node of the first part's way from the cloud, which has this index in the tree. `None` if no part
+    /// arrived.
+    pub(super) fn download(&self, cloud: HostIndex) -> Option<Node> {
+        let FirstPart { departure, arrived } = self.first?;
+        let raw_stamps = departure.sent_raw.map(|sent| RawStamps { sent, received: arrived.raw });
+        let transit = Transit { sent: departure.sent, received: Some(arrived.wall), delay: None, raw_stamps };
+        Some(Node {
+            parent: Some(NodeId::ROOT),
+            name: FIRST_PART_DOWNLOAD,
+            host: cloud,
+            start: departure.start,
+            measure: Measure::Transit(Box::new(transit)),
+        })
+    }
+
+    /// Adds `first-part` and `parts` to the edge's tree, if any part arrived. `departed` is the departure of the request.
+    pub(super) fn record(&self, recorder: &mut Recorder, departed: MonoTime) {
+        let Some(FirstPart { arrived, .. }) = self.first else { return };
+        let start = recorder.offset(departed);
+        let nodes = [
+            (FIRST_PART, Measure::Timer(Some(arrived.mono - departed))),
+            (PARTS, Measure::Value(f64::from(self.count), Unit::NONE)),
+        ];
+        for (name, measure) in nodes {
+            recorder.tree_mut().add(NodeId::ROOT, name, start, measure);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{RawTime, Span, WallTime};
+
+    use super::*;
+
+    #[test]
+    fn parts_are_acknowledged_before_the_window_closes() {
+        let departure =
+            Departure { sent: WallTime::from_unix_nanos(0), start: Span::ZERO, epoch: 0, sent_raw: None };
+        let arrived = Stamp {
+            wall: WallTime::from_unix_nanos(0),
+            mono: MonoTime::from_nanos(0),
+            raw: RawTime::from_nanos(0),
+        };
+        let mut parts = ArrivedParts::default();
+        // Every second part is lost.
+        let acknowledged: Vec<u32> =
+            (0..MAX_UNREAD_PARTS).step_by(2).filter_map(|number| parts.add(number, departure, arrived)).collect();
+        assert_eq!(acknowledged, [17, 33, 49]);
+        assert_eq!(parts.count, MAX_UNREAD_PARTS / 2);
+    }
+}

@@ -1,0 +1,139 @@
+//! State of a request on the cloud, shared by its model, its session and its connection.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crate::message::MAX_UNREAD_PARTS;
+
+/// Error: the edge does not wait for the answer any more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the edge does not wait for the answer any more")]
+pub struct RequestCancelled;
+
+/// Cancellation of a request, and flow control of the parts of its answer.
+#[derive(Debug, Default)]
+pub(crate) struct RequestControl {
+    state: Mutex<ControlState>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct ControlState {
+    /// Number of parts that were sent.
+    sent: u32,
+    /// Number of parts that the edge has read.
+    read: u32,
+    is_cancelled: bool,
+}
+
+impl RequestControl {
+    fn state(&self) -> MutexGuard<'_, ControlState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Cancels the request and wakes its model.
+    pub(crate) fn cancel(&self) {
+        self.state().is_cancelled = true;
+        self.changed.notify_all();
+    }
+
+    pub(crate) fn is_cancelled(&self) -> bool {
+        self.state().is_cancelled
+    }
+
+    /// Notes that the edge has read the parts before number `through`. Ignores numbers of parts that were never sent.
+    pub(crate) fn acknowledge(&self, through: u32) {
+        let mut state = self.state();
+        state.read = state.read.max(through.min(state.sent));
+        self.changed.notify_all();
+    }
+
+    /// Returns the number of the next part. Waits while [`MAX_UNREAD_PARTS`] parts are unread.
+    ///
+    /// # Errors
+    /// If the request is cancelled.
+    pub(crate) fn next_part(&self) -> Result<u32, RequestCancelled> {
+        let is_full =
+            |state: &mut ControlState| !state.is_cancelled && state.sent - state.read >= MAX_UNREAD_PARTS;
+        let mut state =
+            self.changed.wait_while(self.state(), is_full).unwrap_or_else(PoisonError::into_inner);
+        if state.is_cancelled {
+            return Err(RequestCancelled);
+        }
+        let number = state.sent;
+        state.sent += 1;
+        Ok(number)
+    }
+
+    /// Waits for `duration`.
+    ///
+    /// # Errors
+    /// If the request is cancelled; returns at once then.
+    pub(crate) fn wait(&self, duration: Duration) -> Result<(), RequestCancelled> {
+        let (state, _) = self
+            .changed
+            .wait_timeout_while(self.state(), duration, |state| !state.is_cancelled)
+            .unwrap_or_else(PoisonError::into_inner);
+        if state.is_cancelled { Err(RequestCancelled) } else { Ok(()) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::thread;
+
+    use super::*;
+
+    #[test]
+    fn sending_waits_until_parts_are_read() {
+        let control = Arc::new(RequestControl::default());
+        let numbers: Vec<u32> =
+            (0..MAX_UNREAD_PARTS).map(|_| control.next_part().expect("the window is open")).collect();
+        assert_eq!(numbers, (0..MAX_UNREAD_PARTS).collect::<Vec<_>>());
+        let waiting = thread::spawn({
+            let control = Arc::clone(&control);
+            move || control.next_part()
+        });
+        control.acknowledge(0);
+        assert!(!waiting.is_finished(), "nothing was read");
+        control.acknowledge(1);
+        assert_eq!(waiting.join().expect("does not panic"), Ok(MAX_UNREAD_PARTS));
+    }
+
+    #[test]
+    fn acknowledgement_of_unsent_parts_opens_no_window() {
+        let control = RequestControl::default();
+        control.acknowledge(u32::MAX);
+        for _ in 0..MAX_UNREAD_PARTS {
+            control.next_part().expect("the window is open");
+        }
+        control.acknowledge(u32::MAX);
+        assert_eq!(control.next_part(), Ok(MAX_UNREAD_PARTS));
+        assert_eq!(control.state().read, MAX_UNREAD_PARTS);
+    }
+
+    #[test]
+    fn cancellation_ends_every_wait() {
+        let control = Arc::new(RequestControl::default());
+        for _ in 0..MAX_UNREAD_PARTS {
+            control.next_part().expect("the window is open");
+        }
+        let waits = [
+            thread::spawn({
+                let control = Arc::clone(&control);
+                move || control.next_part().map(drop)
+            }),
+            thread::spawn({
+                let control = Arc::clone(&control);
+                move || control.wait(Duration::from_secs(3_600))
+            }),
+        ];
+        control.cancel();
+        for wait in waits {
+            assert_eq!(wait.join().expect("does not panic"), Err(RequestCancelled));
+        }
+        assert!(control.is_cancelled());
+        assert_eq!(control.wait(Duration::ZERO), Err(RequestCancelled));
+    }
+}

@@ -1,0 +1,109 @@
+//! Tests of answers that arrive in parts.
+
+use std::sync::{Arc, Mutex};
+
+use peernet_logger::{Measure, Tree};
+use peernet_networks::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PartHandler, RequestCancelled, RequestError};
+use peernet_stream::{Release, VersionRange};
+
+use crate::support::{
+    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings, text,
+    within,
+};
+
+over_every_network!(
+    answer_arrives_in_parts_beyond_the_window,
+    edge_without_partial_replies_gets_the_whole_answer,
+    end_of_session_cancels_a_waiting_model
+);
+
+/// Number of parts of an answer, far above the number that may be unread.
+const MANY: usize = 300;
+
+/// Handler that collects the texts of parts.
+fn collector() -> (PartHandler, Arc<Mutex<Vec<String>>>) {
+    let texts = Arc::new(Mutex::new(Vec::new()));
+    let handler = PartHandler(Arc::new({
+        let texts = Arc::clone(&texts);
+        move |part| texts.lock().expect("no panic").push(text(part).to_owned())
+    }));
+    (handler, texts)
+}
+
+fn seconds(tree: &Tree, name: &str) -> Option<f64> {
+    tree.find(&[name])?.1.measure.value()
+}
+
+async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let (session, _) = cloud.session(settings()).await;
+    let (handler, texts) = collector();
+    let pending = tokio::spawn({
+        let session = session.clone();
+        async move {
+            session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await
+        }
+    });
+    let incoming = cloud.next_request().await;
+    let parts = incoming.parts.clone();
+    let sending = tokio::task::spawn_blocking(move || {
+        (0..MANY).try_for_each(|number| parts.send(&sample(&format!("{number:03}"))))
+    });
+    // The listener must be polled, so that it reads the acknowledgements.
+    let sent = tokio::select! {
+        sent = within(sending) => sent.expect("no panic"),
+        arrived = cloud.next() => panic!("unexpected {arrived:?}"),
+    };
+    assert_eq!(sent, Ok(()));
+    incoming.reply.send(incoming.recorder, Ok(sample("whole")));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result.as_ref().map(text), Ok("whole"));
+
+    let mut texts = texts.lock().expect("no panic").clone();
+    // Datagrams may overtake each other.
+    texts.sort();
+    assert_eq!(texts, (0..MANY).map(|number| format!("{number:03}")).collect::<Vec<_>>());
+    let tree = exchange.recorder.tree();
+    assert_eq!(seconds(tree, PARTS.as_str()), Some(MANY as f64));
+    let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
+    assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
+    let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");
+    assert_eq!(exchange.first_part, Some(download));
+    let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
+    let received = transit.received.expect("has arrived");
+    assert!(received >= transit.sent && transit.raw_stamps.is_some(), "both ends read one clock: {transit:?}");
+    let last = tree.get(exchange.download.expect("answered")).expect("in the tree");
+    let Measure::Transit(last) = &last.measure else { panic!("{last:?}") };
+    assert!(transit.sent < last.sent, "the first part leaves before the whole answer");
+}
+
+async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let session = cloud.session_with_clock(clock(), VersionRange::new(4, 5, Release(0, 1, 0))).await;
+    let pending = request(&session, "count", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    // More than may be unread: nothing acknowledges them, because nothing is sent.
+    for number in 0..MANY {
+        assert_eq!(incoming.parts.send(&sample(&number.to_string())), Ok(()));
+    }
+    incoming.reply.send(incoming.recorder, Ok(sample("whole")));
+    let exchange = within(pending).await.expect("no panic");
+    assert_eq!(exchange.result.as_ref().map(text), Ok("whole"));
+    assert!(exchange.first_part.is_none() && exchange.recorder.tree().find(&[PARTS.as_str()]).is_none());
+    assert_eq!(session.statistics().malformed_messages, 0);
+    echo(&mut cloud, &session, "next").await;
+}
+
+async fn end_of_session_cancels_a_waiting_model(network: TestNetwork) {
+    let mut cloud = Cloud::on_network(network).await;
+    let (session, _) = cloud.session(settings()).await;
+    let pending = request(&session, "count", TIME_LIMIT);
+    let incoming = cloud.next_request().await;
+    let parts = incoming.parts.clone();
+    let waiting = tokio::task::spawn_blocking(move || parts.wait(TIME_LIMIT));
+    session.close().await;
+    assert!(matches!(within(pending).await.expect("no panic").result, Err(RequestError::Lost(_))));
+    assert!(cloud.next_closed().await.1, "with a goodbye");
+    assert_eq!(within(waiting).await.expect("no panic"), Err(RequestCancelled));
+    assert_eq!(incoming.parts.send(&sample("late")), Err(RequestCancelled));
+}
