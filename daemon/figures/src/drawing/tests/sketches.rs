@@ -67,7 +67,7 @@ fn histograms_share_their_axis_and_each_fills_its_height() {
 }
 
 #[test]
-fn a_straggler_is_counted_and_does_not_stretch_the_axis() {
+fn straggler_is_counted_and_does_not_stretch_axis() {
     let known = seconds((0..1_000).map(|n| if n == 0 { 1_000.0 } else { 10.0 + f64::from(n) / 100.0 }));
     let axis = milliseconds([&known]).expect("samples");
     assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&known)), "{axis:?}");
@@ -105,19 +105,19 @@ fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
     let across = BinnedAxis::from_zero([&x].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
     let up = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
     let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&up, &y), line };
-    (joint.plot(), joint.is_counted(), up.beyond(&y))
+    (joint.plot(), joint.has_cells(), up.beyond(&y))
 }
 
 #[test]
 fn points_lie_where_their_values_are_and_distributions_beside_them() {
-    let (plot, is_counted, _) = joint(&talk(300), Some((0.05, 1e-3)));
+    let (plot, has_cells, _) = joint(&talk(300), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
     let dots = html.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let dots = dots.expect("dots");
     // 50 of 400 tokens and 100 of 450 ms.
-    assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !is_counted, "{dots}");
+    assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !has_cells, "{dots}");
     assert!(html.contains("<path class=\"fit\"") && !html.contains("class=\"halo\""), "{html}");
-    for strip in [plot.above, plot.beside] {
+    for strip in [plot.top_strip, plot.right_strip] {
         let bars = rects(&strip.expect("a strip").items, "bin f-total");
         assert!(bars.len() > 40 && bars.iter().all(|bar| bar[3] <= 1.0), "{bars:?}");
     }
@@ -125,9 +125,9 @@ fn points_lie_where_their_values_are_and_distributions_beside_them() {
 
 #[test]
 fn many_points_are_cells_and_stragglers_are_counted() {
-    let (plot, is_counted, _) = joint(&talk(500), Some((0.05, 1e-3)));
+    let (plot, has_cells, _) = joint(&talk(500), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
-    assert!(is_counted && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
+    assert!(has_cells && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
     let mut points = talk(300);
     points.push((60.0, 30.0));
     let (plot, _, beyond) = joint(&points, None);

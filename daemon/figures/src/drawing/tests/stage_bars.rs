@@ -29,7 +29,7 @@ fn close(a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
 
 /// Returns the smallest width of a picture at which each value is shown.
 fn widths(bar: &StageBar<'_>) -> Vec<Option<u16>> {
-    let text = |item: Item| if let Item::Text(label) = item { Some(label.from) } else { None };
+    let text = |item: Item| if let Item::Text(label) = item { Some(label.min_width) } else { None };
     bar.items().into_iter().filter_map(text).collect()
 }
 

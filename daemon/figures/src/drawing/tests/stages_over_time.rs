@@ -104,7 +104,7 @@ fn marks_that_would_lie_on_one_another_are_one() {
     let mut known = run(vec![bucket(0.0, 0.01)]);
     (known.unanswered, known.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
     let plot = drawn(&known);
-    let rail = plot.above.as_ref().expect("a rail");
+    let rail = plot.top_strip.as_ref().expect("a rail");
     assert_eq!(path(&rail.items, "lost").map(pieces), Some(2));
     let borders = path(&plot.items, "border").expect("borders");
     assert_eq!(
