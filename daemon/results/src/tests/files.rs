@@ -126,12 +126,12 @@ fn truncated_file_gives_complete_rows() {
     std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!(loaded.rows, kept(&rows(9)));
-    let told = loaded.damage().expect("one is missing");
-    assert_eq!(told.to_string(), "data.csv has 9 of the 10 iterations that run.json counts");
+    let damage = loaded.damage().expect("one is missing");
+    assert_eq!(damage.to_string(), "data.csv has 9 of the 10 iterations that run.json counts");
     let text = text.replace(",lost,", ",timeout,");
     std::fs::write(&path, &text).expect("writable");
-    let told = ResultFolder::open(folder.path()).expect("readable").damage();
-    assert_eq!(told, Some(RowsDamage::Outcomes));
+    let damage = ResultFolder::open(folder.path()).expect("readable").damage();
+    assert_eq!(damage, Some(RowsDamage::Outcomes));
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
     assert_eq!(ResultFolder::open(folder.path()).expect("readable").damage(), None, "nothing counts them");
 }
@@ -139,7 +139,7 @@ fn truncated_file_gives_complete_rows() {
 #[test]
 fn partial_results_are_marked() {
     let folder = tempfile::tempdir().expect("a folder");
-    let told = |limit: u64, reason: &str| {
+    let incompleteness = |limit: u64, reason: &str| {
         let pipeline = serde_json::json!({ "limit": { "total": limit } });
         let written = RunRecord { reason: reason.into(), pipeline, ..record() };
         let text = serde_json::to_vec(&written).expect("JSON");
@@ -147,17 +147,21 @@ fn partial_results_are_marked() {
         ResultFolder::open(folder.path()).expect("readable").incompleteness()
     };
     write(folder.path(), &rows(10));
-    assert_eq!(told(10, "finished"), None);
-    assert_eq!(told(10, "stopped"), None, "it had all that was ordered, three unseen");
-    assert_eq!(told(20, "").as_deref(), None, "nobody knows");
+    assert_eq!(incompleteness(10, "finished"), None);
+    assert_eq!(incompleteness(10, "stopped"), None, "it had all that was ordered, three unseen");
+    assert_eq!(incompleteness(20, "").as_deref(), None, "nobody knows");
     let interrupted = "the run was interrupted after 13 of 20 iterations";
-    assert_eq!(told(20, "stopped").as_deref(), Some(interrupted));
+    assert_eq!(incompleteness(20, "stopped").as_deref(), Some(interrupted));
     let gone = "the run broke off after 13 of 20 iterations: the cloud went";
-    assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
+    assert_eq!(incompleteness(20, "the cloud went").as_deref(), Some(gone));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
     let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
-    assert!(lacking().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", lacking());
+    assert!(
+        lacking().is_some_and(|incompleteness| incompleteness.contains("in progress or was killed")),
+        "{:?}",
+        lacking()
+    );
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
     assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
