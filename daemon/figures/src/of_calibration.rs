@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn both_figures_have_their_texts_and_colours() {
+    fn calibration_figures_have_texts_and_colours() {
         let folder = tempfile::tempdir().expect("a folder");
         let written = draw_calibration(&study(), folder.path()).expect("writable");
         let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();

@@ -197,9 +197,9 @@ fn accuracy_is_drawn_against_latency() {
         (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
         "{figure:?}"
     );
-    let told =
+    let expected_notes =
         ["left out: 15 warm-up, 3 without an answer", "left out: 1 configuration without scored samples"];
-    assert_eq!(figure.notes[1..], told);
+    assert_eq!(figure.notes[1..], expected_notes);
     let mut broken = labelled("s", 20.0);
     broken.rows.change(|row| {
         let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
@@ -255,7 +255,7 @@ fn run_has_curves_of_total_and_longest_stages() {
 }
 
 #[test]
-fn models_are_paired_by_where_they_ran() {
+fn models_are_paired_by_placement() {
     let runs = [
         placed("s", "remote", 4.0),
         placed("s", "local", 20.0),
@@ -307,8 +307,9 @@ fn payloads_of_several_sizes_are_fitted() {
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
     let missing = "not drawn: download, 8 B: the largest must be twice the smallest";
-    let told = [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
-    assert_eq!(latency.notes, told);
+    let expected_notes =
+        [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
+    assert_eq!(latency.notes, expected_notes);
     assert_eq!(throughput.notes, latency.notes);
     assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
     assert!(payload::drawings(&[remote(60)]).is_err());
@@ -318,13 +319,13 @@ fn payloads_of_several_sizes_are_fitted() {
     };
     let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
     let AnyFigure::Scaling(throughput) = &drawings[1].figure else { panic!("a fit") };
-    let told = [
+    let expected_notes = [
         missing,
         "messages of 2 runs, pooled, that differ in model",
         "left out: 10 warm-up, 2 without an answer",
         "messages of each size: 146 to 148",
     ];
-    assert_eq!(throughput.notes, told);
+    assert_eq!(throughput.notes, expected_notes);
 }
 
 /// Returns one edge of a run with `edges` edges.
@@ -375,7 +376,7 @@ fn many_curves_are_several_pictures() {
 }
 
 #[test]
-fn lengths_are_tokens_where_there_are_some() {
+fn length_is_counted_in_tokens_if_available() {
     let talking =
         run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
     let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");

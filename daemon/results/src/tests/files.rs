@@ -69,10 +69,14 @@ fn written_rows_are_read_back() {
     assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
     let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
     assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
-    let beside = folder.path().join("killed.csv");
-    std::fs::copy(folder.path().join("data.csv"), &beside).expect("writable");
-    let beside = ResultFolder::open(&beside).expect("readable").record;
-    assert_eq!((beside.format, beside.name.as_str()), (0, "killed"), "run.json tells of data.csv alone");
+    let other_file = folder.path().join("killed.csv");
+    std::fs::copy(folder.path().join("data.csv"), &other_file).expect("writable");
+    let other_file = ResultFolder::open(&other_file).expect("readable").record;
+    assert_eq!(
+        (other_file.format, other_file.name.as_str()),
+        (0, "killed"),
+        "run.json tells of data.csv alone"
+    );
 }
 
 #[test]
@@ -223,8 +227,9 @@ fn folder_is_locked_for_one_program() {
         let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
         assert!(refused.contains("another peernet is writing"), "{refused}");
     }
-    let beside = ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
-    assert_eq!(beside.path(), folder.path().join("run-2"));
+    let other_file =
+        ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
+    assert_eq!(other_file.path(), folder.path().join("run-2"));
     assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
     drop(first);
     ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");

@@ -35,7 +35,7 @@ fn warm_up_episodes_and_losses_are_marked() {
 }
 
 #[test]
-fn figure_of_100000_iterations_is_a_small_file() {
+fn figure_of_100000_iterations_is_small_file() {
     let late = |i: u32| if i == 77_777 { 0.5 } else { 0.05 + f64::from(i % 97) * 1e-4 };
     let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, late(i))).collect());
     let svg = figure.svg();
@@ -76,7 +76,7 @@ fn lines_stop_where_nothing_was_measured() {
 }
 
 #[test]
-fn empty_single_and_negative_runs_give_a_valid_figure() {
+fn unusual_runs_give_valid_figure() {
     for values in
         [vec![], vec![(1.0, 0.05)], vec![(1.0, 0.05); 9], vec![(0.0, f64::NAN), (1.0, -0.02), (2.0, 0.0)]]
     {

@@ -57,16 +57,16 @@ fn unknown_delays_do_not_shorten_bars() {
     assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
     assert_eq!(drawings[0].missing, ["left out: 1 configuration without a counted iteration"]);
-    let told = [
+    let expected_notes = [
         "n = 99 · left out: 10 warm-up, 16 without an answer",
         "left out of the means: unknown delays, 50 of upload",
         "left out: 1 configuration without a counted iteration",
     ];
-    assert_eq!(figure.notes[1..], told);
+    assert_eq!(figure.notes[1..], expected_notes);
 }
 
 #[test]
-fn delays_below_zero_are_called_what_they_are() {
+fn negative_delays_are_noted() {
     let run = run(105, |number| vec![("sensing", -1.0), ("upload", if number > 100 { -1.0 } else { 1.0 })]);
     let notes = |column: &str| {
         let drawings = histograms::drawings(&run, Some(column)).expect("there are values");
