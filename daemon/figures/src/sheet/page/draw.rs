@@ -68,7 +68,7 @@ fn draw_item(svg: &mut Writer, item: &Item) {
         Item::Line { from, to, style } => draw_line(svg, [*from, *to], style),
         Item::Path { .. } => draw_paths(svg, std::slice::from_ref(item)),
         Item::Mark { at, mark, radius, style } => {
-            draw_mark(svg, *at, (*mark, radius * PIXELS_PER_POINT), style)
+            draw_mark(svg, *at, (*mark, radius * PIXELS_PER_POINT), style);
         }
         Item::Text(label) => draw_label(svg, label),
     }
