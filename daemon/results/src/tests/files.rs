@@ -160,17 +160,18 @@ fn partial_results_are_marked() {
     assert_eq!(incompleteness(20, "the cloud went").as_deref(), Some(gone));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
-    let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
+    let current_incompleteness = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
     assert!(
-        lacking().is_some_and(|incompleteness| incompleteness.contains("in progress or was killed")),
+        current_incompleteness()
+            .is_some_and(|incompleteness| incompleteness.contains("in progress or was killed")),
         "{:?}",
-        lacking()
+        current_incompleteness()
     );
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
     assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
-    assert_eq!(lacking(), None, "nor has a file of the published program");
+    assert_eq!(current_incompleteness(), None, "nor has a file of the published program");
 }
 
 #[test]

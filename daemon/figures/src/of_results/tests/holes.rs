@@ -7,7 +7,7 @@ use peernet_analysis::Passage;
 
 #[test]
 fn accuracy_figure_notes_unknown_labels() {
-    let foreign = |from: u64| {
+    let run_with_labels = |from: u64| {
         let mut run = Loaded { record: placed("s", "local", 1.0).record, ..run_with_total(20.0) };
         run.rows.change(|row| {
             if row.iteration > from && row.outcome == Outcome::Ok {
@@ -20,10 +20,10 @@ fn accuracy_figure_notes_unknown_labels() {
         run
     };
     let why = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
-    let drawings = accuracy::drawings(&[foreign(90)]).expect("some are scored");
+    let drawings = accuracy::drawings(&[run_with_labels(90)]).expect("some are scored");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
-    let none = accuracy::drawings(&[foreign(0)]).expect_err("nothing is scored");
+    let none = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
     assert!(
         none.to_string().ends_with(&format!("has a top-1; 94 iterations cannot have one, {why}")),
         "{none}"
