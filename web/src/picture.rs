@@ -54,7 +54,7 @@ impl Picture {
 
     /// Draws labels at the left side of a picture.
     pub(crate) fn labels_beside(class: &str, ticks: &[Tick]) -> Self {
-        Self(page::rows(class, ticks))
+        Self(page::y_labels(class, ticks))
     }
 
     /// Draws labels below a picture, each in the middle below its tick.

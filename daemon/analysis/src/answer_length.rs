@@ -1,4 +1,4 @@
-//! Length of answers: the quantity that measures it, whether it varies, and how latency grows with it.
+//! Length of answers: the quantity that measures the length, whether the length varies, and how latency grows with the length.
 
 use crate::fit::{Fit, Point, theil_sen};
 
@@ -10,16 +10,17 @@ const ANSWER_BYTES: &str = "download-bytes";
 const TOKENS_SUFFIX: &str = "tokens";
 /// Words in the names of quantities that count the question and not the answer.
 const QUESTION_WORDS: [&str; 2] = ["prompt", "input"];
-/// Minimum ratio of the longest to the shortest answer; below it the length does not explain the latency.
+/// Minimum ratio of the longest to the shortest answer. Below this ratio the length does not explain the latency.
 const MIN_LENGTH_RATIO: f64 = 1.5;
 
-/// Returns the name of the quantity that is the length of an answer: one that counts tokens of the answer, else one that counts tokens of
-/// the question, else `download-bytes`. Of several, the first in alphabetical order.
+/// Returns the name of the quantity that is the length of an answer. Quantities that count tokens of the answer are preferred to quantities
+/// that count tokens of the question. Of several such quantities, the first in alphabetical order is returned, and without any,
+/// `download-bytes`.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
-    let is_of_question = |name: &str| QUESTION_WORDS.iter().any(|word| name.contains(word));
+    let counts_question = |name: &str| QUESTION_WORDS.iter().any(|word| name.contains(word));
     names
         .filter(|name| is_tokens(name))
-        .min_by_key(|name| (is_of_question(name), *name))
+        .min_by_key(|name| (counts_question(name), *name))
         .unwrap_or(ANSWER_BYTES)
 }
 
@@ -28,22 +29,22 @@ pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
 }
 
-/// Returns whether the answers' lengths differ enough for a figure of latency against length.
+/// Returns whether the lengths of the answers differ enough for a figure of latency against length.
 pub fn varies(shortest: f64, longest: f64) -> bool {
     longest > shortest && longest >= MIN_LENGTH_RATIO * shortest
 }
 
 /// Minimum number of iterations for a line.
 const MIN_ITERATIONS: usize = 60;
-/// Width of the interval, as a share of the slope, above which the slope is not reported as one number.
+/// Maximum width of the interval of a slope that is reported as one number, as a share of the slope.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Growth {
-    /// The line, seconds over the unit of the length.
+    /// Line of the latency in seconds over the length.
     pub fit: Fit,
-    /// The 95 % interval of its slope.
+    /// 95 % confidence interval of the slope.
     pub interval: (f64, f64),
 }
 

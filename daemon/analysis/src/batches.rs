@@ -1,53 +1,53 @@
 //! Batches of consecutive values.
 //!
-//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. The means of batches that are longer than this
-//! correlation are nearly independent, unlike single values (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If batches are longer than this correlation, their
+//! means are nearly independent, unlike single values (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
 //! simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;
 
 use peernet_statistics::Summary;
 
-/// Maximum number of batches of a run: more add nothing (Schmeiser 1982).
+/// Maximum number of batches of a run. More batches would not improve the estimate (Schmeiser 1982).
 pub(crate) const MAX_BATCHES: u64 = 30;
 
 /// Minimum number of values in a batch.
 pub(crate) const MIN_BATCH_VALUES: u64 = 10;
 
-/// Values in the order of time, in buckets. A list of single values has one value in each bucket.
+/// Values in order of time, in buckets. A list of single values has one value in each bucket.
 pub(crate) trait Series {
     /// Returns the number of buckets.
     fn bucket_count(&self) -> usize;
 
     /// Returns the number of values in a bucket.
-    fn count(&self, at: usize) -> u64;
+    fn count(&self, bucket: usize) -> u64;
 
     /// Returns the sum of the values in a bucket.
-    fn sum(&self, at: usize) -> f64;
+    fn sum(&self, bucket: usize) -> f64;
 
     /// Returns the number of values in all buckets.
     fn total_count(&self) -> u64 {
-        (0..self.bucket_count()).map(|at| self.count(at)).sum()
+        (0..self.bucket_count()).map(|bucket| self.count(bucket)).sum()
     }
 
-    /// Returns the mean of the values in a range of buckets; `None` if it has no values.
+    /// Returns the mean of the values in a range of buckets; `None` if the range has no values.
     fn mean(&self, range: Range<usize>) -> Option<f64> {
-        let add = |(count, sum): (u64, f64), at| (count + self.count(at), sum + self.sum(at));
+        let add = |(count, sum): (u64, f64), bucket| (count + self.count(bucket), sum + self.sum(bucket));
         let (count, sum) = range.fold((0, 0.0), add);
         (count > 0).then(|| sum / count as f64)
     }
 
     /// Splits the series into at most `parts` non-empty ranges of about the same number of values. Buckets are not divided.
     fn parts(&self, parts: u64) -> Vec<Range<usize>> {
-        let all = self.total_count();
-        let (mut ranges, mut from, mut count) = (Vec::new(), 0, 0);
-        for at in 0..self.bucket_count() {
-            count += self.count(at);
-            // The current part ends at this share of all values.
-            let end = u128::from(all) * (ranges.len() as u128 + 1);
+        let total_count = self.total_count();
+        let (mut ranges, mut start, mut count) = (Vec::new(), 0, 0);
+        for bucket in 0..self.bucket_count() {
+            count += self.count(bucket);
+            // Part number k ends where the count reaches k / `parts` of all values. Both sides are multiplied by `parts`.
+            let end = u128::from(total_count) * (ranges.len() as u128 + 1);
             if u128::from(count) * u128::from(parts) >= end && (ranges.len() as u64) < parts {
-                ranges.push(from..at + 1);
-                from = at + 1;
+                ranges.push(start..bucket + 1);
+                start = bucket + 1;
             }
         }
         ranges
@@ -59,12 +59,12 @@ impl Series for [f64] {
         self.len()
     }
 
-    fn count(&self, _at: usize) -> u64 {
+    fn count(&self, _bucket: usize) -> u64 {
         1
     }
 
-    fn sum(&self, at: usize) -> f64 {
-        self[at]
+    fn sum(&self, bucket: usize) -> f64 {
+        self[bucket]
     }
 }
 
@@ -74,12 +74,12 @@ impl Series for [(u64, f64)] {
         self.len()
     }
 
-    fn count(&self, at: usize) -> u64 {
-        self[at].0
+    fn count(&self, bucket: usize) -> u64 {
+        self[bucket].0
     }
 
-    fn sum(&self, at: usize) -> f64 {
-        let (count, mean) = self[at];
+    fn sum(&self, bucket: usize) -> f64 {
+        let (count, mean) = self[bucket];
         count as f64 * mean
     }
 }
@@ -89,12 +89,12 @@ impl Series for [Summary] {
         self.len()
     }
 
-    fn count(&self, at: usize) -> u64 {
-        Summary::count(&self[at])
+    fn count(&self, bucket: usize) -> u64 {
+        Summary::count(&self[bucket])
     }
 
-    fn sum(&self, at: usize) -> f64 {
-        self[at].moments.mean * self.count(at) as f64
+    fn sum(&self, bucket: usize) -> f64 {
+        self[bucket].moments.mean * self.count(bucket) as f64
     }
 }
 

@@ -4,22 +4,23 @@ use serde::{Deserialize, Serialize};
 
 use crate::rows::RowRef;
 
-/// Name of the node, and of the column, with the value 1 if an iteration took longer than the deadline of its pipeline or has no answer,
-/// else 0. Absent without a deadline.
+/// Name of a node and of its column. The value is 1 if an iteration took longer than the deadline of its pipeline or has no answer, else 0.
+/// Iterations of a pipeline without a deadline do not have the node.
 pub const DEADLINE_MISSED: &str = "deadline-missed";
 
-/// Iterations that missed their deadline, warm-up left out.
+/// Number of iterations that missed their deadline, without the warm-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Misses {
     /// Number of iterations that took longer than the deadline or have no answer.
     pub missed: u64,
-    /// Number of all iterations, warm-up left out.
+    /// Number of all iterations, without the warm-up.
     #[serde(rename = "of")]
     pub iterations: u64,
 }
 
 impl Misses {
-    /// Counts `late` of the `answered` iterations, and all `unanswered` iterations.
+    /// Returns the misses of a run in which `late` of the `answered` iterations took longer than the deadline. All `unanswered` iterations
+    /// missed it too.
     pub fn new(answered: u64, late: u64, unanswered: u64) -> Self {
         Self { missed: late.min(answered) + unanswered, iterations: answered + unanswered }
     }
@@ -30,7 +31,7 @@ impl Misses {
             .reduce(|a, b| Self { missed: a.missed + b.missed, iterations: a.iterations + b.iterations })
     }
 
-    /// Counts rows; `None` if no row has the column of missed deadlines.
+    /// Returns the misses in these rows; `None` if no row has a value in the column [`DEADLINE_MISSED`].
     pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Option<Self> {
         let mut has_deadline = false;
         let (mut answered, mut late, mut unanswered) = (0, 0, 0);
@@ -47,7 +48,7 @@ impl Misses {
         has_deadline.then(|| Self::new(answered, late, unanswered))
     }
 
-    /// Returns the miss rate: the share of iterations that missed their deadline, 0 to 1; `None` before the first iteration.
+    /// Returns the miss rate: the share of iterations that missed their deadline, 0 to 1. `None` without iterations.
     pub fn rate(self) -> Option<f64> {
         (self.iterations > 0).then(|| self.missed as f64 / self.iterations as f64)
     }
@@ -75,16 +76,18 @@ mod tests {
 
     #[test]
     fn late_and_unanswered_rows_miss_deadline() {
-        let ends = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
-        let rows: Rows =
-            (1..).zip(ends).map(|(at, (outcome, missed))| row(at, outcome, Some(missed))).collect();
+        let outcomes = [(Outcome::Ok, 1.0), (Outcome::Ok, 0.0), (Outcome::Ok, 1.0), (Outcome::Lost, 1.0)];
+        let rows: Rows = (1..)
+            .zip(outcomes)
+            .map(|(iteration, (outcome, missed))| row(iteration, outcome, Some(missed)))
+            .collect();
         let misses = Misses::from_rows(&rows).expect("there is a deadline");
         assert_eq!((misses, misses.rate()), (Misses { missed: 2, iterations: 3 }, Some(2.0 / 3.0)));
     }
 
     #[test]
     fn rows_without_deadline_have_no_miss_rate() {
-        let rows: Rows = (1..5).map(|at| row(at, Outcome::Timeout, None)).collect();
+        let rows: Rows = (1..5).map(|iteration| row(iteration, Outcome::Timeout, None)).collect();
         assert_eq!(Misses::from_rows(&rows), None);
         assert_eq!(Misses::new(0, 0, 0).rate(), None);
         assert_eq!(Misses::sum([]), None);

@@ -6,8 +6,11 @@ use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 /// Sum of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
 pub struct DelaySum {
+    /// Number of judged delays.
     count: u64,
+    /// Median of each second, with its weight.
     medians: Vec<(DelayPoint, u64)>,
+    /// Sum of the weights of the seconds with each verdict.
     verdicts: Vec<(Verdict, u64)>,
 }
 
@@ -20,8 +23,8 @@ impl DelaySum {
         // A negative delay is impossible, so it is left out.
         self.medians
             .extend(second.median.filter(|point| !point.value.is_negative()).map(|point| (point, weight)));
-        match self.verdicts.iter_mut().find(|(known, _)| *known == second.verdict) {
-            Some((_, times)) => *times += weight,
+        match self.verdicts.iter_mut().find(|(verdict, _)| *verdict == second.verdict) {
+            Some((_, weights)) => *weights += weight,
             None => self.verdicts.push((second.verdict, weight)),
         }
     }
@@ -31,18 +34,18 @@ impl DelaySum {
         self.count
     }
 
-    /// Returns the median of the seconds' medians, each weighted by its number of delays, with the bounds of the second that it comes from.
-    /// `None` if no second has one.
+    /// Returns the median of the medians of all seconds, each weighted by its number of delays. Its bounds are those of the second that it
+    /// comes from. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| point.value);
         let half = medians.iter().map(|(_, weight)| weight).sum::<u64>().div_ceil(2);
-        let mut passed = 0;
-        let found = medians.into_iter().find(|(_, weight)| {
-            passed += weight;
-            passed >= half
+        let mut cumulative_weight = 0;
+        let median = medians.into_iter().find(|(_, weight)| {
+            cumulative_weight += weight;
+            cumulative_weight >= half
         });
-        found.map(|(point, _)| point)
+        median.map(|(point, _)| point)
     }
 
     /// Returns the verdict on all delays; `None` if none was judged.
@@ -66,12 +69,12 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySum {
     }
 }
 
-/// Returns the round trips of several seconds as one: the smallest, and the median of their medians, of two in the middle the smaller.
-/// `None` without any.
+/// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. If there are two medians in the
+/// middle, the smaller is used. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
     let (mut smallest, mut medians): (Option<Span>, Vec<Span>) = (None, Vec::new());
     for RoundTrip { min, median } in seconds {
-        smallest = Some(smallest.map_or(min, |known| known.min(min)));
+        smallest = Some(smallest.map_or(min, |smallest| smallest.min(min)));
         medians.push(median);
     }
     medians.sort_unstable();
@@ -113,8 +116,8 @@ mod tests {
             min: Span::from_millis(min),
             median: Span::from_millis(median),
         });
-        let found = merged_round_trip(trips).expect("known");
-        assert_eq!((found.min, found.median), (Span::from_millis(1), Span::from_millis(5)));
+        let merged = merged_round_trip(trips).expect("round trips");
+        assert_eq!((merged.min, merged.median), (Span::from_millis(1), Span::from_millis(5)));
         assert_eq!(merged_round_trip([]), None);
     }
 }

@@ -4,7 +4,7 @@ use std::fs::{File, read_dir};
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
-/// Published histograms: name of the file, column, description.
+/// Histograms of the paper's original program: name of the file without its ending, column, title.
 pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
     ("sensing-time", "sensing", "Sensing time"),
     ("upload-time", "upload", "Upload time"),
@@ -23,7 +23,7 @@ const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "t
 /// Maximum length of the header of `data.csv` that is read, bytes.
 const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-/// Returns the names of the files in a result folder that are figures of its results, of every kind.
+/// Returns the names of the files in a result folder that are figures of the results, of all kinds.
 pub fn figure_files(dir: &Path) -> Vec<String> {
     let columns = columns(&dir.join("data.csv"));
     let entries = read_dir(dir).into_iter().flatten().filter_map(Result::ok);
@@ -35,22 +35,22 @@ pub fn figure_files(dir: &Path) -> Vec<String> {
 fn is_figure(name: &str, columns: &[String]) -> bool {
     let Some(stem) = FILE_ENDINGS.iter().find_map(|ending| name.strip_suffix(ending)) else { return false };
     let is_numbered = || {
-        let number = NUMBERED_FIGURES.iter().find_map(|figure| stem.strip_prefix(figure));
-        number.is_some_and(|rest| {
-            rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
+        let suffix = NUMBERED_FIGURES.iter().find_map(|figure| stem.strip_prefix(figure));
+        suffix.is_some_and(|suffix| {
+            suffix.is_empty() || suffix.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
         })
     };
     let is_column = || {
         let column = stem.strip_suffix("-histogram").or_else(|| stem.strip_suffix("-cumulative"));
-        column.is_some_and(|column| columns.iter().any(|known| known == column))
+        column.is_some_and(|column| columns.iter().any(|other| other == column))
     };
     SINGLE_FIGURES.contains(&stem)
-        || HISTOGRAMS.iter().any(|(published, ..)| *published == stem)
+        || HISTOGRAMS.iter().any(|(histogram, ..)| *histogram == stem)
         || is_numbered()
         || is_column()
 }
 
-/// Returns the columns of rows, each of which may have a histogram; empty without rows.
+/// Returns the names of the columns in `data.csv`, each of which may have a histogram. Empty if the file cannot be read.
 fn columns(data: &Path) -> Vec<String> {
     let header = || -> Option<String> {
         let file = data.is_file().then(|| File::open(data).ok())??;

@@ -7,14 +7,15 @@
 //!                     └─ accuracy, deadline, trust, slowness, summary
 //! ```
 //!
-//! Each question has one function, which pages, REST API and commands call, so that they agree. It takes one plain value, such
-//! as [`compare::MeanEstimate`], [`trust::TrustInput`] or [`slowness::Medians`], which `peernet-results` fills from rows and
-//! `peernet-store` from roll-ups. There is no single record of a run for all questions, because a page would then read the
-//! data of all questions to answer one. Files contain every value, so their medians and quantiles are exact; the quantiles of
-//! a sketch are within 1 %. Medians have confidence intervals only if they come from files, because the bootstrap needs
-//! single values.
+//! Each question has one function. Pages, REST API and commands call the same function, so that their answers agree. The function takes one
+//! plain value, such as [`compare::MeanEstimate`], [`trust::TrustInput`] or [`slowness::Medians`]. `peernet-results` fills this value from
+//! rows, `peernet-store` from roll-ups. There is no single value for all questions, because a page would then read the data of all questions
+//! to answer one.
 //!
-//! Writing tables is the only I/O. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
+//! Files contain every value, so their medians and quantiles are exact; the quantiles of a sketch are within 1 %. Medians have confidence
+//! intervals only if they come from files, because the bootstrap needs single values.
+//!
+//! Writing tables is the only I/O. `peernet-results` reads and writes files of results, and `peernet-figures` draws figures.
 
 pub mod accuracy;
 pub mod answer_length;

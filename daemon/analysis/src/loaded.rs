@@ -9,7 +9,7 @@ use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
 use crate::run_trust_input::early_end;
 
-/// Reason for the end of a run that has rows but no record. The record is written last.
+/// Reason for the end of a run that has rows but no record. The record is written after the rows.
 pub const NO_RECORD: &str =
     "run.json is missing: the run is in progress or was killed, or data.csv was copied without it";
 
@@ -28,7 +28,7 @@ pub struct Loaded {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum RowsDamage {
     /// The number of rows is the same, but outcomes or warm-up differ.
-    #[error("data.csv has other outcomes or another warm-up than run.json counts")]
+    #[error("the outcomes or the warm-up iterations in data.csv differ from the counts in run.json")]
     Outcomes,
     /// There are more or fewer rows.
     #[error("data.csv has {rows} of the {} that run.json counts", counted(*.measured, "iteration"))]
@@ -42,7 +42,8 @@ pub enum RowsDamage {
 
 impl Loaded {
     /// Returns the reason why the rows are incomplete, in one clause: some measurements are missing, or the run was interrupted, broke off,
-    /// was killed or is still in progress. `None` if the rows are complete, or if this is not known, as for files of other programs.
+    /// was killed or is still in progress. `None` if the rows are complete, or if it is not known whether they are, as for files of other
+    /// programs.
     pub fn incompleteness(&self) -> Option<String> {
         let has_no_record = self.record.reason.failure() == Some(NO_RECORD);
         self.damage().map(|damage| damage.to_string()).or_else(|| match has_no_record {
@@ -54,26 +55,27 @@ impl Loaded {
     /// Returns the difference between the rows of `data.csv` and the counts in `run.json`, such as when the file was truncated or changed.
     /// `None` if they agree, or if there are no counts.
     pub fn damage(&self) -> Option<RowsDamage> {
-        let counts_of_record = self.record.counts;
-        let is = Counts::from_rows(&self.rows, counts_of_record.unseen);
-        let is_known = self.record.format > 0 && counts_of_record != Counts::default();
-        let all = |counts: Counts| {
+        let record_counts = self.record.counts;
+        let row_counts = Counts::from_rows(&self.rows, record_counts.unseen);
+        let has_record_counts = self.record.format > 0 && record_counts != Counts::default();
+        let total = |counts: Counts| {
             let counts = [counts.ok, counts.failed, counts.lost, counts.timeout, counts.warm_up];
             counts.into_iter().fold(0, u64::saturating_add)
         };
-        (is_known && is != counts_of_record).then(|| match (all(is), all(counts_of_record)) {
+        let differ = has_record_counts && row_counts != record_counts;
+        differ.then(|| match (total(row_counts), total(record_counts)) {
             (rows, measured) if rows == measured => RowsDamage::Outcomes,
             (rows, measured) => RowsDamage::Length { rows, measured },
         })
     }
 
-    /// Returns samples that are neither right nor wrong, because their label is not a class of the model.
+    /// Returns the samples whose label is not a class of the model. Their answers are neither right nor wrong.
     fn unknown_labels(&self) -> Option<UnknownLabels> {
         UnknownLabels::from_rows(&self.rows, &self.record.facts)
     }
 }
 
-/// Returns the unknown labels of several runs together, with the words of the first that has some.
+/// Returns the unknown labels of several runs together, with the examples of the first run that has unknown labels.
 pub fn unknown_labels<'a>(runs: impl IntoIterator<Item = &'a Loaded>) -> Option<UnknownLabels> {
     runs.into_iter().filter_map(Loaded::unknown_labels).reduce(|all, more| all.merged_with(&more))
 }

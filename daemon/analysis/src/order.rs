@@ -1,14 +1,14 @@
-//! Order statistics, which describe delays, because their distribution has a long tail.
+//! Order statistics. They describe delays better than means, because the distribution of delays has a long tail.
 
 /// Minimum number of values for p5 and p95, everywhere in PEERNet.
 pub const MIN_VALUES_FOR_P95: usize = 60;
 /// Minimum number of values for p99.
 pub const MIN_VALUES_FOR_P99: usize = 300;
 
-/// The normal quantile of a 95 % interval.
+/// Quantile of the standard normal distribution for a 95 % interval.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
 
-/// Values in order.
+/// Values in ascending order, without NaN.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SortedValues(Vec<f64>);
 
@@ -37,13 +37,13 @@ impl SortedValues {
         self.0.is_empty()
     }
 
-    /// Returns the quantile at `p` from 0 to 1, between neighbours by linear interpolation (definition 7 of Hyndman and Fan 1996); `None`
+    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
     /// without values.
     pub fn quantile(&self, p: f64) -> Option<f64> {
-        let at = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
-        let (below, above) = (self.0[at.floor() as usize], self.0[at.ceil() as usize]);
+        let rank = p.clamp(0.0, 1.0) * self.0.len().checked_sub(1)? as f64;
+        let (below, above) = (self.0[rank.floor() as usize], self.0[rank.ceil() as usize]);
         // Equal values may both be infinite, and their difference would be NaN.
-        Some(if below == above { below } else { below + (above - below) * at.fract() })
+        Some(if below == above { below } else { below + (above - below) * rank.fract() })
     }
 
     /// Returns the median; `None` without values.
@@ -66,13 +66,14 @@ impl SortedValues {
         self.quantile(0.99).filter(|_| self.0.len() >= MIN_VALUES_FOR_P99)
     }
 
-    /// Returns the standard error of the median, from the order statistics that bound it with 95 % confidence (McKean and Schrader 1984):
-    /// it does not depend on the distribution's shape. `None` with fewer than 6 values.
+    /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean and Schrader 1984).
+    /// It does not depend on the shape of the distribution. `None` with fewer than 6 values.
     pub fn median_error(&self) -> Option<f64> {
         let n = self.0.len();
         (n >= 6).then_some(())?;
-        let outside = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as usize;
-        Some((self.0[n - outside] - self.0[outside - 1]) / (2.0 * Z95))
+        // Rank of the lower of the two values, from 1. The upper value has the same rank from the other end.
+        let rank = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as usize;
+        Some((self.0[n - rank] - self.0[rank - 1]) / (2.0 * Z95))
     }
 }
 

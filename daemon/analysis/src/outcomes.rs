@@ -2,10 +2,10 @@
 
 use peernet_stream::OutcomeCounts;
 
-/// Returns the share of iterations without an answer, 0 to 1; `None` before the first iteration.
+/// Returns the share of iterations without an answer, 0 to 1; `None` without iterations.
 pub fn unanswered_share(counts: &OutcomeCounts) -> Option<f64> {
-    let all = counts.total();
-    (all > 0).then(|| (all - counts.ok) as f64 / all as f64)
+    let total = counts.total();
+    (total > 0).then(|| (total - counts.ok) as f64 / total as f64)
 }
 
 #[cfg(test)]

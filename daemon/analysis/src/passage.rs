@@ -20,7 +20,7 @@ impl Passage {
         Self::from_tree(tree, [stage::UPLOAD, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES])
     }
 
-    /// Returns the message from cloud to edge.
+    /// Returns the message from cloud to edge; `None` when it was never sent or never judged.
     pub fn down(tree: &Tree) -> Option<Self> {
         Self::from_tree(tree, [stage::DOWNLOAD, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES])
     }
@@ -40,13 +40,14 @@ impl Passage {
         self.payload_bytes + self.logger_bytes
     }
 
-    /// Returns the delay in seconds if it is known: a delay near a step or from contradicting sources is not.
+    /// Returns the delay in seconds. `None` if the verdict says that the delay is not known, for example because a clock stepped or because
+    /// the sources contradict each other.
     pub fn seconds(&self) -> Option<f64> {
-        let known = matches!(self.delay.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
-        self.delay.value.filter(|_| known).map(Span::seconds)
+        let is_known = matches!(self.delay.verdict, Verdict::Ok | Verdict::Limited | Verdict::Stale);
+        self.delay.value.filter(|_| is_known).map(Span::seconds)
     }
 
-    /// Returns the delay's bounds in seconds.
+    /// Returns the bounds of the delay in seconds; `None` if the delay is not known or has no bounds.
     pub fn bounds(&self) -> Option<(f64, f64)> {
         self.seconds()?;
         self.delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds()))

@@ -1,5 +1,5 @@
-//! Choice of the runs that count: runs that were measured to their end, each repeat of a configuration once, and runs that are named
-//! explicitly.
+//! Choice of the runs that count. A run counts if it was measured to its end or if a user names it. Of each repeat of a configuration, one
+//! run counts.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -12,20 +12,20 @@ use crate::loaded::Loaded;
 /// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum RunState {
-    /// It has not begun.
+    /// The run has not begun.
     Pending,
-    /// It has no end: it is in progress, or its program was killed.
+    /// The run has no recorded end: it is in progress, or its program was killed.
     Open,
-    /// It was measured to its end.
+    /// The run was measured to its end.
     Finished,
-    /// Somebody ended it.
+    /// Somebody ended the run.
     Interrupted,
-    /// It could not be measured to its end, for this reason if one is known.
+    /// The run could not be measured to its end. The reason is `None` if it is not known.
     Failed(Option<String>),
 }
 
 impl RunState {
-    /// Returns the state of a run that began, by the reason for its end; `None` for one without an end.
+    /// Returns the state of a run that began, from the reason for its end. `reason` is `None` for a run without a recorded end.
     pub fn from_end_reason(reason: Option<&EndReason>) -> Self {
         match reason {
             None | Some(EndReason::Unknown) => Self::Open,
@@ -35,12 +35,12 @@ impl RunState {
         }
     }
 
-    /// Returns whether the run counts, as far as its progress decides.
+    /// Returns whether the run was measured to its end. Other runs count only if a user names them.
     pub const fn is_finished(&self) -> bool {
         matches!(self, Self::Finished)
     }
 
-    /// Returns the state in words, for readers who do not know whether a program still works on the run.
+    /// Returns the name of the state. It does not say whether an open run is still in progress, because that is not recorded.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Pending => "to do",
@@ -62,24 +62,24 @@ impl fmt::Display for RunState {
     }
 }
 
-/// Reason why a run does not count. Other runs are named by their indexes.
+/// Reason why a run does not count.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Exclusion {
-    /// It was not measured to its end.
+    /// The run was not measured to its end.
     Unfinished(RunState),
-    /// The same repeat was measured again.
+    /// The run with this index measured the same repeat later.
     MeasuredAgain(usize),
-    /// These are other results of the same run.
+    /// The results are a copy of those with this index: both are of the same run.
     CopyOf(usize),
 }
 
 impl Exclusion {
-    /// Returns the reason in words; `name` names another run.
-    pub fn describe(&self, name: impl Fn(usize) -> String) -> String {
+    /// Returns the reason as text. `run_name` returns the name of the run with an index.
+    pub fn describe(&self, run_name: impl Fn(usize) -> String) -> String {
         match self {
             Self::Unfinished(state) => state.to_string(),
-            Self::MeasuredAgain(by) => format!("measured again as {}", name(*by)),
-            Self::CopyOf(of) => format!("a copy of {}", name(*of)),
+            Self::MeasuredAgain(later) => format!("measured again as {}", run_name(*later)),
+            Self::CopyOf(original) => format!("a copy of {}", run_name(*original)),
         }
     }
 }
@@ -93,15 +93,15 @@ pub struct Candidate {
     pub state: Option<RunState>,
     /// Repeat that the run measured; `None` outside of experiments.
     pub repeat: Option<Repeat>,
-    /// Position in time: of two runs the later one has the larger number.
+    /// Position in time: a later run has a larger number.
     pub sequence: i64,
-    /// `true` if it is named explicitly, so that its progress does not matter.
+    /// True if a user names the run, so that its progress does not matter.
     pub is_named: bool,
-    /// Rank of the results. If there are several results of a run, those with the lowest rank count.
+    /// Rank of the results. If there are several results of one run, those with the lowest rank count.
     pub rank: u8,
 }
 
-/// Repeat of a configuration, as one edge measured it: several users of one run are several edges.
+/// Repeat of a configuration, as one pipeline of one edge measured it. Several edges can measure the same repeat as users of one cloud.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Repeat {
     experiment: String,
@@ -142,48 +142,53 @@ pub fn exclusions(runs: &[Candidate]) -> Vec<Option<Exclusion>> {
         let state = run.state.as_ref().filter(|state| !run.is_named && !state.is_finished())?;
         Some(Exclusion::Unfinished(state.clone()))
     };
-    let mut found: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
-    // Copies are excluded before repeats are compared, because the results of one run are also of one repeat: the rank chooses among
-    // them, not the time.
-    let by_id = best(runs, &found, |run| run.id, |at, run| (!run.is_named, run.rank, at));
-    exclude(runs, &mut found, |run| Some(Exclusion::CopyOf(*by_id.get(&run.id?)?)));
-    let newest = best(runs, &found, |run| run.repeat.as_ref(), |at, run| (-i128::from(run.sequence), at));
-    let again = |run: &Candidate| {
-        let by = newest.get(&run.repeat.as_ref()?)?;
-        (!run.is_named).then_some(Exclusion::MeasuredAgain(*by))
+    let mut exclusions: Vec<Option<Exclusion>> = runs.iter().map(unfinished).collect();
+    // Copies are excluded before repeats are compared. Copies of one run are also of one repeat, but the rank chooses among them, not the
+    // time.
+    let originals = best_runs(runs, &exclusions, |run| run.id, |index, run| (!run.is_named, run.rank, index));
+    exclude(runs, &mut exclusions, |run| Some(Exclusion::CopyOf(*originals.get(&run.id?)?)));
+    let newest_runs = best_runs(
+        runs,
+        &exclusions,
+        |run| run.repeat.as_ref(),
+        |index, run| (-i128::from(run.sequence), index),
+    );
+    let measured_again = |run: &Candidate| {
+        let newest = newest_runs.get(&run.repeat.as_ref()?)?;
+        (!run.is_named).then_some(Exclusion::MeasuredAgain(*newest))
     };
-    exclude(runs, &mut found, again);
-    found
+    exclude(runs, &mut exclusions, measured_again);
+    exclusions
 }
 
-/// Returns for each key the index of the run with the smallest order, among the runs that are not excluded in `found`.
-fn best<'a, K: Eq + std::hash::Hash, O: Ord>(
+/// Returns for each key the index of the run with the smallest order, among the runs that are not excluded yet.
+fn best_runs<'a, K: Eq + std::hash::Hash, O: Ord>(
     runs: &'a [Candidate],
-    found: &[Option<Exclusion>],
+    exclusions: &[Option<Exclusion>],
     key: impl Fn(&'a Candidate) -> Option<K>,
     order: impl Fn(usize, &Candidate) -> O,
 ) -> HashMap<K, usize> {
-    let mut all = HashMap::new();
-    for (at, run) in runs.iter().enumerate().filter(|(at, _)| found[*at].is_none()) {
+    let mut best_by_key = HashMap::new();
+    for (index, run) in runs.iter().enumerate().filter(|(index, _)| exclusions[*index].is_none()) {
         let Some(key) = key(run) else { continue };
-        let best = all.entry(key).or_insert(at);
-        if order(at, run) < order(*best, &runs[*best]) {
-            *best = at;
+        let best = best_by_key.entry(key).or_insert(index);
+        if order(index, run) < order(*best, &runs[*best]) {
+            *best = index;
         }
     }
-    all
+    best_by_key
 }
 
-/// Excludes runs that count so far in favour of others.
+/// Excludes runs for the reason that `reason` returns. It may return that a run is excluded in favour of itself; such a run still counts.
 fn exclude(
     runs: &[Candidate],
-    found: &mut [Option<Exclusion>],
-    why: impl Fn(&Candidate) -> Option<Exclusion>,
+    exclusions: &mut [Option<Exclusion>],
+    reason: impl Fn(&Candidate) -> Option<Exclusion>,
 ) {
-    for (at, (run, excluded)) in runs.iter().zip(found).enumerate() {
-        let in_favour_of_itself = |why: &Exclusion| matches!(why, Exclusion::CopyOf(by) | Exclusion::MeasuredAgain(by) if *by == at);
-        if excluded.is_none() {
-            *excluded = why(run).filter(|why| !in_favour_of_itself(why));
+    for (index, (run, exclusion)) in runs.iter().zip(exclusions).enumerate() {
+        let is_in_favour_of_itself = |reason: &Exclusion| matches!(reason, Exclusion::CopyOf(other) | Exclusion::MeasuredAgain(other) if *other == index);
+        if exclusion.is_none() {
+            *exclusion = reason(run).filter(|reason| !is_in_favour_of_itself(reason));
         }
     }
 }

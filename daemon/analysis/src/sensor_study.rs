@@ -16,9 +16,9 @@ const DROPPED_SAMPLES_SUFFIX: &str = "dropped-samples";
 /// consecutive samples, without the warm-up. The jitter of a period is its absolute difference from the median period.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorStudy {
-    /// Samples that the sensor returned.
+    /// Number of samples that the sensor returned.
     pub samples: u64,
-    /// Iterations in which it failed to return a sample.
+    /// Number of iterations in which the sensor failed to return a sample.
     pub failed: u64,
     /// Samples per second: one over the mean period.
     pub rate: f64,
@@ -34,13 +34,13 @@ pub struct SensorStudy {
     pub jitter_p99: Option<f64>,
     /// Median jitter.
     pub jitter_median: f64,
-    /// The longest time without a sample, failed iterations included.
+    /// Longest time between two samples, including failed iterations between them.
     pub longest_gap: f64,
-    /// Iteration that ended this gap.
+    /// Number of the iteration whose sample ended this gap.
     pub longest_gap_at: u64,
     /// Median time from the request for a sample until it was ready.
     pub sensing: f64,
-    /// Samples that the sensor reports as dropped; `None` without such a report.
+    /// Number of samples that the sensor reports as dropped; `None` if the sensor does not report them.
     pub dropped: Option<u64>,
 }
 
@@ -52,7 +52,7 @@ struct SampleTime {
 }
 
 impl SensorStudy {
-    /// Returns the study of these rows, in any order; `None` with fewer than two samples that follow each other.
+    /// Returns the study of these rows, which may be in any order. `None` if no two consecutive iterations have a sample.
     pub fn from_rows(rows: &Rows) -> Option<Self> {
         let measured = || rows.iter().filter(|row| !row.warm_up());
         let mut sample_times: Vec<SampleTime> = measured().filter_map(sample_time).collect();
@@ -85,7 +85,7 @@ impl SensorStudy {
 
     /// Returns the results in sentences.
     pub fn sentences(&self) -> Vec<String> {
-        let mut said = vec![format!(
+        let mut sentences = vec![format!(
             "The sensor ran at {} samples per second: one every {} ms{}, over {}.",
             significant(self.rate),
             milliseconds(self.period),
@@ -93,7 +93,7 @@ impl SensorStudy {
             counted(self.samples, "sample"),
         )];
         let tail = self.jitter_p99.map(|p99| ("99", p99)).or(self.jitter_p95.map(|p95| ("95", p95)));
-        said.push(match tail {
+        sentences.push(match tail {
             Some((percent, value)) => format!(
                 "Half of its periods were within {} ms of the median ({} ms), and {percent} % within {} ms.",
                 milliseconds(self.jitter_median),
@@ -107,12 +107,12 @@ impl SensorStudy {
                 milliseconds(self.median),
             ),
         });
-        said.push(format!(
+        sentences.push(format!(
             "The longest time without a sample was {} ms, before iteration {}.",
             milliseconds(self.longest_gap),
             self.longest_gap_at
         ));
-        said.push(match self.dropped {
+        sentences.push(match self.dropped {
             None => {
                 "It does not report dropped samples, so it is not known whether it dropped any.".to_owned()
             }
@@ -123,12 +123,12 @@ impl SensorStudy {
             }
         });
         if self.failed > 0 {
-            said.push(format!("It failed to give a sample {}.", counted(self.failed, "time")));
+            sentences.push(format!("It failed to give a sample {}.", counted(self.failed, "time")));
         }
-        said
+        sentences
     }
 
-    /// Returns the sentences, one on a line, and the table.
+    /// Returns the sentences, each on its own line, and the table.
     pub fn text(&self) -> String {
         format!("{}\n\n{}", self.sentences().join("\n"), self.table().text())
     }
@@ -241,7 +241,7 @@ mod tests {
         }
         let study = study(rows).expect("samples");
         assert_eq!(study.dropped, Some(30));
-        assert!(study.sentences().iter().any(|said| said.contains("30 samples")), "{:?}", study.sentences());
+        assert!(study.sentences().iter().any(|text| text.contains("30 samples")), "{:?}", study.sentences());
     }
 
     #[test]

@@ -8,46 +8,46 @@ use crate::rows::LATENESS;
 /// Name of both directions of the network, for runs in which only their sum is known.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
-/// Share of an iteration's excess that the causes explain together.
+/// Minimum share of an iteration's excess that the causes explain together.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
-/// Part of an iteration that took longer than it usually does in its run.
+/// Part of an iteration that took longer than its median over the run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Cause {
     /// Name of a stage, `lateness`, `unattributed`, or both directions of the network together.
     pub name: Name,
-    /// Seconds it took.
+    /// Duration of the part in this iteration, seconds.
     pub value: f64,
     /// Median of the part over the run, seconds.
     pub median: f64,
 }
 
 impl Cause {
-    /// Returns the seconds beyond the run's median.
+    /// Returns the difference from the median, seconds.
     pub fn excess(&self) -> f64 {
         self.value - self.median
     }
 }
 
-/// Returns the causes of an iteration that took `total` seconds in a run with the median `median`: the parts with the largest excess over
-/// their medians, largest first, until they explain 80 % of the total's excess. Parts must not overlap. Empty if the iteration was no
-/// slower than the median.
+/// Returns the causes of a slow iteration, which took `total` seconds in a run with the median `median`. They are the parts with the largest
+/// excess over their medians, the largest first, until they explain 80 % of the excess of the total. Parts must not overlap. Empty if the
+/// iteration was not slower than the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
-    let wanted = MIN_EXPLAINED_SHARE * (total - median);
-    let mut slower: Vec<Cause> = parts.into_iter().filter(|part| part.excess() > 0.0).collect();
-    slower.sort_by(|a, b| b.excess().total_cmp(&a.excess()));
-    let mut explained = 0.0;
-    slower
+    let excess_to_explain = MIN_EXPLAINED_SHARE * (total - median);
+    let mut slow_parts: Vec<Cause> = parts.into_iter().filter(|part| part.excess() > 0.0).collect();
+    slow_parts.sort_by(|a, b| b.excess().total_cmp(&a.excess()));
+    let mut explained_excess = 0.0;
+    slow_parts
         .into_iter()
         .take_while(|cause| {
-            let is_needed = explained < wanted;
-            explained += cause.excess();
+            let is_needed = explained_excess < excess_to_explain;
+            explained_excess += cause.excess();
             is_needed
         })
         .collect()
 }
 
-/// Returns the time that both directions of the network take together: the total less the other stages and the unattributed time.
+/// Returns the time that both directions of the network take together: the total minus the other stages and the unattributed time.
 pub fn both_ways(total: f64, others: impl Iterator<Item = f64>, unattributed: f64) -> f64 {
     (total - others.sum::<f64>() - unattributed).max(0.0)
 }
@@ -59,9 +59,9 @@ pub struct IterationTimes<'a> {
     pub total: Option<f64>,
     /// Durations in the order of the stages.
     pub stages: &'a [(Name, f64)],
-    /// Delay of the real start after the intended one: a part of `unattributed`.
+    /// Time from the intended start to the real start: a part of `unattributed`.
     pub lateness: Option<f64>,
-    /// The part of the total that no stage accounts for.
+    /// Part of the total that does not belong to a stage.
     pub unattributed: Option<f64>,
     /// Duration of both directions of the network, if only their sum is known.
     pub both_ways: Option<f64>,
@@ -73,33 +73,33 @@ pub struct Medians(pub Vec<(Name, f64)>);
 
 impl Medians {
     fn median(&self, name: &str) -> Option<f64> {
-        self.0.iter().find(|(known, _)| known == name).map(|(_, median)| *median)
+        self.0.iter().find(|(node, _)| node == name).map(|(_, median)| *median)
     }
 
-    /// Returns the time that `upload` and `download` take together. If neither is ever known, it is the median of the total minus the
-    /// medians of the other stages.
+    /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because its delays are never known, the time of
+    /// both is computed from the medians of the total and the other stages.
     fn both_ways(&self) -> Option<f64> {
-        let known = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
-        let known: Vec<f64> = known.collect();
-        if !known.is_empty() {
-            return Some(known.iter().sum());
+        let medians = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
+        let medians: Vec<f64> = medians.collect();
+        if !medians.is_empty() {
+            return Some(medians.iter().sum());
         }
         let others = stage::ORDER.into_iter().filter_map(|name| self.median(&name));
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }
 
-    /// Returns the ratio of a total to the run's median.
+    /// Returns the ratio of a total to the median total of the run; `None` if one of both is not known or the median is 0.
     pub fn ratio_to_median(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)
     }
 
-    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage. A known late start is separated from
-    /// it. If only the sum of upload and download is known, the sum replaces both stages.
+    /// Returns the causes of a slow iteration. The unattributed time is a candidate like any stage; if the lateness is known, it is a separate
+    /// candidate. If only the sum of upload and download is known, the sum replaces both stages.
     pub fn causes(&self, times: &IterationTimes<'_>) -> Vec<Cause> {
         let Some((total, median)) = times.total.zip(self.median(&stage::TOTAL)) else { return Vec::new() };
-        let late = Name::from_static(LATENESS);
-        let usually_late = self.median(&late).unwrap_or(0.0);
+        let lateness = Name::from_static(LATENESS);
+        let median_lateness = self.median(&lateness).unwrap_or(0.0);
         let cause = |name: &Name, value, median: Option<f64>| {
             median.map(|median| Cause { name: name.clone(), value, median })
         };
@@ -107,20 +107,20 @@ impl Medians {
             |name: &Name| times.both_ways.is_none() || ![stage::UPLOAD, stage::DOWNLOAD].contains(name);
         let stages = times.stages.iter().filter(|(name, _)| is_part(name));
         let stages = stages.filter_map(|(name, value)| cause(name, *value, self.median(name)));
-        let start = times.lateness.and_then(|value| cause(&late, value, Some(usually_late)));
-        let rest = times.unattributed.and_then(|value| {
+        let late_start = times.lateness.and_then(|value| cause(&lateness, value, Some(median_lateness)));
+        let unattributed = times.unattributed.and_then(|value| {
             let median = self.median(&stage::UNATTRIBUTED);
-            let on_time = |value: f64, late: f64| (value - late).max(0.0);
+            let without_lateness = |value: f64, lateness: f64| (value - lateness).max(0.0);
             cause(
                 &stage::UNATTRIBUTED,
-                on_time(value, times.lateness.unwrap_or(0.0)),
-                median.map(|median| on_time(median, usually_late)),
+                without_lateness(value, times.lateness.unwrap_or(0.0)),
+                median.map(|median| without_lateness(median, median_lateness)),
             )
         });
         let network = times
             .both_ways
             .and_then(|value| cause(&Name::from_static(BOTH_DIRECTIONS), value, self.both_ways()));
-        causes(total, median, stages.chain(start).chain(rest).chain(network))
+        causes(total, median, stages.chain(late_start).chain(unattributed).chain(network))
     }
 }
 
@@ -171,7 +171,7 @@ mod tests {
         Medians(medians.iter().map(|(name, median)| (Name::from_static(name), *median)).collect())
     }
 
-    fn named(causes: &[Cause]) -> Vec<(&str, f64)> {
+    fn names_and_excesses(causes: &[Cause]) -> Vec<(&str, f64)> {
         let milliseconds = |seconds: f64| (seconds * 1e3).round();
         causes.iter().map(|cause| (cause.name.as_str(), milliseconds(cause.excess()))).collect()
     }
@@ -188,11 +188,11 @@ mod tests {
             unattributed: Some(0.127),
             both_ways: None,
         };
-        assert_eq!(named(&run.causes(&times)), [("inference", 219.0), ("lateness", 122.0)]);
+        assert_eq!(names_and_excesses(&run.causes(&times)), [("inference", 219.0), ("lateness", 122.0)]);
     }
 
     #[test]
-    fn sum_of_directions_replaces_each() {
+    fn sum_of_both_directions_replaces_each_direction() {
         let run = medians(&[("total", 0.1), ("upload", 0.02), ("download", 0.01), ("unattributed", 0.0)]);
         let stages = [(stage::UPLOAD, 0.3)];
         let times = IterationTimes {
@@ -202,6 +202,6 @@ mod tests {
             unattributed: Some(0.001),
             both_ways: Some(0.38),
         };
-        assert_eq!(named(&run.causes(&times)), [(BOTH_DIRECTIONS, 350.0)]);
+        assert_eq!(names_and_excesses(&run.causes(&times)), [(BOTH_DIRECTIONS, 350.0)]);
     }
 }

@@ -1,7 +1,7 @@
 //! Bytes sent by iterations, and the time for which they were in transit.
 //!
 //! *Speed while sending* and *traffic* are defined here only, for live windows and stored runs. The throughput of a single
-//! iteration is a node; the mean of these is not a speed, because small messages would count as much as large ones.
+//! iteration is a node. The mean of these throughputs is not a speed, because small messages would count as much as large messages.
 
 use peernet_clock::Direction;
 use peernet_logger::{Name, stage};
@@ -14,25 +14,28 @@ pub struct Transfer {
     pub bytes: f64,
     /// Bytes of the messages whose one-way delay is known.
     pub timed_bytes: f64,
-    /// Sum of these delays, seconds.
+    /// Sum of the known one-way delays, seconds.
     pub seconds: f64,
 }
 
 impl Transfer {
-    /// Returns the sums of a direction, or `None` when nothing was sent in it. `of` returns the number of samples of a name and
-    /// their mean in its SI unit.
-    pub fn from_statistics(direction: Direction, of: impl Fn(&Name) -> Option<(u64, f64)>) -> Option<Self> {
+    /// Returns the sums of a direction, or `None` when nothing was sent in this direction. `statistics` returns the number of samples of a
+    /// node and their mean in its SI unit.
+    pub fn from_statistics(
+        direction: Direction,
+        statistics: impl Fn(&Name) -> Option<(u64, f64)>,
+    ) -> Option<Self> {
         let (payload, metadata, delay) = match direction {
             Direction::Up => (stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES, stage::UPLOAD),
             Direction::Down => (stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES, stage::DOWNLOAD),
         };
-        let (messages, mean) = of(&payload)?;
+        let (messages, mean) = statistics(&payload)?;
         let sum = |(count, mean): (u64, f64)| count as f64 * mean;
-        let bytes = sum((messages, mean)) + of(&metadata).map_or(0.0, sum);
-        let (timed, seconds) = of(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
-        // Sizes are known for every message. If some delays are unknown, the known ones count with their share of the bytes.
-        let share = (timed as f64 / messages.max(1) as f64).min(1.0);
-        Some(Self { bytes, timed_bytes: bytes * share, seconds })
+        let bytes = sum((messages, mean)) + statistics(&metadata).map_or(0.0, sum);
+        let (timed_messages, seconds) = statistics(&delay).map_or((0, 0.0), |delay| (delay.0, sum(delay)));
+        // Sizes are known for every message, delays perhaps not. The bytes of the messages with a delay are taken to be their share of all.
+        let timed_share = (timed_messages as f64 / messages.max(1) as f64).min(1.0);
+        Some(Self { bytes, timed_bytes: bytes * timed_share, seconds })
     }
 
     /// Returns the speed while sending in bits per second: bytes divided by the sum of one-way delays. `None` while no delay is
@@ -41,14 +44,14 @@ impl Transfer {
         (self.seconds > 0.0 && self.timed_bytes > 0.0).then(|| 8.0 * self.timed_bytes / self.seconds)
     }
 
-    /// Returns the traffic in bits per second: bytes divided by `wall_s` seconds of wall time.
+    /// Returns the traffic in bits per second: bytes divided by `wall_s` seconds of wall time. `None` if `wall_s` is 0.
     pub fn traffic(&self, wall_s: f64) -> Option<f64> {
         (wall_s > 0.0).then(|| 8.0 * self.bytes / wall_s)
     }
 }
 
-/// Returns the lowest and the highest speed for a delay that is known within `half_width`. The highest speed is `None` if the delay may be
-/// zero.
+/// Returns the lowest and the highest speed for a delay with an interval of `half_width` to both sides. The highest speed is `None` if the
+/// delay may be zero.
 pub fn speed_between(speed: f64, delay: f64, half_width: f64) -> (f64, Option<f64>) {
     let bytes = speed * delay;
     (bytes / (delay + half_width), (half_width < delay).then(|| bytes / (delay - half_width)))
@@ -64,11 +67,11 @@ pub struct Transfers {
 }
 
 impl Transfers {
-    /// Returns the sums of both directions; `of` as for [`Transfer::from_statistics`].
-    pub fn from_statistics(of: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
+    /// Returns the sums of both directions. `statistics` is the same function as for [`Transfer::from_statistics`].
+    pub fn from_statistics(statistics: impl Fn(&Name) -> Option<(u64, f64)>) -> Self {
         Self {
-            up: Transfer::from_statistics(Direction::Up, &of),
-            down: Transfer::from_statistics(Direction::Down, &of),
+            up: Transfer::from_statistics(Direction::Up, &statistics),
+            down: Transfer::from_statistics(Direction::Down, &statistics),
         }
     }
 }
@@ -81,7 +84,7 @@ mod tests {
     const MESSAGES: [(f64, f64); 2] = [(2e3, 1e-6), (122e3, 3.58e-3)];
 
     fn means(name: &Name) -> Option<(u64, f64)> {
-        let mean = |of: fn((f64, f64)) -> f64| MESSAGES.map(of).iter().sum::<f64>() / 2.0;
+        let mean = |quantity: fn((f64, f64)) -> f64| MESSAGES.map(quantity).iter().sum::<f64>() / 2.0;
         match name.as_str() {
             "upload-bytes" => Some((2, mean(|(bytes, _)| bytes))),
             "upload" => Some((2, mean(|(_, seconds)| seconds))),
@@ -107,15 +110,18 @@ mod tests {
 
     #[test]
     fn messages_without_known_delay_count_as_traffic_only() {
-        let of = |name: &Name| match name.as_str() {
+        let statistics = |name: &Name| match name.as_str() {
             "download-bytes" => Some((10, 1_000.0)),
             "download-logger-bytes" => Some((10, 200.0)),
             "download" => Some((4, 0.001)),
             _ => None,
         };
-        let down = Transfer::from_statistics(Direction::Down, of).expect("something was sent");
+        let down = Transfer::from_statistics(Direction::Down, statistics).expect("something was sent");
         assert_eq!((down.bytes, down.timed_bytes, down.seconds), (12_000.0, 4_800.0, 0.004));
-        let unknown = |name: &Name| of(name).filter(|_| name.as_str() != "download");
-        assert_eq!(Transfer::from_statistics(Direction::Down, unknown).and_then(|down| down.speed()), None);
+        let without_delays = |name: &Name| statistics(name).filter(|_| name.as_str() != "download");
+        assert_eq!(
+            Transfer::from_statistics(Direction::Down, without_delays).and_then(|down| down.speed()),
+            None
+        );
     }
 }

@@ -19,4 +19,4 @@ pub mod svg;
 pub mod text;
 
 pub use of_calibration::draw_calibration;
-pub use of_results::{Columns, Kind, MissingData, PlotError, Written, draw, of_experiment, of_run};
+pub use of_results::{Columns, Kind, MissingData, PlotError, WrittenFigures, draw, of_experiment, of_run};

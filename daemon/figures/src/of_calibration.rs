@@ -11,8 +11,8 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
 use peernet_analysis::fit::rate;
 
-/// Draws `latency` and `throughput` of a study as `.png`, `.svg`, `.pdf` and `-caption.txt` into an existing folder; returns the files that
-/// were written. Figures without data are left out.
+/// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and `-caption.txt`.
+/// Returns the files that were written. A figure without data is left out.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -56,7 +56,7 @@ fn latency(study: &Study) -> Option<Scaling> {
     )
 }
 
-/// Returns the figure of throughput against size, with the throughput that the slope implies; `None` if no delay is known.
+/// Returns the figure of throughput against size, with the throughput that the slope of the delays implies; `None` if no delay is known.
 fn throughput(study: &Study) -> Option<Scaling> {
     let value = |size: &SizeSummary| {
         let bounds = size.throughput_bounds;
@@ -111,7 +111,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns a message that takes 60 µs and 1 ns for each byte, with bounds of 50 µs.
+    /// Returns the passage of a message that takes 60 µs plus 1 ns for each byte. Its bounds are 50 µs below and above the true delay.
     fn passage(payload_bytes: u64, number: u64) -> Passage {
         let true_delay = 60e-6 + 1e-9 * payload_bytes as f64 + (number % 7) as f64 * 1e-6;
         let span = Span::from_seconds_f64;
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn both_figures_have_their_texts_and_colours() {
+    fn calibration_figures_have_texts_and_colours() {
         let folder = tempfile::tempdir().expect("a folder");
         let written = draw_calibration(&study(), folder.path()).expect("writable");
         let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();

@@ -1,4 +1,4 @@
-//! A writer of SVG, and of the few HTML elements around it: tags and values are typed, text is escaped.
+//! Writer of SVG and of the few HTML elements around it. Tags and values are typed; text is escaped.
 //!
 //! ```
 //! use peernet_figures::svg::{Share, Tag, Writer};
@@ -61,62 +61,62 @@ impl Tag {
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Share(pub f64);
 
-/// Length in the type size, written in `em`.
+/// Length as a multiple of the type size, written in `em`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Em(pub f64);
 
-/// Length in the root's type size, written in `rem`.
+/// Length as a multiple of the page's root type size, written in `rem`.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Rem(pub f64);
 
 /// Value of an attribute.
 pub trait Value {
-    /// Appends the value, escaped.
-    fn put(&self, out: &mut String);
+    /// Appends the value to `out`, escaped.
+    fn append_to(&self, out: &mut String);
 }
 
 impl Value for f64 {
-    fn put(&self, out: &mut String) {
-        number(out, *self, DECIMALS);
+    fn append_to(&self, out: &mut String) {
+        append_number(out, *self, DECIMALS);
     }
 }
 
 impl Value for Share {
-    fn put(&self, out: &mut String) {
-        number(out, self.0 * 100.0, DECIMALS);
+    fn append_to(&self, out: &mut String) {
+        append_number(out, self.0 * 100.0, DECIMALS);
         out.push('%');
     }
 }
 
 impl Value for Em {
-    fn put(&self, out: &mut String) {
-        number(out, self.0, DECIMALS);
+    fn append_to(&self, out: &mut String) {
+        append_number(out, self.0, DECIMALS);
         out.push_str("em");
     }
 }
 
 impl Value for Rem {
-    fn put(&self, out: &mut String) {
-        number(out, self.0, DECIMALS);
+    fn append_to(&self, out: &mut String) {
+        append_number(out, self.0, DECIMALS);
         out.push_str("rem");
     }
 }
 
 impl Value for Rgb {
-    fn put(&self, out: &mut String) {
+    fn append_to(&self, out: &mut String) {
         let _ = write!(out, "{self}");
     }
 }
 
 impl Value for &str {
-    fn put(&self, out: &mut String) {
-        escape(out, self);
+    fn append_to(&self, out: &mut String) {
+        append_escaped(out, self);
     }
 }
 
 impl Value for String {
-    fn put(&self, out: &mut String) {
-        escape(out, self);
+    fn append_to(&self, out: &mut String) {
+        append_escaped(out, self);
     }
 }
 
@@ -124,7 +124,8 @@ impl Value for String {
 #[derive(Clone, Debug, Default)]
 pub struct Writer {
     out: String,
-    open: Vec<Tag>,
+    /// Elements that are not closed yet, the innermost last.
+    open_tags: Vec<Tag>,
 }
 
 /// Element whose attributes are being written.
@@ -144,14 +145,14 @@ impl Writer {
 
     /// Ends the element that was opened last.
     pub fn close(&mut self) {
-        if let Some(tag) = self.open.pop() {
-            self.end(tag);
+        if let Some(tag) = self.open_tags.pop() {
+            self.write_end_tag(tag);
         }
     }
 
-    /// Writes text into the open element.
+    /// Writes text into the element that was opened last.
     pub fn words(&mut self, text: &str) {
-        escape(&mut self.out, text);
+        append_escaped(&mut self.out, text);
     }
 
     /// Appends the content of another writer.
@@ -161,13 +162,13 @@ impl Writer {
 
     /// Returns the text, with all open elements closed.
     pub fn finish(mut self) -> String {
-        while !self.open.is_empty() {
+        while !self.open_tags.is_empty() {
             self.close();
         }
         self.out
     }
 
-    fn end(&mut self, tag: Tag) {
+    fn write_end_tag(&mut self, tag: Tag) {
         self.out.push_str("</");
         self.out.push_str(tag.name());
         self.out.push('>');
@@ -179,23 +180,23 @@ impl Attributes<'_> {
     #[expect(clippy::needless_pass_by_value, reason = "values are literals and small structs")]
     pub fn set(self, name: &'static str, value: impl Value) -> Self {
         let _ = write!(self.writer.out, " {name}=\"");
-        value.put(&mut self.writer.out);
+        value.append_to(&mut self.writer.out);
         self.writer.out.push('"');
         self
     }
 
-    /// Writes an attribute if there is a value for it.
-    pub fn some(self, name: &'static str, value: Option<impl Value>) -> Self {
+    /// Writes an attribute if it has a value.
+    pub fn set_optional(self, name: &'static str, value: Option<impl Value>) -> Self {
         match value {
             Some(value) => self.set(name, value),
             None => self,
         }
     }
 
-    /// Ends the element, which has no content.
+    /// Ends the element without content.
     pub fn leaf(self) {
         if matches!(self.tag, Tag::Div | Tag::Li | Tag::Span | Tag::Ul) {
-            // HTML reads `<span/>` as a span that is open.
+            // HTML reads `<span/>` as the start tag of a span.
             self.words("");
         } else {
             self.writer.out.push_str("/>");
@@ -205,33 +206,34 @@ impl Attributes<'_> {
     /// Leaves the element open for nested elements, until [`Writer::close`].
     pub fn open(self) {
         self.writer.out.push('>');
-        self.writer.open.push(self.tag);
+        self.writer.open_tags.push(self.tag);
     }
 
-    /// Ends the element with text in it.
+    /// Writes text as the content of the element and ends the element.
     pub fn words(self, text: &str) {
         self.writer.out.push('>');
-        escape(&mut self.writer.out, text);
-        self.writer.end(self.tag);
+        append_escaped(&mut self.writer.out, text);
+        self.writer.write_end_tag(self.tag);
     }
 }
 
-/// Appends a number with at most `decimals` decimals and without trailing zeros; 0 if it is not finite.
-pub(crate) fn number(out: &mut String, value: f64, decimals: usize) {
+/// Appends a number with at most `decimals` decimals and without trailing zeros. Appends 0 for a number that is not finite, because SVG
+/// has no such numbers.
+pub(crate) fn append_number(out: &mut String, value: f64, decimals: usize) {
     let value = if value.is_finite() { value } else { 0.0 };
-    let from = out.len();
+    let start = out.len();
     let _ = write!(out, "{value:.decimals$}");
-    if out[from..].contains('.') {
-        let kept = out.trim_end_matches('0').trim_end_matches('.').len();
-        out.truncate(kept.max(from));
+    if out[start..].contains('.') {
+        let trimmed_len = out.trim_end_matches('0').trim_end_matches('.').len();
+        out.truncate(trimmed_len.max(start));
     }
-    if matches!(&out[from..], "-0" | "") {
-        out.replace_range(from.., "0");
+    if matches!(&out[start..], "-0" | "") {
+        out.replace_range(start.., "0");
     }
 }
 
-/// Appends text in which nothing is markup. A control character would make the SVG unreadable.
-fn escape(out: &mut String, text: &str) {
+/// Appends text with its markup characters escaped. Control characters become spaces, because they would make the SVG unreadable.
+fn append_escaped(out: &mut String, text: &str) {
     for character in printable_line(text).chars() {
         match character {
             '&' => out.push_str("&amp;"),
@@ -248,10 +250,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_short_and_always_numbers() {
+    fn numbers_have_no_trailing_zeros_and_are_finite() {
         let text = |value: f64| {
             let mut out = "=".to_owned();
-            number(&mut out, value, DECIMALS);
+            append_number(&mut out, value, DECIMALS);
             out
         };
         let values = [0.0, -0.0001, 100.0, 12.345_67, -3.5, f64::NAN, f64::INFINITY, 1e7];

@@ -94,8 +94,8 @@ fn position_cell(row: &Row, name: &str) -> String {
 }
 
 fn delay_cell(row: &Row, name: &str) -> String {
-    let word = |passage: Option<&Passage>, of: fn(&Passage) -> &'static str| {
-        passage.map(of).unwrap_or_default().to_owned()
+    let word = |passage: Option<&Passage>, name: fn(&Passage) -> &'static str| {
+        passage.map(name).unwrap_or_default().to_owned()
     };
     match name {
         "upload-verdict" => word(row.upload.as_ref(), |passage| passage.delay.verdict.name()),
@@ -111,7 +111,7 @@ fn number_cell(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
 
-/// Copies a file of rows and fills up its lines to the length of the header.
+/// Copies a file of rows under a new header. Empty cells are appended to each row for the columns that the file does not have.
 pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()> {
     let mut reader = csv::ReaderBuilder::new().has_headers(false).from_path(from)?;
     let mut out = BufWriter::new(std::fs::File::create(to)?);

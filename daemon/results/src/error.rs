@@ -13,10 +13,10 @@ pub enum FolderError {
         .0.display()
     )]
     NotEmpty(PathBuf),
-    /// Another program writes its results there.
+    /// Another program writes its results to the folder.
     #[error("another peernet is writing its results to {}; wait until it ends, stop it or name another folder", .0.display())]
     Busy(PathBuf),
-    /// The path leads to a file.
+    /// The path is not a folder.
     #[error("{} is not a folder", .0.display())]
     NotAFolder(PathBuf),
     /// The folder cannot be created.

@@ -18,11 +18,11 @@ use super::summary::{csv, latex, markdown};
 /// Location of the written results.
 #[derive(Debug)]
 pub struct WrittenResults {
-    /// The folder: the requested one, or a temporary one if that cannot be written.
+    /// Folder of the results: the requested folder, or a temporary folder if the requested folder cannot be written.
     pub folder: PathBuf,
-    /// The files in it.
+    /// Paths of the written files.
     pub files: Vec<PathBuf>,
-    /// Reason that the requested folder cannot be written.
+    /// Reason that the requested folder cannot be written; `None` if it was written.
     pub write_error: Option<WriteError>,
 }
 
@@ -41,16 +41,16 @@ pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<W
     match write_files(&fallback, record, rows) {
         Ok(files) => Ok(WrittenResults { folder: fallback, files, write_error: Some(write_error) }),
         Err(error) => {
-            // The folder is empty unless all rows were written; a folder with rows stays.
+            // Only an empty folder is removed. If all rows were written before the error, the folder stays.
             let _ = std::fs::remove_dir(&fallback);
             Err(combine_errors(&write_error, &error.path, &error.reason))
         }
     }
 }
 
-/// Joins the errors of both folders.
+/// Joins the errors of the requested folder and of the temporary folder.
 fn combine_errors(first: &WriteError, path: &Path, reason: &str) -> WriteError {
-    let reason = format!("{}; nor {}: {reason}", first.reason, path.display());
+    let reason = format!("{}; also failed in {}: {reason}", first.reason, path.display());
     WriteError { path: first.path.clone(), reason }
 }
 
@@ -72,8 +72,8 @@ fn write_files(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<Vec<Pat
     Ok(files)
 }
 
-/// Returns whether the file has every row, and a cell for every value. A column that was added late lacks the values
-/// of the rows before it.
+/// Returns whether the file has every row and the columns of all values. Rows that were written before a column was added
+/// have empty cells in this column, even if they have a value; such a file is not complete.
 fn is_complete(path: &Path, rows: &Rows) -> bool {
     let Ok(mut file) = File::open(path) else { return false };
     if !ends_with_line(&mut file).unwrap_or(false) {
@@ -97,8 +97,8 @@ fn is_complete(path: &Path, rows: &Rows) -> bool {
 /// Writes a new file and renames it, so that the file is always complete.
 fn replace(path: &Path, rows: &Rows) -> Result<(), WriteError> {
     let new_file = path.with_extension("csv.new");
-    let written = write_rows(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
-    written.map_err(WriteError::at(path)).inspect_err(|_| {
+    let result = write_rows(&new_file, rows).and_then(|()| std::fs::rename(&new_file, path));
+    result.map_err(WriteError::at(path)).inspect_err(|_| {
         // The new file does not exist if it could not be created.
         let _ = std::fs::remove_file(&new_file);
     })
@@ -118,11 +118,11 @@ fn write_rows(path: &Path, rows: &Rows) -> std::io::Result<()> {
     out.flush()
 }
 
-/// Writes a file that users outside of its group cannot read, because arguments of programs may contain secrets.
+/// Writes a file that only its owner and its group can read, because arguments of programs may contain secrets.
 fn write_private(path: &Path, content: &[u8]) -> std::io::Result<()> {
     let mut file = File::options().create(true).truncate(true).write(true).mode(0o640).open(path)?;
-    // An existing file keeps its mode when it is opened. A file system without permissions, such as FAT, has none to
-    // set.
+    // An existing file keeps its mode when it is opened, so the mode is changed afterwards. File systems without
+    // permissions, such as FAT, refuse this, which is no error.
     let mode = file.metadata()?.permissions().mode();
     if mode & OTHERS != 0
         && let Err(error) = file.set_permissions(Permissions::from_mode(mode & !OTHERS))

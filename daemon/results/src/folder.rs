@@ -1,4 +1,4 @@
-//! A folder of results.
+//! Folder with the results of a run.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub struct ResultFolder {
 }
 
 impl ResultFolder {
-    /// Prepares the folder, or another one according to `overwrite`.
+    /// Prepares the folder, or a subfolder according to `overwrite`. [`Overwrite::Replace`] removes earlier results.
     ///
     /// # Errors
     /// Those of [`Self::acquire`], and if results in the folder cannot be removed.
@@ -33,8 +33,8 @@ impl ResultFolder {
         Ok(folder)
     }
 
-    /// Locks the folder, or another one according to `overwrite`, for this program. Files that are to be replaced are
-    /// still there.
+    /// Locks the folder, or a subfolder according to `overwrite`, for this program. Files that are to be replaced are not
+    /// removed yet.
     ///
     /// # Errors
     /// If another program writes to the folder, or if it contains files that may not be replaced, is not a folder or
@@ -53,7 +53,7 @@ impl ResultFolder {
         &self.path
     }
 
-    /// Creates `data.csv`; its header is written at once.
+    /// Creates `data.csv` and writes its header.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -70,9 +70,9 @@ impl ResultFolder {
         super::finish::finish(&self.path, record, rows)
     }
 
-    /// Reads results of this program, of older versions, or a single `data.csv` of the published program. The path is a
-    /// folder or a file of rows. A truncated file yields its complete rows; [`Loaded::damage`] reports
-    /// the rest.
+    /// Reads results of this program or of its older versions, or a single `data.csv` of the paper's original program. The
+    /// path is a folder or a file of rows. A truncated file yields its complete rows; [`Loaded::damage`] reports that rows
+    /// are missing.
     ///
     /// # Errors
     /// If there are no results or they cannot be read.
@@ -80,8 +80,8 @@ impl ResultFolder {
         super::read::open(path, &|_| true)
     }
 
-    /// Reads results as [`Self::open`] does, but keeps the numbers of the wanted columns only, which saves memory
-    /// with long runs.
+    /// Reads results as [`Self::open`] does, but stores only the numbers of the wanted columns. This saves memory with long
+    /// runs.
     ///
     /// # Errors
     /// If there are no results or they cannot be read.
@@ -89,8 +89,8 @@ impl ResultFolder {
         super::read::open(path, wanted)
     }
 
-    /// Returns all result folders in a folder and below, itself included, in the natural order of their names. Links
-    /// are not followed, and hidden folders are skipped.
+    /// Returns all result folders in a folder and below it, including the folder itself, in the natural order of their
+    /// names. Links are not followed, and hidden folders are skipped.
     pub fn find(dir: &Path) -> Vec<PathBuf> {
         super::preparation::find(dir)
     }

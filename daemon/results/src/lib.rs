@@ -1,5 +1,5 @@
-//! Results of a run: `data.csv`, `run.json` and `summary.{md,csv,tex}`, which are written during the run and read
-//! back.
+//! Files with the results of a run: `data.csv`, `run.json` and `summary.{md,csv,tex}`. The crate writes them and reads
+//! them back.
 //!
 //! ```text
 //! iteration ── Row ──┬─ RowWriter ──────── data.csv ──┐

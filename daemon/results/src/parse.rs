@@ -7,7 +7,7 @@ use std::path::Path;
 use peernet_analysis::rows::{Column, ColumnKind, FIXED_COLUMNS, Outcome, RowBuilder, Rows, column};
 use peernet_clock::{DelaySource, Verdict};
 
-/// The published stages, whose sum is the paper's Total.
+/// Stages of the paper's original program. Their sum is the *Total* of the paper.
 const PUBLISHED_STAGES: [&str; 6] =
     ["sensing", "upload", "preprocessing", "inference", "postprocessing", "download"];
 
@@ -27,7 +27,7 @@ pub(crate) enum ParseError {
 /// State of reading a file line by line.
 pub(crate) struct RowParser {
     columns: Vec<ColumnParser>,
-    /// `true` if the sum of the stages has to be added.
+    /// True if the file does not have the sum of the stages, so that the parser adds it.
     needs_sum: bool,
     rows: Rows,
 }
@@ -38,16 +38,17 @@ struct ColumnParser {
     kind: Option<ColumnKind>,
     /// Index in [`PUBLISHED_STAGES`], if the column is a published stage.
     stage: Option<usize>,
-    /// Index of its numbers in a row; `None` until there is a number.
+    /// Index of the column's numbers in a row; `None` until the first number was read.
     index: Option<usize>,
-    wanted: bool,
+    /// True if the numbers of the column are stored.
+    is_wanted: bool,
 }
 
 impl RowParser {
-    /// Reads all rows with the wanted columns. The second value says whether a column marks the rows of the warm-up;
-    /// otherwise the first `warm_up` rows are the warm-up.
+    /// Reads all rows with the wanted columns. The second value says whether the file has a column that marks the rows of
+    /// the warm-up. If it has not, the first `warm_up` rows are the warm-up.
     ///
-    /// A truncated last line is ignored, because the program was killed while it wrote the line.
+    /// A truncated last line of this program's file is ignored, because the program was killed while it wrote the line.
     pub(crate) fn read_rows(
         path: &Path,
         warm_up: usize,
@@ -57,19 +58,19 @@ impl RowParser {
         let ends_with_line = ends_with_line(&mut file)?;
         let mut reader = csv::Reader::from_reader(file);
         let kind = |name: &str| FIXED_COLUMNS.iter().find(|(fixed, _)| *fixed == name).map(|(_, kind)| *kind);
-        let cells = |name: &str| {
+        let column_parser = |name: &str| {
             let name = without_value_suffix(name.trim());
             ColumnParser {
                 name: column(name),
                 kind: kind(name),
                 stage: PUBLISHED_STAGES.iter().position(|stage| *stage == name),
                 index: None,
-                wanted: wanted(name),
+                is_wanted: wanted(name),
             }
         };
-        let columns: Vec<ColumnParser> = reader.headers()?.iter().map(cells).collect();
-        let has = |wanted: &str| columns.iter().any(|cells| cells.name == wanted);
-        if !columns.iter().any(|cells| matches!(cells.kind, Some(ColumnKind::Node))) {
+        let columns: Vec<ColumnParser> = reader.headers()?.iter().map(column_parser).collect();
+        let has = |name: &str| columns.iter().any(|column| column.name == name);
+        if !columns.iter().any(|column| matches!(column.kind, Some(ColumnKind::Node))) {
             return Err(ParseError::NoRunColumn);
         }
         let (has_warm_up_column, is_ours, needs_sum) = (has("warm-up"), has("outcome"), !has("stages-total"));
@@ -81,54 +82,56 @@ impl RowParser {
                 break;
             }
             let is_warm_up = !has_warm_up_column && parser.rows.len() < warm_up;
-            parser.row(&record?, is_warm_up)?;
+            parser.parse_row(&record?, is_warm_up)?;
         }
         Ok((parser.rows, has_warm_up_column))
     }
 
-    fn row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), ParseError> {
+    fn parse_row(&mut self, record: &csv::StringRecord, is_warm_up: bool) -> Result<(), ParseError> {
         let line = record.position().map_or(0, csv::Position::line);
         let Self { columns, rows, .. } = self;
         let mut row = rows.build_row();
         row.warm_up = is_warm_up;
         let mut verdicts = [(None, None); 2];
         let mut stages = [None; PUBLISHED_STAGES.len()];
-        for (cells, text) in columns.iter_mut().zip(record) {
+        for (column_parser, text) in columns.iter_mut().zip(record) {
             let cell = text.trim();
-            if cell.is_empty() || cells.is_ignored() {
+            if cell.is_empty() || column_parser.is_ignored() {
                 continue;
             }
             let invalid_cell = |expected| ParseError::Cell {
                 line,
-                column: cells.name.to_string(),
+                column: column_parser.name.to_string(),
                 cell: cell.to_owned(),
                 expected,
             };
-            if cells.is_text() {
-                let direction = &mut verdicts[usize::from(cells.name.starts_with("download"))];
-                store_text(&mut row, direction, &cells.name, text)
+            if column_parser.is_text() {
+                let direction = &mut verdicts[usize::from(column_parser.name.starts_with("download"))];
+                store_text(&mut row, direction, &column_parser.name, text)
                     .ok_or_else(|| invalid_cell("an outcome, verdict or source"))?;
                 continue;
             }
             let number = match cell.parse::<f64>() {
                 Ok(number) => number,
                 // The CSV export of earlier dashboards writes truth values.
-                Err(_) if cells.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
+                Err(_) if column_parser.name.as_ref() == "warm-up" && ["true", "false"].contains(&cell) => {
                     f64::from(u8::from(cell == "true"))
                 }
                 // A text that a user added to the numbers is ignored.
-                Err(_) if cells.kind.is_none() => continue,
+                Err(_) if column_parser.kind.is_none() => continue,
                 Err(_) => return Err(invalid_cell("a number")),
             };
-            if let Some(stage) = cells.stage {
+            if let Some(stage) = column_parser.stage {
                 stages[stage] = Some(number);
             }
-            match cells.name.as_ref() {
+            match column_parser.name.as_ref() {
                 "warm-up" => row.warm_up = number != 0.0,
                 // Zero means that the time was not recorded.
                 "at" if number == 0.0 => {}
-                _ if cells.wanted && cells.is_meaningful(number) => {
-                    let index = *cells.index.get_or_insert_with(|| row.column_index(rows, &cells.name));
+                _ if column_parser.is_wanted && column_parser.is_meaningful(number) => {
+                    let index = *column_parser
+                        .index
+                        .get_or_insert_with(|| row.column_index(rows, &column_parser.name));
                     row.numbers[index] = Some(number);
                 }
                 _ => {}
@@ -138,7 +141,7 @@ impl RowParser {
         let number = rows.len() as f64 + 1.0;
         let iteration = row.column_index(rows, &column("iteration"));
         row.numbers[iteration].get_or_insert(number);
-        // A stage whose duration is unknown is missing in the sum, too.
+        // A stage whose duration is unknown is not part of the sum.
         let sum: Option<f64> = stages.into_iter().flatten().reduce(|sum, stage| sum + stage);
         if let Some(sum) = sum.filter(|sum| self.needs_sum && sum.is_finite()) {
             let index = row.column_index(rows, &column("stages-total"));
@@ -164,17 +167,18 @@ impl ColumnParser {
 
     /// Returns whether the column is ignored: it is not one of the fixed columns, and it is not wanted.
     fn is_ignored(&self) -> bool {
-        self.kind.is_none() && !self.wanted
+        self.kind.is_none() && !self.is_wanted
     }
 }
 
-/// Returns the name of the stage whose duration a column has. The published program joins the names of nested nodes by
-/// underscores (`inference_backbone`), and adds `_val` for the value of a node that has nested nodes (`inference_val`).
+/// Returns the name of a column without the suffix `_val` if it is the column of a stage. The paper's original program
+/// joins the names of nested nodes by underscores (`inference_backbone`), and adds `_val` for the value of a node that has
+/// nested nodes (`inference_val`).
 fn without_value_suffix(name: &str) -> &str {
     name.strip_suffix("_val").filter(|stage| PUBLISHED_STAGES.contains(stage)).unwrap_or(name)
 }
 
-/// Stores the text of a cell; returns `None` if the column does not permit it.
+/// Stores the text of a cell. Returns `None` if the text is not valid in the column.
 fn store_text(
     row: &mut RowBuilder,
     direction: &mut (Option<Verdict>, Option<DelaySource>),

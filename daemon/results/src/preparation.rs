@@ -18,19 +18,19 @@ pub enum Overwrite {
     /// Refuses the folder with an error.
     #[default]
     Refuse,
-    /// Replaces results in it; other files stay.
+    /// Replaces the results in the folder. Other files stay.
     Replace,
-    /// Uses a new folder in it: `run-2`, `run-3`, …
+    /// Uses a new subfolder: `run-2`, `run-3`, …
     Subfolder,
 }
 
 /// Largest depth below a folder at which results are searched.
 const MAX_DEPTH: usize = 8;
 
-/// Folder with its open file, which holds the lock against other programs.
+/// Path of a folder, and the open folder, which holds the lock against other programs.
 pub(crate) type LockedFolder = (PathBuf, File);
 
-/// Finds the folder that `overwrite` permits and locks it for this program; its contents are left unchanged.
+/// Locks the folder that `overwrite` permits for this program: `dir` or a new subfolder. The files in the folder are not changed.
 pub(crate) fn acquire(dir: &Path, overwrite: Overwrite) -> Result<LockedFolder, FolderError> {
     let creation_error = |path: &Path| {
         let path = path.to_owned();
@@ -89,7 +89,7 @@ pub(crate) fn clear(dir: &Path) -> Result<(), FolderError> {
     Ok(())
 }
 
-/// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same.
+/// Creates the first subfolder that does not exist. Creation is atomic, so that two programs never get the same subfolder.
 fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
     let mut number = 2_u32;
     loop {
@@ -102,15 +102,16 @@ fn subfolder(dir: &Path) -> std::io::Result<PathBuf> {
     }
 }
 
+/// Returns the result folders in a folder and below it.
 pub(crate) fn find(dir: &Path) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    search(dir, MAX_DEPTH, &mut found);
-    found
+    let mut result_folders = Vec::new();
+    search(dir, MAX_DEPTH, &mut result_folders);
+    result_folders
 }
 
-fn search(dir: &Path, remaining_depth: usize, found: &mut Vec<PathBuf>) {
+fn search(dir: &Path, remaining_depth: usize, result_folders: &mut Vec<PathBuf>) {
     if dir.join(DATA).is_file() {
-        found.push(dir.to_owned());
+        result_folders.push(dir.to_owned());
     }
     let Some(remaining_depth) = remaining_depth.checked_sub(1) else { return };
     // A folder that cannot be read contains nothing that could be read.
@@ -124,18 +125,18 @@ fn search(dir: &Path, remaining_depth: usize, found: &mut Vec<PathBuf>) {
     folders.sort_by_cached_key(|path| {
         natural_order_key(&path.file_name().unwrap_or_default().to_string_lossy())
     });
-    folders.iter().for_each(|folder| search(folder, remaining_depth, found));
+    folders.iter().for_each(|folder| search(folder, remaining_depth, result_folders));
 }
 
-/// Returns a sort key by which `run-2` precedes `run-10`: texts and numbers alternate.
+/// Returns a sort key by which `run-2` precedes `run-10`. The key is a list of texts, each with the number that follows it.
 fn natural_order_key(name: &str) -> Vec<(String, u128)> {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {
-        let digits = rest.find(|char: char| char.is_ascii_digit()).unwrap_or(rest.len());
-        let (text, tail) = rest.split_at(digits);
-        let end = tail.find(|char: char| !char.is_ascii_digit()).unwrap_or(tail.len());
-        let (number, tail) = tail.split_at(end);
+        let text_len = rest.find(|char: char| char.is_ascii_digit()).unwrap_or(rest.len());
+        let (text, tail) = rest.split_at(text_len);
+        let number_len = tail.find(|char: char| !char.is_ascii_digit()).unwrap_or(tail.len());
+        let (number, tail) = tail.split_at(number_len);
         key.push((text.to_owned(), number.parse().unwrap_or(u128::MAX)));
         rest = tail;
     }

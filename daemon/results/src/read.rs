@@ -12,7 +12,7 @@ use super::FolderError;
 use super::file_names::{DATA, RECORD};
 use super::parse::RowParser;
 
-/// Number of first rows that the published figures leave out.
+/// Number of first rows that the figures of the paper leave out. Rows without a record and without marks have this warm-up.
 const PUBLISHED_WARM_UP_ROWS: usize = 5;
 
 /// Reads results, with the columns that `wanted` accepts.
@@ -39,9 +39,10 @@ pub(crate) fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded,
     Ok(Loaded { folder, record, rows })
 }
 
+/// Reads the record; `None` if the file does not exist.
 fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     let read = || match path.metadata()? {
-        about if about.is_file() => std::fs::read(path),
+        metadata if metadata.is_file() => std::fs::read(path),
         _ => Err(std::io::Error::other("it is not a regular file")),
     };
     match read() {
@@ -51,7 +52,7 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
     }
 }
 
-/// Returns the record of rows without a record file.
+/// Returns a record for rows without a record file, with the facts that follow from the path and the rows.
 fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> RunRecord {
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };

@@ -13,7 +13,7 @@ use peernet_statistics::number::{bound_ms, column_decimals, decimals, duration, 
 
 /// Text for an unknown value.
 const UNKNOWN: &str = "—";
-/// The Tabulated Metrics in the paper's appendix, then both totals, with their names there.
+/// Columns of the *Tabulated Metrics* in the paper's appendix, with their names in the paper, and then both totals.
 const PAPER_METRICS: [(&str, &str); 10] = [
     ("sensing", "Sensing Time"),
     ("upload-bytes", "Upload Size"),
@@ -26,7 +26,7 @@ const PAPER_METRICS: [(&str, &str); 10] = [
     ("stages-total", "Total (sum of stages)"),
     ("total", "Total (measured)"),
 ];
-/// Names of columns that are not named after their stage.
+/// Names of further columns that are clearer than the names of the columns in `data.csv`.
 const COLUMN_NAMES: [(&str, &str); 5] = [
     ("ipc", "IPC with the model's process"),
     ("capture_capture-ipc", "IPC with the sensor's process"),
@@ -35,7 +35,7 @@ const COLUMN_NAMES: [(&str, &str); 5] = [
     ("actuation_actuation-restart", "Restart of the actuator's process"),
 ];
 
-/// Formats a summary for documents: the table, then the sentences about its basis.
+/// Formats a summary as Markdown for documents: the table, then sentences about the iterations, clocks and deadlines.
 pub fn markdown(summary: &Summary) -> String {
     let title = if summary.title.is_empty() { String::new() } else { format!("# {}\n\n", summary.title) };
     format!("{title}{}\n{}\n", table(summary).markdown(), sentences(summary))
@@ -46,12 +46,12 @@ pub fn text(summary: &Summary) -> String {
     format!("{}\n\n{}", table(summary).text(), sentences(summary))
 }
 
-/// Formats a summary for papers, with booktabs.
+/// Formats a summary as LaTeX for papers, with booktabs.
 pub fn latex(summary: &Summary) -> String {
     table(summary).latex(&[summary.title.as_str(), &sentences(summary).replace('\n', " ")].join(". "))
 }
 
-/// Formats a summary for programs: seconds, bytes, bits per second, with every digit.
+/// Formats a summary as CSV for programs: seconds, bytes, bits per second, with all digits.
 pub fn csv(summary: &Summary) -> String {
     let header = ["column", "count", "mean", "std", "median", "median-lo", "median-hi", "p95", "p99", "max"];
     let cell = |value: Option<f64>| value.map(|value| value.to_string()).unwrap_or_default();
@@ -64,14 +64,15 @@ pub fn csv(summary: &Summary) -> String {
     csv_text(&header, &summary.quantities.iter().map(row).collect::<Vec<_>>())
 }
 
-/// Returns the table: the paper's metrics first, then all others.
+/// Returns the table: the metrics of the paper first, then all other columns.
 fn table(summary: &Summary) -> Table {
-    let named = PAPER_METRICS.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
+    let paper_metrics =
+        PAPER_METRICS.iter().filter_map(|(column, name)| Some((summary.quantity(column)?, *name)));
     let rest = summary
         .quantities
         .iter()
         .filter(|quantity| PAPER_METRICS.iter().all(|(name, _)| *name != quantity.column))
-        // The sentences report these.
+        // The sentences below the table report these columns.
         .filter(|quantity| {
             ![UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED].contains(&quantity.column.as_ref())
         });
@@ -84,7 +85,7 @@ fn table(summary: &Summary) -> Table {
     Table {
         header: header.map(str::to_owned).to_vec(),
         labels: 2,
-        rows: named
+        rows: paper_metrics
             .chain(rest)
             .map(|(quantity, name)| cells(quantity, name, &summary.units, digits))
             .collect(),
@@ -92,30 +93,31 @@ fn table(summary: &Summary) -> Table {
     }
 }
 
-/// Returns the sentences about the basis of the table, one per line.
+/// Returns the sentences below the table, one per line.
 fn sentences(summary: &Summary) -> String {
-    let has_width = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
-    let bounds = summary.quantities.iter().any(has_width);
-    let bounds = if bounds { "Clock bounds contain the median of the true values." } else { "" };
-    let unknown = summary.unknown_labels.as_ref().map(|unknown| unknown.sentence(summary.counts.ok));
+    let has_uncertain_bounds = |quantity: &Quantity| quantity.bounds.is_some_and(|(lo, hi)| lo < hi);
+    let needs_explanation = summary.quantities.iter().any(has_uncertain_bounds);
+    let bounds = if needs_explanation { "Clock bounds contain the median of the true values." } else { "" };
+    let unknown_labels = summary.unknown_labels.as_ref().map(|labels| labels.sentence(summary.counts.ok));
     let parts = [
         outcomes(&summary.counts),
         deadline(summary),
         starts(&summary.starts),
         clocks(&summary.clocks.upload, &summary.clocks.download),
         bounds.to_owned(),
-        unknown.unwrap_or_default(),
+        unknown_labels.unwrap_or_default(),
     ];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join("\n")
 }
 
+/// Returns the row of a quantity.
 fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<String> {
     let unit = units.of(&quantity.column);
     let scale = Scale::for_column(&quantity.column, unit);
     let format_number = number_format(scale, quantity, digits);
-    // The mean of values that are right or wrong is the share; a quantile has no meaning.
+    // The mean of scores that are 0 or 1 is the share of right answers. Quantiles of such scores have no meaning.
     let is_share = ACCURACIES.contains(&quantity.column.as_ref());
-    let known =
+    let quantile_cell =
         |value: Option<f64>| value.filter(|_| !is_share).map_or_else(|| UNKNOWN.to_owned(), &format_number);
     let mean = match quantity.std {
         Some(std) => format!("{} ± {}", format_number(quantity.mean), format_number(std)),
@@ -131,21 +133,21 @@ fn cells(quantity: &Quantity, name: &str, units: &Units, digits: Digits) -> Vec<
         unit_of(scale, unit).to_owned(),
         fixed(quantity.count as f64, 0),
         mean,
-        known(Some(quantity.median)),
+        quantile_cell(Some(quantity.median)),
         bounds,
-        known(quantity.p95),
-        known(quantity.p99),
-        known(Some(quantity.max)),
+        quantile_cell(quantity.p95),
+        quantile_cell(quantity.p99),
+        quantile_cell(Some(quantity.max)),
     ]
 }
 
-/// Returns the unit as shown in its column.
-fn unit_of(scale: Scale, logged: Option<&str>) -> &str {
+/// Returns the unit in which the numbers of a quantity are shown.
+fn unit_of(scale: Scale, logged_unit: Option<&str>) -> &str {
     match scale {
         Scale::Milliseconds => "ms",
         Scale::MegabytesPerSecond => "MB/s",
         Scale::Bytes => "B",
-        Scale::AsMeasured => logged.unwrap_or_default(),
+        Scale::AsMeasured => logged_unit.unwrap_or_default(),
     }
 }
 
@@ -158,23 +160,23 @@ struct Digits {
 
 impl Digits {
     fn for_summary(summary: &Summary) -> Self {
-        let of = |scale: Scale| {
-            let is = move |quantity: &&Quantity| {
+        let with_scale = |scale: Scale| {
+            let has_scale = move |quantity: &&Quantity| {
                 Scale::for_column(&quantity.column, summary.units.of(&quantity.column)) == scale
             };
-            summary.quantities.iter().filter(is)
+            summary.quantities.iter().filter(has_scale)
         };
-        let durations = of(Scale::Milliseconds).map(|quantity| column_decimals(quantity.std));
+        let decimals = with_scale(Scale::Milliseconds).map(|quantity| column_decimals(quantity.std));
         Self {
-            milliseconds: durations.max().unwrap_or_default(),
+            milliseconds: decimals.max().unwrap_or_default(),
             megabytes_per_second: decimals_of(
-                of(Scale::MegabytesPerSecond).map(|quantity| quantity.median / 8e6),
+                with_scale(Scale::MegabytesPerSecond).map(|quantity| quantity.median / 8e6),
             ),
         }
     }
 }
 
-/// Returns the formatter of a row's numbers, which all have the same number of decimals.
+/// Returns a function that formats the numbers of a row, all with the same number of decimals.
 fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f64) -> String {
     let (factor, decimals) = match scale {
         Scale::Milliseconds => (1e3, digits.milliseconds),
@@ -187,7 +189,7 @@ fn number_format(scale: Scale, quantity: &Quantity, digits: Digits) -> impl Fn(f
 
 /// Returns the sentence about the outcomes of the iterations.
 fn outcomes(counts: &Counts) -> String {
-    let ends = [
+    let other_outcomes = [
         (counts.failed, "failed"),
         (counts.lost, "lost"),
         (counts.timeout, "without an answer in time"),
@@ -195,9 +197,10 @@ fn outcomes(counts: &Counts) -> String {
         (counts.unseen, "measured but not recorded"),
     ];
     let answered = std::iter::once((counts.ok, "answered"));
-    let ends = answered.chain(ends.into_iter().filter(|(count, _)| *count > 0));
-    let ends: Vec<String> = ends.map(|(count, what)| format!("{} {what}", fixed(count as f64, 0))).collect();
-    format!("Iterations: {}.", ends.join("; "))
+    let outcomes = answered.chain(other_outcomes.into_iter().filter(|(count, _)| *count > 0));
+    let texts: Vec<String> =
+        outcomes.map(|(count, outcome)| format!("{} {outcome}", fixed(count as f64, 0))).collect();
+    format!("Iterations: {}.", texts.join("; "))
 }
 
 /// Returns the sentence about missed deadlines; empty without a deadline.
@@ -207,8 +210,8 @@ fn deadline(summary: &Summary) -> String {
     };
     let deadline =
         summary.deadline_s.map_or_else(String::new, |seconds| format!(" of {}", duration(seconds).plain()));
-    let [missed, of] = [misses.missed, misses.iterations].map(|count| fixed(count as f64, 0));
-    format!("Deadline{deadline}: missed by {missed} of {of} iterations ({} %).", percent(rate))
+    let [missed, total] = [misses.missed, misses.iterations].map(|count| fixed(count as f64, 0));
+    format!("Deadline{deadline}: missed by {missed} of {total} iterations ({} %).", percent(rate))
 }
 
 /// Returns the sentence about skipped starts; empty if there are none.
@@ -219,16 +222,16 @@ fn starts(starts: &Starts) -> String {
 /// Returns the sentence about the clock verdicts of the delays; empty if there are no delays.
 fn clocks(up: &ClockCounts, down: &ClockCounts) -> String {
     let list = |counts: &BTreeMap<String, u64>| {
-        let items = counts.iter().map(|(what, count)| format!("{} {what}", fixed(*count as f64, 0)));
+        let items = counts.iter().map(|(name, count)| format!("{} {name}", fixed(*count as f64, 0)));
         items.collect::<Vec<_>>().join(", ")
     };
     let direction = |name: &str, counts: &ClockCounts| {
         let sources: Vec<&str> = counts.sources.keys().map(String::as_str).collect();
         let width = counts.median_width.map(|width| bound_ms(width / 2.0));
         let width = width.map(|width| if width == "exact" { width } else { format!("{width} ms") });
-        let basis: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
-        let known = !counts.verdicts.is_empty();
-        known.then(|| format!("{name} {} ({})", list(&counts.verdicts), basis.join(", ")))
+        let sources_and_width: Vec<&str> = sources.into_iter().chain(width.as_deref()).collect();
+        let has_delays = !counts.verdicts.is_empty();
+        has_delays.then(|| format!("{name} {} ({})", list(&counts.verdicts), sources_and_width.join(", ")))
     };
     let directions: Vec<String> =
         [direction("upload", up), direction("download", down)].into_iter().flatten().collect();

@@ -9,30 +9,31 @@ use peernet_analysis::rows::Row;
 
 use super::cells::{self, Header};
 
-/// Longest time between two writes, seconds of the rows' own time.
+/// Longest time between two writes, in seconds between the starts of the rows' iterations.
 const WRITE_INTERVAL_S: f64 = 1.0;
-/// Number of waiting bytes after which rows are written before that time is over.
+/// Number of waiting bytes from which rows are written before [`WRITE_INTERVAL_S`] is over.
 const MAX_PENDING_BYTES: usize = 256 * 1024;
 
 /// Writes rows to `data.csv` as they come: at least once a second, and at the end.
 ///
-/// A disk that is full or missing loses no measurement: rows that cannot be written stay in memory and are tried
-/// again with the next rows, and the file ends with its last complete row.
+/// No measurement is lost if the disk is full or missing. Rows that cannot be written stay in memory and are written with
+/// the next rows. The file always ends with a complete row.
 #[derive(Debug)]
 pub struct RowWriter {
     path: PathBuf,
     file: File,
     header: Header,
-    /// Length of the file's complete rows, bytes.
+    /// Length of the complete rows in the file, bytes.
     complete_bytes: u64,
     /// Rows that are not in the file yet, each with as many cells as the header.
     pending: Vec<u8>,
     /// Number of rows at the last attempt to rewrite the file, and current number of rows.
     rows: (u64, u64),
+    /// Start of the last iteration that was written, seconds.
     written_at: f64,
-    /// Number of bytes that were still waiting after the last attempt.
+    /// Number of bytes that were still waiting after the last attempt to write.
     pending_after_attempt: usize,
-    /// `true` if part of a row may follow the complete rows.
+    /// True if the file may have a part of a row after the complete rows.
     has_partial_row: bool,
     write_error: Option<WriteError>,
 }
@@ -101,8 +102,8 @@ impl RowWriter {
     /// If rows cannot be written. The file then ends with the last row that was written;
     /// [`ResultFolder::finish`](super::ResultFolder::finish) finds another place for all rows.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
-        let written = self.write_pending().and_then(|()| self.file.sync_all());
-        written.map_err(WriteError::at(&self.path))?;
+        let result = self.write_pending().and_then(|()| self.file.sync_all());
+        result.map_err(WriteError::at(&self.path))?;
         Ok(self.path)
     }
 
@@ -130,8 +131,8 @@ impl RowWriter {
         Ok(())
     }
 
-    /// Rewrites the file with the columns of a row. After a failure everything stays as it is, and the next attempt
-    /// is delayed.
+    /// Rewrites the file with the further columns of a row. If this fails, file and header stay as they are, and the next
+    /// attempt is delayed.
     fn add_columns(&mut self, row: &Row) {
         self.rows.0 = self.rows.1;
         self.flush();
@@ -150,13 +151,13 @@ impl RowWriter {
 
     fn rewrite(&self, header: &Header) -> std::io::Result<(File, u64)> {
         let new_file = self.path.with_extension("csv.new");
-        let made = cells::pad_rows(&self.path, &new_file, header).and_then(|()| {
+        let result = cells::pad_rows(&self.path, &new_file, header).and_then(|()| {
             std::fs::rename(&new_file, &self.path)?;
             let mut file = OpenOptions::new().write(true).open(&self.path)?;
             let complete_bytes = file.seek(SeekFrom::End(0))?;
             Ok((file, complete_bytes))
         });
-        made.inspect_err(|_| {
+        result.inspect_err(|_| {
             // The new file does not exist if it could not be created.
             let _ = std::fs::remove_file(&new_file);
         })
@@ -179,15 +180,15 @@ fn write_counted(out: &mut impl Write, bytes: &[u8]) -> (usize, std::io::Result<
 
 /// Returns the length of the complete rows. A line feed within quotes does not end a row.
 fn complete_rows_len(bytes: &[u8]) -> usize {
-    let (mut quoted, mut complete) = (false, 0);
-    for (at, byte) in bytes.iter().enumerate() {
+    let (mut is_quoted, mut complete_len) = (false, 0);
+    for (index, byte) in bytes.iter().enumerate() {
         match byte {
-            b'"' => quoted = !quoted,
-            b'\n' if !quoted => complete = at + 1,
+            b'"' => is_quoted = !is_quoted,
+            b'\n' if !is_quoted => complete_len = index + 1,
             _ => {}
         }
     }
-    complete
+    complete_len
 }
 
 #[cfg(test)]
@@ -235,13 +236,13 @@ mod tests {
     #[test]
     fn rows_written_before_full_disk_are_complete() {
         let rows = b"1,ok\n2,\"a \"\"b\"\"\nc\"\n3,ok\n";
-        let kept = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|room| {
-            let mut room = vec![0; room];
-            let (written, outcome) = write_counted(&mut room.as_mut_slice(), rows);
-            assert_eq!((written, outcome.is_ok()), (room.len(), room.len() == rows.len()));
+        let complete_lens = [4, 5, 14, rows.len() - 6, rows.len() - 1, rows.len()].map(|free_bytes| {
+            let mut disk = vec![0; free_bytes];
+            let (written, outcome) = write_counted(&mut disk.as_mut_slice(), rows);
+            assert_eq!((written, outcome.is_ok()), (disk.len(), disk.len() == rows.len()));
             complete_rows_len(&rows[..written])
         });
-        assert_eq!(kept, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
+        assert_eq!(complete_lens, [0, 5, 5, 5, rows.len() - 5, rows.len()]);
     }
 
     #[test]

@@ -17,9 +17,9 @@ pub struct Moments {
     pub mean: f64,
     /// Sum of squared deviations from the mean.
     pub m2: f64,
-    /// Smallest value; 0 if there are none.
+    /// Smallest value; 0 if there are no values.
     pub min: f64,
-    /// Largest value; 0 if there are none.
+    /// Largest value; 0 if there are no values.
     pub max: f64,
 }
 
@@ -74,7 +74,7 @@ impl Moments {
     }
 }
 
-/// Moments of an untrusted source, before their check.
+/// Moments from an untrusted source, before they are checked.
 // A NaN would invalidate all statistics that it is merged into.
 #[derive(Deserialize)]
 struct UncheckedMoments {
@@ -114,7 +114,7 @@ mod tests {
 
     use super::*;
 
-    fn of(values: &[f64]) -> Moments {
+    fn moments_of(values: &[f64]) -> Moments {
         let mut moments = Moments::default();
         values.iter().for_each(|value| moments.record(*value));
         moments
@@ -141,7 +141,7 @@ mod tests {
         #[test]
         fn one_number_at_a_time_equals_two_passes(values in durations()) {
             let (mean, variance) = two_passes(&values);
-            let moments = of(&values);
+            let moments = moments_of(&values);
             prop_assert!(close(moments.mean, mean));
             prop_assert!(close(moments.variance().expect("two or more"), variance));
             prop_assert_eq!(moments.count, values.len() as u64);
@@ -153,7 +153,7 @@ mod tests {
         fn merging_in_any_pieces_equals_two_passes(values in durations(), pieces in 1_usize..20) {
             let mut merged = Moments::default();
             for piece in values.chunks(pieces) {
-                merged.merge(&of(piece));
+                merged.merge(&moments_of(piece));
             }
             let (mean, variance) = two_passes(&values);
             prop_assert!(close(merged.mean, mean));
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn inconsistent_moments_are_refused() {
-        let good = of(&[1.0, 2.0]);
+        let good = moments_of(&[1.0, 2.0]);
         let nan = Moments { mean: f64::NAN, ..good };
         let crossed = Moments { min: 3.0, ..good };
         let wire = |moments| rmp_serde::to_vec(&moments).expect("serialises");
@@ -175,8 +175,8 @@ mod tests {
 
     #[test]
     fn merging_empty_moments_changes_nothing() {
-        let mut moments = of(&[2.0]);
+        let mut moments = moments_of(&[2.0]);
         moments.merge(&Moments::default());
-        assert_eq!((moments, moments.variance()), (of(&[2.0]), None));
+        assert_eq!((moments, moments.variance()), (moments_of(&[2.0]), None));
     }
 }

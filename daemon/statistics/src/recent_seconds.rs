@@ -20,8 +20,9 @@ use crate::Merge;
 /// ```
 #[derive(Clone, Debug)]
 pub struct RecentSeconds<C> {
-    /// Cells with the second that each belongs to; the second modulo the length is the cell's index.
+    /// Cells, each with its second. The index of a cell is its second modulo the length of the ring.
     cells: Box<[Option<(i64, C)>]>,
+    /// Newest second with a cell.
     newest: Option<i64>,
 }
 
@@ -41,7 +42,7 @@ impl<C: Merge + Default> RecentSeconds<C> {
         self.newest
     }
 
-    /// Adds to the cell of a second.
+    /// Calls `add` with the cell of a second, which is created if the ring does not have it.
     pub fn record(&mut self, second: i64, add: impl FnOnce(&mut C)) {
         add(self.cell(second));
     }
@@ -81,15 +82,15 @@ impl<C: Merge + Default> RecentSeconds<C> {
         slot.filter(|(cell_second, _)| *cell_second == second).map(|(_, cell)| cell)
     }
 
-    /// Iterates over the cells of the `seconds` seconds up to and including `now`, oldest first, without missing
-    /// ones; at most as many as the ring has.
+    /// Iterates over the cells of the last `seconds` seconds up to and including `now`, oldest first. At most as many
+    /// seconds as the ring has cells are covered. Seconds without a cell are left out.
     pub fn iter(&self, now: i64, seconds: usize) -> impl Iterator<Item = (i64, &C)> {
         let length = seconds.min(self.cells.len()) as i64;
         (now.saturating_sub(length)..now)
             .filter_map(|second| self.get(second.saturating_add(1)).map(|cell| (second + 1, cell)))
     }
 
-    /// Merges the cells of the `seconds` seconds up to and including `now`.
+    /// Merges the cells of the last `seconds` seconds up to and including `now`.
     pub fn last(&self, now: i64, seconds: usize) -> C {
         let mut merged = C::default();
         self.iter(now, seconds).for_each(|(_, cell)| merged.merge(cell));
@@ -170,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn discarding_a_second_discards_later_ones() {
+    fn removing_second_removes_later_seconds() {
         let mut recent_seconds = RecentSeconds::<Count>::new(10);
         for second in 95..=104 {
             recent_seconds.record(second, |cell| cell.0 += 1);

@@ -45,8 +45,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sequence_equals_published_one() {
-        // Reference values for seed 1234567, by which implementations of SplitMix64 are compared.
+    fn sequence_equals_reference_values() {
+        // Reference values for seed 1234567, with which implementations of SplitMix64 are compared.
         let mut random = SplitMix64::new(1_234_567);
         let first: Vec<u64> = (0..5).map(|_| random.bits()).collect();
         assert_eq!(
@@ -64,8 +64,9 @@ mod tests {
     #[test]
     fn mean_and_deviation_match_distribution() {
         let mut random = SplitMix64::new(3);
-        let mut mean =
-            |of: fn(&mut SplitMix64) -> f64| (0..100_000).map(|_| of(&mut random)).sum::<f64>() / 100_000.0;
+        let mut mean = |draw: fn(&mut SplitMix64) -> f64| {
+            (0..100_000).map(|_| draw(&mut random)).sum::<f64>() / 100_000.0
+        };
         assert!((mean(SplitMix64::exponential) - 1.0).abs() < 0.02);
         assert!(mean(SplitMix64::normal).abs() < 0.02);
         assert!((mean(|random| random.normal().powi(2)) - 1.0).abs() < 0.02);

@@ -41,13 +41,14 @@ impl Summary {
         self.moments.count
     }
 
-    /// Returns the number below which the fraction `q` lies, never outside of the observed extremes.
+    /// Returns the number below which the fraction `q` of all numbers lies. It is never outside of the observed extremes.
+    /// `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
     }
 
-    /// Returns the share of numbers below `x`, 0 to 1: exactly 0 up to the smallest number and exactly 1 above the
-    /// largest.
+    /// Returns the share of numbers below `x`, 0 to 1. The share is exactly 0 if `x` is at most the smallest number, and
+    /// exactly 1 if `x` is above the largest. `None` without numbers.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
         if x <= self.moments.min {
             (self.count() > 0).then_some(0.0)
@@ -58,8 +59,8 @@ impl Summary {
         }
     }
 
-    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does;
-    /// outside of the observed extremes it is 0.
+    /// Returns the number of values between each edge and the next, for drawing, as [`Sketch::histogram`] does. Outside of
+    /// the observed extremes the number is 0.
     pub fn histogram(&self, edges: &[f64]) -> Vec<f64> {
         let below = |x: f64| self.fraction_below(x).unwrap_or(0.0) * self.count() as f64;
         edges.windows(2).map(|pair| (below(pair[1]) - below(pair[0])).max(0.0)).collect()
@@ -87,8 +88,8 @@ mod tests {
     #[test]
     fn out_of_range_numbers_are_excluded_everywhere() {
         let mut summary = Summary::default();
-        let beyond = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * MAX_MAGNITUDE];
-        beyond.iter().for_each(|value| summary.record(*value));
+        let out_of_range = [f64::NAN, f64::INFINITY, f64::MAX, -f64::MAX, 1.001 * MAX_MAGNITUDE];
+        out_of_range.iter().for_each(|value| summary.record(*value));
         summary.record(1.0);
         assert_eq!((summary.count(), summary.sketch.count()), (1, 1));
     }
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn bars_add_up_to_the_count() {
+    fn histogram_bins_add_up_to_count() {
         let mut summary = Summary::default();
         (1..=1000).for_each(|n| summary.record(f64::from(n)));
         let bars = summary.histogram(&[0.0, 250.0, 500.0, 750.0, 1001.0]);

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::order::Z95;
 use crate::rows::{RowRef, Rows};
 
-/// Names of the accuracy columns: a row has 1 if the labelled class was the first answer, or among the first five, else 0.
+/// Names of the columns with scores. The value is 1 if the labelled class is the best answer (`top-1`) or among the best five (`top-5`),
+/// else 0.
 pub const ACCURACIES: [&str; 2] = ["top-1", "top-5"];
 
 /// Share of iterations in which a model was right, from 0 to 1.
@@ -23,8 +24,8 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of further counted iterations without a score of 0 or 1. Either no label was known, the label is [not a class of the
-    /// model](UnknownLabels), the answer named no class, or the score is not a number.
+    /// Number of further counted iterations, which have no score of 0 or 1. Either no label was known, the label is [not a class of the
+    /// model](UnknownLabels), the answer named no class, or the score is not valid.
     pub unscored: u64,
 }
 
@@ -78,10 +79,10 @@ fn wilson(share: f64, count: u64) -> (f64, f64) {
     let n = count as f64;
     let z2 = Z95 * Z95;
     let middle = (share + z2 / (2.0 * n)) / (1.0 + z2 / n);
-    let half = Z95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
-    // Rounding errors at the ends are about 1e-17.
-    let lo = if share == 0.0 { 0.0 } else { (middle - half).max(0.0) };
-    let hi = if share == 1.0 { 1.0 } else { (middle + half).min(1.0) };
+    let half_width = Z95 / (1.0 + z2 / n) * (share * (1.0 - share) / n + z2 / (4.0 * n * n)).sqrt();
+    // The exact ends for shares of 0 and 1 are 0 and 1; rounding would change them by about 1e-17.
+    let lo = if share == 0.0 { 0.0 } else { (middle - half_width).max(0.0) };
+    let hi = if share == 1.0 { 1.0 } else { (middle + half_width).min(1.0) };
     (lo, hi)
 }
 

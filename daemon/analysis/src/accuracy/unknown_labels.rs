@@ -1,4 +1,4 @@
-//! Samples whose label is not a class of the model. No answer to them can be right, so they count as neither right nor wrong.
+//! Samples whose label is not a class of the model. No answer to such a sample can be right, so the answers count as neither right nor wrong.
 
 use peernet_statistics::number::{counted, fixed};
 
@@ -6,27 +6,27 @@ use crate::rows::Rows;
 
 /// Name of the column that is 1 for a sample whose label is not a class of the model.
 pub const UNKNOWN_LABEL: &str = "unknown-label";
-/// Name of the fact of a run that has a count and examples of labels: `100 of 100: dented, good`.
+/// Name of the fact of a run with the number and examples of labels: `100 of 100: dented, good`.
 const LABELS_FACT: &str = "Labels";
-/// Name of the fact of a run that has a count and examples of classes: `4: good, scratched, …`.
+/// Name of the fact of a run with the number and examples of classes: `4: good, scratched, …`.
 const CLASSES_FACT: &str = "Classes";
 
-/// Count of the iterations whose label is not a class of the model, with examples of labels and classes.
+/// Number of iterations whose label is not a class of the model, with examples of labels and classes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownLabels {
-    /// Number of counted iterations with such a label; at least one.
+    /// Number of these iterations, without warm-up and unanswered iterations; at least one.
     pub count: u64,
     /// Text ` (labels: …; classes: …)`; empty if neither is known.
     examples: String,
 }
 
 impl UnknownLabels {
-    /// Returns the unknown labels of a run with these facts, which contain examples; `None` if `count` is 0.
+    /// Returns the unknown labels of a run. The examples are taken from the facts of the run. `None` if `count` is 0.
     pub fn new(count: u64, facts: &[(String, String)]) -> Option<Self> {
         let example = |fact: &str, heading: &str| {
             let (_, text) = facts.iter().find(|(name, _)| name == fact)?;
-            let (_, words) = text.split_once(": ")?;
-            Some(format!("{heading} {words}"))
+            let (_, examples) = text.split_once(": ")?;
+            Some(format!("{heading} {examples}"))
         };
         let examples = [example(LABELS_FACT, "labels:"), example(CLASSES_FACT, "classes:")];
         let examples: Vec<String> = examples.into_iter().flatten().collect();
@@ -35,9 +35,10 @@ impl UnknownLabels {
         (count > 0).then_some(Self { count, examples })
     }
 
-    /// Counts the counted rows with an unknown label.
+    /// Returns the unknown labels in these rows, without warm-up and unanswered iterations. `None` if there are none.
     pub fn from_rows(rows: &Rows, facts: &[(String, String)]) -> Option<Self> {
-        Self::new(rows.counted_values(UNKNOWN_LABEL).filter(|is| *is == 1.0).count() as u64, facts)
+        let count = rows.counted_values(UNKNOWN_LABEL).filter(|value| *value == 1.0).count() as u64;
+        Self::new(count, facts)
     }
 
     /// Adds the count of another run. The examples of this run are kept.
@@ -46,10 +47,10 @@ impl UnknownLabels {
         Self { count: self.count + other.count, ..self }
     }
 
-    /// Returns a sentence; `all` is the number of counted iterations.
-    pub fn sentence(&self, all: u64) -> String {
-        let of = format!("{} of {}", fixed(self.count as f64, 0), counted(all, "iteration"));
-        format!("Not scored: {of}, {}.", self.reason())
+    /// Returns a sentence on the iterations that were not scored; `total` is the number of all counted iterations.
+    pub fn sentence(&self, total: u64) -> String {
+        let iterations = format!("{} of {}", fixed(self.count as f64, 0), counted(total, "iteration"));
+        format!("Not scored: {iterations}, {}.", self.reason())
     }
 
     /// Returns the reason for the missing scores, with examples.

@@ -24,45 +24,45 @@ pub struct DirectionStudy {
     pub fits: Option<Fits>,
     /// Bounds that the clock relation gives for the smallest payload.
     pub claimed: Option<Claim>,
-    /// Throughput that the slope implies.
+    /// Throughput that follows from the slope of the main fit.
     pub throughput: Option<Throughput>,
     /// Number of delays by verdict.
     pub verdicts: BTreeMap<&'static str, u64>,
-    /// `true` if both ends read one clock.
+    /// True if both ends read one clock.
     pub same_clock: bool,
 }
 
-/// All messages of one size. Seconds, bytes, bits per second.
+/// Summary of the messages of one size. Seconds, bytes, bits per second.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SizeSummary {
-    /// Payload.
+    /// Size of the payload.
     pub payload_bytes: u64,
-    /// Payload and metadata, median.
+    /// Median size of payload and metadata together.
     pub wire_bytes: f64,
-    /// Number of values.
+    /// Number of known delays.
     pub count: u64,
     /// Median delay.
     pub median: f64,
     /// Standard error of the median; `None` with fewer than six values.
     pub median_error: Option<f64>,
-    /// 5th and 95th percentile; `None` with fewer than 60.
+    /// 5th and 95th percentile; `None` with fewer than 60 values.
     pub tails: Option<(f64, f64)>,
-    /// Median of the lower and of the upper clock bounds.
+    /// Median of the lower clock bounds and median of the upper clock bounds.
     pub bounds: Option<(f64, f64)>,
-    /// Bytes divided by the median delay; `None` when that is zero.
+    /// Size divided by the median delay; `None` if the median delay is not above zero.
     pub throughput: Option<f64>,
-    /// Bytes divided by the upper and by the lower bound of the delay; the second value is `None` if the lower bound is zero.
+    /// Size divided by the upper bound of the delay, and size divided by the lower bound. The second value is `None` if the lower bound is zero.
     pub throughput_bounds: Option<(f64, Option<f64>)>,
 }
 
-/// Delay against bytes on the wire: seconds, seconds per byte.
+/// Fits of the delay in seconds against the bytes on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fits {
-    /// Fit to the medians of the sizes. Least squares are weighted by the precision of each median; the verdict depends on this fit.
+    /// Fits to the medians of the sizes. The fit by least squares is weighted by the precision of each median, and the verdict depends on it.
     pub medians: FitPair,
-    /// Fit to every sample.
+    /// Fits to every sample.
     pub samples: FitPair,
-    /// Least squares over every raw difference of stamps, as in the published study.
+    /// Fit by least squares to the raw differences of the stamps of every sample, as in the paper.
     pub raw: Fit,
 }
 
@@ -71,36 +71,38 @@ pub struct Fits {
 pub struct FitPair {
     /// Fit by least squares.
     pub least_squares: Fit,
-    /// Theil–Sen.
+    /// Fit by Theil and Sen.
     pub theil_sen: Fit,
 }
 
 /// Bounds that the clock relation gives for the smallest payload, and the bounds that follow from them for an empty message.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Claim {
-    /// The smallest payload, bytes.
+    /// Smallest payload, bytes.
     pub payload_bytes: u64,
-    /// Bounds of its delay, seconds: medians.
+    /// Bounds of the delay of the smallest payload, seconds: median of the lower bounds and median of the upper bounds.
     pub bounds: (f64, f64),
-    /// Bounds for an empty message: the bounds of the smallest payload minus the time that its bytes take by the slope. They are widened by
-    /// the 95 % margin of the payload's median on both sides, because the median is an estimate, too. Never negative.
+    /// Bounds of the delay of an empty message, seconds. They are the bounds of the smallest payload minus the time that its bytes take
+    /// according to the slope. They are widened by the 95 % margin of the median delay on both sides, because the median is an estimate, too.
+    /// They are never negative.
     pub at_zero: (f64, f64),
 }
 
-/// Throughput that the slope implies: bits per second.
+/// Throughput that follows from the slope of a fit, bits per second.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Throughput {
     /// Reciprocal of the slope.
     pub value: f64,
-    /// Reciprocals of the slope's confidence interval; the upper end is `None` if the confidence interval reaches zero.
+    /// Reciprocals of the ends of the slope's confidence interval. The upper end is `None` if the confidence interval reaches zero.
     pub interval: Option<(f64, Option<f64>)>,
-    /// Range for delays anywhere within their clock bounds: the lines with the lowest and the highest slope from the smallest to the
-    /// largest size. A constant error of the clocks cancels, so this range is wider than necessary.
+    /// Range of the throughput for delays anywhere within their clock bounds. It is computed from the lines with the lowest and the highest slope
+    /// between the smallest and the largest size. This range is wider than necessary, because a constant error of the clocks does not change
+    /// the slope.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
 impl DirectionStudy {
-    /// Returns the statistics of one direction, of the samples that count.
+    /// Returns the statistics of one direction from the counted samples.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
         let passages: Vec<(u64, &Passage)> = samples
             .iter()
@@ -115,13 +117,13 @@ impl DirectionStudy {
         let sizes: Vec<SizeSummary> =
             payloads.iter().filter_map(|payload| SizeSummary::new(*payload, &passages)).collect();
         let fits = Fits::new(&sizes, &passages);
-        let main = fits.as_ref().map(|fits| fits.medians.least_squares);
+        let main_fit = fits.as_ref().map(|fits| fits.medians.least_squares);
         let same_clock = !passages.is_empty()
             && passages.iter().all(|(_, passage)| passage.delay.source == DelaySource::SameClock);
         Self {
             direction,
-            claimed: sizes.first().and_then(|smallest| Claim::new(smallest, main.as_ref())),
-            throughput: main.and_then(|fit| Throughput::with_bounds(fit.slope, &sizes)),
+            claimed: sizes.first().and_then(|smallest| Claim::new(smallest, main_fit.as_ref())),
+            throughput: main_fit.and_then(|fit| Throughput::with_bounds(fit.slope, &sizes)),
             sizes,
             fits,
             verdicts,
@@ -134,7 +136,7 @@ impl DirectionStudy {
         self.fits.as_ref().map(|fits| &fits.medians.least_squares)
     }
 
-    /// Returns the name of its stage.
+    /// Returns the name of the direction's stage.
     pub fn name(&self) -> &'static str {
         match self.direction {
             Direction::Up => "upload",
@@ -149,18 +151,18 @@ impl DirectionStudy {
 }
 
 impl SizeSummary {
-    /// Returns the summary of all messages with this payload; `None` when no delay among them is known.
+    /// Returns the summary of all messages with this payload; `None` if none of their delays is known.
     fn new(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<Self> {
-        let of_this =
+        let with_payload =
             || passages.iter().filter(|(payload, _)| *payload == payload_bytes).map(|(_, passage)| *passage);
-        let known = || of_this().filter(|passage| passage.seconds().is_some());
-        let delays: SortedValues = known().filter_map(Passage::seconds).collect();
-        let bounds = || known().filter_map(Passage::bounds);
+        let with_delay = || with_payload().filter(|passage| passage.seconds().is_some());
+        let delays: SortedValues = with_delay().filter_map(Passage::seconds).collect();
+        let bounds = || with_delay().filter_map(Passage::bounds);
         let lo = bounds().map(|bounds| bounds.0).collect::<SortedValues>().median();
         let hi = bounds().map(|bounds| bounds.1).collect::<SortedValues>().median();
         let bounds = lo.zip(hi);
         let wire_bytes =
-            known().map(|passage| passage.wire_bytes() as f64).collect::<SortedValues>().median()?;
+            with_delay().map(|passage| passage.wire_bytes() as f64).collect::<SortedValues>().median()?;
         let median = delays.median()?;
         let rate = |seconds: f64| (seconds > 0.0).then(|| wire_bytes * 8.0 / seconds);
         Some(Self {
@@ -184,7 +186,7 @@ impl SizeSummary {
 impl Fits {
     fn new(sizes: &[SizeSummary], passages: &[(u64, &Passage)]) -> Option<Self> {
         let medians: Vec<Point> = sizes.iter().map(SizeSummary::point).collect();
-        // With few samples of a size the precision of its median is unknown: all sizes get the same weight.
+        // If one size has so few samples that the precision of its median is unknown, all sizes get the same weight.
         let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
         let weight = |index: usize| {
             errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_RESOLUTION_S).powi(-2))
@@ -214,10 +216,10 @@ impl Fits {
 impl Claim {
     fn new(smallest: &SizeSummary, fit: Option<&Fit>) -> Option<Self> {
         let (lo, hi) = smallest.bounds?;
-        // A negative slope is noise: it must not raise the bounds of an empty message above those of the payload.
-        let bytes = fit.map_or(0.0, |fit| fit.slope.value * smallest.wire_bytes).max(0.0);
+        // A negative slope is noise. It must not raise the bounds of an empty message above those of the payload.
+        let payload_time = fit.map_or(0.0, |fit| fit.slope.value * smallest.wire_bytes).max(0.0);
         let margin = smallest.median_error.map_or(0.0, |error| Z95 * error);
-        let at_zero = ((lo - bytes - margin).max(0.0), (hi - bytes + margin).max(0.0));
+        let at_zero = ((lo - payload_time - margin).max(0.0), (hi - payload_time + margin).max(0.0));
         Some(Self { payload_bytes: smallest.payload_bytes, bounds: (lo, hi), at_zero })
     }
 }
@@ -243,7 +245,7 @@ fn rate(slope: f64) -> Option<f64> {
     (slope > 0.0).then(|| 8.0 / slope)
 }
 
-/// Returns the lowest and the highest rate for slopes in this range; the highest is `None` if the lowest slope is not positive.
+/// Returns the lowest and the highest rate for slopes in this range. The highest rate is `None` if the lowest slope is not positive.
 fn rate_range((low_slope, high_slope): (f64, f64)) -> Option<(f64, Option<f64>)> {
     Some((rate(high_slope)?, rate(low_slope)))
 }

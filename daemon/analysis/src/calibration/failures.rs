@@ -1,4 +1,4 @@
-//! Payloads that were not answered, and why.
+//! Payloads that were not answered, with the most frequent reasons.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::sample::Sample;
 
-/// Payloads without an answer that ended alike. Warm-up left out.
+/// Payloads without an answer that have the same outcome, without the warm-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Failures {
     /// `failed`, `lost` or `timeout`.
@@ -39,7 +39,7 @@ impl Failures {
     }
 
     fn description(&self) -> String {
-        let what = match self.outcome {
+        let outcome = match self.outcome {
             "timeout" => "timed out",
             outcome => outcome,
         };
@@ -48,11 +48,11 @@ impl Failures {
             Some(reason) if self.count == 1 => format!(" ({reason})"),
             Some(reason) => format!(" (most often: {reason})"),
         };
-        format!("{} {what}{reason}", self.count)
+        format!("{} {outcome}{reason}", self.count)
     }
 }
 
-/// Returns one sentence; empty when every payload was answered.
+/// Returns the sentence about payloads without an answer; empty if every payload was answered.
 pub(super) fn sentence(failures: &[Failures], sent: u64) -> String {
     if failures.is_empty() {
         return String::new();

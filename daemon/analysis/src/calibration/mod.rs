@@ -1,8 +1,8 @@
 //! Calibration of a link: one-way delay against size, the intercept of the linear fit, and the bounds that the clocks allow.
 //!
-//! The published study (IROS 2024, section on network timing) sent payloads of several sizes, fitted a line to the differences of the two
-//! hosts' stamps and read its intercept, −2.01 ms, as the error of every delay. This module does the same with corrected delays and
-//! compares the intercept with the bounds that the clock relation allows: the intercept is the real delay of an empty message, so it is
+//! The paper's study (IROS 2024, section on network timing) sent payloads of several sizes and fitted a line to the differences of the two
+//! hosts' stamps. It took the intercept of the line, −2.01 ms, as the error of every delay. This module fits a line to corrected delays and
+//! compares its intercept with the bounds that the clock relation allows. The intercept is the real delay of an empty message, so it is
 //! never negative and lies within the bounds of the smallest payload.
 
 mod clocks;
@@ -31,9 +31,9 @@ use crate::{WriteError, write_file};
 pub struct Setting {
     /// Address of the peer.
     pub peer: String,
-    /// The host that sent the payloads.
+    /// Name of the host that sent the payloads.
     pub edge: String,
-    /// Name of the host that answered, as it reports it; `None` when it never did.
+    /// Name of the host that answered, as that host reports it; `None` if it never answered.
     pub cloud: Option<String>,
     /// Kind of network.
     pub network: String,
@@ -45,25 +45,25 @@ pub struct Setting {
     pub sizes_bytes: Vec<u64>,
     /// Number of times that each size was to be sent.
     pub repeats: u64,
-    /// `true` if it was ended early.
+    /// True if the study ended early.
     pub interrupted: bool,
-    /// Reason for an early end, in words; `None` when the study was complete or the user ended it.
+    /// Reason for an early end, as text; `None` when the study was complete or the user ended it.
     pub ended: Option<String>,
     /// Number of times that the peer went away and came back while its clock remained the same. The clocks were related again each time.
     pub reconnections: u64,
-    /// `true` if the clock of either host was made wrong on purpose.
+    /// True if the clock of one of the hosts was made wrong on purpose.
     #[serde(rename = "rehearsed")]
     pub has_clock_fault: bool,
 }
 
-/// Number of iterations by how they ended.
+/// Number of iterations by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
-    /// Answered iterations, warm-up left out: the input of all results below.
+    /// Number of answered iterations without the warm-up. All results are computed from them.
     pub measured: u64,
-    /// Warm-up.
+    /// Number of iterations of the warm-up.
     pub warm_up: u64,
-    /// Iterations without an answer.
+    /// Number of iterations without an answer, without the warm-up.
     pub failed: u64,
 }
 
@@ -72,17 +72,17 @@ pub struct Counts {
 pub struct Study {
     /// Setting of the study.
     pub setting: Setting,
-    /// Number of iterations by how they ended.
+    /// Number of iterations by outcome.
     pub counts: Counts,
-    /// Why payloads were not answered, by outcome.
+    /// Numbers of payloads without an answer, by outcome.
     pub failures: Vec<Failures>,
     /// State of the clocks during the study.
     pub clocks: Clocks,
-    /// Edge to cloud.
+    /// Results from edge to cloud.
     pub up: DirectionStudy,
-    /// Cloud to edge.
+    /// Results from cloud to edge.
     pub down: DirectionStudy,
-    /// Verdict on the link's delays.
+    /// Verdict on the delays of the link.
     pub verdict: Verdict,
     /// All iterations, in order.
     #[serde(skip)]
@@ -92,7 +92,9 @@ pub struct Study {
 impl Study {
     /// Makes a study of all iterations of a payload sweep and of the seconds of the clock relation during it.
     pub fn new(setting: Setting, samples: Vec<Sample>, clocks: &[ClockSample]) -> Self {
-        let count = |of: &dyn Fn(&Sample) -> bool| samples.iter().filter(|sample| of(sample)).count() as u64;
+        let count = |condition: &dyn Fn(&Sample) -> bool| {
+            samples.iter().filter(|sample| condition(sample)).count() as u64
+        };
         let counts = Counts {
             measured: count(&Sample::is_counted),
             warm_up: count(&|sample| sample.warm_up),
@@ -105,18 +107,18 @@ impl Study {
         Self { failures: Failures::by_outcome(&samples), setting, counts, clocks, up, down, verdict, samples }
     }
 
-    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder; returns the files that were written.
+    /// Writes `samples.csv`, `summary.csv` and `calibration.json` into an existing folder. Returns the files that were written.
     ///
     /// # Errors
     /// If a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
-        let written =
+        let files =
             vec![folder.join("samples.csv"), folder.join("summary.csv"), folder.join("calibration.json")];
-        tables::samples(&self.samples, &written[0])?;
-        tables::summary(self, &written[1])?;
-        let json = serde_json::to_vec_pretty(self).map_err(WriteError::at(&written[2]))?;
-        write_file(&written[2], &json)?;
-        Ok(written)
+        tables::samples(&self.samples, &files[0])?;
+        tables::summary(self, &files[1])?;
+        let json = serde_json::to_vec_pretty(self).map_err(WriteError::at(&files[2]))?;
+        write_file(&files[2], &json)?;
+        Ok(files)
     }
 
     /// Returns the text for a terminal: a table of sizes, a table of fits, reasons for payloads without an answer, and the verdict.

@@ -9,23 +9,23 @@ use crate::Passage;
 /// Measurements of one iteration of the sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample {
-    /// Its number in the run, from 1.
+    /// Number of the iteration in the run, from 1.
     pub number: u64,
     /// Start of the iteration, seconds of the edge's wall clock since the Unix epoch.
     pub at: f64,
     /// Payload, bytes.
     pub payload_bytes: u64,
-    /// Kept, but left out of the study.
+    /// True if the iteration is warm-up. Such samples are written to `samples.csv`, but left out of the study.
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: &'static str,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Duration from its start to its end, seconds.
+    /// Duration of the iteration, seconds.
     pub total: Option<f64>,
     /// Message from edge to cloud; `None` when it was never sent or never judged.
     pub up: Option<Passage>,
-    /// Cloud to edge.
+    /// Message from cloud to edge; `None` when it was never sent or never judged.
     pub down: Option<Passage>,
 }
 
@@ -47,7 +47,7 @@ impl Sample {
         }
     }
 
-    /// Returns whether the study uses it.
+    /// Returns whether the study uses the sample: it was answered and is not warm-up.
     pub fn is_counted(&self) -> bool {
         !self.warm_up && self.outcome == Outcome::Ok.name()
     }

@@ -13,6 +13,7 @@ use crate::{Passage, WriteError};
 
 /// Maximum number of decimals of a number of ms: a tenth of a microsecond.
 const MAX_MS_DECIMALS: usize = 4;
+/// Columns of one direction: suffixes of the name of its stage. The column of the delay has no suffix.
 const PASSAGE_COLUMNS: [&str; 8] = ["bytes", "logger-bytes", "raw", "", "lo", "hi", "source", "verdict"];
 
 /// Writes one row per iteration: seconds, bytes.
@@ -154,8 +155,11 @@ fn size_columns(direction: &DirectionStudy, payloads: &[u64]) -> Vec<Vec<String>
             or_unknown(rate),
         ]
     };
-    let of = |payload: &u64| sizes.iter().find(|size| size.payload_bytes == *payload).map(cells);
-    payloads.iter().map(|payload| of(payload).unwrap_or_else(|| vec![UNKNOWN.to_owned(); 4])).collect()
+    let row = |payload: &u64| {
+        let size = sizes.iter().find(|size| size.payload_bytes == *payload);
+        size.map_or_else(|| vec![UNKNOWN.to_owned(); 4], cells)
+    };
+    payloads.iter().map(row).collect()
 }
 
 /// Returns the table of the fitted lines and of the bounds that the clocks allow.
@@ -215,6 +219,7 @@ fn fit_rows(direction: &DirectionStudy) -> Vec<Vec<String>> {
     rows
 }
 
-fn or_unknown(figure: Option<String>) -> String {
-    figure.unwrap_or_else(|| UNKNOWN.to_owned())
+/// Returns the text of a cell, or the sign for an unknown value.
+fn or_unknown(text: Option<String>) -> String {
+    text.unwrap_or_else(|| UNKNOWN.to_owned())
 }

@@ -181,8 +181,8 @@ fn reasons_for_unanswered_payloads_are_counted() {
         commonest_reason: reason.map(str::to_owned),
     });
     assert_eq!(study.failures, failures);
-    let said = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 timed out";
-    assert!(study.text().contains(said), "{}", study.text());
+    let sentence = "6 of 792 payloads were not answered: 4 failed (most often: too large), 2 timed out";
+    assert!(study.text().contains(sentence), "{}", study.text());
 }
 
 #[test]

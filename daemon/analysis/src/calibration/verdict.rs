@@ -26,12 +26,12 @@ pub enum Kind {
     Inconsistent,
     /// The two clocks were never related.
     Unsynchronised,
-    /// Too few sizes or answers to fit a line.
+    /// There are too few sizes or answers to fit a line.
     Insufficient,
 }
 
 impl Kind {
-    /// Returns whether the study has a result: without related clocks or a line there is nothing to compare.
+    /// Returns whether the study has a result. Without related clocks or a line there is nothing to compare.
     pub const fn is_result(self) -> bool {
         !matches!(self, Self::Unsynchronised | Self::Insufficient)
     }
@@ -42,9 +42,9 @@ impl Kind {
 pub struct Verdict {
     /// Kind of the verdict.
     pub kind: Kind,
-    /// Largest error of a delay of a small message over this link, seconds; `None` unless the delays can be trusted.
+    /// Maximum error of the delay of a small message over this link, seconds; `None` if the delays cannot be trusted.
     pub within: Option<f64>,
-    /// Verdict in words.
+    /// Verdict as a sentence.
     pub sentence: String,
 }
 
@@ -53,8 +53,8 @@ struct InterceptCheck {
     name: &'static str,
     intercept: Estimate,
     claim: Claim,
-    /// Distance from the smallest payload's median to the further of its bounds.
-    within: f64,
+    /// Distance from the median delay of the smallest payload to the farther of its bounds.
+    max_error: f64,
 }
 
 impl Verdict {
@@ -137,22 +137,22 @@ impl Verdict {
             );
             return Self { kind: Kind::Inconclusive, within: None, sentence };
         }
-        let (above, below) = (up.distance_outside(), down.distance_outside());
-        if above == 0.0 && below == 0.0 {
-            let within = up.within.max(down.within);
+        let (up_distance, down_distance) = (up.distance_outside(), down.distance_outside());
+        if up_distance == 0.0 && down_distance == 0.0 {
+            let max_error = up.max_error.max(down.max_error);
             let sentence = format!(
                 "the intercepts, {intercepts}, lie within what the clock bounds allow ({allowed}): one-way delays over this link can be trusted to ± {} ms",
-                error_ms(within)
+                error_ms(max_error)
             );
-            return Self { kind: Kind::Trusted, within: Some(within), sentence };
+            return Self { kind: Kind::Trusted, within: Some(max_error), sentence };
         }
-        let named = match (above != 0.0, below != 0.0) {
+        let subject = match (up_distance != 0.0, down_distance != 0.0) {
             (true, true) => "both".to_owned(),
             (true, false) => format!("the intercept of the {}", up.name),
             _ => format!("the intercept of the {}", down.name),
         };
         // A wrong offset lengthens one direction by the amount that it shortens the other.
-        let reason = if above * below < 0.0 {
+        let reason = if up_distance * down_distance < 0.0 {
             let limit = clocks.max_drift_ppm.map_or_else(String::new, |ppm| format!(" than {ppm} ppm"));
             format!(
                 "one direction is too long by the amount that the other is too short, so the clocks are at fault: they drift apart faster{limit} (max_drift_ppm), or a stamp is wrong"
@@ -161,7 +161,7 @@ impl Verdict {
             "errors of the clocks alone cannot cause this: the delay does not grow in a straight line with size over this link (see latency.png); try sizes closer together".to_owned()
         };
         let sentence = format!(
-            "of the intercepts, {intercepts}, {named} lies outside what the clock bounds allow ({allowed}); {reason}"
+            "of the intercepts, {intercepts}, {subject} lies outside what the clock bounds allow ({allowed}); {reason}"
         );
         Self { kind: Kind::Contradicted, within: None, sentence }
     }
@@ -171,17 +171,18 @@ impl InterceptCheck {
     fn new(direction: &DirectionStudy, fit: &Fit) -> Option<Self> {
         let claim = direction.claimed?;
         let median = direction.sizes.first()?.median;
-        let within = (median - claim.bounds.0).max(claim.bounds.1 - median);
-        Some(Self { name: direction.name(), intercept: fit.intercept, claim, within })
+        let max_error = (median - claim.bounds.0).max(claim.bounds.1 - median);
+        Some(Self { name: direction.name(), intercept: fit.intercept, claim, max_error })
     }
 
-    /// Returns whether the intercept's margin is wider than the bounds that it would be compared with.
+    /// Returns whether the margin of the intercept is wider than the bounds that the intercept is compared with.
     fn is_imprecise(&self) -> bool {
         let (lowest, highest) = self.claim.at_zero;
         self.intercept.margin().is_none_or(|margin| margin > highest - lowest)
     }
 
-    /// Returns the distance of the intercept's interval from the allowed bounds: positive if it lies above them, negative if below.
+    /// Returns the distance of the intercept's interval from the allowed bounds. The distance is positive if the interval lies above the bounds,
+    /// negative if it lies below them, and 0 if both overlap.
     fn distance_outside(&self) -> f64 {
         let ((lo, hi), (lowest, highest)) = (self.intercept.span(), self.claim.at_zero);
         (lo - highest).max(0.0) + (hi - lowest).min(0.0)

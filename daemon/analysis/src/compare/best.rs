@@ -1,4 +1,4 @@
-//! Best line, and the differences of the others to it.
+//! Best line, and the differences between the other lines and the best.
 
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
@@ -9,29 +9,29 @@ use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::table::{CaptionedTable, Table};
 
-/// Ranks the lines, and stores the differences of the others to the best. Lines whose model computes nothing are ranked only if there are
-/// no other lines.
+/// Ranks the lines, and stores the difference of each other line to the best. Lines whose model computes nothing are ranked only if all lines
+/// are of this kind.
 pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
     let computes = |line: &Line| line.runs.iter().all(|run| model_computes(&runs[*run].record.facts));
-    let some_compute = comparison.lines.iter().any(computes);
-    let ranked = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == some_compute);
-    let estimate = |(at, line): (usize, &Line)| {
-        let of_line = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column));
-        (at, MeanEstimate::from_values(&of_line.collect::<Vec<_>>()))
+    let any_computes = comparison.lines.iter().any(computes);
+    let ranked_lines = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == any_computes);
+    let estimate = |(index, line): (usize, &Line)| {
+        let totals = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column));
+        (index, MeanEstimate::from_values(&totals.collect::<Vec<_>>()))
     };
-    let ranked: Vec<_> = ranked.map(estimate).collect();
-    let is_ranked = |at: usize| ranked.iter().any(|(place, _)| *place == at);
-    let unranked = (0..comparison.lines.len()).filter(|at| !is_ranked(*at)).collect();
-    let Some(ranking) = Ranking::from_means(&ranked) else { return };
+    let estimates: Vec<_> = ranked_lines.map(estimate).collect();
+    let is_ranked = |index: usize| estimates.iter().any(|(ranked, _)| *ranked == index);
+    let unranked = (0..comparison.lines.len()).filter(|index| !is_ranked(*index)).collect();
+    let Some(ranking) = Ranking::from_means(&estimates) else { return };
     (comparison.ties, comparison.untested) = (ranking.ties(), ranking.untested());
     (comparison.best, comparison.unranked) = (Some(ranking.best), unranked);
-    for (at, difference) in ranking.differences {
-        comparison.lines[at].difference_to_best = difference;
+    for (index, difference) in ranking.differences {
+        comparison.lines[index].difference_to_best = difference;
     }
 }
 
-/// Returns how much larger the means of the other lines are than the best's. A comparison of three or more lines has this table instead of
-/// [`Differences`](super::Differences). `None` if no line is the best, or no other line has a mean.
+/// Returns the table of the differences between the means of the other lines and the mean of the best line. A comparison of three or more lines
+/// has this table instead of [`Differences`](super::Differences). `None` if no line is the best, or if no other line has a mean.
 pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
     let best = comparison.best.filter(|_| comparison.lines.len() > 2)?;
     comparison.lines.iter().find(|line| line.difference_to_best.is_some())?;
@@ -53,7 +53,7 @@ pub fn differences_to_best(comparison: &Comparison) -> Option<CaptionedTable> {
 fn differences_table(comparison: &Comparison) -> Table {
     let Comparison { axes, lines, total_column, .. } = comparison;
     let others = || lines.iter().filter_map(|line| Some((line, line.difference_to_best?)));
-    // One number of decimals for the whole column, so that its figures are easy to compare.
+    // All numbers of the column have the same number of decimals, so that they are easy to compare.
     let decimals = others().map(|(_, difference)| column_decimals(difference.margin()));
     let decimals = decimals.max().unwrap_or_default();
     let mut header = axes.clone();
@@ -117,9 +117,9 @@ cuda:0  can      105.550              +85.290          +85.290
         {
             let comparison = Comparison::with_repeats(runs, repeats);
             assert_eq!((comparison.best, comparison.untested.as_slice()), (Some(0), [1].as_slice()));
-            let told = "too few iterations to tell whether it differs from cuda:0";
-            assert!(comparison.text().contains(told), "{}", comparison.text());
-            assert!(comparison.markdown().contains(told) && comparison.latex().contains(told));
+            let sentence = "too few iterations to tell whether it differs from cuda:0";
+            assert!(comparison.text().contains(sentence), "{}", comparison.text());
+            assert!(comparison.markdown().contains(sentence) && comparison.latex().contains(sentence));
             assert!(!comparison.text().contains("other differs"), "{}", comparison.text());
             let line = comparison.csv().lines().nth(2).map(str::to_owned).expect("a line");
             assert!(line.contains(",1,0,101,0,,"), "no tie is known: {line}");

@@ -1,13 +1,12 @@
-//! Block length of a bootstrap: long enough that correlated neighbours stay together.
+//! Block length of a bootstrap. Blocks are so long that correlated neighbours stay together.
 
 /// Returns the mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///
-/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. Drawing them one by one would
-/// make an interval that is too narrow. The length that minimises the error of the bootstrapped variance is that of
-/// Politis and White, *Automatic block-length selection for the dependent bootstrap* (Econometric Reviews 23, 2004), as
-/// corrected by Patton, Politis and White (Econometric Reviews 28, 2009): with the autocovariance R, the window λ, G =
-/// Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), it is (G² / σ⁴ · n)^⅓, at most 3 √n and n / 3. Independent values have a
-/// length of about 1, and the bootstrap is the ordinary one.
+/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If they were drawn one by one, the interval would be
+/// too narrow. The length that minimises the error of the bootstrapped variance is that of Politis and White, *Automatic block-length
+/// selection for the dependent bootstrap* (Econometric Reviews 23, 2004), as corrected by Patton, Politis and White (Econometric Reviews 28,
+/// 2009). With the autocovariance R, the window λ, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), the length is (G² / σ⁴ · n)^⅓, at most 3 √n
+/// and n / 3. For independent values the length is about 1, and the bootstrap is the ordinary bootstrap.
 pub(super) fn length(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let longest = (3.0 * n.sqrt()).min(n / 3.0).ceil().max(1.0);
@@ -25,26 +24,27 @@ pub(super) fn length(values: &[f64]) -> f64 {
     if length.is_finite() { length.clamp(1.0, longest) } else { 1.0 }
 }
 
-/// Returns twice the lag after which there is no correlation: five in a row within ±2 √(log₁₀ n / n). `None` if the values
-/// do not vary.
+/// Returns twice the lag after which there is no correlation, that is, after which five or more consecutive correlations lie within
+/// ±2 √(log₁₀ n / n). `None` if the values do not vary.
 fn window(centred: &[f64]) -> Option<usize> {
     let n = centred.len() as f64;
     let variance = covariance(centred, 0);
     (variance > 0.0).then_some(())?;
-    let in_a_row = (n.log10() as usize).max(5);
-    let farthest = n.sqrt().ceil() as usize + in_a_row;
-    let negligible = 2.0 * (n.log10() / n).sqrt();
-    let mut quiet = 0;
-    for lag in 1..=farthest {
-        let small = (covariance(centred, lag) / variance).abs() < negligible;
-        quiet = if small { quiet + 1 } else { 0 };
-        if quiet == in_a_row {
-            return Some((2 * (lag - in_a_row)).max(2).min(farthest));
+    let required_lags = (n.log10() as usize).max(5);
+    let max_lag = n.sqrt().ceil() as usize + required_lags;
+    let limit = 2.0 * (n.log10() / n).sqrt();
+    let mut uncorrelated_lags = 0;
+    for lag in 1..=max_lag {
+        let is_uncorrelated = (covariance(centred, lag) / variance).abs() < limit;
+        uncorrelated_lags = if is_uncorrelated { uncorrelated_lags + 1 } else { 0 };
+        if uncorrelated_lags == required_lags {
+            return Some((2 * (lag - required_lags)).max(2).min(max_lag));
         }
     }
-    Some(farthest)
+    Some(max_lag)
 }
 
+/// Returns the autocovariance of values with the mean 0 at a lag.
 fn covariance(centred: &[f64], lag: usize) -> f64 {
     let pairs = centred.iter().zip(centred.iter().skip(lag));
     pairs.map(|(a, b)| a * b).sum::<f64>() / centred.len() as f64

@@ -5,70 +5,72 @@ use peernet_statistics::Summary;
 use peernet_statistics::number::counted;
 
 use super::render::with_name;
-use super::{LATENCIES, Line, NEARLY_ALL};
+use super::{LATENCIES, Line, MIN_KNOWN_SHARE};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 use crate::trust::Starts;
 
 /// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
-    let lacking: Vec<String> = runs
+    let incomplete: Vec<String> = runs
         .iter()
         .filter_map(|run| Some(format!("{}: {}", run.folder.display(), run.incompleteness()?)))
         .collect();
-    let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
-    let mut told: Vec<String> =
+    let missing_numbers: Vec<String> =
+        lines.iter().flat_map(|line| describe_missing_numbers(runs, line)).collect();
+    let mut sentences: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
-    if !lacking.is_empty() {
-        told.push(format!("Incomplete results: {}.", lacking.join("; ")));
+    if !incomplete.is_empty() {
+        sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
     }
-    if !missing.is_empty() {
-        told.push(format!(
+    if !missing_numbers.is_empty() {
+        sentences.push(format!(
             "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: {}.",
-            missing.join("; ")
+            missing_numbers.join("; ")
         ));
     }
-    told
+    sentences
 }
 
-/// Returns a sentence about configurations of which starts were skipped, each by its name; a single one may have none. `None` if no start
-/// was skipped.
-pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
-    let told = |(name, starts): (String, Starts)| Some(with_name(&name, &starts.skipped_text()?));
-    let told: Vec<String> = of.into_iter().filter_map(told).collect();
-    (!told.is_empty()).then(|| {
+/// Returns a sentence about the configurations with skipped starts. Each configuration is given by its name and its starts. The name of a
+/// single configuration may be empty. `None` if no start was skipped.
+pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>) -> Option<String> {
+    let describe = |(name, starts): (String, Starts)| Some(with_name(&name, &starts.skipped_text()?));
+    let descriptions: Vec<String> = configurations.into_iter().filter_map(describe).collect();
+    (!descriptions.is_empty()).then(|| {
         format!(
             "Starts were skipped because the pipeline could not keep up; these latencies are not those of the configured \
              rate: {}.",
-            told.join("; ")
+            descriptions.join("; ")
         )
     })
 }
 
-fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
+/// Returns a description of the missing numbers of each latency of a line.
+fn describe_missing_numbers(runs: &[Loaded], line: &Line) -> Vec<String> {
     let rows = || line.runs.iter().flat_map(|run| &runs[*run].rows).filter(|row| row.is_counted());
-    let told = |(name, latency): (&str, &Option<super::Latency>)| {
-        let known = (*latency)?.count as f64 / line.count as f64;
+    let describe = |(name, latency): (&str, &Option<super::Latency>)| {
+        let known_share = (*latency)?.count as f64 / line.count as f64;
         // If many delays are unknown, a different sentence covers them.
-        (known >= NEARLY_ALL || !["upload", "download"].contains(&name)).then_some(())?;
-        let lacking = rows().filter(|row| is_missing(*row, name)).count();
-        let iterations = format!("{lacking} of {}", counted(line.count, "iteration"));
-        (lacking > 0).then(|| format!("{name} of {} {iterations}", line.name()))
+        (known_share >= MIN_KNOWN_SHARE || !["upload", "download"].contains(&name)).then_some(())?;
+        let missing_count = rows().filter(|row| is_missing(*row, name)).count();
+        let iterations = format!("{missing_count} of {}", counted(line.count, "iteration"));
+        (missing_count > 0).then(|| format!("{name} of {} {iterations}", line.name()))
     };
-    LATENCIES.into_iter().zip(&line.latencies).filter_map(told).collect()
+    LATENCIES.into_iter().zip(&line.latencies).filter_map(describe).collect()
 }
 
 /// Returns whether the number is missing without a recorded reason, or too large for the statistics.
 fn is_missing(row: RowRef<'_>, name: &str) -> bool {
     let [up, down] = row.verdicts();
-    let unknown = |verdict: Option<Verdict>| {
+    let explains_missing = |verdict: Option<Verdict>| {
         verdict.is_some_and(|verdict| !matches!(verdict, Verdict::Ok | Verdict::Limited))
     };
     match (row.value(name), name) {
         (Some(value), _) => !Summary::accepts(value),
-        (None, "upload") => !unknown(up),
-        (None, "download") => !unknown(down),
-        (None, "stages-total") => !unknown(up) && !unknown(down),
+        (None, "upload") => !explains_missing(up),
+        (None, "download") => !explains_missing(down),
+        (None, "stages-total") => !explains_missing(up) && !explains_missing(down),
         (None, _) => true,
     }
 }
@@ -89,9 +91,9 @@ mod tests {
                     .for_each(|(_, value)| *value = 1e300);
             }
         });
-        let told = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
+        let sentence = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
         let text = Comparison::new(&runs).text();
-        assert!(text.contains(told), "{text}");
+        assert!(text.contains(sentence), "{text}");
     }
 
     #[test]

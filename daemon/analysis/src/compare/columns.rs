@@ -2,14 +2,14 @@
 
 use super::configuration::EMPTY_CELL;
 
-/// Maximum number of listed values of a fact without a column.
+/// Maximum number of values of a fact without a column that are listed.
 const MAX_LISTED: usize = 4;
 /// Minimum number of hexadecimal digits of a label that counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
-/// Minimum size of a label that is too long for a table, such as a list of libraries, bytes.
+/// Size from which a label is too long for a table, such as a list of libraries, bytes.
 const MIN_LIST_BYTES: usize = 120;
 
-/// Something that differs: its name and the label of each configuration.
+/// Fact with the label of each configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
     /// Name of the fact.
@@ -23,38 +23,41 @@ pub struct Column {
 pub struct ChosenColumns {
     /// Columns that distinguish the configurations.
     pub columns: Vec<Column>,
-    /// Columns that differ and were not chosen.
+    /// Columns with different labels that were not chosen.
     pub rest: Vec<Column>,
 }
 
-/// Chooses a column if it distinguishes configurations that the columns before it do not, or names some that they have no label for.
-/// Columns of hashes or paths are never chosen, because the names of folders, which people gave, are easier to read.
-pub fn choose_columns(all: Vec<Column>) -> ChosenColumns {
-    let Some(configurations) = all.first().map(|column| column.labels.len()) else {
-        return ChosenColumns { columns: all, rest: Vec::new() };
+/// Chooses a column in two cases: if it distinguishes configurations that the columns before it do not distinguish, or if it has a label for a
+/// configuration that has no label in the other chosen columns. Columns of hashes or paths are never chosen, because the names of folders,
+/// which people gave, are easier to read.
+pub fn choose_columns(candidates: Vec<Column>) -> ChosenColumns {
+    let Some(configurations) = candidates.first().map(|column| column.labels.len()) else {
+        return ChosenColumns { columns: candidates, rest: Vec::new() };
     };
-    let mut is_chosen = vec![false; all.len()];
-    let chosen = |is_chosen: &[bool]| -> Vec<Column> {
-        all.iter()
+    let mut is_chosen = vec![false; candidates.len()];
+    let chosen_columns = |is_chosen: &[bool]| -> Vec<Column> {
+        candidates
+            .iter()
             .zip(is_chosen)
             .filter(|(_, is_chosen)| **is_chosen)
             .map(|(column, _)| column.clone())
             .collect()
     };
-    for at in 0..all.len() {
-        let before = distinct_rows(&chosen(&is_chosen), configurations);
-        is_chosen[at] = !all[at].is_opaque();
-        is_chosen[at] = is_chosen[at] && distinct_rows(&chosen(&is_chosen), configurations) > before;
+    for index in 0..candidates.len() {
+        let rows_without = distinct_rows(&chosen_columns(&is_chosen), configurations);
+        is_chosen[index] = !candidates[index].is_opaque();
+        is_chosen[index] =
+            is_chosen[index] && distinct_rows(&chosen_columns(&is_chosen), configurations) > rows_without;
     }
     for configuration in 0..configurations {
-        let names = |column: &Column| column.labels[configuration] != EMPTY_CELL;
-        if !chosen(&is_chosen).iter().any(names) {
-            let first = all.iter().position(|column| !column.is_opaque() && names(column));
-            first.into_iter().for_each(|at| is_chosen[at] = true);
+        let has_label = |column: &Column| column.labels[configuration] != EMPTY_CELL;
+        if !chosen_columns(&is_chosen).iter().any(has_label) {
+            let first = candidates.iter().position(|column| !column.is_opaque() && has_label(column));
+            first.into_iter().for_each(|index| is_chosen[index] = true);
         }
     }
-    let columns = chosen(&is_chosen);
-    let rest = all
+    let columns = chosen_columns(&is_chosen);
+    let rest = candidates
         .into_iter()
         .zip(is_chosen)
         .filter(|(_, is_chosen)| !is_chosen)
@@ -80,7 +83,9 @@ pub(super) fn are_distinct(columns: &[Column], configurations: usize) -> bool {
 
 /// Returns the number of different rows of labels.
 fn distinct_rows(columns: &[Column], configurations: usize) -> usize {
-    let row = |at: usize| columns.iter().map(|column| column.labels[at].as_str()).collect::<Vec<_>>();
+    let row = |configuration: usize| {
+        columns.iter().map(|column| column.labels[configuration].as_str()).collect::<Vec<_>>()
+    };
     let mut rows: Vec<Vec<&str>> = (0..configurations).map(row).collect();
     rows.sort_unstable();
     rows.dedup();
@@ -89,19 +94,20 @@ fn distinct_rows(columns: &[Column], configurations: usize) -> usize {
 
 /// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
-    let (mut told, mut named): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
+    // Facts whose values are listed, and facts of which only the name is given.
+    let (mut listed, mut names): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {
         match column.values_with_configurations(columns) {
-            Some(text) if !column.is_opaque() => told.push(text),
-            _ => named.push(&column.axis),
+            Some(text) if !column.is_opaque() => listed.push(text),
+            _ => names.push(&column.axis),
         }
     }
     let mut sentences = Vec::new();
-    if !told.is_empty() {
-        sentences.push(format!("They also differ in {}.", told.join("; ")));
+    if !listed.is_empty() {
+        sentences.push(format!("They also differ in {}.", listed.join("; ")));
     }
-    if !named.is_empty() {
-        sentences.push(format!("Further differences, recorded in their run.json: {}.", named.join(", ")));
+    if !names.is_empty() {
+        sentences.push(format!("Further differences, recorded in their run.json: {}.", names.join(", ")));
     }
     sentences
 }
@@ -119,33 +125,34 @@ impl Column {
 
     /// Returns each label, followed by the configurations that have it; `None` if the text would be long.
     fn values_with_configurations(&self, columns: &[Column]) -> Option<String> {
+        // Each value with the names of the configurations that have it.
         let mut values: Vec<(&str, Vec<String>)> = Vec::new();
         // The configurations are named by a single column if it determines the labels of this column, otherwise by all columns.
-        let by = columns.iter().find(|column| column.determines(self));
-        for (at, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != EMPTY_CELL) {
-            let who = match by {
-                Some(column) => column.labels[at].clone(),
+        let naming_column = columns.iter().find(|column| column.determines(self));
+        for (index, label) in self.labels.iter().enumerate().filter(|(_, label)| *label != EMPTY_CELL) {
+            let name = match naming_column {
+                Some(column) => column.labels[index].clone(),
                 None => {
-                    let labels = columns.iter().map(|column| column.labels[at].as_str());
+                    let labels = columns.iter().map(|column| column.labels[index].as_str());
                     labels.filter(|label| *label != EMPTY_CELL).collect::<Vec<_>>().join(", ")
                 }
             };
-            let who = if who == EMPTY_CELL { "the others".to_owned() } else { who };
+            let name = if name == EMPTY_CELL { "the others".to_owned() } else { name };
             match values.iter_mut().find(|(value, _)| value == label) {
-                Some((_, all)) if all.contains(&who) => {}
-                Some((_, all)) => all.push(who),
-                None => values.push((label, vec![who])),
+                Some((_, names)) if names.contains(&name) => {}
+                Some((_, names)) => names.push(name),
+                None => values.push((label, vec![name])),
             }
         }
-        (values.len() <= MAX_LISTED && values.iter().all(|(_, who)| who.len() <= MAX_LISTED)).then(|| {
-            let told = values.iter().map(|(value, who)| format!("{value} ({})", who.join("; ")));
-            format!("{}: {}", self.axis, told.collect::<Vec<_>>().join(", "))
+        (values.len() <= MAX_LISTED && values.iter().all(|(_, names)| names.len() <= MAX_LISTED)).then(|| {
+            let texts = values.iter().map(|(value, names)| format!("{value} ({})", names.join("; ")));
+            format!("{}: {}", self.axis, texts.collect::<Vec<_>>().join(", "))
         })
     }
 
-    /// Returns whether this column's labels determine the labels of another column.
+    /// Returns whether the labels of this column determine the labels of another column: equal labels here mean equal labels there.
     fn determines(&self, other: &Self) -> bool {
         let pairs = || self.labels.iter().zip(&other.labels);
-        pairs().all(|(label, of)| pairs().all(|(same, other)| same != label || other == of))
+        pairs().all(|(own_a, other_a)| pairs().all(|(own_b, other_b)| own_a != own_b || other_a == other_b))
     }
 }

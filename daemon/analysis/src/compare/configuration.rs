@@ -3,16 +3,17 @@
 use std::path::PathBuf;
 
 use peernet_statistics::number::counted;
+use peernet_stream::ExperimentPlace;
 
 use super::columns::{self, ChosenColumns, Column};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// Cell of a run that has no such fact.
+/// Cell of a run that does not have the fact of the column.
 pub(super) const EMPTY_CELL: &str = "—";
-/// Facts that follow from a run's model or data set, which has a column already.
+/// Facts that follow from the model or the data set of a run, which have their own columns.
 const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
-/// Maximum number of labels of one group that are written side by side.
+/// Maximum number of different labels of one group that are listed. Of more labels only the number is given.
 const MAX_JOINED_LABELS: usize = 3;
 
 /// Configurations of runs.
@@ -27,76 +28,77 @@ pub struct Configurations {
 impl Configurations {
     /// Returns the configurations of runs.
     ///
-    /// Runs of one experiment are distinguished by all of its fields, as the experiment's author declared them. Other runs have as few
-    /// columns as are needed to distinguish them. Runs that are alike, or of which nothing is known, are named after their folders or
-    /// files. Repeats and edges of one configuration always have the same labels.
+    /// Runs of one experiment are distinguished by all fields that the author of the experiment declared. Other runs are distinguished by as few
+    /// columns as necessary. If the columns do not distinguish runs, or if nothing is known about a run, a column names the folders or files of
+    /// the runs. Repeats and edges of one configuration always have the same labels.
     pub fn from_runs(runs: &[Loaded]) -> Self {
         Self::with_other_differences(runs).0
     }
 
-    /// Returns the configurations, and sentences about their other differences.
+    /// Returns the configurations, and sentences about the other differences between the runs.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
-        let places: Vec<Vec<(String, String)>> =
+        let declared: Vec<Vec<(String, String)>> =
             runs.iter().map(|run| declared_labels(&run.record)).collect();
         let names =
-            |place: &Vec<(String, String)>| place.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
-        let same_axes = places.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
+            |labels: &Vec<(String, String)>| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
+        let same_axes = declared.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
         if same_axes && runs.iter().all(|run| run.record.experiment.is_some()) {
-            (Self::from_experiment_fields(runs, &places), Vec::new())
+            (Self::from_experiment_fields(runs, &declared), Vec::new())
         } else {
-            Self::from_records(runs, &places)
+            Self::from_records(runs, &declared)
         }
     }
 
-    fn from_experiment_fields(runs: &[Loaded], places: &[Vec<(String, String)>]) -> Self {
-        let mut this = Self::tabulate(places);
+    fn from_experiment_fields(runs: &[Loaded], declared: &[Vec<(String, String)>]) -> Self {
+        let mut configurations = Self::tabulate(declared);
         let executions = executions(runs);
         if differ(&executions) {
-            this.add("execution", executions);
+            configurations.add("execution", executions);
         }
-        if this.has_unrelated_duplicates(runs) {
+        if configurations.has_unrelated_duplicates(runs) {
             let groups = groups(runs);
             let names = folders(runs, &groups);
-            this.add("run", labels_by_run(runs.len(), &groups, &names));
+            configurations.add("run", labels_by_run(runs.len(), &groups, &names));
         }
-        this.add_names_if_unlabelled(runs);
-        this
+        configurations.add_names_if_unlabelled(runs);
+        configurations
     }
 
-    fn from_records(runs: &[Loaded], places: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
+    fn from_records(runs: &[Loaded], declared: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
         let groups = groups(runs);
-        let pairs = runs.iter().zip(places).zip(executions(runs)).map(|((run, place), execution)| {
-            [place.clone(), vec![("execution".to_owned(), execution)], detected_labels(&run.record)].concat()
+        let pairs = runs.iter().zip(declared).zip(executions(runs)).map(|((run, declared), execution)| {
+            let execution = vec![("execution".to_owned(), execution)];
+            [declared.clone(), execution, detected_labels(&run.record)].concat()
         });
         let all = Self::tabulate(&pairs.collect::<Vec<_>>());
-        let column = |(at, axis): (usize, String)| {
+        let column = |(index, axis): (usize, String)| {
             let labels =
-                groups.iter().map(|group| join_labels(group.iter().map(|run| &all.labels[*run][at])));
+                groups.iter().map(|group| join_labels(group.iter().map(|run| &all.labels[*run][index])));
             Column { axis, labels: labels.collect() }
         };
         let columns = all.axes.iter().cloned().enumerate().map(column);
         let ChosenColumns { mut columns, rest } =
             columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
-        let nameless = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
-        let named = (0..groups.len()).all(|group| !nameless(group));
-        let name = |place: usize, columns: &mut Vec<Column>| {
+        let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
+        let all_labelled = (0..groups.len()).all(|group| !is_unlabelled(group));
+        let insert_folders = |index: usize, columns: &mut Vec<Column>| {
             let column = Column { axis: "run".to_owned(), labels: folders(runs, &groups) };
-            columns.insert(place, column);
+            columns.insert(index, column);
         };
         if groups.len() > 1 {
-            if !named {
-                name(0, &mut columns);
+            if !all_labelled {
+                insert_folders(0, &mut columns);
             } else if !columns::are_distinct(&columns, groups.len()) {
-                name(columns.len(), &mut columns);
+                insert_folders(columns.len(), &mut columns);
             }
         }
         let sentences = columns::sentences(&columns, &rest);
-        let mut this = Self { axes: Vec::new(), labels: vec![Vec::new(); runs.len()] };
+        let mut configurations = Self { axes: Vec::new(), labels: vec![Vec::new(); runs.len()] };
         for Column { axis, labels } in &columns {
-            this.add(axis, labels_by_run(runs.len(), &groups, labels));
+            configurations.add(axis, labels_by_run(runs.len(), &groups, labels));
         }
-        this.add_names_if_unlabelled(runs);
-        (this, sentences)
+        configurations.add_names_if_unlabelled(runs);
+        (configurations, sentences)
     }
 
     fn add_names_if_unlabelled(&mut self, runs: &[Loaded]) {
@@ -107,8 +109,8 @@ impl Configurations {
         }
     }
 
-    /// Returns all names in the order of their first appearance, with the label of each run. The field `Model` of an experiment and the
-    /// `model` of a run outside of experiments are the same column.
+    /// Makes a table of the pairs of name and label of each run. The columns are in the order in which their names first appear. Names that differ
+    /// only in case are the same column, such as the field `Model` of an experiment and the `model` of a run outside of experiments.
     fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
         let mut axes: Vec<String> = Vec::new();
         for (axis, _) in pairs.iter().flatten() {
@@ -117,19 +119,20 @@ impl Configurations {
             }
         }
         let label = |pairs: &Vec<(String, String)>, axis: &String| {
-            let found = pairs
+            let label = pairs
                 .iter()
                 .find(|(name, _)| name.eq_ignore_ascii_case(axis))
                 .map(|(_, label)| label.clone());
-            found.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
+            label.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
         };
         let labels = pairs.iter().map(|pairs| axes.iter().map(|axis| label(pairs, axis)).collect()).collect();
         Self { axes, labels }
     }
 
+    /// Adds a column with a label for each run.
     fn add(&mut self, axis: &str, labels: Vec<String>) {
         self.axes.push(axis.to_owned());
-        self.labels.iter_mut().zip(labels).for_each(|(all, label)| all.push(label));
+        self.labels.iter_mut().zip(labels).for_each(|(labels_of_run, label)| labels_of_run.push(label));
     }
 
     /// Adds a column that distinguishes repeats.
@@ -171,26 +174,26 @@ impl Configurations {
     /// Returns whether two runs have the same labels without being declared repeats of each other.
     fn has_unrelated_duplicates(&self, runs: &[Loaded]) -> bool {
         let pairs = (0..runs.len()).flat_map(|a| (0..a).map(move |b| (a, b)));
-        let mut alike = pairs.filter(|(a, b)| self.labels[*a] == self.labels[*b]);
-        alike.any(|(a, b)| !are_repeats(&runs[a].record, &runs[b].record))
+        let mut same_labels = pairs.filter(|(a, b)| self.labels[*a] == self.labels[*b]);
+        same_labels.any(|(a, b)| !are_repeats(&runs[a].record, &runs[b].record))
     }
 }
 
-/// Returns whether two runs are repeats of one configuration of one execution of an experiment, or two edges that were measured at the same
-/// time, as users of one cloud.
+/// Returns whether two runs are of the same configuration in the same execution of an experiment: either different repeats, or different edges
+/// that measured the same repeat at the same time, as users of one cloud.
 fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
-    let edges = a.edge.name != b.edge.name;
+    let have_different_edges = a.edge.name != b.edge.name;
     let (Some(a), Some(b)) = (&a.experiment, &b.experiment) else { return false };
     (&a.name, &a.id, &a.configuration) == (&b.name, &b.id, &b.configuration)
-        && (a.repeat != b.repeat || edges)
+        && (a.repeat != b.repeat || have_different_edges)
 }
 
-/// Returns the fields of a run's experiment.
+/// Returns the fields that the experiment of a run declares, as pairs of name and label; empty outside of experiments.
 fn declared_labels(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
-/// Returns the facts in a run's record about its configuration, the paper's columns first.
+/// Returns the facts about the configuration in the record of a run, as pairs of name and label. The columns of the paper come first.
 fn detected_labels(record: &RunRecord) -> Vec<(String, String)> {
     let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
     let model = record.model.as_ref();
@@ -202,12 +205,13 @@ fn detected_labels(record: &RunRecord) -> Vec<(String, String)> {
         pair("edge", Some(&record.edge.name)),
         pair("cloud", record.cloud.as_ref().map(|cloud| cloud.name.as_str())),
     ];
-    let implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
-    pairs.extend(record.facts.iter().filter(|(fact, _)| !implied(fact)).cloned());
+    let is_implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
+    pairs.extend(record.facts.iter().filter(|(fact, _)| !is_implied(fact)).cloned());
     pairs
 }
 
-/// Returns the experiment and its execution that each run belongs to.
+/// Returns a label for the experiment of each run. If all runs are of experiments with the same name, the label is the short id of the
+/// execution.
 fn executions(runs: &[Loaded]) -> Vec<String> {
     let experiments = || runs.iter().map(|run| run.record.experiment.as_ref());
     let names: Vec<String> =
@@ -215,32 +219,35 @@ fn executions(runs: &[Loaded]) -> Vec<String> {
     if differ(&names) {
         return names;
     }
-    let short = |id: &str| id.chars().take(8).collect::<String>();
-    experiments().map(|place| place.map_or_else(|| EMPTY_CELL.to_owned(), |place| short(&place.id))).collect()
+    let short_id = |id: &str| id.chars().take(8).collect::<String>();
+    let label = |place: Option<&ExperimentPlace>| {
+        place.map_or_else(|| EMPTY_CELL.to_owned(), |place| short_id(&place.id))
+    };
+    experiments().map(label).collect()
 }
 
-/// Returns the runs as groups of repeats and edges of one configuration.
+/// Returns groups of the indexes of runs. A group has all repeats and edges of one configuration.
 fn groups(runs: &[Loaded]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
-    for (at, run) in runs.iter().enumerate() {
-        let belongs = |group: &&mut Vec<usize>| {
+    for (index, run) in runs.iter().enumerate() {
+        let belongs_to = |group: &&mut Vec<usize>| {
             group.iter().all(|other| are_repeats(&runs[*other].record, &run.record))
         };
-        match groups.iter_mut().find(belongs) {
-            Some(group) => group.push(at),
-            None => groups.push(vec![at]),
+        match groups.iter_mut().find(belongs_to) {
+            Some(group) => group.push(index),
+            None => groups.push(vec![index]),
         }
     }
     groups
 }
 
 /// Returns the label of each run, from the labels of the groups.
-fn labels_by_run(runs: usize, groups: &[Vec<usize>], labels: &[String]) -> Vec<String> {
-    let mut all = vec![EMPTY_CELL.to_owned(); runs];
-    for (group, label) in groups.iter().zip(labels) {
-        group.iter().for_each(|run| all[*run].clone_from(label));
+fn labels_by_run(runs: usize, groups: &[Vec<usize>], group_labels: &[String]) -> Vec<String> {
+    let mut run_labels = vec![EMPTY_CELL.to_owned(); runs];
+    for (group, label) in groups.iter().zip(group_labels) {
+        group.iter().for_each(|run| run_labels[*run].clone_from(label));
     }
-    all
+    run_labels
 }
 
 /// Returns the labels of the runs of a group as one label.
@@ -257,17 +264,18 @@ fn join_labels<'a>(labels: impl Iterator<Item = &'a String>) -> String {
     distinct.join(" + ")
 }
 
-/// Returns the names of the groups: their folders, or their files if these are outside of a result folder, without the common prefix.
+/// Returns the names of the groups: the paths of their folders without the common prefix. A group whose file is outside of a result folder is
+/// named after the file.
 fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
     let path = |run: &Loaded| {
         // A file of rows without a record is named after itself.
-        let alone = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
-        if alone { run.folder.join(&run.record.name) } else { run.folder.clone() }
+        let is_single_file = run.record.format == 0 && !run.folder.ends_with(&run.record.name);
+        if is_single_file { run.folder.join(&run.record.name) } else { run.folder.clone() }
     };
     let parts = |run: &usize| -> Vec<String> {
         path(&runs[*run]).components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect()
     };
-    let of_group = |group: &Vec<usize>| {
+    let group_path = |group: &Vec<usize>| {
         let paths: Vec<Vec<String>> = group.iter().map(parts).collect();
         let mut parts = paths[0][..common_prefix_len(&paths)].to_vec();
         if paths.len() > 1 {
@@ -275,17 +283,17 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
         }
         parts
     };
-    let all: Vec<Vec<String>> = groups.iter().map(of_group).collect();
-    let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
+    let paths: Vec<Vec<String>> = groups.iter().map(group_path).collect();
+    let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
     // The last part of a path is always shown.
-    let front = common_prefix_len(&all).min(shortest.saturating_sub(1));
-    all.iter().map(|parts| parts[front..].iter().collect::<PathBuf>().display().to_string()).collect()
+    let prefix_len = common_prefix_len(&paths).min(shortest.saturating_sub(1));
+    paths.iter().map(|parts| parts[prefix_len..].iter().collect::<PathBuf>().display().to_string()).collect()
 }
 
 /// Returns the number of leading parts that all paths have in common.
 fn common_prefix_len(paths: &[Vec<String>]) -> usize {
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
-    (0..shortest).take_while(|at| paths.iter().all(|parts| parts[*at] == paths[0][*at])).count()
+    (0..shortest).take_while(|index| paths.iter().all(|parts| parts[*index] == paths[0][*index])).count()
 }
 
 pub(super) fn differ(labels: &[String]) -> bool {
@@ -304,9 +312,9 @@ mod tests {
             record: RunRecord { format: 1, ..RunRecord::default() },
             rows: Rows::default(),
         };
-        let named = |folders: [&str; 2]| Configurations::from_runs(&folders.map(run)).labels.concat();
-        assert_eq!(named(["a/x", "a/y"]), ["x", "y"]);
-        assert_eq!(named(["near", "/tmp/far"]), ["near", "/tmp/far"]);
-        assert_eq!(named(["/near", "/tmp/far"]), ["near", "tmp/far"]);
+        let labels = |folders: [&str; 2]| Configurations::from_runs(&folders.map(run)).labels.concat();
+        assert_eq!(labels(["a/x", "a/y"]), ["x", "y"]);
+        assert_eq!(labels(["near", "/tmp/far"]), ["near", "/tmp/far"]);
+        assert_eq!(labels(["/near", "/tmp/far"]), ["near", "tmp/far"]);
     }
 }

@@ -21,14 +21,15 @@ pub struct Difference {
 }
 
 impl Difference {
-    /// Returns the difference of the second mean to the first.
+    /// Returns the second mean minus the first.
     ///
-    /// The interval is Welch's (Biometrika 34, 1947), for unequal variances, of the means of batches. Both means are exact: batches
-    /// need not have the same length, so that the mean of their means is not quite the mean of all.
+    /// The interval is that of Welch (Biometrika 34, 1947) for unequal variances. It is computed from the means of batches. The difference is
+    /// computed from the exact means, because batches need not have the same length and the mean of their means is then not quite the mean of
+    /// all values.
     pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
         let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));
-        Self { value, interval: half_width.map(|half| (value - half, value + half)) }
+        Self { value, interval: half_width.map(|half_width| (value - half_width, value + half_width)) }
     }
 
     /// Returns half the width of the interval.
@@ -36,7 +37,7 @@ impl Difference {
         self.interval.map(|(lo, hi)| (hi - lo) / 2.0)
     }
 
-    /// Returns the value, then the interval's ends.
+    /// Returns the value and the two ends of the interval.
     pub(super) fn ends(self) -> [Option<f64>; 3] {
         [Some(self.value), self.interval.map(|ends| ends.0), self.interval.map(|ends| ends.1)]
     }
@@ -56,27 +57,27 @@ pub struct MeanEstimate {
 }
 
 impl MeanEstimate {
-    /// Returns the estimate from the values of each run in the order in which they were measured; `None` without any value.
+    /// Returns the estimate from the values of each run, in the order in which they were measured. `None` without values.
     pub fn from_values(runs: &[Vec<f64>]) -> Option<Self> {
         Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
-    /// Returns the estimate from buckets of each run in the order of time, which have the count and the mean of their values; `None`
-    /// without any value.
+    /// Returns the estimate from the buckets of each run, in order of time. A bucket is the count and the mean of its values. `None` without
+    /// values.
     pub fn from_buckets(runs: &[Vec<(u64, f64)>]) -> Option<Self> {
         Self::from_series(runs.iter().map(Vec::as_slice))
     }
 
     fn from_series<'a, S: Series + ?Sized + 'a>(runs: impl Iterator<Item = &'a S> + Clone) -> Option<Self> {
-        let measured = runs.filter(|run| run.total_count() > 0);
+        let runs_with_values = runs.filter(|run| run.total_count() > 0);
         let (mut count, mut sum) = (0, 0.0);
-        for run in measured.clone() {
+        for run in runs_with_values.clone() {
             count += run.total_count();
-            sum += (0..run.bucket_count()).map(|at| run.sum(at)).sum::<f64>();
+            sum += (0..run.bucket_count()).map(|bucket| run.sum(bucket)).sum::<f64>();
         }
         (count > 0).then_some(())?;
-        let is_enough = measured.clone().all(|run| run.total_count() >= MIN_VALUES as u64);
-        let batches = measured.filter(|_| is_enough).flat_map(batch_means).collect();
+        let have_enough_values = runs_with_values.clone().all(|run| run.total_count() >= MIN_VALUES as u64);
+        let batches = runs_with_values.filter(|_| have_enough_values).flat_map(batch_means).collect();
         Some(Self { mean: sum / count as f64, batches })
     }
 
@@ -85,7 +86,7 @@ impl MeanEstimate {
         self.mean
     }
 
-    /// Returns the number of batches that the interval of a difference would be computed from.
+    /// Returns the number of batches from which the interval of a difference is computed.
     pub fn batches(&self) -> usize {
         self.batches.len()
     }
@@ -93,14 +94,14 @@ impl MeanEstimate {
     fn error(&self) -> Option<MeanError> {
         let count = self.batches.len();
         (count >= MIN_BATCHES).then_some(())?;
-        let (count, freedom) = (count as f64, count as f64 - 1.0);
+        let (count, degrees_of_freedom) = (count as f64, count as f64 - 1.0);
         let mean = self.batches.iter().sum::<f64>() / count;
         let squares: f64 = self.batches.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(MeanError { variance: squares / freedom / count, freedom })
+        Some(MeanError { variance: squares / degrees_of_freedom / count, degrees_of_freedom })
     }
 }
 
-/// Returns the means of at most 30 batches of at least ten values; of a short run the means of five batches.
+/// Returns the means of at most 30 batches with at least ten values each. A short run has five batches with fewer values.
 fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
     let batches = (run.total_count() / MIN_BATCH_VALUES).clamp(MIN_BATCHES as u64, MAX_BATCHES);
     run.parts(batches).into_iter().filter_map(|range| run.mean(range)).collect()
@@ -109,16 +110,19 @@ fn batch_means<S: Series + ?Sized>(run: &S) -> Vec<f64> {
 /// Variance of a mean, with its degrees of freedom.
 struct MeanError {
     variance: f64,
-    freedom: f64,
+    degrees_of_freedom: f64,
 }
 
+/// Returns half the width of the 95 % interval of the difference of two means.
 fn half_width(a: &MeanError, b: &MeanError) -> Option<f64> {
     let variance = a.variance + b.variance;
     if variance <= 0.0 {
         return Some(0.0);
     }
-    let freedom = variance.powi(2) / (a.variance.powi(2) / a.freedom + b.variance.powi(2) / b.freedom);
-    Some(StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975) * variance.sqrt())
+    // Welch's approximation of the degrees of freedom.
+    let degrees_of_freedom = variance.powi(2)
+        / (a.variance.powi(2) / a.degrees_of_freedom + b.variance.powi(2) / b.degrees_of_freedom);
+    Some(StudentsT::new(0.0, 1.0, degrees_of_freedom).ok()?.inverse_cdf(0.975) * variance.sqrt())
 }
 
 #[cfg(test)]
@@ -126,7 +130,7 @@ mod tests {
     use super::super::testing::run;
     use super::*;
 
-    fn of_values(runs: &[Vec<f64>]) -> MeanEstimate {
+    fn mean_estimate(runs: &[Vec<f64>]) -> MeanEstimate {
         MeanEstimate::from_values(runs).expect("values")
     }
 
@@ -134,14 +138,15 @@ mod tests {
     /// 1.04083.
     #[test]
     fn interval_is_that_of_welch() {
-        let of = |values: &[f64]| MeanEstimate {
+        let estimate = |values: &[f64]| MeanEstimate {
             mean: values.iter().sum::<f64>() / values.len() as f64,
             batches: values.to_vec(),
         };
-        let found =
-            Difference::between_means(&of(&[1.0, 2.0, 3.0, 4.0, 5.0]), &of(&[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]));
-        assert!((found.value - 2.5).abs() < 1e-12 && found.is_distinct() == Some(true));
-        let (lo, hi) = found.interval.expect("enough batches");
+        let (first, second) =
+            (estimate(&[1.0, 2.0, 3.0, 4.0, 5.0]), estimate(&[3.0, 5.0, 4.0, 6.0, 7.0, 8.0]));
+        let difference = Difference::between_means(&first, &second);
+        assert!((difference.value - 2.5).abs() < 1e-12 && difference.is_distinct() == Some(true));
+        let (lo, hi) = difference.interval.expect("enough batches");
         assert!((lo - 0.145_05).abs() < 1e-4 && (hi - 4.854_95).abs() < 1e-4, "{lo} {hi}");
     }
 
@@ -150,7 +155,7 @@ mod tests {
         for (count, correlation) in [(30, 0.0), (300, 0.0), (300, 0.6), (4_000, 0.6)] {
             let contains = |seed: &u64| {
                 let [a, b] = [(10.0, 2 * seed), (10.5, 2 * seed + 1)]
-                    .map(|(mean, seed)| of_values(&[run(correlation, count, mean, seed)]));
+                    .map(|(mean, seed)| mean_estimate(&[run(correlation, count, mean, seed)]));
                 let (lo, hi) = Difference::between_means(&a, &b).interval.expect("enough values");
                 lo <= 0.5 && 0.5 <= hi
             };
@@ -169,7 +174,7 @@ mod tests {
         let of_buckets = |buckets: &Vec<(u64, f64)>| {
             MeanEstimate::from_buckets(std::slice::from_ref(buckets)).expect("values")
         };
-        let exact = Difference::between_means(&of_values(&runs[..1]), &of_values(&runs[1..]));
+        let exact = Difference::between_means(&mean_estimate(&runs[..1]), &mean_estimate(&runs[1..]));
         let stored = Difference::between_means(&of_buckets(&buckets[0]), &of_buckets(&buckets[1]));
         assert!((exact.value - stored.value).abs() < 1e-9);
         let [exact, stored] = [exact, stored].map(|found| found.margin().expect("enough values"));
@@ -180,11 +185,16 @@ mod tests {
     fn run_of_few_values_has_no_interval() {
         let long = run(0.0, 300, 1.0, 1);
         for runs in [vec![vec![1.0; 29]], vec![long.clone(), vec![1.0; 29]]] {
-            let found = Difference::between_means(&of_values(std::slice::from_ref(&long)), &of_values(&runs));
+            let found =
+                Difference::between_means(&mean_estimate(std::slice::from_ref(&long)), &mean_estimate(&runs));
             assert_eq!((found.interval, found.is_distinct()), (None, None));
         }
-        let with_empty = of_values(&[long.clone(), Vec::new()]);
-        assert_eq!(with_empty, of_values(std::slice::from_ref(&long)), "a run without values says nothing");
+        let with_empty = mean_estimate(&[long.clone(), Vec::new()]);
+        assert_eq!(
+            with_empty,
+            mean_estimate(std::slice::from_ref(&long)),
+            "a run without values says nothing"
+        );
         assert_eq!(MeanEstimate::from_values(&[Vec::new()]), None);
         let few_buckets = MeanEstimate::from_buckets(&[vec![(100, 1.0); 4]]).expect("values");
         assert_eq!((few_buckets.batches(), few_buckets.mean()), (4, 1.0));
@@ -193,7 +203,7 @@ mod tests {
 
     #[test]
     fn equal_values_have_zero_difference() {
-        let same = of_values(&[vec![2.0; 40]]);
+        let same = mean_estimate(&[vec![2.0; 40]]);
         let found = Difference::between_means(&same, &same);
         assert_eq!((found.interval, found.is_distinct()), (Some((0.0, 0.0)), Some(false)));
     }

@@ -13,6 +13,7 @@ use super::{Comparison, Difference, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
+/// Stages in their order. The names are stored in a static, so that [`STAGES`] can borrow them.
 static ORDER: [Name; 11] = stage::ORDER;
 
 /// Stages that two lines of a comparison may both have.
@@ -37,16 +38,16 @@ pub struct Differences {
 pub struct StageDifference {
     /// Name of the stage.
     pub stage: String,
-    /// Mean of the baseline and of the other.
+    /// Mean of the baseline and mean of the other line.
     pub means: (f64, f64),
-    /// Mean of the other line minus the baseline's.
+    /// Mean of the other line minus the mean of the baseline.
     pub mean: Difference,
-    /// Median of the baseline and of the other line.
+    /// Median of the baseline and median of the other line.
     pub medians: (f64, f64),
-    /// Median of the other line minus the baseline's.
+    /// Median of the other line minus the median of the baseline.
     pub median: Difference,
-    /// Error of the difference beyond its interval, because the offset of the hosts' clocks is only known within bounds: the sum of the
-    /// mean half widths of both lines' bounds. `None` for stages that a single clock measured.
+    /// Further error of the difference, which the interval does not contain, because the clock offset is only known within bounds. It is the sum
+    /// of the mean half widths of the bounds of both lines. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 
@@ -57,7 +58,7 @@ impl Differences {
         Self::between_groups((name(baseline), &[baseline]), (name(other), &[other]), seed)
     }
 
-    /// Compares a line of a comparison of `runs` with another one.
+    /// Compares a line of a comparison of `runs` with another line.
     pub fn between_lines(
         comparison: &Comparison,
         runs: &[Loaded],
@@ -65,30 +66,32 @@ impl Differences {
         other: usize,
         seed: u64,
     ) -> Self {
-        let line = |at: usize| {
-            let line = &comparison.lines[at];
+        let name_and_runs = |index: usize| {
+            let line = &comparison.lines[index];
             let runs: Vec<&Loaded> = line.runs.iter().map(|run| &runs[*run]).collect();
             (line.name(), runs)
         };
-        let (baseline, other) = (line(baseline), line(other));
+        let (baseline, other) = (name_and_runs(baseline), name_and_runs(other));
         Self::between_groups((baseline.0, &baseline.1), (other.0, &other.1), seed)
     }
 
     fn between_groups(baseline: (String, &[&Loaded]), other: (String, &[&Loaded]), seed: u64) -> Self {
         let (a, b) = (baseline.1, other.1);
-        // The stages are computed in parallel, but not all at once, because each computation holds the values of a stage in memory.
-        let share = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
-        let of = |stages: &[&str]| {
-            let found = stages.iter().filter_map(|stage| StageDifference::new(stage, a, b, seed));
-            found.collect::<Vec<_>>()
+        // Each thread computes several stages one after the other, because a computation holds the values of its stage in memory.
+        let stages_per_thread = STAGES.len().div_ceil(available_parallelism().map_or(1, NonZero::get));
+        let differences_of = |stages: &[&str]| {
+            let differences = stages.iter().filter_map(|stage| StageDifference::new(stage, a, b, seed));
+            differences.collect::<Vec<_>>()
         };
         let stages = std::thread::scope(|scope| {
-            let of = &of;
-            let threads: Vec<_> =
-                STAGES.chunks(share).map(|stages| scope.spawn(move || of(stages))).collect();
-            let done =
+            let differences_of = &differences_of;
+            let threads: Vec<_> = STAGES
+                .chunks(stages_per_thread)
+                .map(|stages| scope.spawn(move || differences_of(stages)))
+                .collect();
+            let differences =
                 threads.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| resume_unwind(panic)));
-            done.flatten().collect()
+            differences.flatten().collect()
         });
         Self { baseline: baseline.0, other: other.0, stages }
     }
@@ -112,7 +115,7 @@ impl StageDifference {
     }
 }
 
-/// Returns half the mean width of a delay's bounds.
+/// Returns half the mean width of the bounds of a delay. `None` for stages that are not delays, and without bounds.
 fn half_width(runs: &[&Loaded], stage: &str) -> Option<f64> {
     ["upload", "download"].contains(&stage).then_some(())?;
     let width =

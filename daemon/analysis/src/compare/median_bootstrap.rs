@@ -7,16 +7,18 @@ use super::blocks;
 use super::difference::{Difference, MIN_VALUES};
 use crate::order::SortedValues;
 
-/// Resamples: the ends of a 95 % interval are then the 50th from either side.
+/// Number of resamples. The ends of a 95 % interval are then the 50th values from both sides.
 const RESAMPLES: usize = 2000;
-/// Maximum number of pieces of a run. Neighbouring values of a longer run are joined before the bootstrap. With this number the width of an
-/// interval is known to 2 %, as precisely as [`RESAMPLES`] resamples determine its ends, and a draw takes the same time for a run of any
-/// length.
+/// Maximum number of pieces of a run. Neighbouring values of a longer run are joined to pieces before the bootstrap, so that a draw takes the
+/// same time for a run of any length. With this number the width of an interval is known to 2 %, as precisely as [`RESAMPLES`] resamples
+/// determine the ends.
 const MAX_PIECES: usize = 2000;
 
-/// Values of pooled runs, each run's in the order in which they were measured.
+/// Values of pooled runs.
 pub(super) struct Sample<'a> {
+    /// Values of each run, in the order in which they were measured.
     runs: &'a [Vec<f64>],
+    /// Values of all runs.
     sorted: SortedValues,
 }
 
@@ -27,25 +29,26 @@ impl<'a> Sample<'a> {
         Self { runs, sorted }
     }
 
-    /// Returns the median of all values; `None` without any.
+    /// Returns the median of all values; `None` without values.
     pub(super) fn median(&self) -> Option<f64> {
         self.sorted.median()
     }
 
-    fn is_enough(&self) -> bool {
+    /// Returns whether each run with values has enough of them for an interval.
+    fn has_enough_values(&self) -> bool {
         self.runs.iter().all(|run| run.is_empty() || run.len() >= MIN_VALUES)
     }
 }
 
 /// Returns the median of `b` minus the median of `a`; `None` if `a` or `b` has no values.
 ///
-/// The interval's ends are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994): every run is resampled from blocks
-/// of itself, of random length with the mean that [`blocks::length`] returns.
+/// The ends of the interval are percentiles of the stationary bootstrap (Politis and Romano, JASA 89, 1994). Every run is resampled from blocks
+/// of itself. The blocks have random lengths with the mean that [`blocks::length`] returns.
 ///
-/// To first order, the median depends only on how many values lie on each side of it (Bahadur, *A note on quantiles in large samples*,
-/// Annals of Mathematical Statistics 37, 1966). So the block length is computed from the series of sides. If a resample has more values on
-/// one side than the run, its median is the quantile of the run that is shifted by the difference. A resample is therefore a sum, and
-/// prefix sums of the run give it without reading the values.
+/// To first order, the median of a resample depends only on the number of its values above the median of all values (Bahadur, *A note on
+/// quantiles in large samples*, Annals of Mathematical Statistics 37, 1966). If the resample has more such values than expected, its median is
+/// a higher quantile of all values, shifted by the difference. The excess of a resample is the sum of the excesses of its blocks, and prefix
+/// sums of the run give the excess of a block without reading the values. The block length is computed from the series of excesses as well.
 pub(super) fn median_difference(a: &Sample<'_>, b: &Sample<'_>, seed: u64) -> Option<Difference> {
     difference_from_resamples(a, b, seed, RESAMPLES)
 }
@@ -58,11 +61,11 @@ fn difference_from_resamples(
 ) -> Option<Difference> {
     let (first, second) = (BootstrapSample::new(a)?, BootstrapSample::new(b)?);
     let value = second.median - first.median;
-    let interval = (a.is_enough() && b.is_enough()).then(|| {
+    let interval = (a.has_enough_values() && b.has_enough_values()).then(|| {
         let mut random = StdRng::seed_from_u64(seed);
-        let drawn = (0..resamples).map(|_| second.draw(&mut random) - first.draw(&mut random));
-        let drawn: SortedValues = drawn.collect();
-        Some((drawn.quantile(0.025)?, drawn.quantile(0.975)?))
+        let differences = (0..resamples).map(|_| second.draw(&mut random) - first.draw(&mut random));
+        let differences: SortedValues = differences.collect();
+        Some((differences.quantile(0.025)?, differences.quantile(0.975)?))
     });
     Some(Difference { value, interval: interval.flatten() })
 }
@@ -74,12 +77,13 @@ struct BootstrapSample<'a> {
     runs: Vec<Run>,
 }
 
-/// Run as prefix sums of the number of its values above the group's median, less the number that is expected there.
+/// Run as prefix sums of the excess of its pieces. The excess of a piece is the number of its values above the median of all values, minus the
+/// expected number.
 struct Run {
     /// Sums of the first 0, 1, 2, … pieces.
     sums: Vec<f64>,
     /// Mean length of a block, in pieces.
-    block: f64,
+    mean_block_length: f64,
 }
 
 impl<'a> BootstrapSample<'a> {
@@ -88,7 +92,7 @@ impl<'a> BootstrapSample<'a> {
         let median = sample.median()?;
         let above = sorted.len() - sorted.values().partition_point(|value| *value <= median);
         let expected_share = above as f64 / sorted.len() as f64;
-        let excess = |of: &f64| f64::from(u8::from(*of > median)) - expected_share;
+        let excess = |value: &f64| f64::from(u8::from(*value > median)) - expected_share;
         let run = |values: &Vec<f64>| {
             let pieces = values.chunks(values.len().div_ceil(MAX_PIECES));
             let pieces: Vec<f64> = pieces.map(|piece| piece.iter().map(excess).sum()).collect();
@@ -97,36 +101,37 @@ impl<'a> BootstrapSample<'a> {
                 *sum += piece;
                 Some(*sum)
             }));
-            Run { sums, block: blocks::length(&pieces) }
+            Run { sums, mean_block_length: blocks::length(&pieces) }
         };
         let runs = runs.iter().filter(|values| !values.is_empty()).map(run).collect();
         Some(Self { sorted, median, runs })
     }
 
-    /// Returns the median of one resample of the group.
+    /// Returns the median of one resample.
     fn draw(&self, random: &mut StdRng) -> f64 {
-        let mut sum = 0.0;
+        let mut excess = 0.0;
         for run in &self.runs {
-            run.blocks(random, |from, to| sum += run.sums[to] - run.sums[from]);
+            run.draw_blocks(random, |from, to| excess += run.sums[to] - run.sums[from]);
         }
-        self.sorted.quantile(0.5 + sum / self.sorted.len() as f64).unwrap_or(self.median)
+        self.sorted.quantile(0.5 + excess / self.sorted.len() as f64).unwrap_or(self.median)
     }
 }
 
 impl Run {
-    /// Draws blocks at random positions until they have as many pieces as the run. The run is circular: its first piece follows its last.
-    fn blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
+    /// Draws blocks at random positions until they have as many pieces as the run, and calls `take` with the range of each. The run is circular:
+    /// a block that reaches beyond its end continues at its beginning, as a second range.
+    fn draw_blocks(&self, random: &mut StdRng, mut take: impl FnMut(usize, usize)) {
         let count = self.sums.len() - 1;
-        let ends = -1.0 / self.block;
+        let minus_end_probability = -1.0 / self.mean_block_length;
         let mut missing = count;
         while missing > 0 {
             let from = random.random_range(0..count);
-            let length = if self.block <= 1.0 {
+            let length = if self.mean_block_length <= 1.0 {
                 1
             } else {
-                // The length of a block has the geometric distribution with the mean `block`.
+                // The length of a block has the geometric distribution with this mean, drawn by inversion.
                 let uniform: f64 = random.random_range(f64::MIN_POSITIVE..1.0);
-                (uniform.ln() / ends.ln_1p()) as usize + 1
+                (uniform.ln() / minus_end_probability.ln_1p()) as usize + 1
             };
             let length = length.min(missing);
             let to = (from + length).min(count);

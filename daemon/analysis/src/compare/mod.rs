@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Loaded, Loaded, … ── configuration ── Comparison ─┬─ text, Markdown, CSV, LaTeX
-//!           difference (means) ─────────────────────┼─ Differences (two lines of it)
+//!           difference (means) ─────────────────────┼─ Differences (of two lines)
 //!           blocks ── median_bootstrap ─────────────┤
 //!                                                   └─ the best against the others (three lines and more)
 //! ```
@@ -45,8 +45,8 @@ pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", 
 /// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
-/// Share of iterations with a known delay below which a note is shown.
-const NEARLY_ALL: f64 = 0.95;
+/// Share of iterations with a known delay below which a note reports the share.
+const MIN_KNOWN_SHARE: f64 = 0.95;
 
 /// Treatment of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,22 +61,22 @@ pub enum Repeats<'a> {
     PooledExcept(&'a [usize]),
 }
 
-/// Runs side by side.
+/// Comparison of runs.
 #[derive(Clone, Debug)]
 pub struct Comparison {
     /// Names of the columns that distinguish the lines.
     pub axes: Vec<String>,
     /// One line for each configuration, in the order of the input.
     pub lines: Vec<Line>,
-    /// Line with the smallest mean of [`total_column`](Self::total_column); `None` for a single line, or when none was measured.
+    /// Index of the line with the smallest mean of [`total_column`](Self::total_column). `None` for a single line, or if no line has a mean.
     pub best: Option<usize>,
-    /// Lines that do not differ from the best with 95 % confidence.
+    /// Indices of the lines that do not differ from the best with 95 % confidence.
     pub ties: Vec<usize>,
-    /// Lines that cannot be compared with the best, because they or the best have no iterations or too few.
+    /// Indices of the lines that cannot be compared with the best, because they or the best have too few iterations.
     pub untested: Vec<usize>,
-    /// Lines that are not ranked, because their model computes nothing.
+    /// Indices of the lines that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
-    /// Column that the best line is found by: `total`, or `stages-total` if not all runs have a total.
+    /// Column that determines the best line: `total`, or `stages-total` if not all counted iterations have a total.
     pub total_column: &'static str,
     /// Other differences among the runs, in sentences.
     pub other_differences: Vec<String>,
@@ -95,23 +95,23 @@ pub struct Line {
     pub repeats: usize,
     /// Maximum number of edges that were measured at the same time.
     pub edges: usize,
-    /// Number of iterations that count.
+    /// Number of counted iterations: neither warm-up nor without an answer.
     pub count: u64,
-    /// Number of iterations that did not end with an answer, warm-up left out.
+    /// Number of iterations without an answer, without the warm-up.
     pub unanswered: u64,
     /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// Starts that an open loop ordered, by their outcome; the rate is not needed here.
+    /// Number of starts of an open loop, by their outcome. The rates are not set.
     pub starts: Starts,
-    /// Latencies in the order of [`LATENCIES`]; `None` if no iteration that counts has one.
+    /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
     /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
-    /// Samples that are neither right nor wrong, because their label is not a class of the model.
+    /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
-    /// Difference of its mean of [`total_column`](Comparison::total_column) to the best's; `None` for the best itself, or without a mean.
+    /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for the best line itself, or without a mean.
     pub difference_to_best: Option<Difference>,
-    /// Moments of the column that the best is found by, one for each repeat.
+    /// Moments of [`total_column`](Comparison::total_column), for each repeat.
     repeat_moments: Vec<Moments>,
 }
 
@@ -122,7 +122,7 @@ pub struct Latency {
     pub mean: f64,
     /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
-    /// Number of iterations that have this value: less than the count of the line when the clocks were not related at times.
+    /// Number of iterations with this latency. It is less than the count of the line if some delays are not known.
     pub count: u64,
 }
 
@@ -141,9 +141,9 @@ impl Comparison {
             Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
-        let mut measured = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
+        let mut counted_rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
         let total_column =
-            if measured.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+            if counted_rows.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
         let mut lines: Vec<Line> = Vec::new();
         for (number, labels) in labels.into_iter().enumerate() {
             match lines.iter_mut().find(|line| line.labels == labels) {
@@ -154,7 +154,7 @@ impl Comparison {
         lines.iter_mut().for_each(|line| line.fill(runs, total_column));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);
-        let mut this = Self {
+        let mut comparison = Self {
             axes,
             lines,
             best: None,
@@ -165,8 +165,8 @@ impl Comparison {
             other_differences,
             caveats,
         };
-        best::rank_lines(&mut this, runs);
-        this
+        best::rank_lines(&mut comparison, runs);
+        comparison
     }
 }
 
@@ -189,8 +189,9 @@ impl Line {
         }
     }
 
+    /// Computes the statistics of the line from its runs.
     fn fill(&mut self, runs: &[Loaded], total_column: &str) {
-        // One entry for each repeat: its number, and the number of its results (edges).
+        // Number of each repeat, and the number of its edges. Each edge has its own results.
         let mut repeats: Vec<(Option<u32>, usize)> = Vec::new();
         for Loaded { record, rows, .. } in self.runs.iter().map(|run| &runs[*run]) {
             self.count += rows.iter().filter(|row| row.is_counted()).count() as u64;
@@ -199,25 +200,25 @@ impl Line {
             self.starts.started += starts.started;
             self.starts.skipped += starts.skipped;
             let repeat = record.experiment.as_ref().map(|place| place.repeat);
-            let known = repeats.iter().position(|(other, _)| *other == repeat);
-            let at = known.unwrap_or_else(|| {
+            let existing = repeats.iter().position(|(other, _)| *other == repeat);
+            let index = existing.unwrap_or_else(|| {
                 repeats.push((repeat, 0));
                 self.repeat_moments.push(Moments::default());
                 repeats.len() - 1
             });
-            repeats[at].1 += 1;
-            values(rows, total_column).iter().for_each(|value| self.repeat_moments[at].record(*value));
+            repeats[index].1 += 1;
+            values(rows, total_column).iter().for_each(|value| self.repeat_moments[index].record(*value));
         }
         self.repeats = repeats.len();
         self.edges = repeats.iter().map(|(_, edges)| *edges).max().unwrap_or(1);
-        let of_line = || self.runs.iter().map(|run| &runs[*run]);
-        let rows = || of_line().flat_map(|run| &run.rows);
+        let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
+        let rows = || runs_of_line().flat_map(|run| &run.rows);
         self.misses = Misses::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));
-        self.unknown_labels = unknown_labels(of_line());
+        self.unknown_labels = unknown_labels(runs_of_line());
         self.latencies = LATENCIES.map(|name| {
             let mut moments = Moments::default();
-            let numbers = of_line().flat_map(|run| run.rows.counted_values(name));
+            let numbers = runs_of_line().flat_map(|run| run.rows.counted_values(name));
             numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
@@ -226,16 +227,16 @@ impl Line {
 
     /// Returns an accuracy by its name in [`ACCURACIES`].
     pub fn accuracy(&self, name: &str) -> Option<Accuracy> {
-        ACCURACIES.iter().position(|other| *other == name).and_then(|at| self.accuracies[at])
+        ACCURACIES.iter().position(|other| *other == name).and_then(|index| self.accuracies[index])
     }
 
     /// Returns a latency by its name in [`LATENCIES`].
     pub fn latency(&self, name: &str) -> Option<Latency> {
-        LATENCIES.iter().position(|other| *other == name).and_then(|at| self.latencies[at])
+        LATENCIES.iter().position(|other| *other == name).and_then(|index| self.latencies[index])
     }
 }
 
-/// Returns a column's finite numbers in the rows that count, in order.
+/// Returns the numbers of a column that statistics accept, from the counted rows, in order.
 fn values(rows: &Rows, column: &str) -> Vec<f64> {
     rows.counted_values(column).filter(|value| Summary::accepts(*value)).collect()
 }
@@ -243,8 +244,8 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 /// Returns whether a comparison needs a column, so that `peernet_results::ResultFolder::open_columns` reads it.
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
-    let all = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    all.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED]).any(|name| *name == column)
+    let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
+    columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED]).any(|name| *name == column)
 }
 
 #[cfg(test)]

@@ -2,39 +2,42 @@
 
 use super::difference::{Difference, MeanEstimate};
 
-/// Ranking of several configurations by their means, and whether the smallest mean is so by more than chance.
+/// Ranking of several configurations by their means.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ranking {
-    /// Place of the configuration with the smallest mean.
+    /// Index of the configuration with the smallest mean.
     pub best: usize,
-    /// Index of each other configuration, and the difference of its mean to the best; `None` if it has no mean.
+    /// Index of each other configuration, and its mean minus the smallest mean; `None` if it has no mean.
     pub differences: Vec<(usize, Option<Difference>)>,
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. Each has an index; one without measurements has no estimate. Returns `None` for fewer than two
-    /// configurations, and if none has an estimate.
+    /// Ranks configurations by their means. A configuration is an index and an estimate; without measurements the estimate is `None`. Returns
+    /// `None` for fewer than two configurations, and if no configuration has an estimate.
     pub fn from_means(configurations: &[(usize, Option<MeanEstimate>)]) -> Option<Self> {
         (configurations.len() > 1).then_some(())?;
-        let measured = configurations.iter().filter_map(|(place, one)| Some((*place, one.as_ref()?)));
-        let (best, smallest) = measured.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
+        let with_estimate =
+            configurations.iter().filter_map(|(index, estimate)| Some((*index, estimate.as_ref()?)));
+        let (best, smallest) = with_estimate.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
         let others = configurations.iter().filter(|(index, _)| *index != best);
-        let differences = others
-            .map(|(index, one)| (*index, one.as_ref().map(|one| Difference::between_means(smallest, one))))
-            .collect();
+        let difference = |(index, estimate): &(usize, Option<MeanEstimate>)| {
+            (*index, estimate.as_ref().map(|estimate| Difference::between_means(smallest, estimate)))
+        };
+        let differences = others.map(difference).collect();
         Some(Self { best, differences })
     }
 
-    /// Returns the configurations whose means are larger than the smallest by no more than chance.
+    /// Returns the indexes of the configurations whose means do not differ from the smallest with 95 % confidence.
     pub fn ties(&self) -> Vec<usize> {
         self.indexes_by_verdict(Some(false))
     }
 
-    /// Returns the configurations that have too few values for a test.
+    /// Returns the indexes of the configurations for which there are too few values for a test.
     pub fn untested(&self) -> Vec<usize> {
         self.indexes_by_verdict(None)
     }
 
+    /// Returns the indexes of the configurations whose difference has this result of [`Difference::is_distinct`].
     fn indexes_by_verdict(&self, is_distinct: Option<bool>) -> Vec<usize> {
         let verdict =
             |difference: &Option<Difference>| difference.and_then(|difference| difference.is_distinct());
@@ -46,8 +49,8 @@ impl Ranking {
     }
 }
 
-/// Returns whether a model computes something, by the facts of a run. A model that only returns its input is not ranked with models that
-/// compute.
+/// Returns whether the model of a run computes something, from the facts of the run. A model that only returns its input is not ranked with
+/// models that compute.
 pub fn model_computes(facts: &[(String, String)]) -> bool {
     // The model kind `echo` describes itself by one of these facts.
     let is_echo = |fact: &str| fact == "echo" || fact.starts_with("echo, ");

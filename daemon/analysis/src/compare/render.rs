@@ -4,7 +4,7 @@ use peernet_sample::printable_line;
 use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, measured, percent, range_ms};
 
 use super::{
-    Comparison, Difference, Differences, EMPTY_CELL, LATENCIES, Latency, Line, MIN_VALUES, NEARLY_ALL,
+    Comparison, Difference, Differences, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES,
     StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
@@ -13,7 +13,7 @@ use crate::table::{CaptionedTable, Table, csv_text, interval};
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
-/// Decimals of a number of ms to the microsecond, which no clock of another host is known beyond.
+/// Maximum number of decimals of a number of ms: a microsecond. The clock of another host is never known more precisely.
 const MAX_MS_DECIMALS: usize = 3;
 /// Explanation of an interval.
 pub(super) const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \
@@ -41,7 +41,7 @@ impl Comparison {
         self.table().latex(&self.notes().join(" "))
     }
 
-    /// Returns CSV for programs: seconds, all digits.
+    /// Returns CSV for programs: seconds, with all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<String> = self.axes.clone();
         header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
@@ -54,28 +54,28 @@ impl Comparison {
         );
         header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
         header.push("miss-rate".to_owned());
-        let row = |(at, line): (usize, &Line)| {
-            let flag = |is: bool| u8::from(is).to_string();
+        let row = |(index, line): (usize, &Line)| {
+            let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
             let label = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
             let mut cells: Vec<String> = line.labels.iter().map(label).collect();
             cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
-            let untested = self.untested.contains(&at);
-            let tie = if untested || self.unranked.contains(&at) {
+            let is_untested = self.untested.contains(&index);
+            let tie = if is_untested || self.unranked.contains(&index) {
                 String::new()
             } else {
-                flag(self.ties.contains(&at))
+                flag(self.ties.contains(&index))
             };
-            cells.extend([flag(self.best == Some(at)), tie]);
+            cells.extend([flag(self.best == Some(index)), tie]);
             cells.extend(line.latencies.iter().flat_map(|latency| {
                 [number(latency.map(|latency| latency.mean)), number(latency.and_then(|latency| latency.std))]
             }));
             cells.push(line.edges.to_string());
             cells.extend(line.accuracies.iter().flat_map(|accuracy| {
-                let figures = accuracy.map(|Accuracy { share, interval, unscored, .. }| {
+                let numbers = accuracy.map(|Accuracy { share, interval, unscored, .. }| {
                     [share, interval.0, interval.1, unscored as f64]
                 });
-                figures.map_or([None; 4], |figures| figures.map(Some)).map(number)
+                numbers.map_or([None; 4], |numbers| numbers.map(Some)).map(number)
             }));
             cells.extend(line.difference_to_best.map_or([None; 3], Difference::ends).map(number));
             cells.push(number(line.misses.and_then(Misses::rate)));
@@ -86,48 +86,48 @@ impl Comparison {
     }
 
     fn table(&self) -> Table {
-        let pooled = self.lines.iter().any(|line| line.repeats > 1);
-        let edges = self.lines.iter().any(|line| line.edges > 1);
-        let unanswered = self.lines.iter().any(|line| line.unanswered > 0);
+        let has_repeats = self.lines.iter().any(|line| line.repeats > 1);
+        let has_edges = self.lines.iter().any(|line| line.edges > 1);
+        let has_unanswered = self.lines.iter().any(|line| line.unanswered > 0);
         let mut header = self.axes.clone();
-        header.extend(pooled.then(|| "runs".to_owned()));
-        header.extend(edges.then(|| "edges".to_owned()));
+        header.extend(has_repeats.then(|| "runs".to_owned()));
+        header.extend(has_edges.then(|| "edges".to_owned()));
         header.push("count".to_owned());
-        header.extend(unanswered.then(|| "unanswered".to_owned()));
-        let deadlines = self.lines.iter().any(|line| line.misses.is_some());
-        header.extend(deadlines.then(|| "missed (%)".to_owned()));
+        header.extend(has_unanswered.then(|| "unanswered".to_owned()));
+        let has_deadlines = self.lines.iter().any(|line| line.misses.is_some());
+        header.extend(has_deadlines.then(|| "missed (%)".to_owned()));
         header.extend(HEADINGS.map(str::to_owned));
-        let right: Vec<usize> = (0..ACCURACIES.len())
-            .filter(|at| self.lines.iter().any(|line| line.accuracies[*at].is_some()))
+        let accuracies: Vec<usize> = (0..ACCURACIES.len())
+            .filter(|index| self.lines.iter().any(|line| line.accuracies[*index].is_some()))
             .collect();
-        header.extend(right.iter().map(|at| ACCURACY_HEADINGS[*at].to_owned()));
-        let decimals: Vec<usize> = (0..LATENCIES.len()).map(|at| self.decimals(at)).collect();
+        header.extend(accuracies.iter().map(|index| ACCURACY_HEADINGS[*index].to_owned()));
+        let decimals: Vec<usize> = (0..LATENCIES.len()).map(|latency| self.decimals(latency)).collect();
         let row = |line: &Line| {
             let mut cells = line.labels.clone();
-            cells.extend(pooled.then(|| count(line.repeats as u64)));
-            cells.extend(edges.then(|| count(line.edges as u64)));
+            cells.extend(has_repeats.then(|| count(line.repeats as u64)));
+            cells.extend(has_edges.then(|| count(line.edges as u64)));
             cells.push(count(line.count));
-            cells.extend(unanswered.then(|| count(line.unanswered)));
-            let missed = line.misses.and_then(Misses::rate);
-            let missed = missed.map_or_else(|| EMPTY_CELL.to_owned(), |rate| fixed(rate * 100.0, 2));
-            cells.extend(deadlines.then_some(missed));
+            cells.extend(has_unanswered.then(|| count(line.unanswered)));
+            let miss_rate = line.misses.and_then(Misses::rate);
+            let missed = miss_rate.map_or_else(|| EMPTY_CELL.to_owned(), |rate| fixed(rate * 100.0, 2));
+            cells.extend(has_deadlines.then_some(missed));
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
             );
-            cells.extend(right.iter().map(|at| share(line.accuracies[*at])));
+            cells.extend(accuracies.iter().map(|index| share(line.accuracies[*index])));
             cells
         };
         let rows = self.lines.iter().map(row).collect();
         Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
     }
 
-    /// Returns the number of decimals of a column, which is the same for all rows, so that they are easy to compare.
-    fn decimals(&self, at: usize) -> usize {
-        let latencies = self.lines.iter().filter_map(|line| line.latencies[at]);
+    /// Returns the number of decimals of a latency, which is the same for all rows, so that the numbers are easy to compare.
+    fn decimals(&self, latency: usize) -> usize {
+        let latencies = self.lines.iter().filter_map(|line| line.latencies[latency]);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
-    /// Returns the notes below the table: what its numbers mean, and what the table does not show.
+    /// Returns the notes below the table: the meaning of its numbers, and what the table does not show.
     fn notes(&self) -> Vec<String> {
         let mut notes = vec![
             "Latencies: mean ± standard deviation in ms over all counted iterations. Total (stages) is the sum of all \
@@ -167,10 +167,10 @@ impl Comparison {
         if !repeat_range.is_empty() {
             notes.push(format!("Repeats are pooled; their mean totals: {} ms.", repeat_range.join("; ")));
         }
-        let unknown: Vec<String> = self.lines.iter().flat_map(Line::unknown).collect();
-        if !unknown.is_empty() {
-            notes
-                .push(format!("Delays are known for only a part of the iterations: {}.", unknown.join("; ")));
+        let known_shares: Vec<String> = self.lines.iter().flat_map(Line::known_shares).collect();
+        if !known_shares.is_empty() {
+            let shares = known_shares.join("; ");
+            notes.push(format!("Delays are known for only a part of the iterations: {shares}."));
         }
         notes.extend(self.caveats.iter().cloned());
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
@@ -181,10 +181,10 @@ impl Comparison {
         let mut reasons: Vec<(String, Vec<String>)> = Vec::new();
         for line in &self.lines {
             let Some(unknown) = &line.unknown_labels else { continue };
-            let told = line.with_name(&format!("{} of {}", count(unknown.count), count(line.count)));
+            let text = line.with_name(&format!("{} of {}", count(unknown.count), count(line.count)));
             match reasons.iter_mut().find(|(reason, _)| *reason == unknown.reason()) {
-                Some((_, lines)) => lines.push(told),
-                None => reasons.push((unknown.reason(), vec![told])),
+                Some((_, texts)) => texts.push(text),
+                None => reasons.push((unknown.reason(), vec![text])),
             }
         }
         let sentence =
@@ -192,52 +192,56 @@ impl Comparison {
         reasons.into_iter().map(sentence).collect()
     }
 
+    /// Returns the sentence about the best line, and about the lines that do not differ from it or were not compared with it.
     fn verdict(&self) -> Option<String> {
         let best = &self.lines[self.best?];
-        let names =
-            |lines: &[usize]| lines.iter().map(|at| self.lines[*at].name()).collect::<Vec<_>>().join("; ");
+        let names = |lines: &[usize]| {
+            lines.iter().map(|line| self.lines[*line].name()).collect::<Vec<_>>().join("; ")
+        };
         let others = self.lines.len() - 1 - self.unranked.len();
         let tested = others - self.untested.len();
-        let mut told = Vec::new();
+        let mut clauses = Vec::new();
         if !self.ties.is_empty() {
-            told.push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
+            clauses
+                .push(format!("with 95 % confidence it cannot be distinguished from {}", names(&self.ties)));
         } else if tested == others && others > 0 {
-            let all = if others == 1 { "the other line" } else { "every other line" };
-            told.push(format!("{all} differs from it with 95 % confidence"));
+            let subject = if others == 1 { "the other line" } else { "every other line" };
+            clauses.push(format!("{subject} differs from it with 95 % confidence"));
         }
         if !self.untested.is_empty() {
-            told.push(format!(
+            clauses.push(format!(
                 "too few iterations to tell whether it differs from {} ({MIN_VALUES} of each run are needed)",
                 names(&self.untested)
             ));
         }
         if !self.unranked.is_empty() {
-            told.push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
+            clauses
+                .push(format!("not ranked, because the model computes nothing: {}", names(&self.unranked)));
         }
-        let verdicts = told.join("; ");
+        let verdicts = clauses.join("; ");
         Some(format!("Smallest mean total ({}): {}; {verdicts}.", self.total(), best.name()))
     }
 
-    /// Returns the column of totals by which the best line is found.
+    /// Returns the word for the column of totals that determines the best line: `measured` or `stages`.
     pub(super) fn total(&self) -> &'static str {
         if self.total_column == "total" { "measured" } else { "stages" }
     }
 }
 
 impl Line {
-    /// Returns its labels as one text.
+    /// Returns the labels of the line as one text.
     pub fn name(&self) -> String {
         let labels: Vec<&str> =
             self.labels.iter().map(String::as_str).filter(|label| *label != EMPTY_CELL).collect();
         labels.join(", ")
     }
 
-    /// Returns a sentence about the line that begins with its name.
+    /// Returns a text about the line after the name of the line.
     pub(super) fn with_name(&self, text: &str) -> String {
         with_name(&self.name(), text)
     }
 
-    /// Returns the smallest and the largest mean of its repeats.
+    /// Returns the text with the smallest and the largest mean of the repeats; `None` for a single repeat.
     fn repeat_range(&self) -> Option<String> {
         (self.repeats > 1).then_some(())?;
         let means =
@@ -247,27 +251,29 @@ impl Line {
         Some(self.with_name(&range_ms(ends)))
     }
 
-    /// Returns the note for lines of which some iterations were scored and others were not, for another reason than their label.
+    /// Returns the texts on iterations without a score, one for each accuracy. Iterations whose label is not a class of the model have their own
+    /// note and are not counted here.
     fn unscored(&self) -> Vec<String> {
-        let foreign = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
-        let part = |(name, accuracy): (&str, &Option<Accuracy>)| {
-            let left_out = (*accuracy)?.unscored.saturating_sub(foreign);
-            let told = || format!("{name} of {}: {} of {}", self.name(), count(left_out), count(self.count));
-            (left_out > 0).then(told)
+        let with_unknown_label = self.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
+        let unscored_text = |(name, accuracy): (&str, &Option<Accuracy>)| {
+            let left_out = (*accuracy)?.unscored.saturating_sub(with_unknown_label);
+            let text = || format!("{name} of {}: {} of {}", self.name(), count(left_out), count(self.count));
+            (left_out > 0).then(text)
         };
-        ACCURACIES.into_iter().zip(&self.accuracies).filter_map(part).collect()
+        ACCURACIES.into_iter().zip(&self.accuracies).filter_map(unscored_text).collect()
     }
 
-    fn unknown(&self) -> Vec<String> {
-        let part = |name: &str| {
+    /// Returns the texts on delays that are known for only a part of the iterations, one for each direction.
+    fn known_shares(&self) -> Vec<String> {
+        let share_text = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
-            (share < NEARLY_ALL).then(|| format!("{name} of {}: {} %", self.name(), percent(share)))
+            (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name(), percent(share)))
         };
-        ["upload", "download"].into_iter().filter_map(part).collect()
+        ["upload", "download"].into_iter().filter_map(share_text).collect()
     }
 }
 
-/// Returns a sentence that begins with a name, or without one if there is only one line.
+/// Returns a text after a name. If the name is empty, because there is only one line, returns the text alone.
 pub(super) fn with_name(name: &str, text: &str) -> String {
     if name.is_empty() { text.to_owned() } else { format!("{name}: {text}") }
 }
@@ -276,12 +282,13 @@ fn count(count: u64) -> String {
     fixed(count as f64, 0)
 }
 
+/// Returns the cell of a latency: mean ± standard deviation in ms.
 fn cell(latency: Option<Latency>, decimals: usize) -> String {
-    let figure = |seconds: f64| in_milliseconds(seconds, decimals);
+    let ms = |seconds: f64| in_milliseconds(seconds, decimals);
     match latency {
         None => EMPTY_CELL.to_owned(),
-        Some(Latency { mean, std: None, .. }) => figure(mean),
-        Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", figure(mean), figure(std)),
+        Some(Latency { mean, std: None, .. }) => ms(mean),
+        Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", ms(mean), ms(std)),
     }
 }
 
@@ -302,9 +309,9 @@ impl Differences {
         CaptionedTable { heading: self.heading(), table: self.table(), notes: self.notes() }
     }
 
-    /// Returns CSV for programs: seconds, all digits; one row for each pair and stage.
+    /// Returns CSV for programs: seconds, with all digits. It has one row for each pair of lines and stage.
     pub fn csv(differences: &[Self]) -> String {
-        let rows = differences.iter().flat_map(|this| this.stages.iter().map(|stage| this.csv_row(stage)));
+        let rows = differences.iter().flat_map(|pair| pair.stages.iter().map(|stage| pair.csv_row(stage)));
         csv_text(&Self::CSV_HEADER, &rows.collect::<Vec<_>>())
     }
 
@@ -327,11 +334,11 @@ impl Differences {
 
     fn csv_row(&self, stage: &StageDifference) -> Vec<String> {
         let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-        let three = |of: Difference| of.ends().map(number);
-        let two = |of: (f64, f64)| [of.0.to_string(), of.1.to_string()];
+        let difference_cells = |difference: Difference| difference.ends().map(number);
+        let value_cells = |values: (f64, f64)| [values.0.to_string(), values.1.to_string()];
         let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
-        let means = two(stage.means).into_iter().chain(three(stage.mean));
-        let medians = two(stage.medians).into_iter().chain(three(stage.median));
+        let means = value_cells(stage.means).into_iter().chain(difference_cells(stage.mean));
+        let medians = value_cells(stage.medians).into_iter().chain(difference_cells(stage.median));
         names.chain(means).chain(medians).chain([number(stage.clocks)]).collect()
     }
 
@@ -355,30 +362,32 @@ impl Differences {
         Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: Vec::new() }
     }
 
-    /// Returns a row for each stage; all numbers of a column have the same number of decimals.
+    /// Returns a row for each stage. All numbers of a column have the same number of decimals.
     fn rows(&self) -> Vec<Vec<String>> {
         let stages = || self.stages.iter();
-        let most = |of: fn(&StageDifference) -> Difference| {
-            stages().map(|stage| column_decimals(of(stage).margin())).max().unwrap_or_default()
+        let max_decimals = |difference: fn(&StageDifference) -> Difference| {
+            stages().map(|stage| column_decimals(difference(stage).margin())).max().unwrap_or_default()
         };
-        let (means, medians) = (most(|stage| stage.mean), most(|stage| stage.median));
-        let bounds = stages().filter_map(|stage| stage.clocks).filter(|bound| *bound > 0.0);
-        let clocks =
-            bounds.map(|bound| decimals(bound * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
-        let four = |of: (f64, f64), difference: Difference, decimals: usize| {
-            let figure = |seconds: f64| in_milliseconds(seconds, decimals);
+        let mean_decimals = max_decimals(|stage| stage.mean);
+        let median_decimals = max_decimals(|stage| stage.median);
+        let clock_errors = stages().filter_map(|stage| stage.clocks).filter(|error| *error > 0.0);
+        let clock_decimals =
+            clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
+        let cells = |values: (f64, f64), difference: Difference, decimals: usize| {
+            let ms = |seconds: f64| in_milliseconds(seconds, decimals);
             let [difference, interval] = with_interval(difference, decimals);
-            [figure(of.0), figure(of.1), difference, interval]
+            [ms(values.0), ms(values.1), difference, interval]
         };
-        let bound = |bound: f64| match bound {
+        let clock_cell = |error: f64| match error {
             0.0 => EXACT.to_owned(),
-            bound => format!("±{}", measured(bound * 1e3, clocks)),
+            error => format!("±{}", measured(error * 1e3, clock_decimals)),
         };
         let row = |stage: &StageDifference| {
             let name = std::iter::once(stage.stage.clone());
-            let means = four(stage.means, stage.mean, means);
-            let medians = four(stage.medians, stage.median, medians);
-            name.chain(means).chain(medians).chain([stage.clocks.map(bound).unwrap_or_default()]).collect()
+            let means = cells(stage.means, stage.mean, mean_decimals);
+            let medians = cells(stage.medians, stage.median, median_decimals);
+            let clocks = stage.clocks.map(clock_cell).unwrap_or_default();
+            name.chain(means).chain(medians).chain([clocks]).collect()
         };
         stages().map(row).collect()
     }
@@ -400,12 +409,12 @@ pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
 
 /// Returns a difference and its interval in milliseconds.
 pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
-    let figure = |seconds: f64| format_signed(seconds, decimals);
-    let ends = difference.interval.map(|(lo, hi)| interval([figure(lo), figure(hi)]));
-    [figure(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
+    let signed_ms = |seconds: f64| format_signed(seconds, decimals);
+    let ends = difference.interval.map(|(lo, hi)| interval([signed_ms(lo), signed_ms(hi)]));
+    [signed_ms(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
 }
 
-/// Formats seconds as milliseconds with a sign, also above zero.
+/// Formats seconds as milliseconds with a sign. Numbers above zero have a plus sign.
 fn format_signed(seconds: f64, decimals: usize) -> String {
     let text = in_milliseconds(seconds, decimals);
     let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));

@@ -36,7 +36,7 @@ fn run(folder: &str, [sensing, upload, inference, download]: [Option<f64>; 4]) -
     Loaded { folder: PathBuf::from("results").join(folder), record, rows: (1..=106).map(row).collect() }
 }
 
-fn of(model: &str, device: &str, network: Option<&str>, run: Loaded) -> Loaded {
+fn with_model(model: &str, device: &str, network: Option<&str>, run: Loaded) -> Loaded {
     let record = RunRecord {
         model: Some(ModelRecord { name: model.to_owned(), device: Some(device.to_owned()), sha256: None }),
         placement: Placement {
@@ -61,9 +61,19 @@ fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
 /// Returns the first lines of the paper's table.
 pub(super) fn paper() -> Vec<Loaded> {
     vec![
-        of("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
-        of("policy", "cuda:0", Some("lan"), run("lan", [Some(0.76), Some(17.53), Some(3.73), Some(0.37)])),
-        of("policy", "cuda:0", Some("can"), run("can", [Some(0.81), Some(98.28), Some(3.73), Some(1.73)])),
+        with_model("policy", "orin", None, run("local", [Some(0.71), None, Some(18.55), None])),
+        with_model(
+            "policy",
+            "cuda:0",
+            Some("lan"),
+            run("lan", [Some(0.76), Some(17.53), Some(3.73), Some(0.37)]),
+        ),
+        with_model(
+            "policy",
+            "cuda:0",
+            Some("can"),
+            run("can", [Some(0.81), Some(98.28), Some(3.73), Some(1.73)]),
+        ),
     ]
 }
 
@@ -132,8 +142,9 @@ fn only_repeats_are_pooled() {
 
 #[test]
 fn equal_configurations_are_distinguished_by_folder() {
-    let one =
-        |folder: &str, total: f64| of("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]));
+    let one = |folder: &str, total: f64| {
+        with_model("s", "cpu", None, run(folder, [Some(1.0), None, Some(total), None]))
+    };
     let comparison = Comparison::new(&[one("before/run-2", 7.0), one("after/run-2", 7.0)]);
     assert_eq!(comparison.axes, ["run"]);
     assert_eq!(comparison.lines.iter().map(Line::name).collect::<Vec<_>>(), ["before/run-2", "after/run-2"]);
@@ -214,8 +225,8 @@ fn difference_columns_have_equal_decimals() {
         clocks: Some(half),
     };
     let stages = vec![stage("upload", 0.012_3, 0.002), stage("download", 0.000_34, 0.000_004)];
-    let of = Differences { baseline: "a".to_owned(), other: "b".to_owned(), stages };
-    let table = of.captioned().table;
+    let differences = Differences { baseline: "a".to_owned(), other: "b".to_owned(), stages };
+    let table = differences.captioned().table;
     let decimals =
         |cell: &String| cell.split('.').nth(1).map_or(0, |end| end.split(' ').next().unwrap_or("").len());
     for column in 1..table.header.len() {
@@ -227,9 +238,10 @@ fn difference_columns_have_equal_decimals() {
 
 #[test]
 fn chosen_repeat_has_separate_line() {
-    let of =
+    let repeat_run =
         |load: &str, repeat| placed(&[("load", load)], repeat, run("r", [Some(1.0), None, Some(2.0), None]));
-    let runs = [of("a", 0), of("a", 1), of("a", 2), of("b", 0), of("b", 1)];
+    let runs =
+        [repeat_run("a", 0), repeat_run("a", 1), repeat_run("a", 2), repeat_run("b", 0), repeat_run("b", 1)];
     let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(&[1]));
     let lines: Vec<_> = comparison.lines.iter().map(|line| (line.name(), line.runs.clone())).collect();
     let expected = [("a, the other repeats", vec![0, 2]), ("a, repeat 2", vec![1]), ("b", vec![3, 4])];
@@ -249,7 +261,7 @@ fn published(file: &str, run: Loaded) -> Loaded {
 fn unknown_runs_are_named_after_files() {
     let stages = [Some(1.0), None, Some(2.0), None];
     let faster = [Some(1.0), None, Some(1.0), None];
-    let runs = [of("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
+    let runs = [with_model("s", "cpu", None, run("mine", stages)), published("theirs", run("x", faster))];
     let comparison = Comparison::new(&runs);
     assert_eq!(comparison.axes[0], "run");
     assert!(comparison.lines.iter().all(|line| line.labels[0] != "—"), "{}", comparison.text());
@@ -292,7 +304,7 @@ fn edges_of_one_run_are_not_repeats() {
 
     // They are not split either if other runs are compared with them.
     runs.extend([edge("user-1", 1, "e/runs/2/user-1"), edge("user-2", 1, "e/runs/2/user-2")]);
-    runs.push(of("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
+    runs.push(with_model("s", "cpu", None, run("alone", [Some(1.0), None, Some(2.0), None])));
     let mixed = Comparison::new(&runs);
     assert_eq!(
         mixed.lines.iter().map(|line| line.runs.clone()).collect::<Vec<_>>(),
@@ -306,7 +318,7 @@ fn edges_of_one_run_are_not_repeats() {
 fn dissimilar_runs_have_fewest_distinguishing_columns() {
     let hash = |digit: &str| ("Model SHA-256".to_owned(), digit.repeat(64));
     let with = |model: &str, device: &str, network: Option<&str>, facts: [(String, String); 2]| {
-        let run = of(model, device, network, run(model, [Some(1.0), None, Some(2.0), None]));
+        let run = with_model(model, device, network, run(model, [Some(1.0), None, Some(2.0), None]));
         Loaded { record: RunRecord { facts: facts.to_vec(), ..run.record }, ..run }
     };
     let library = |folder: &str| ("ONNX Runtime".to_owned(), format!("/opt/{folder}/libonnxruntime.so"));
@@ -397,8 +409,8 @@ fn accuracy_is_shown_beside_latency() {
     };
     runs[1].rows.change(broken);
     let comparison = Comparison::new(&runs);
-    let told = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name());
-    assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
+    let sentence = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name());
+    assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
 }
 
@@ -411,11 +423,11 @@ fn labels_outside_model_classes_are_not_scored() {
     }
     let comparison = Comparison::new(&runs);
     let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
-    let told = format!(
+    let sentence = format!(
         "Not scored, because the label is not a class of the model (classes: good, dented): {}.",
         names.join("; ")
     );
-    assert!(comparison.text().contains(&told), "{told} in {}", comparison.text());
+    assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());
     assert!(!comparison.text().contains("Top-1"), "nothing was scored");
     assert!(is_compared("unknown-label"));
 }
@@ -440,10 +452,10 @@ fn defects_of_results_are_noted() {
     broken.record.counts.ok += 4;
     let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
     let text = Comparison::new(&[broken, other]).text();
-    for told in [
+    for sentence in [
         "Incomplete results: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
         "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",
     ] {
-        assert!(text.contains(told), "{told}: {text}");
+        assert!(text.contains(sentence), "{sentence}: {text}");
     }
 }

@@ -14,7 +14,7 @@ pub struct MeanAtSize {
     pub size: f64,
     /// Number of values.
     pub count: u64,
-    /// Their mean.
+    /// Mean of the values.
     pub mean: f64,
     /// Sample standard deviation; `None` below two values.
     pub std: Option<f64>,
@@ -24,15 +24,15 @@ pub struct MeanAtSize {
 pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     let mut distinct: Vec<f64> = Vec::new();
     for size in sizes {
-        if distinct.iter().all(|known| *known > size * SAME_SIZE_RATIO || size > known * SAME_SIZE_RATIO) {
+        if distinct.iter().all(|other| *other > size * SAME_SIZE_RATIO || size > other * SAME_SIZE_RATIO) {
             distinct.push(size);
         }
     }
     distinct.len()
 }
 
-/// Returns the line through means, each weighted by the reciprocal of its variance, or all alike if one variance is not known. `None`
-/// through fewer than three sizes.
+/// Returns the line through means, each weighted by the reciprocal of its variance. If one variance is not known, all means have the same
+/// weight. `None` with fewer than three distinct sizes.
 pub fn line_through_means(means: &[MeanAtSize]) -> Option<Fit> {
     (distinct_sizes(means.iter().map(|mean| mean.size)) >= MIN_SIZES).then_some(())?;
     let weight = |mean: &MeanAtSize| {

@@ -3,13 +3,13 @@
 //! Delays have long tails: a message that waited behind others is late by any amount and never early by much. This has
 //! consequences for a line of best fit:
 //!
-//! * [`least_squares`] over single delays depends on every late one by its square, and its standard errors are only valid
-//!   for normal errors. Over *medians*, each weighted by its precision, it is valid: medians of many samples are nearly
+//! * [`least_squares`] over single delays depends on the square of every late delay, and its standard errors are only valid
+//!   for normal errors. Over *medians*, each weighted by its precision, it is valid. Medians of many samples are nearly
 //!   normal with any tail (the central limit theorem of order statistics), and the medians of large messages, which vary
 //!   more, have smaller weights. The scale of the errors is estimated from the residuals, so a delay that is not quite
 //!   linear in size makes the intervals wider.
-//! * [`theil_sen`] computes the median of the slopes of all pairs: up to 29 % of the points may be arbitrarily wrong, and
-//!   its intervals only assume that deviations from the line have the same distribution.
+//! * [`theil_sen`] computes the median of the slopes of all pairs. Up to 29 % of the points may be arbitrarily wrong. The
+//!   intervals only assume that the deviations from the line have the same distribution.
 
 mod least_squares;
 mod means;
@@ -20,10 +20,10 @@ pub use means::{MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 
-/// The confidence of every interval.
+/// Confidence of every interval.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Point to fit: a value that was set and one that was measured.
+/// Point to fit: a value that was set and a value that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// Value that was set.
@@ -35,21 +35,21 @@ pub struct Point {
 /// Estimate with its 95 % confidence interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
-    /// The figure.
+    /// Estimated value.
     pub value: f64,
-    /// Standard error; `None` if the method has none.
+    /// Standard error; `None` if the method does not give one.
     pub standard_error: Option<f64>,
-    /// Ends of the interval; `None` when there are too few points for one.
+    /// Ends of the interval; `None` when there are too few points for an interval.
     pub interval: Option<(f64, f64)>,
 }
 
 impl Estimate {
-    /// Returns half the interval's width, or more if the figure is not in its middle.
+    /// Returns the larger distance from the value to an end of the interval. It is half the width if the value is in the middle.
     pub fn margin(&self) -> Option<f64> {
         self.interval.map(|(lo, hi)| (hi - self.value).max(self.value - lo))
     }
 
-    /// Returns the interval, or the figure twice if it has no interval.
+    /// Returns the ends of the interval; without an interval, both ends are the value.
     pub fn span(&self) -> (f64, f64) {
         self.interval.unwrap_or((self.value, self.value))
     }
@@ -67,24 +67,24 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// Returns the line's value at `x`.
+    /// Returns the value of the line at `x`.
     pub fn at(&self, x: f64) -> f64 {
         self.intercept.value + self.slope.value * x
     }
 }
 
-/// Width of a rate's interval, as a share of the rate, above which no rate is given.
+/// Maximum width of the interval of a rate, as a share of the rate. A rate with a wider interval is not given.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
-/// Returns the bits per second of a slope in seconds per byte, and the margin of its 95 % interval; `None` if the interval reaches zero or
-/// is wider than half the rate.
+/// Returns the rate in bits per second for a slope in seconds per byte, and the margin of its 95 % interval. `None` if the interval of the
+/// slope reaches zero, or if the interval of the rate is wider than half the rate.
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
     let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
     let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
     (high - low <= MAX_RELATIVE_WIDTH * rate).then(|| (rate, (high - rate).max(rate - low)))
 }
 
-/// Returns whether a line can be fitted: there are at least three points, they have two different x, and all coordinates are numbers.
+/// Returns whether a line can be fitted: there are at least three points, not all of them have the same x, and all coordinates are finite.
 fn can_be_fitted(points: impl IntoIterator<Item = Point>) -> bool {
     let points: Vec<Point> = points.into_iter().collect();
     points.len() >= 3

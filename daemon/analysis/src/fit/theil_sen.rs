@@ -1,19 +1,19 @@
-//! Theil–Sen: the median of the slopes of all pairs.
+//! Line fit by Theil and Sen: its slope is the median of the slopes of all pairs of points.
 
 use statrs::distribution::{Binomial, ContinuousCDF, DiscreteCDF, Normal};
 
 use super::{CONFIDENCE, Estimate, Fit, Point, can_be_fitted};
 use crate::order::SortedValues;
 
-/// Maximum number of steps of the bisection. It is larger than the 64 bits of an `f64`, so the bisection always ends by itself.
-const HALVINGS: usize = 80;
+/// Maximum number of steps of the bisection. It is larger than the 64 bits of an `f64`, so the bisection always ends before.
+const MAX_BISECTIONS: usize = 80;
 
 /// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose intercept is
 /// the median of the residuals of y. `None` when there are fewer than three points or all have the same x.
 ///
-/// The slope's interval is that of Sen 1968, with his correction for equal x: the pairs' slopes at the ranks that Kendall's statistic
-/// allows. The intercept's interval combines the uncertainty of the slope and of the median (sign test), each at half the risk
-/// (Bonferroni). It is valid for any distribution of deviations that all points share.
+/// The interval of the slope is that of Sen 1968, with his correction for equal x. Its ends are slopes of pairs, whose ranks follow from
+/// Kendall's statistic. The interval of the intercept combines the uncertainty of the slope and of the median (sign test), each at half the
+/// risk (Bonferroni). It is valid for any distribution of the deviations, as long as it is the same for all points.
 ///
 /// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
@@ -21,8 +21,8 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
         return None;
     }
     let pairs = Pairs::new(points);
-    let (below, above) = ((pairs.count - 1) / 2, pairs.count / 2);
-    let slope = f64::midpoint(pairs.slope(below), pairs.slope(above));
+    let (lower_middle, upper_middle) = ((pairs.count - 1) / 2, pairs.count / 2);
+    let slope = f64::midpoint(pairs.slope(lower_middle), pairs.slope(upper_middle));
     let residuals =
         |slope: f64| points.iter().map(|point| point.y - slope * point.x).collect::<SortedValues>();
     let intercept = residuals(slope).median()?;
@@ -31,9 +31,12 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     let slopes_and_ranks =
         pairs.interval(confidence_at_half_risk).zip(median_ranks(points.len(), confidence_at_half_risk));
     let intercept_interval = slopes_and_ranks.map(|((low_slope, high_slope), (low_rank, high_rank))| {
-        let (one, other) = (residuals(low_slope), residuals(high_slope));
-        let (one, other) = (one.values(), other.values());
-        (one[low_rank].min(other[low_rank]), one[high_rank].max(other[high_rank]))
+        let residuals = [residuals(low_slope), residuals(high_slope)];
+        let [of_low_slope, of_high_slope] = residuals.each_ref().map(SortedValues::values);
+        (
+            of_low_slope[low_rank].min(of_high_slope[low_rank]),
+            of_low_slope[high_rank].max(of_high_slope[high_rank]),
+        )
     });
     Some(Fit {
         intercept: Estimate { value: intercept, standard_error: None, interval: intercept_interval },
@@ -44,11 +47,11 @@ pub fn theil_sen(points: &[Point]) -> Option<Fit> {
 
 /// All pairs of points with different x. The pairs themselves are not stored.
 struct Pairs {
-    /// The points by x; the y of each x in ascending order.
+    /// Points grouped by x, in ascending order of x. The y of a group are in ascending order.
     groups: Vec<(f64, Vec<f64>)>,
     /// Number of pairs.
     count: u64,
-    /// The lowest and the highest slope, with their signs.
+    /// Lowest and highest slope.
     range: (f64, f64),
 }
 
@@ -60,27 +63,29 @@ impl Pairs {
             .chunk_by(|a, b| a.x == b.x)
             .map(|group| (group[0].x, group.iter().map(|point| point.y).collect()))
             .collect();
-        let choose = |n: usize| (n as u64) * (n as u64).saturating_sub(1) / 2;
-        let count = choose(points.len()) - groups.iter().map(|(_, group)| choose(group.len())).sum::<u64>();
-        // A slope over several groups is an average of slopes between neighbours. The lowest and the highest slope are therefore slopes
-        // between neighbours.
+        let pair_count = |n: usize| (n as u64) * (n as u64).saturating_sub(1) / 2;
+        let count =
+            pair_count(points.len()) - groups.iter().map(|(_, group)| pair_count(group.len())).sum::<u64>();
+        // A slope over several groups is an average of slopes between neighbouring groups. The lowest and the highest slope are therefore
+        // slopes between neighbouring groups.
         let slopes = groups.windows(2).flat_map(|pair| {
-            let ((x, low), (to, high)) = (&pair[0], &pair[1]);
+            let ((left_x, left), (right_x, right)) = (&pair[0], &pair[1]);
             let rise =
                 |from: Option<&f64>, to: Option<&f64>| to.zip(from).map_or(0.0, |(to, from)| to - from);
-            [rise(low.last(), high.first()) / (to - x), rise(low.first(), high.last()) / (to - x)]
+            let run = right_x - left_x;
+            [rise(left.last(), right.first()) / run, rise(left.first(), right.last()) / run]
         });
         let range = slopes.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), s| (lo.min(s), hi.max(s)));
         Self { groups, count, range }
     }
 
-    /// Returns the slope of rank `rank`, from 0.
+    /// Returns the slope with this rank, from 0, in the ascending order of the slopes.
     ///
-    /// The range of slopes is bisected. Pairs with at most a given slope are counted in O(n log n): after the slope was subtracted from all
-    /// points, they are the pairs that do not rise, and a merge sort counts these as inversions.
+    /// The range of slopes is bisected. Each step counts the pairs with at most a given slope in O(n log n): the line with this slope is
+    /// subtracted from all points, and then a merge sort counts the pairs that do not rise as inversions.
     fn slope(&self, rank: u64) -> f64 {
         let (mut lo, mut hi) = self.range;
-        for _ in 0..HALVINGS {
+        for _ in 0..MAX_BISECTIONS {
             let middle = f64::midpoint(lo, hi);
             if middle <= lo || middle >= hi {
                 break;
@@ -106,13 +111,14 @@ impl Pairs {
         count
     }
 
-    /// Returns the interval of the median slope: the slopes of two ranks, whose distance from the middle rank follows from Kendall's
-    /// statistic. `None` if there is no slope of such a rank.
+    /// Returns the interval of the median slope. Its ends are the slopes of two ranks, whose distance from the middle rank follows from
+    /// Kendall's statistic. `None` if the pairs are too few for these ranks.
     fn interval(&self, confidence: f64) -> Option<(f64, f64)> {
-        let sum = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
+        // Term of the variance of Kendall's statistic for n points. Groups of equal x reduce the variance.
+        let variance_term = |n: f64| n * (n - 1.0) * (2.0 * n + 5.0);
         let points: usize = self.groups.iter().map(|(_, group)| group.len()).sum();
-        let equal: f64 = self.groups.iter().map(|(_, group)| sum(group.len() as f64)).sum();
-        let deviation = ((sum(points as f64) - equal) / 18.0).sqrt();
+        let equal_x: f64 = self.groups.iter().map(|(_, group)| variance_term(group.len() as f64)).sum();
+        let deviation = ((variance_term(points as f64) - equal_x) / 18.0).sqrt();
         let width = deviation * Normal::standard().inverse_cdf(f64::midpoint(1.0, confidence));
         // Sen's ranks M1 and M2 + 1, counted from 1.
         let (low, high) = ((self.count as f64 - width) / 2.0, (self.count as f64 + width) / 2.0);
@@ -123,32 +129,34 @@ impl Pairs {
     }
 }
 
-/// Merges two runs; adds to `count` the pairs whose right element is no higher than the left one.
+/// Merges two sorted runs. Adds to `count` the number of pairs of a left and a right element whose right element is at most the left one.
 fn merge(left: &[f64], right: &[f64], count: &mut u64) -> Vec<f64> {
     let mut merged = Vec::with_capacity(left.len() + right.len());
-    let mut taken = 0;
+    // Number of elements of `left` that are merged.
+    let mut merged_left = 0;
     for &value in right {
-        let lower = left[taken..].iter().take_while(|other| **other < value).count();
-        merged.extend_from_slice(&left[taken..taken + lower]);
-        taken += lower;
-        *count += (left.len() - taken) as u64;
+        let lower = left[merged_left..].iter().take_while(|other| **other < value).count();
+        merged.extend_from_slice(&left[merged_left..merged_left + lower]);
+        merged_left += lower;
+        *count += (left.len() - merged_left) as u64;
         merged.push(value);
     }
-    merged.extend_from_slice(&left[taken..]);
+    merged.extend_from_slice(&left[merged_left..]);
     merged
 }
 
-/// Returns the ranks (from 0) of two of `n` sorted values between which the median lies with this confidence (sign test). `None` if not
-/// even the smallest and the largest value reach the confidence.
+/// Returns the ranks, from 0, of two of `n` sorted values. The median lies between these values with this confidence (sign test). `None` if
+/// `n` is so small that it lies between the smallest and the largest value with less confidence.
 fn median_ranks(n: usize, confidence: f64) -> Option<(usize, usize)> {
     let values_below_median = Binomial::new(0.5, n as u64).ok()?;
     let risk = (1.0 - confidence) / 2.0;
-    // Above a thousand values the normal approximation is accurate and much faster.
-    let outside = if n > 1000 {
+    // Number of values below the lower of the two values, including that value. Above a thousand values the normal approximation is accurate
+    // and much faster.
+    let lower_count = if n > 1000 {
         let half_width = Normal::standard().inverse_cdf(1.0 - risk) * (n as f64).sqrt() / 2.0;
         (n as f64 / 2.0 - half_width).floor() as usize
     } else {
         (0..n).take_while(|rank| values_below_median.cdf(*rank as u64) <= risk).count()
     };
-    Some((outside.checked_sub(1)?, n - outside))
+    Some((lower_count.checked_sub(1)?, n - lower_count))
 }

@@ -8,17 +8,17 @@ use crate::Passage;
 use crate::order::SortedValues;
 use crate::rows::Rows;
 
-/// Quality of the delays of a run, warm-up left out.
+/// Quality of the delays of a run, without warm-up and unanswered iterations.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Clocks {
-    /// Edge to cloud.
+    /// Delays from edge to cloud.
     pub upload: ClockCounts,
-    /// Cloud to edge.
+    /// Delays from cloud to edge.
     pub download: ClockCounts,
 }
 
-/// The verdicts on one direction's delays.
+/// Quality of the delays in one direction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct ClockCounts {
@@ -28,23 +28,23 @@ pub struct ClockCounts {
     pub sources: BTreeMap<String, u64>,
     /// Median width of the bounds, seconds; `None` without bounds.
     pub median_width: Option<f64>,
-    /// Offset of the receiver's wall clock ahead of the sender's at the first message for which it is known.
+    /// Offset of the receiver's wall clock, minus that of the sender, at the first message with a known offset; seconds.
     pub first_offset: Option<Bounded>,
-    /// Offset at the last such message.
+    /// Offset at the last message with a known offset.
     pub last_offset: Option<Bounded>,
-    /// Average growth of that offset, seconds per second.
+    /// Average growth of the offset between these two messages, seconds per second.
     pub skew: Option<Bounded>,
 }
 
-/// Value with the bounds that contain the true one.
+/// Estimate with bounds that contain the true value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Bounded {
-    /// The estimate.
+    /// Estimate.
     pub value: f64,
-    /// The lower bound.
+    /// Lower bound.
     pub lo: f64,
-    /// The upper bound.
+    /// Upper bound.
     pub hi: f64,
 }
 
@@ -76,12 +76,12 @@ impl ClockCounts {
             *sources.entry(delay.source.name()).or_default() += 1;
             widths.extend(delay.bounds.map(|bounds| bounds.width().seconds()));
         }
-        let named = |counts: BTreeMap<&str, u64>| {
+        let with_owned_names = |counts: BTreeMap<&str, u64>| {
             counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
         };
         Self {
-            verdicts: named(verdicts),
-            sources: named(sources),
+            verdicts: with_owned_names(verdicts),
+            sources: with_owned_names(sources),
             median_width: widths.into_iter().collect::<SortedValues>().median(),
             first_offset: first.map(|(_, offset)| offset),
             last_offset: last.map(|(_, offset)| offset),
@@ -90,21 +90,23 @@ impl ClockCounts {
     }
 }
 
-/// Returns the offset that was subtracted from the difference of the stamps, in seconds.
+/// Returns the offset that was subtracted from the difference of the stamps, in seconds. A long delay means a small offset, so the upper
+/// bound of the delay gives the lower bound of the offset.
 fn offset(passage: &Passage) -> Option<Bounded> {
     passage.seconds()?;
-    let (delay, seconds) = (&passage.delay, |delay| (passage.delay.raw - delay).seconds());
+    let delay = &passage.delay;
+    let offset_for = |true_delay| (delay.raw - true_delay).seconds();
     let bounds = delay.bounds?;
-    Some(Bounded { value: seconds(delay.value?), lo: seconds(bounds.hi), hi: seconds(bounds.lo) })
+    Some(Bounded { value: offset_for(delay.value?), lo: offset_for(bounds.hi), hi: offset_for(bounds.lo) })
 }
 
+/// Returns the average growth of the offset between two times.
 fn skew((from, first): (f64, Bounded), (to, last): (f64, Bounded)) -> Option<Bounded> {
     let seconds = to - from;
-    let over = |change: f64| change / seconds;
-    // The start is 0 if it was not recorded.
+    // A time is 0 if it was not recorded.
     (from > 0.0 && seconds > 0.0).then(|| Bounded {
-        value: over(last.value - first.value),
-        lo: over(last.lo - first.hi),
-        hi: over(last.hi - first.lo),
+        value: (last.value - first.value) / seconds,
+        lo: (last.lo - first.hi) / seconds,
+        hi: (last.hi - first.lo) / seconds,
     })
 }

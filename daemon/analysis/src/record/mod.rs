@@ -73,7 +73,7 @@ pub struct RunRecord {
     pub peer_timeout_s: Option<f64>,
     /// Seeds of random quantities, by their purpose.
     pub seeds: BTreeMap<String, u64>,
-    /// Iterations that are warm-up, in words.
+    /// Text that says which iterations are warm-up.
     pub warm_up: String,
     /// Number of iterations by outcome.
     pub counts: Counts,
@@ -87,12 +87,12 @@ pub struct RunRecord {
     pub accuracy: BTreeMap<String, Accuracy>,
     /// Units of the columns that the run logged in addition to the standard columns.
     pub units: Units,
-    /// Judgement on whether the run can be published; `None` if it was not judged.
+    /// Report on whether the run can be published; `None` if it was not judged.
     pub trust: Option<trust::Report>,
 }
 
 impl RunRecord {
-    /// Returns whether nothing was computed: a sensor ran alone.
+    /// Returns whether a sensor ran alone, without a model.
     pub fn is_sensor_only(&self) -> bool {
         self.placement.is(PlacementKind::None)
     }
@@ -143,9 +143,9 @@ pub struct HostRecord {
 pub struct Placement {
     /// Kind of placement: `local`, `remote` or `none`; empty, or another word, in results of other programs.
     pub kind: String,
-    /// Kind of network, such as `zmq-tcp`, for a remote one.
+    /// Kind of network of a remote placement, such as `zmq-tcp`.
     pub network: Option<String>,
-    /// Address of the peer, for a remote one.
+    /// Address of the peer of a remote placement.
     pub address: Option<String>,
 }
 
@@ -192,7 +192,7 @@ pub fn to_utc(at: WallTime) -> DateTime<Utc> {
 }
 
 impl Counts {
-    /// Counts rows; `unseen` more iterations are known to have been measured.
+    /// Returns the numbers of rows by outcome. `unseen` is the number of iterations that were measured but have no row.
     pub fn from_rows(rows: &Rows, unseen: u64) -> Self {
         let mut counts = Self { unseen, ..Self::default() };
         for row in rows {

@@ -1,12 +1,12 @@
-//! List that grows without being moved.
+//! List that grows without moving its elements.
 
 use std::ops::Index;
 
 /// Number of elements in one chunk.
 const CHUNK_LEN: usize = 4096;
 
-/// List that only grows. Unlike a vector it needs no more memory than its elements, and it leaves no freed blocks behind: a run has dozens
-/// of columns, and vectors that grow at the same time take twice their size.
+/// List that only grows. It needs little more memory than its elements, and it leaves no freed blocks behind. A vector would need up to twice
+/// this memory when it grows, and a run has dozens of columns that grow at the same time.
 #[derive(Clone, Debug)]
 pub(super) struct Chunks<T>(Vec<Vec<T>>);
 
@@ -36,16 +36,16 @@ impl<T> Chunks<T> {
 impl<T> Index<usize> for Chunks<T> {
     type Output = T;
 
-    fn index(&self, at: usize) -> &T {
-        &self.0[at / CHUNK_LEN][at % CHUNK_LEN]
+    fn index(&self, index: usize) -> &T {
+        &self.0[index / CHUNK_LEN][index % CHUNK_LEN]
     }
 }
 
 impl<T> FromIterator<T> for Chunks<T> {
     fn from_iter<I: IntoIterator<Item = T>>(values: I) -> Self {
-        let mut all = Self::default();
-        values.into_iter().for_each(|value| all.push(value));
-        all
+        let mut list = Self::default();
+        values.into_iter().for_each(|value| list.push(value));
+        list
     }
 }
 

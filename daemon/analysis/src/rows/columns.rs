@@ -6,7 +6,7 @@ use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
 
 use super::Column;
 
-/// Starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
+/// Column of the number of starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";
@@ -22,11 +22,11 @@ pub enum ColumnKind {
     Delay,
 }
 
-/// Number of columns that the published program has.
+/// Number of columns of the paper's original program.
 pub const PUBLISHED_COLUMN_COUNT: usize = 13;
 
-/// Columns of every file: first the published columns in their order, then the columns of this program. Further measurements of a run
-/// follow them.
+/// Columns of every file: first the columns of the paper's original program in their order, then the columns of this program. Further
+/// measurements of a run follow them.
 pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("iteration", ColumnKind::Position),
     ("sensing", ColumnKind::Node),
@@ -77,7 +77,7 @@ pub const FIXED_COLUMNS: [(&str, ColumnKind); 47] = [
     ("reason", ColumnKind::Position),
 ];
 
-/// Returns the names of the published columns, in their order.
+/// Returns the names of the columns of the paper's original program, in their order.
 pub fn published_columns() -> impl Iterator<Item = &'static str> {
     FIXED_COLUMNS[..PUBLISHED_COLUMN_COUNT].iter().map(|(name, _)| *name)
 }
@@ -90,36 +90,38 @@ fn fixed_index(name: &str) -> Option<usize> {
 /// Returns the name of a column, without allocation if every file has it.
 pub fn column(name: &str) -> Column {
     fixed_index(name)
-        .map_or_else(|| Column::Owned(name.to_owned()), |at| Column::Borrowed(FIXED_COLUMNS[at].0))
+        .map_or_else(|| Column::Owned(name.to_owned()), |index| Column::Borrowed(FIXED_COLUMNS[index].0))
 }
 
-/// Returns every number of a tree under the name of its column: the columns that every file has first, in their order, then the others in
+/// Returns every number of a tree with the name of its column. The columns that every file has come first, in their order, then the others in
 /// the order of logging.
 ///
-/// Names of nested nodes are joined with `_`, and a node that has both a value and children gets `_val`: the published rules. The columns
-/// that every file has are excepted: their names never change, so that `sensing` is `sensing` with any children, and its parts are
-/// `capture` and `transform`.
+/// The rules for names are those of the paper's original program: the names of nested nodes are joined with `_`, and `_val` is appended for a
+/// node that has both a value and children. The columns that every file has are exceptions. Their names never change: `sensing` is `sensing`
+/// with any children, and its parts are `capture` and `transform`.
 pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
     TreeValues::from_tree(tree).values()
 }
 
 /// Measurements of a tree.
 pub(super) struct TreeValues<'a> {
+    /// Values of the columns that every file has.
     fixed: [Option<f64>; FIXED_COLUMNS.len()],
+    /// Name, value and unit of each further column.
     further: Vec<(Column, f64, Unit)>,
-    /// Number of times that a parent had a child of that name.
+    /// Number of children with each name that a parent has so far.
     siblings: HashMap<(NodeId, &'a str), usize>,
 }
 
 impl<'a> TreeValues<'a> {
     pub(super) fn from_tree(tree: &'a Tree) -> Self {
-        let mut found =
+        let mut tree_values =
             TreeValues { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
         let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            labels[id.index()] = found.add_node(tree, id, node, &labels);
+            labels[id.index()] = tree_values.add_node(tree, id, node, &labels);
         }
-        found
+        tree_values
     }
 
     pub(super) fn values(self) -> Vec<(Column, f64)> {
@@ -128,30 +130,30 @@ impl<'a> TreeValues<'a> {
         fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
     }
 
-    /// Returns the units of the columns that not every file has.
+    /// Returns names and units of the further columns.
     pub(super) fn units(&self) -> impl Iterator<Item = (&str, &Unit)> {
         self.further.iter().map(|(name, _, unit)| (name.as_ref(), unit))
     }
 
-    /// Adds a node's value; returns the label that its children's names begin with.
+    /// Adds the value of a node. Returns the label that the names of the node's children begin with.
     fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
-        if let Some(at) = fixed_column(tree, parent, &node.name) {
+        if let Some(column) = fixed_column(tree, parent, &node.name) {
             // Several nodes with the same name are added up, as in `stages-total`.
             if let Some(value) = value {
-                self.fixed[at] = Some(self.fixed[at].unwrap_or_default() + value);
+                self.fixed[column] = Some(self.fixed[column].unwrap_or_default() + value);
             }
             if let Measure::Throughput(rate) = &node.measure {
-                self.bounds(FIXED_COLUMNS[at].0, rate.bounds);
+                self.set_bounds(FIXED_COLUMNS[column].0, rate.bounds);
             }
-            return Column::Borrowed(FIXED_COLUMNS[at].0);
+            return Column::Borrowed(FIXED_COLUMNS[column].0);
         }
         let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
         *occurrence += 1;
         let mut label = match labels[parent.index()].as_ref() {
             "" => node.name.to_string(),
-            above => format!("{above}_{}", node.name),
+            parent_label => format!("{parent_label}_{}", node.name),
         };
         if *occurrence > 1 {
             label = format!("{label}_{occurrence}");
@@ -165,33 +167,36 @@ impl<'a> TreeValues<'a> {
         Column::Owned(label)
     }
 
-    fn bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
+    /// Sets the columns with the bounds of a throughput.
+    fn set_bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
         let Some((lo, hi)) = bounds else { return };
-        for (end, value) in [("lo", lo), ("hi", hi)] {
-            if let Some(at) = fixed_index(&format!("{name}-{end}")) {
-                self.fixed[at] = Some(value);
+        for (suffix, value) in [("lo", lo), ("hi", hi)] {
+            if let Some(column) = fixed_index(&format!("{name}-{suffix}")) {
+                self.fixed[column] = Some(value);
             }
         }
     }
 
-    /// Returns the name, with a number behind it if another column of the row has it.
+    /// Returns the name. If another column of the row has the same name, a number is appended.
     fn unique_name(&self, name: String) -> String {
-        let taken =
+        let is_taken =
             |name: &str| fixed_index(name).is_some() || self.further.iter().any(|(other, ..)| other == name);
-        if !taken(&name) {
+        if !is_taken(&name) {
             return name;
         }
-        let mut numbered = (2..).map(|number| format!("{name}_{number}"));
-        numbered.find(|name| !taken(name)).unwrap_or(name)
+        let mut numbered_names = (2..).map(|number| format!("{name}_{number}"));
+        numbered_names.find(|name| !is_taken(name)).unwrap_or(name)
     }
 }
 
 /// Returns the index of the fixed column for a node with this name and parent; `None` if no fixed column is for this node.
 fn fixed_column(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
-    let below_sensing =
+    let is_below_sensing =
         tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));
-    let part = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
-    let here = if part { below_sensing } else { parent == NodeId::ROOT };
-    let derived = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
-    fixed_index(name).filter(|at| here && !derived && FIXED_COLUMNS[*at].1 == ColumnKind::Node)
+    let is_part_of_sensing = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
+    let has_expected_parent = if is_part_of_sensing { is_below_sensing } else { parent == NodeId::ROOT };
+    // The bounds of a throughput come from its node. They have no nodes of their own.
+    let is_bound = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
+    let is_node = |column: &usize| FIXED_COLUMNS[*column].1 == ColumnKind::Node;
+    fixed_index(name).filter(|column| has_expected_parent && !is_bound && is_node(column))
 }

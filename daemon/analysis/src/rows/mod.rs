@@ -29,7 +29,7 @@ use peernet_clock::{DelaySource, Verdict};
 use chunks::Chunks;
 use numbers::Numbers;
 
-/// Iterations of a run, in order: about 150 bytes for each, whereas a [`Row`] takes more than a thousand.
+/// Iterations of a run, in order. Each takes about 150 bytes, whereas a [`Row`] takes more than a thousand.
 ///
 /// Nothing is rounded: every row is read back exactly.
 #[derive(Clone)]
@@ -37,22 +37,22 @@ pub struct Rows {
     names: Vec<Column>,
     /// Index of each column in `names` and `numbers`.
     column_indexes: HashMap<Column, usize>,
-    /// Columns of numbers, one for each of `names`, each as long as `outcomes`.
+    /// Columns of numbers, in the order of `names`. Each is as long as `outcomes`.
     numbers: Vec<Numbers>,
     /// Outcome of each iteration, and whether it is warm-up.
     outcomes: Chunks<(Outcome, bool)>,
     /// Verdicts on the delays, upload and download.
     verdicts: [Chunks<Option<JudgedDelay>>; 2],
-    /// Index and reason of each row that has a reason, in order. Consecutive reasons are mostly the same, so they share their text.
+    /// Index and reason of each row that has a reason, in order. Consecutive equal reasons share their text.
     reasons: Vec<(usize, Arc<str>)>,
-    /// Row that is being appended.
+    /// Last row that was appended. Its memory is used for the next row.
     builder: RowBuilder,
 }
 
-/// Column of a flag that is stored separately, because every statistic reads it.
+/// Column of the flag for warm-up. It is stored with the outcomes, because every statistic reads both.
 const WARM_UP: &str = "warm-up";
 
-/// Verdict on a delay, and the source of its clock relation.
+/// Verdict on a delay, and the source of the clock relation that corrected the delay.
 pub type JudgedDelay = (Verdict, DelaySource);
 
 /// Row that is built cell by cell: its numbers by the index of their column, and its other values.
@@ -62,7 +62,7 @@ pub struct RowBuilder {
     pub numbers: Vec<Option<f64>>,
     /// Outcome of the iteration; `None` means an answer.
     pub outcome: Option<Outcome>,
-    /// `true` if the row is excluded from statistics.
+    /// True if the iteration is warm-up, which is excluded from statistics.
     pub warm_up: bool,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
@@ -119,7 +119,7 @@ impl Rows {
         self.push_built(builder);
     }
 
-    /// Returns an empty row, to be filled and given to [`Self::push_built`].
+    /// Returns an empty row. The caller fills it and passes it to [`Self::push_built`].
     pub fn build_row(&mut self) -> RowBuilder {
         let mut builder = std::mem::take(&mut self.builder);
         builder.numbers.clear();
@@ -137,12 +137,12 @@ impl Rows {
             let reason = last.map_or_else(|| Arc::from(reason), Arc::clone);
             self.reasons.push((self.outcomes.len(), reason));
         }
-        self.verdicts.iter_mut().zip(builder.verdicts).for_each(|(all, verdicts)| all.push(verdicts));
+        self.verdicts.iter_mut().zip(builder.verdicts).for_each(|(verdicts, verdict)| verdicts.push(verdict));
         self.outcomes.push((builder.outcome.unwrap_or(Outcome::Ok), builder.warm_up));
         self.builder = builder;
     }
 
-    /// Returns the index of a column, which is appended if no column has that name.
+    /// Returns the index of a column. If no column has this name, the column is appended.
     fn column_index(&mut self, name: &Column) -> usize {
         if let Some(index) = self.column_indexes.get(name) {
             return *index;
@@ -164,8 +164,8 @@ impl Rows {
     }
 
     /// Returns a row by its index, from 0.
-    pub fn get(&self, at: usize) -> Option<RowRef<'_>> {
-        (at < self.len()).then(|| RowRef::new(self, at))
+    pub fn get(&self, index: usize) -> Option<RowRef<'_>> {
+        (index < self.len()).then(|| RowRef::new(self, index))
     }
 
     /// Returns the last row.
@@ -173,7 +173,7 @@ impl Rows {
         self.iter().next_back()
     }
 
-    /// Returns the numbers of a column in the rows that count, in order: the input of statistics.
+    /// Returns the numbers of a column in the counted rows, in order: the input of statistics.
     pub fn counted_values(&self, column: &str) -> impl Iterator<Item = f64> + Clone {
         let index = self.column_indexes.get(column);
         let numbers = index.map(|index| &self.numbers[*index]);
@@ -250,14 +250,14 @@ impl Extend<Row> for Rows {
 
 impl FromIterator<Row> for Rows {
     fn from_iter<I: IntoIterator<Item = Row>>(rows: I) -> Self {
-        let mut all = Self::default();
-        all.extend(rows);
-        all
+        let mut appended = Self::default();
+        appended.extend(rows);
+        appended
     }
 }
 
 impl PartialEq for Rows {
-    /// Returns whether they hold the same rows, in any form.
+    /// Returns whether both contain the same rows. The columns may be in a different order or form.
     fn eq(&self, other: &Self) -> bool {
         self.len() == other.len() && self.iter().zip(other.iter()).all(|(a, b)| a.to_row() == b.to_row())
     }

@@ -4,21 +4,21 @@ use super::chunks::Chunks;
 
 /// Element of [`Numbers::Multiples`] that stands for a missing number.
 const MISSING: i32 = i32::MIN;
-/// Parts of a whole that are tried: whole numbers, and durations, which are counted in nanoseconds.
+/// Fractions that are tried as the unit of multiples, as their reciprocals: whole numbers, and whole nanoseconds for durations in seconds.
 const UNITS_PER_WHOLE: [f64; 2] = [1.0, 1e9];
 
 /// Numbers, one for each row, any of which may be missing.
 ///
 /// Most columns of a run do not need eight bytes for a number: sizes and flags stay the same, iterations count upwards, and durations of up
-/// to two seconds are whole nanoseconds in 32 bits. The numbers determine the form: each number is read back when it is appended, and one
-/// that the form cannot represent moves all of them into the next wider form.
+/// to two seconds are whole nanoseconds in 32 bits. The numbers determine the form. Each number is read back when it is appended. If the form
+/// cannot represent it exactly, all numbers are converted to a wider form.
 #[derive(Clone, Debug)]
 pub(super) enum Numbers {
     /// Numbers with a constant difference, or only missing numbers.
     Linear { first: Option<f64>, step: f64, count: usize },
-    /// Multiples of a fraction of the unit: seconds as whole nanoseconds.
+    /// Multiples of 1 / `per`, such as seconds as whole nanoseconds.
     Multiples { per: f64, counts: Chunks<i32> },
-    /// Unchanged numbers; NaN stands for a missing one.
+    /// Unchanged numbers; NaN stands for a missing number.
     Exact(Chunks<f64>),
 }
 
@@ -37,13 +37,13 @@ impl Numbers {
     }
 
     /// Returns the number of a row; `None` if it is missing.
-    pub(super) fn get(&self, at: usize) -> Option<f64> {
+    pub(super) fn get(&self, row: usize) -> Option<f64> {
         match self {
-            Self::Linear { first, step, .. } => first.map(|first| first + step * at as f64),
+            Self::Linear { first, step, .. } => first.map(|first| first + step * row as f64),
             Self::Multiples { per, counts } => {
-                Some(counts[at]).filter(|count| *count != MISSING).map(|count| f64::from(count) / per)
+                Some(counts[row]).filter(|count| *count != MISSING).map(|count| f64::from(count) / per)
             }
-            Self::Exact(numbers) => Some(numbers[at]).filter(|number| !number.is_nan()),
+            Self::Exact(numbers) => Some(numbers[row]).filter(|number| !number.is_nan()),
         }
     }
 
@@ -51,7 +51,7 @@ impl Numbers {
     pub(super) fn push(&mut self, number: Option<f64>) {
         let number = number.filter(|number| !number.is_nan());
         if !self.try_push(number) {
-            *self = Self::narrowest_form((0..self.len()).map(|at| self.get(at)).chain([number]));
+            *self = Self::narrowest_form((0..self.len()).map(|row| self.get(row)).chain([number]));
         }
     }
 
@@ -74,9 +74,9 @@ impl Numbers {
                 fits
             }
             Self::Multiples { per, counts } => {
-                let part = part(number, *per);
-                part.into_iter().for_each(|part| counts.push(part));
-                part.is_some()
+                let multiple = multiple_of(number, *per);
+                multiple.into_iter().for_each(|multiple| counts.push(multiple));
+                multiple.is_some()
             }
             Self::Exact(numbers) => {
                 numbers.push(number.unwrap_or(f64::NAN));
@@ -87,18 +87,19 @@ impl Numbers {
 
     /// Returns the narrowest form that can represent these numbers.
     fn narrowest_form(numbers: impl Iterator<Item = Option<f64>> + Clone) -> Self {
-        let fits = |per: &f64| numbers.clone().all(|number| part(number, *per).is_some());
+        let fits = |per: &f64| numbers.clone().all(|number| multiple_of(number, *per).is_some());
         match UNITS_PER_WHOLE.into_iter().find(fits) {
-            Some(per) => {
-                Self::Multiples { per, counts: numbers.filter_map(|number| part(number, per)).collect() }
-            }
+            Some(per) => Self::Multiples {
+                per,
+                counts: numbers.filter_map(|number| multiple_of(number, per)).collect(),
+            },
             None => Self::Exact(numbers.map(|number| number.unwrap_or(f64::NAN)).collect()),
         }
     }
 }
 
-/// Returns the number as a multiple of 1 / `per`; `None` if it is not such a multiple, or the multiple is too large.
-fn part(number: Option<f64>, per: f64) -> Option<i32> {
+/// Returns the factor of the number as a multiple of 1 / `per`. `None` if it is not such a multiple, or if the factor is too large.
+fn multiple_of(number: Option<f64>, per: f64) -> Option<i32> {
     let Some(number) = number else { return Some(MISSING) };
     // A number that is too large saturates, and then differs from the original.
     let count = (number * per).round() as i32;
@@ -116,14 +117,14 @@ mod tests {
 
     use super::*;
 
-    fn of(numbers: &[Option<f64>]) -> Numbers {
+    fn column_of(numbers: &[Option<f64>]) -> Numbers {
         let mut column = Numbers::missing(0);
         numbers.iter().for_each(|number| column.push(*number));
         column
     }
 
-    fn bytes(numbers: &[Option<f64>]) -> f64 {
-        let bytes = match of(numbers) {
+    fn bytes_per_number(numbers: &[Option<f64>]) -> f64 {
+        let bytes = match column_of(numbers) {
             Numbers::Linear { .. } => 0,
             Numbers::Multiples { counts, .. } => counts.len() * 4,
             Numbers::Exact(numbers) => numbers.len() * 8,
@@ -133,7 +134,8 @@ mod tests {
 
     #[test]
     fn typical_columns_need_few_bytes() {
-        let column = |value: fn(u32) -> Option<f64>| bytes(&(1..=300).map(value).collect::<Vec<_>>());
+        let column =
+            |value: fn(u32) -> Option<f64>| bytes_per_number(&(1..=300).map(value).collect::<Vec<_>>());
         assert_eq!(column(|_| None), 0.0);
         assert_eq!(column(|_| Some(150_528.0)), 0.0, "a size");
         assert_eq!(column(|n| Some(f64::from(n))), 0.0, "the iteration's own number");
@@ -149,13 +151,13 @@ mod tests {
         let mut all = Vec::new();
         for step in steps {
             all.extend(step.iter().copied().map(Some));
-            let column = of(&all);
+            let column = column_of(&all);
             assert!((0..all.len()).all(|at| is_same(column.get(at), all[at])), "{all:?}: {column:?}");
         }
-        assert!(matches!(of(&all[..2]), Numbers::Linear { .. }));
-        assert!(matches!(of(&all[..4]), Numbers::Multiples { per: 1.0, .. }));
-        assert!(matches!(of(&all[..6]), Numbers::Multiples { per: 1e9, .. }));
-        assert!(matches!(of(&all), Numbers::Exact(_)));
+        assert!(matches!(column_of(&all[..2]), Numbers::Linear { .. }));
+        assert!(matches!(column_of(&all[..4]), Numbers::Multiples { per: 1.0, .. }));
+        assert!(matches!(column_of(&all[..6]), Numbers::Multiples { per: 1e9, .. }));
+        assert!(matches!(column_of(&all), Numbers::Exact(_)));
     }
 
     proptest! {
@@ -170,7 +172,7 @@ mod tests {
                 0..40,
             ),
         ) {
-            let column = of(&numbers);
+            let column = column_of(&numbers);
             prop_assert_eq!(column.len(), numbers.len());
             for (at, number) in numbers.iter().enumerate() {
                 prop_assert!(is_same(column.get(at), *number), "{} of {:?}", at, column);

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::columns;
 use crate::Passage;
 
-/// Name of a column: not allocated if it is a standard one.
+/// Name of a column. The name of a standard column is not allocated.
 pub type Column = Cow<'static, str>;
 
 /// One iteration. Seconds, bytes, bits per second.
@@ -23,18 +23,18 @@ pub struct Row {
     pub episode: u32,
     /// Step within the episode, from 0.
     pub step: u32,
-    /// Kept, but left out of statistics.
+    /// True if the iteration is warm-up. Such rows are stored, but left out of statistics.
     pub warm_up: bool,
     /// Outcome of the iteration.
     pub outcome: Outcome,
     /// Reason for a missing answer, if one was reported.
     pub reason: Option<String>,
-    /// Columns and values: the published names first, names of nested nodes joined with `_`. No value is NaN; a bound of a throughput may
-    /// be infinite.
+    /// Columns and values of the measurements. The columns that every file has come first. No value is NaN; a bound of a throughput may be
+    /// infinite.
     pub values: Vec<(Column, f64)>,
     /// Message from edge to cloud; `None` when it was never sent or never judged.
     pub upload: Option<Passage>,
-    /// Cloud to edge.
+    /// Message from cloud to edge; `None` when it was never sent or never judged.
     pub download: Option<Passage>,
 }
 
@@ -42,7 +42,7 @@ pub struct Row {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outcome {
-    /// Ended with an answer.
+    /// The iteration ended with an answer.
     Ok,
     /// The sample or the model failed.
     Failed,
@@ -107,8 +107,8 @@ impl Row {
 
     /// Returns the number in a column of `data.csv`; `None` if the cell is empty or text, or there is no such column.
     pub fn value(&self, column: &str) -> Option<f64> {
-        let bound = |passage: Option<&Passage>, of: fn(&Passage) -> Option<Span>| {
-            passage.and_then(of).map(Span::seconds)
+        let seconds = |passage: Option<&Passage>, span: fn(&Passage) -> Option<Span>| {
+            passage.and_then(span).map(Span::seconds)
         };
         let (up, down) = (self.upload.as_ref(), self.download.as_ref());
         match column {
@@ -117,17 +117,17 @@ impl Row {
             "episode" => Some(f64::from(self.episode)),
             "step" => Some(f64::from(self.step)),
             "warm-up" => Some(f64::from(u8::from(self.warm_up))),
-            "upload-lo" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
-            "upload-hi" => bound(up, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
-            "upload-raw" => bound(up, |passage| Some(passage.delay.raw)),
-            "download-lo" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
-            "download-hi" => bound(down, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
-            "download-raw" => bound(down, |passage| Some(passage.delay.raw)),
+            "upload-lo" => seconds(up, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "upload-hi" => seconds(up, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "upload-raw" => seconds(up, |passage| Some(passage.delay.raw)),
+            "download-lo" => seconds(down, |passage| passage.delay.bounds.map(|bounds| bounds.lo)),
+            "download-hi" => seconds(down, |passage| passage.delay.bounds.map(|bounds| bounds.hi)),
+            "download-raw" => seconds(down, |passage| Some(passage.delay.raw)),
             _ => self.values.iter().find(|(name, _)| name == column).map(|(_, value)| *value),
         }
     }
 
-    /// Returns whether statistics include it: answered, and not warm-up.
+    /// Returns whether statistics include the iteration: it was answered and is not warm-up.
     pub fn is_counted(&self) -> bool {
         self.outcome == Outcome::Ok && !self.warm_up
     }

@@ -6,9 +6,10 @@ use super::columns::{ColumnKind, FIXED_COLUMNS};
 use super::{Column, Outcome, Row, Rows, WARM_UP};
 use crate::Passage;
 
-/// Columns that a passage is built from: its delay, payload and metadata, then the properties of the delay.
+/// Columns that the [`Passage`] of an upload is built from: delay, payload and metadata, then the properties of the delay.
 const UPLOAD: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "upload-raw", "upload-lo", "upload-hi"];
+/// Columns that the [`Passage`] of a download is built from, in the same order.
 const DOWNLOAD: [&str; 6] =
     ["download", "download-bytes", "download-logger-bytes", "download-raw", "download-lo", "download-hi"];
 
@@ -37,7 +38,7 @@ impl<'a> RowRef<'a> {
         self.rows.numbers[column].get(self.index)
     }
 
-    /// Returns its number in the run, from 1.
+    /// Returns the number of the iteration in the run, from 1.
     pub fn iteration(&self) -> u64 {
         self.value("iteration").unwrap_or_default() as u64
     }
@@ -57,7 +58,7 @@ impl<'a> RowRef<'a> {
         self.value("step").unwrap_or_default() as u32
     }
 
-    /// Returns whether it is warm-up: kept, but left out of statistics.
+    /// Returns whether the iteration is warm-up. Such rows are stored, but left out of statistics.
     pub fn warm_up(&self) -> bool {
         self.rows.outcomes[self.index].1
     }
@@ -67,7 +68,7 @@ impl<'a> RowRef<'a> {
         self.rows.outcomes[self.index].0
     }
 
-    /// Returns whether statistics include it: answered, and not warm-up.
+    /// Returns whether statistics include the iteration: it was answered and is not warm-up.
     pub fn is_counted(&self) -> bool {
         self.outcome() == Outcome::Ok && !self.warm_up()
     }
@@ -75,18 +76,19 @@ impl<'a> RowRef<'a> {
     /// Returns the reason for a missing answer, if one was reported.
     pub fn reason(&self) -> Option<&'a str> {
         let reasons = &self.rows.reasons;
-        let found = reasons.binary_search_by_key(&self.index, |(index, _)| *index).ok()?;
-        Some(&reasons[found].1)
+        let position = reasons.binary_search_by_key(&self.index, |(index, _)| *index).ok()?;
+        Some(&reasons[position].1)
     }
 
-    /// Returns columns and values of the measurements: the columns that every file has first.
+    /// Returns columns and values of the measurements. The columns that every file has come first.
     pub fn values(&self) -> impl Iterator<Item = (&'a Column, f64)> {
         let Self { rows, index } = *self;
-        let measured = FIXED_COLUMNS.iter().map(|(_, kind)| *kind);
-        let measured = measured.map(|kind| kind == ColumnKind::Node);
-        let columns = rows.names.iter().zip(&rows.numbers).zip(measured.chain(std::iter::repeat(true)));
+        // All columns after the fixed columns are measurements.
+        let is_measurement = FIXED_COLUMNS.iter().map(|(_, kind)| *kind == ColumnKind::Node);
+        let is_measurement = is_measurement.chain(std::iter::repeat(true));
+        let columns = rows.names.iter().zip(&rows.numbers).zip(is_measurement);
         columns
-            .filter(|(_, measured)| *measured)
+            .filter(|(_, is_measurement)| *is_measurement)
             .filter_map(move |((name, numbers), _)| Some((name, numbers.get(index)?)))
     }
 
@@ -95,7 +97,7 @@ impl<'a> RowRef<'a> {
         self.passage(0, UPLOAD)
     }
 
-    /// Returns the message from cloud to edge.
+    /// Returns the message from cloud to edge; `None` when it was never sent or never judged.
     pub fn download(&self) -> Option<Passage> {
         self.passage(1, DOWNLOAD)
     }

@@ -16,29 +16,29 @@ impl TrustInput {
             count: record.counts.unseen,
             reason: "measured, but this program was too busy to take them".to_owned(),
         };
-        let rows_say = Self::from_rows(rows, &conditions);
+        let from_rows = Self::from_rows(rows, &conditions);
         Self {
-            starts: Starts { hz: load(record).hz, ..rows_say.starts },
+            starts: Starts { hz: load(record).hz, ..from_rows.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
             ended_early: ended_early(record, rows),
-            ..rows_say
+            ..from_rows
         }
         .with_end_reason(Some(&record.reason))
         .with_facts(&record.facts)
     }
 }
 
-/// Returns the limits that a run was asked to keep; none if a program with other limits wrote its record.
+/// Returns the configured limits of a run. If a program with other limits wrote the record, no limit is returned.
 fn limits(record: &RunRecord) -> Limits {
     record.pipeline.get("limit").and_then(|limit| Limits::deserialize(limit).ok()).unwrap_or_default()
 }
 
-/// Returns the load that a run was asked to generate; none if a program with another kind of load wrote its record.
+/// Returns the configured load of a run. If a program with another kind of load wrote the record, no rate is returned.
 fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Compares a run with its limits, by its rows and the number of iterations that have none.
+/// Compares a run with its limits. The iterations of the run are its rows and those that have no row, which the record counts.
 fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
@@ -49,7 +49,7 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }
 
-/// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for one that was
+/// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for a run that was
 /// complete, that ended by itself before its limit, or whose end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     match (record.reason.failure(), ended_early(record, rows)) {

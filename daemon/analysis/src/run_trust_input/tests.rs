@@ -33,11 +33,11 @@ fn skipped_starts_are_reported_and_graded() {
                     40.0\u{202f}Hz were configured, 1.00\u{202f}Hz achieved. The pipeline worked at its limit, which shows in the latency.";
         assert_eq!(judged(load.clone(), 1041), Some((Grade::Bad, text.to_owned())));
     }
-    let (grade, text) = judged(rate.clone(), 20).expect("told");
+    let (grade, text) = judged(rate.clone(), 20).expect("a finding");
     assert!(grade == Grade::Doubtful && text.starts_with("20 of 1,020 starts (2.0\u{202f}%)"), "{text}");
-    let (grade, text) = judged(rate.clone(), 1).expect("told");
+    let (grade, text) = judged(rate.clone(), 1).expect("a finding");
     assert!(grade == Grade::Good && text.starts_with("1 of 1,001 starts (0.10\u{202f}%) was"), "{text}");
-    let (_, text) = judged(serde_json::json!(null), 1041).expect("told");
+    let (_, text) = judged(serde_json::json!(null), 1041).expect("a finding");
     assert!(text.contains("could not keep up. The pipeline worked at its limit"), "{text}");
     let kept = RunRecord { pipeline: serde_json::json!({ "load": rate }), ..RunRecord::default() };
     let report = Report::new(&TrustInput::from_run(&kept, &rows(quiet(205))));

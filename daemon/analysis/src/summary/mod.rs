@@ -1,4 +1,4 @@
-//! Summary of a run's columns: the Tabulated Metrics.
+//! Summary of a run's columns: the *Tabulated Metrics* of the paper.
 
 mod scale;
 
@@ -18,19 +18,19 @@ use crate::trust::Starts;
 pub struct Summary {
     /// Title for people.
     pub title: String,
-    /// Summaries of the columns that have a number in some row that counts, in the order of the file.
+    /// Summaries of the columns that have a number in a counted row, in the order of the file.
     pub quantities: Vec<Quantity>,
-    /// Number of iterations by how they ended.
+    /// Number of iterations by outcome.
     pub counts: Counts,
-    /// The deadline, seconds.
+    /// Deadline of an iteration, seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
     /// Number of iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
-    /// Starts that an open loop ordered, by their outcome.
+    /// Number of starts of an open loop, by their outcome.
     pub starts: Starts,
     /// Quality of the delays.
     pub clocks: Clocks,
-    /// Samples that are neither right nor wrong, because their label is not a class of the model.
+    /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
     /// Units of the columns that the run logged in addition to the standard columns.
     pub units: Units,
@@ -43,41 +43,44 @@ pub struct Quantity {
     pub column: Column,
     /// Number of values.
     pub count: u64,
-    /// Their mean.
+    /// Mean of the values.
     pub mean: f64,
     /// Sample standard deviation; `None` below two numbers.
     pub std: Option<f64>,
-    /// The median, as all quantiles by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
+    /// Median. All quantiles are computed by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996,
     /// numpy's default).
     pub median: f64,
     /// 95th percentile; `None` below 60 numbers.
     pub p95: Option<f64>,
     /// 99th percentile; `None` below 300 numbers.
     pub p99: Option<f64>,
-    /// The largest.
+    /// Largest value.
     pub max: f64,
-    /// Bounds that contain the median of the true values; the upper one may be infinite. `None` if the column has no bounds.
+    /// Bounds that contain the median of the true values; the upper bound may be infinite. `None` if the column has no bounds.
     pub bounds: Option<(f64, f64)>,
 }
 
 impl Summary {
     /// Returns the summary of these rows.
     pub fn from_rows(rows: &Rows) -> Self {
-        let measured = rows.names().iter().enumerate().filter(|(place, name)| {
-            FIXED_COLUMNS.get(*place).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
+        let measurements = rows.names().iter().enumerate().filter(|(index, name)| {
+            FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
             // This column includes unanswered iterations, so that its mean is the miss rate.
             if *name == DEADLINE_MISSED {
-                let all = rows.iter().filter(|row| !row.warm_up());
-                return Quantity::from_values(name.clone(), all.filter_map(|row| row.value(name)));
+                let without_warm_up = rows.iter().filter(|row| !row.warm_up());
+                return Quantity::from_values(
+                    name.clone(),
+                    without_warm_up.filter_map(|row| row.value(name)),
+                );
             }
             let quantity = Quantity::from_values(name.clone(), rows.counted_values(name))?;
             Some(Quantity { bounds: bounds(rows, name), ..quantity })
         };
         Self {
             title: String::new(),
-            quantities: measured.filter_map(quantity).collect(),
+            quantities: measurements.filter_map(quantity).collect(),
             counts: Counts::from_rows(rows, 0),
             deadline_s: None,
             misses: Misses::from_rows(rows),
@@ -88,8 +91,8 @@ impl Summary {
         }
     }
 
-    /// Adds facts from the run's record: its title, the units of its further columns, the words of its labels and classes, and the facts
-    /// about iterations that have no row.
+    /// Adds facts from the record of the run: the title, the deadline, the units of further columns, the number of iterations that have no
+    /// row, and examples of labels and classes.
     #[must_use]
     pub fn with_record(mut self, record: &RunRecord) -> Self {
         self.title.clone_from(&record.title);
@@ -101,7 +104,7 @@ impl Summary {
         self
     }
 
-    /// Returns the summary of one column; `None` if no row that counts has a number in it.
+    /// Returns the summary of one column; `None` if no counted row has a number in the column.
     pub fn quantity(&self, column: &str) -> Option<&Quantity> {
         self.quantities.iter().find(|quantity| quantity.column == column)
     }
@@ -112,19 +115,19 @@ fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the median of the lower ends and the median of the upper ends. If each value lies between its ends, the median of the values
-/// lies between these medians. `None` unless every value has ends.
+/// Returns the median of the lower bounds and the median of the upper bounds. If each value lies between its bounds, the median of the
+/// values lies between these medians. `None` unless every counted value has bounds.
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
-    let bounded = ["upload", "download", "upload-throughput", "download-throughput"];
-    bounded.contains(&column).then_some(())?;
+    let columns_with_bounds = ["upload", "download", "upload-throughput", "download-throughput"];
+    columns_with_bounds.contains(&column).then_some(())?;
     let counted = || rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-    let end = |end: &str| {
-        let name = format!("{column}-{end}");
-        let ends: Option<SortedValues> =
-            counted().map(|row| row.value(&name)).collect::<Option<SortedValues>>();
-        ends.and_then(|ends| ends.median())
+    let median_bound = |suffix: &str| {
+        let bound_column = format!("{column}-{suffix}");
+        let bounds: Option<SortedValues> =
+            counted().map(|row| row.value(&bound_column)).collect::<Option<SortedValues>>();
+        bounds.and_then(|bounds| bounds.median())
     };
-    Some((end("lo")?, end("hi")?))
+    Some((median_bound("lo")?, median_bound("hi")?))
 }
 
 impl Quantity {

@@ -2,7 +2,7 @@
 
 use peernet_logger::Unit;
 
-/// Columns that are times, wherever their nodes are in the tree, and in the files of any program.
+/// Nodes whose values are times, wherever they are in the tree. Their columns are times in files of any program.
 const DURATION_COLUMNS: [&str; 17] = [
     "sensing",
     "upload",
@@ -23,10 +23,10 @@ const DURATION_COLUMNS: [&str; 17] = [
     "actuation",
 ];
 
-/// Suffix of a further column that holds a node's own value and not the sum of its children.
+/// Suffix of the column with the value of a node that has both a value and children.
 const VALUE_SUFFIX: &str = "_val";
 
-/// Form in which numbers of a column are shown.
+/// Scale in which the numbers of a column are shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Seconds, shown as milliseconds.
@@ -40,12 +40,13 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// Returns the scale of a standard column by its name, and of another one by the unit that it was logged with.
+    /// Returns the scale of a column. The scale of a standard column follows from its name, the scale of another column from the unit that
+    /// was logged with its values.
     pub fn for_column(column: &str, unit: Option<&str>) -> Self {
-        let total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
-        let logged_in = |known: &Unit| unit == Some(known.symbol());
+        let is_total = ["lateness", "total", "stages-total", "unattributed"].contains(&column);
+        let logged_in = |logged_unit: &Unit| unit == Some(logged_unit.symbol());
         match column {
-            _ if total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
+            _ if is_total || DURATION_COLUMNS.contains(&node_name(column)) => Self::Milliseconds,
             "upload-throughput" | "download-throughput" => Self::MegabytesPerSecond,
             _ if column.ends_with("-bytes") => Self::Bytes,
             _ if logged_in(&Unit::SECONDS) => Self::Milliseconds,
@@ -59,7 +60,8 @@ impl Scale {
 /// Returns the name of the node that a column belongs to, without the names of its parents and without an appended number.
 fn node_name(column: &str) -> &str {
     let column = column.strip_suffix(VALUE_SUFFIX).unwrap_or(column);
-    let number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
-    let column = column.rsplit_once('_').filter(|(_, last)| number(last)).map_or(column, |(front, _)| front);
+    let is_number = |last: &str| last.bytes().all(|byte| byte.is_ascii_digit());
+    let column =
+        column.rsplit_once('_').filter(|(_, last)| is_number(last)).map_or(column, |(front, _)| front);
     column.rsplit_once('_').map_or(column, |(_, last)| last)
 }

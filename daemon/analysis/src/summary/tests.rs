@@ -36,12 +36,12 @@ fn extreme_numbers_are_left_out_of_mean() {
 
 #[test]
 fn percentiles_need_enough_numbers() {
-    let of = |count: u32| {
+    let available = |count: u32| {
         let quantity = Quantity::from_values("x".into(), (0..count).map(f64::from)).expect("numbers");
         (quantity.std.is_some(), quantity.p95.is_some(), quantity.p99.is_some())
     };
     assert_eq!(
-        [1, 59, 60, 299, 300].map(of),
+        [1, 59, 60, 299, 300].map(available),
         [
             (false, false, false),
             (true, false, false),

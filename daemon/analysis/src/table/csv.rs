@@ -1,10 +1,10 @@
-//! CSV.
+//! Tables as comma-separated values.
 
 use std::path::Path;
 
 use crate::WriteError;
 
-/// Writes a file of comma-separated values: a header and rows of as many cells.
+/// Writes a file of comma-separated values: a header and rows with the same number of cells.
 pub(crate) fn csv(
     path: &Path,
     header: &[&str],
@@ -24,9 +24,9 @@ pub(crate) fn csv(
 /// If a row has more or fewer cells than the header.
 pub fn csv_text(header: &[&str], rows: &[Vec<String>]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    let written =
+    let result =
         writer.write_record(header).and_then(|()| rows.iter().try_for_each(|row| writer.write_record(row)));
-    written.expect("memory takes rows of one length");
+    result.expect("memory takes rows of one length");
     let bytes = writer.into_inner().expect("memory can be flushed");
     String::from_utf8(bytes).expect("made of text")
 }

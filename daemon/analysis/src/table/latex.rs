@@ -2,7 +2,7 @@
 
 use super::Table;
 
-/// Letters that the text fonts lack, with their commands.
+/// Greek letters, which the text fonts lack, with their commands.
 const GREEK: [(char, &str); 34] = [
     ('α', "alpha"),
     ('β', "beta"),
@@ -45,7 +45,7 @@ const RESIZE_TO_PAGE: &str = "\\resizebox{\\ifdim\\width>\\linewidth \\linewidth
 
 pub(super) fn table(table: &Table, caption: &str) -> String {
     let columns: String =
-        (0..table.header.len()).map(|at| if at < table.labels { 'l' } else { 'r' }).collect();
+        (0..table.header.len()).map(|column| if column < table.labels { 'l' } else { 'r' }).collect();
     let line = |cells: &[String], bold: bool| {
         let cell = |cell: &String| match escape(cell) {
             cell if bold && !cell.is_empty() => format!("\\textbf{{{cell}}}"),
@@ -64,40 +64,41 @@ pub(super) fn table(table: &Table, caption: &str) -> String {
     )
 }
 
-/// Returns the lines that the preamble needs for these letters beside the packages; empty if all are ASCII.
+/// Returns a comment on the fonts that these letters need; empty if all letters are ASCII.
 fn fonts(chars: impl Iterator<Item = char>) -> String {
-    let (mut latin, mut foreign) = (false, Vec::new());
+    let (mut has_latin, mut other_letters) = (false, Vec::new());
     for char in chars.filter(|char| !char.is_ascii()) {
-        if is_latin(char) { latin = true } else { foreign.push(char) }
+        if is_latin(char) { has_latin = true } else { other_letters.push(char) }
     }
-    foreign.sort_unstable();
-    foreign.dedup();
-    if foreign.is_empty() {
-        return if latin { "% needs \\usepackage[T1]{fontenc}\n".to_owned() } else { String::new() };
+    other_letters.sort_unstable();
+    other_letters.dedup();
+    if other_letters.is_empty() {
+        return if has_latin { "% needs \\usepackage[T1]{fontenc}\n".to_owned() } else { String::new() };
     }
-    let foreign: String = foreign.into_iter().collect();
-    format!("% needs LuaLaTeX or XeLaTeX, and a font that has {foreign}\n")
+    let other_letters: String = other_letters.into_iter().collect();
+    format!("% needs LuaLaTeX or XeLaTeX, and a font that has {other_letters}\n")
 }
 
-/// Returns whether pdfLaTeX prints the letter with fonts in T1: Latin-1 and Latin Extended-A with few exceptions, and punctuation.
+/// Returns whether pdfLaTeX prints the letter with fonts in the encoding T1. These are Latin-1 and Latin Extended-A with few exceptions, and
+/// some punctuation.
 const fn is_latin(char: char) -> bool {
     !matches!(char, 'Ħ' | 'ħ' | 'ĸ' | 'Ŀ' | 'ŀ' | 'ŉ' | 'Ŧ' | 'ŧ') && char <= 'ž'
         || matches!(char, '‘' | '’' | '‚' | '“' | '”' | '„' | '†' | '‡' | '•' | '…' | '‰' | '€' | '™')
 }
 
-/// Escapes any text for LaTeX, so that it is printed as it is. It cannot act as a command, as an argument of the command before it, or as a
-/// ligature. Invisible characters, such as control characters, become a blank or are removed.
+/// Escapes any text for LaTeX, so that LaTeX prints the same text. No part of it can act as a command, as an argument of the command before it,
+/// or as a ligature. Invisible characters, such as control characters, become a blank or are removed.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
-    let mut before = ' ';
+    let mut previous = ' ';
     for char in text.chars() {
         match char {
             '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', char]),
             // After the end of a row LaTeX would read these as its arguments.
             '[' | ']' | '*' => out.extend(['{', char, '}']),
             // Two such characters would become one dash, or one quotation mark.
-            '-' | '\'' | ',' | '`' if before == char => out.extend(['{', '}', char]),
-            '`' if matches!(before, '?' | '!') => out.push_str("{}`"),
+            '-' | '\'' | ',' | '`' if previous == char => out.extend(['{', '}', char]),
+            '`' if matches!(previous, '?' | '!') => out.push_str("{}`"),
             '\\' => out.push_str("\\textbackslash{}"),
             '~' => out.push_str("\\textasciitilde{}"),
             '^' => out.push_str("\\textasciicircum{}"),
@@ -133,7 +134,7 @@ pub fn escape(text: &str) -> String {
                 None => out.push(char),
             },
         }
-        before = char;
+        previous = char;
     }
     out
 }

@@ -8,7 +8,9 @@ pub(super) fn table(table: &Table) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
     let mut text = line(table.header.iter().map(|cell| escape(cell)).collect());
     text += &line(
-        (0..table.header.len()).map(|at| if at < table.labels { "---" } else { "---:" }.to_owned()).collect(),
+        (0..table.header.len())
+            .map(|column| if column < table.labels { "---" } else { "---:" }.to_owned())
+            .collect(),
     );
     for (row, cells) in table.rows.iter().enumerate() {
         let bold = table.marked.contains(&row);

@@ -12,7 +12,7 @@ pub use text::text;
 
 use peernet_statistics::number::decimals;
 
-/// Formats an interval between two numbers; a single number if both ends have the same text.
+/// Formats an interval between two numbers. If both ends have the same text, returns a single number.
 pub fn interval([lo, hi]: [String; 2]) -> String {
     let is_signed = |end: &str| end.starts_with(['\u{2212}', '+']);
     match (lo == hi, is_signed(&lo) || is_signed(&hi)) {
@@ -22,8 +22,8 @@ pub fn interval([lo, hi]: [String; 2]) -> String {
     }
 }
 
-/// Returns the number of decimals of a column. They show three significant digits of the smallest number that is not zero, but are at most
-/// two more than the largest number needs for three significant digits.
+/// Returns the number of decimals of a column. It is so large that the smallest number that is not zero has three significant digits. It is at
+/// most two larger than the largest number needs for three significant digits.
 pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
     let (mut needed, mut largest) = (0, 0.0_f64);
     for value in values.filter(|value| value.is_finite() && *value != 0.0) {
@@ -38,11 +38,11 @@ pub fn decimals_of(values: impl Iterator<Item = f64>) -> usize {
 pub struct Table {
     /// Titles of the columns.
     pub header: Vec<String>,
-    /// Number of columns from the left that are text and aligned left; the others are figures and aligned right.
+    /// Number of columns from the left that are text and aligned left. The other columns are numbers and aligned right.
     pub labels: usize,
-    /// Rows of as many cells as the header has.
+    /// Rows with as many cells as the header.
     pub rows: Vec<Vec<String>>,
-    /// Rows to be marked, as the best one.
+    /// Indexes of the rows that are marked, such as the best.
     pub marked: Vec<usize>,
 }
 
@@ -101,9 +101,9 @@ mod tests {
 
     #[test]
     fn zero_width_interval_is_one_number() {
-        let of = |lo: &str, hi: &str| interval([lo, hi].map(str::to_owned));
-        assert_eq!(of("3.13", "3.13"), "3.13");
-        assert_eq!(of("3.13", "3.14"), "3.13 – 3.14");
-        assert_eq!(of("+3.13", "+3.14"), "+3.13 to +3.14");
+        let text = |lo: &str, hi: &str| interval([lo, hi].map(str::to_owned));
+        assert_eq!(text("3.13", "3.13"), "3.13");
+        assert_eq!(text("3.13", "3.14"), "3.13 – 3.14");
+        assert_eq!(text("+3.13", "+3.14"), "+3.13 to +3.14");
     }
 }

@@ -4,7 +4,7 @@ use peernet_sample::printable_line;
 
 use super::Table;
 
-/// Returns rows of cells under a header; the first column is text, the others are figures and aligned right.
+/// Returns rows of cells under a header. The first column is text; the other columns are numbers and aligned right.
 pub fn text(header: &[&str], rows: &[Vec<String>]) -> String {
     lines(&header.iter().map(|&cell| cell.to_owned()).collect::<Vec<_>>(), rows, 1)
 }
@@ -26,9 +26,9 @@ pub(super) fn table(table: &Table) -> String {
 }
 
 fn lines(header: &[String], rows: &[Vec<String>], labels: usize) -> String {
-    let plain =
+    let printable =
         |cells: &[String]| cells.iter().map(|cell| printable_line(cell).into_owned()).collect::<Vec<_>>();
-    let (header, rows) = (plain(header), rows.iter().map(|row| plain(row)).collect::<Vec<_>>());
+    let (header, rows) = (printable(header), rows.iter().map(|row| printable(row)).collect::<Vec<_>>());
     let width = |column: usize| {
         let cells = rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count());
         cells.chain([header[column].chars().count()]).max().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! Iterations for tests, as an agent hands them over.
+//! Iterations for tests, with trees like those that an agent records.
 
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::{Anchor, HostId, Measure, Name, Rate, RunId, Transit, Tree, Unit, stage};
@@ -84,9 +84,9 @@ pub(crate) fn iteration(number: u64, outcome: Outcome, tree: Tree) -> Iteration 
 
 /// Returns `count` iterations, the first two of them warm-up, the sixth lost.
 pub(crate) fn iterations(count: u64) -> Vec<Iteration> {
-    let of = |number: u64| match number {
+    let iteration_with_number = |number: u64| match number {
         6 => iteration(number, Outcome::Lost("the connection broke, \"reset\"".to_owned()), tree()),
         _ => iteration(number, Outcome::Ok, offloaded(17_000 + number as i64, 3_700)),
     };
-    (1..=count).map(of).collect()
+    (1..=count).map(iteration_with_number).collect()
 }

@@ -10,9 +10,9 @@ use crate::rows::Rows;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Limits {
-    /// Iterations without the warm-up.
+    /// Number of iterations without the warm-up.
     pub iterations: Option<f64>,
-    /// Iterations including the warm-up.
+    /// Number of iterations including the warm-up.
     pub total: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
@@ -21,9 +21,9 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Iterations without the warm-up, answered or not, including iterations that were measured and not seen.
+    /// Number of iterations without the warm-up, answered or not. It includes iterations that were measured but not received.
     pub measured: u64,
-    /// Iterations of the warm-up.
+    /// Number of iterations of the warm-up.
     pub warm_up: u64,
     /// Time from the first iteration after the warm-up to the last iteration, seconds.
     pub seconds: f64,
@@ -35,10 +35,10 @@ pub struct EndedEarly {
     /// Amount that was reached, in `unit`.
     pub reached: f64,
     /// Configured limit, in `unit`.
-    pub ordered: f64,
+    pub limit: f64,
     /// Unit of both amounts.
     pub unit: Unit,
-    /// `true` if the run was interrupted.
+    /// True if the run was interrupted.
     pub interrupted: bool,
 }
 
@@ -52,7 +52,7 @@ pub enum Unit {
 }
 
 impl EndedEarly {
-    /// Compares a run that ended for `reason` with its limits; `None` if it reached them, or had none.
+    /// Compares a run that ended for `reason` with its limits. `None` if the run reached a limit or had none.
     pub fn from_progress(limits: &Limits, progress: &Progress, reason: &EndReason) -> Option<Self> {
         let interrupted = *reason == EndReason::Stopped;
         let limits_and_reached = [
@@ -61,35 +61,36 @@ impl EndedEarly {
             (limits.duration_s, progress.seconds, Unit::Seconds),
         ];
         let amounts = limits_and_reached.into_iter().filter_map(|(limit, reached, unit)| {
-            let ordered = limit.filter(|limit| *limit > 0.0)?;
-            Some(Self { reached, ordered, unit, interrupted })
+            let limit = limit.filter(|limit| *limit > 0.0)?;
+            Some(Self { reached, limit, unit, interrupted })
         });
-        // The run ends at the first limit that it reaches, so the nearest one counts.
-        let early = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
+        // A run ends at the first limit that it reaches. The limit of which it reached the largest share is therefore the relevant one.
+        let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // The last iteration ends shortly before a limit of time, so the reason for the end decides whether such a run is complete.
-        let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
-        (!whole).then_some(early)
+        let is_complete =
+            nearest.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
+        (!is_complete).then_some(nearest)
     }
 
-    /// Returns the reached share of the limit, from 0 on.
+    /// Returns the share of the limit that was reached, at least 0.
     pub fn share(&self) -> f64 {
-        self.reached / self.ordered
+        self.reached / self.limit
     }
 
     /// Describes the progress of the run: `after 57 of 120 iterations`.
     pub(crate) fn progress_text(&self) -> String {
-        let Self { reached, ordered, unit, .. } = self;
+        let Self { reached, limit, unit, .. } = self;
         match unit {
             Unit::Iterations => {
-                format!("after {} of {}", fixed(*reached, 0), counted(*ordered as u64, "iteration"))
+                format!("after {} of {}", fixed(*reached, 0), counted(*limit as u64, "iteration"))
             }
-            Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*ordered)),
+            Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*limit)),
         }
     }
 }
 
 /// Returns the time from the first to the last iteration that is not warm-up, seconds.
 pub(crate) fn measured_seconds(rows: &Rows) -> f64 {
-    let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
-    at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
+    let times = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
+    times().next_back().zip(times().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }

@@ -1,11 +1,11 @@
-//! Judgement of the starts that an open loop ordered.
+//! Starts of iterations in an open loop.
 
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
 
-/// Rate at which a run was to begin iterations: its pipeline's `load`.
+/// Configured rate of starts of a run: the `load` of its pipeline.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Load {
@@ -13,38 +13,38 @@ pub struct Load {
     pub hz: Option<f64>,
 }
 
-/// Ordered starts by their outcome, warm-up left out.
+/// Number of starts by their outcome, without the warm-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
-    /// Ordered starts per second; `None` in a closed loop, and if they are not known.
+    /// Configured starts per second; `None` in a closed loop, and if the rate is not known.
     pub hz: Option<f64>,
-    /// Iterations that began.
+    /// Number of iterations that started.
     pub started: u64,
-    /// Starts that were skipped because the pipeline was too far behind.
+    /// Number of starts that were skipped because the pipeline was too far behind.
     pub skipped: u64,
-    /// Actual starts per second, from the first to the last, answered or not; `None` if their times are not known.
+    /// Actual starts per second from the first to the last start, of answered and unanswered iterations; `None` if their times are not known.
     pub actual_hz: Option<f64>,
 }
 
 impl Starts {
-    /// Returns the starts of rows, which do not contain the number of ordered starts.
+    /// Returns the starts of these rows. The configured rate is `None`, because rows do not contain it.
     pub fn from_rows(rows: &Rows) -> Self {
-        let begun = || rows.iter().filter(|row| !row.warm_up());
-        let skipped = begun().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
+        let started = || rows.iter().filter(|row| !row.warm_up());
+        let skipped = started().filter_map(|row| row.value(SKIPPED_STARTS)).filter(|value| *value > 0.0);
         Self {
             hz: None,
-            started: begun().count() as u64,
+            started: started().count() as u64,
             skipped: skipped.sum::<f64>() as u64,
-            actual_hz: actual_hz(begun().map(|row| row.at()).filter(|at| *at > 0.0)),
+            actual_hz: actual_hz(started().map(|row| row.at()).filter(|at| *at > 0.0)),
         }
     }
 
-    /// Returns the number of all ordered starts.
+    /// Returns the number of all starts that were due.
     pub const fn total(&self) -> u64 {
         self.started + self.skipped
     }
 
-    /// Returns how many of all starts were skipped, in words; `None` if none were.
+    /// Returns the text on skipped starts, such as `101 of 202 starts (50.0 %)`; `None` if no start was skipped.
     pub fn skipped_text(&self) -> Option<String> {
         let percent = fixed(self.skipped_share() * 100.0, 1);
         let skipped_text =
@@ -52,7 +52,7 @@ impl Starts {
         (self.skipped > 0).then_some(skipped_text)
     }
 
-    /// Returns the share that was skipped, 0 to 1.
+    /// Returns the share of starts that were skipped, 0 to 1.
     pub fn skipped_share(&self) -> f64 {
         if self.total() == 0 { 0.0 } else { self.skipped as f64 / self.total() as f64 }
     }

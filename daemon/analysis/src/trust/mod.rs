@@ -55,14 +55,14 @@ impl Publish {
     }
 }
 
-/// Result of one judgement, in words.
+/// Result of one judgement, as text.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Finding {
     /// Subject of the finding, in two or three words.
     pub about: String,
-    /// Meaning of the finding for the figures.
+    /// Severity of the finding for publication.
     pub grade: Grade,
-    /// Text of the finding: a plain sentence with figures.
+    /// Text of the finding: a plain sentence with numbers.
     pub text: String,
     /// Advice; empty when there is nothing to do.
     pub advice: String,
@@ -73,7 +73,7 @@ pub struct Finding {
 pub struct Report {
     /// The answer.
     pub verdict: Publish,
-    /// Why, the most harmful first; before all others that a run broke off.
+    /// Findings, the most severe first. A finding about the end of the run comes before all others.
     #[serde(rename = "sentences")]
     pub findings: Vec<Finding>,
 }
@@ -109,7 +109,7 @@ impl Report {
         }
     }
 
-    /// Returns the text for a terminal: the answer, then a line for each finding, with a sign before it and the advice below.
+    /// Returns the text for a terminal: the answer, then each finding after a sign for its grade, with the advice on the next line.
     pub fn text(&self) -> String {
         let mut lines = vec![format!("Can this run be published? {}", self.answer()), String::new()];
         for finding in &self.findings {

@@ -11,32 +11,33 @@ pub struct Restarts {
     pub owner: &'static str,
     /// Number of affected iterations that statistics include.
     pub count: u64,
-    /// Total time that the restarts took from them.
+    /// Total time that these iterations waited for restarts.
     pub seconds: f64,
-    /// Numbers of the iterations; empty if they are not known.
+    /// Numbers of these iterations in the run; empty if they are not known.
     pub iterations: Vec<u64>,
 }
 
 impl Restarts {
-    /// Owner of the process, the node that holds the time, and its column in `data.csv`.
+    /// Owner of the process, node with the time of a restart, and column of this node in `data.csv`.
     pub const NODES: [(&'static str, Name, &'static str); 3] = [
         ("sensor", stage::CAPTURE_RESTART, "capture_capture-restart"),
         ("model", stage::RESTART, "restart"),
         ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
     ];
 
-    /// Returns whether the time is a part of `unattributed`: a model's is, the others' is part of the stage that waited.
+    /// Returns whether the time is a part of `unattributed`. This is so for a model; the time of a sensor or actuator is a part of the stage
+    /// that waited.
     pub(super) fn is_unattributed(&self) -> bool {
         self.owner == "model"
     }
 
     pub(super) fn from_rows(rows: &Rows) -> Vec<Self> {
-        let of = |(owner, _, column): (_, Name, &str)| {
-            let waited = || rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-            let iterations: Vec<u64> = waited().map(|row| row.iteration()).collect();
+        let restarts_of = |(owner, _, column): (_, Name, &str)| {
+            let affected_rows = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
+            let iterations: Vec<u64> = affected_rows.map(|row| row.iteration()).collect();
             let (count, seconds) = (iterations.len() as u64, rows.counted_values(column).sum());
             (count > 0).then_some(Self { owner, count, seconds, iterations })
         };
-        Self::NODES.into_iter().filter_map(of).collect()
+        Self::NODES.into_iter().filter_map(restarts_of).collect()
     }
 }

@@ -74,7 +74,7 @@ fn short_run_has_unknown_stationarity() {
 
 /// Buckets of a dashboard for a run whose clock was corrected: two seconds of samples, months apart.
 #[test]
-fn run_in_two_buckets_is_not_called_short() {
+fn run_in_two_buckets_has_unknown_stationarity() {
     let totals = quiet(894);
     let piece = |values: &[f64]| {
         let mut summary = peernet_statistics::Summary::default();

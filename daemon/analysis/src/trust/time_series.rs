@@ -11,7 +11,7 @@ use crate::order::SortedValues;
 const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks of a run. The first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
-/// Minimum change of the median between the halves, as a share of the first, that is mentioned.
+/// Minimum change of the median from the first half of a run to the second, as a share of the first, that is reported.
 pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Standard deviation of a normal distribution divided by its median absolute deviation (MAD).
 const MAD_TO_STD: f64 = 1.4826;
@@ -20,18 +20,18 @@ const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;
 
-/// Statistics of a duration over the time of a run; seconds; successful iterations only, warm-up left out.
+/// Statistics of a duration over the time of a run, in seconds. Only answered iterations that are not warm-up are included.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TimeSeries {
     /// Number of values.
     pub count: u64,
-    /// Median of all.
+    /// Median of all values.
     pub median: f64,
-    /// Mean of all.
+    /// Mean of all values.
     pub mean: f64,
-    /// Medians of batches of about as many values each, in order: at most 30 of at least ten values.
+    /// Medians of at most 30 batches, in order of time. Batches have about the same number of values, at least ten.
     pub batches: Vec<f64>,
-    /// Median of the first half of the values and of the second.
+    /// Median of the first half and median of the second half of the values.
     pub halves: Option<(f64, f64)>,
     /// Comparison of the first values with the rest.
     pub beginning: Option<Beginning>,
@@ -42,11 +42,11 @@ pub struct TimeSeries {
 /// The first values of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Beginning {
-    /// Number of values.
+    /// Number of values in the beginning.
     pub count: u64,
-    /// Their median, seconds.
+    /// Median of the beginning, seconds.
     pub median: f64,
-    /// The median of the rest, seconds.
+    /// Median of the rest, seconds.
     pub rest: f64,
     /// Share of the later blocks of equal size whose median is at least as high, 0 to 1.
     pub share_as_high: f64,
@@ -61,13 +61,13 @@ pub struct Outliers {
     pub limit: f64,
     /// Number of outliers.
     pub count: u64,
-    /// The greatest value, seconds.
+    /// Largest value, seconds.
     pub max: f64,
-    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the count of all values; seconds.
+    /// Contribution of the outliers to the mean: the sum of their distances from the median, divided by the number of all values; seconds.
     pub influence: f64,
 }
 
-/// Series with medians of its parts.
+/// Series that can return the median of a range of its buckets.
 trait Medians: Series {
     fn median(&self, range: Range<usize>) -> Option<f64>;
 }
@@ -85,20 +85,20 @@ impl Medians for [Summary] {
 }
 
 impl TimeSeries {
-    /// Returns the statistics of values in order of time; `None` without any.
+    /// Returns the statistics of values in order of time. `None` without finite values.
     pub fn from_values(values: &[f64]) -> Option<Self> {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
-        // They are sorted one after the other, so that a long run needs memory for only one sorted copy.
+        // Values and deviations are sorted one after the other, so that a long run needs memory for only one sorted copy.
         let median = finite().collect::<SortedValues>().median()?;
         let deviation = finite().map(|value| (value - median).abs()).collect::<SortedValues>().median()?;
-        let limit = limit(median, deviation);
-        let beyond = finite().filter(|value| *value > limit);
+        let limit = outlier_limit(median, deviation);
+        let outlier_values = finite().filter(|value| *value > limit);
         let count = finite().count() as u64;
         let outliers = Outliers {
             limit,
-            count: beyond.clone().count() as u64,
+            count: outlier_values.clone().count() as u64,
             max: finite().reduce(f64::max)?,
-            influence: beyond.map(|value| value - median).sum::<f64>() / count as f64,
+            influence: outlier_values.map(|value| value - median).sum::<f64>() / count as f64,
         };
         let mean = finite().sum::<f64>() / count as f64;
         let over_time = if count == values.len() as u64 {
@@ -109,39 +109,41 @@ impl TimeSeries {
         Some(Self { count, median, mean, outliers, ..over_time })
     }
 
-    /// Returns the statistics of the summaries of buckets in order of time, quantiles within 1 %; `None` without any value.
+    /// Returns the statistics of the summaries of buckets in order of time. Quantiles are within 1 %. `None` without values.
     pub fn from_summaries(buckets: &[Summary]) -> Option<Self> {
-        let all = merged(buckets);
-        let (median, max) = (all.quantile(0.5)?, all.moments.max);
+        let whole_run = merged(buckets);
+        let (median, max) = (whole_run.quantile(0.5)?, whole_run.moments.max);
+        // The median absolute deviation is the median of the distances of the sketch's bins from the median.
         let mut distances: Vec<(f64, u64)> =
-            all.sketch.bins().map(|(value, count)| ((value - median).abs(), count)).collect();
+            whole_run.sketch.bins().map(|(value, count)| ((value - median).abs(), count)).collect();
         distances.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let half = all.count().div_ceil(2);
-        let mut nearer = 0;
+        let half = whole_run.count().div_ceil(2);
+        let mut cumulative_count = 0;
         let deviation = distances.iter().find_map(|(distance, count)| {
-            nearer += count;
-            (nearer >= half).then_some(*distance)
+            cumulative_count += count;
+            (cumulative_count >= half).then_some(*distance)
         });
-        let limit = limit(median, deviation?);
-        let beyond = all.sketch.bins().filter(|(value, _)| *value > limit);
-        let (count, sum) = beyond
+        let limit = outlier_limit(median, deviation?);
+        let outlier_bins = whole_run.sketch.bins().filter(|(value, _)| *value > limit);
+        let (count, sum) = outlier_bins
             .fold((0, 0.0), |(n, sum), (value, count)| (n + count, sum + (value - median) * count as f64));
-        let outliers = Outliers { limit, count, max, influence: sum / all.count() as f64 };
-        let (count, mean) = (all.count(), all.moments.mean);
+        let outliers = Outliers { limit, count, max, influence: sum / whole_run.count() as f64 };
+        let (count, mean) = (whole_run.count(), whole_run.moments.mean);
         Some(Self { count, median, mean, outliers, ..Self::over_time(buckets) })
     }
 
-    /// Returns the change of the median from the first half to the second, as a share of the first.
+    /// Returns the change of the median from the first half of the run to the second, as a share of the first. `None` without halves.
     pub fn change(&self) -> Option<f64> {
         let (first, second) = self.halves?;
         Some(if first > 0.0 { second / first - 1.0 } else { 0.0 })
     }
 
-    /// Returns whether that change is large enough to be mentioned, if it is more than chance: 5 %.
+    /// Returns whether the change is at least 5 %, which is large enough to be reported if it is more than chance.
     pub fn has_notable_change(&self) -> bool {
         self.change().is_some_and(|share| share.abs() >= MIN_NOTABLE_CHANGE)
     }
 
+    /// Returns the fields that depend on the order of the values; the other fields have their defaults.
     fn over_time<S: Medians + ?Sized>(series: &S) -> Self {
         let count = series.total_count();
         let medians = |ranges: &[Range<usize>]| -> Vec<f64> {
@@ -156,14 +158,14 @@ impl TimeSeries {
         let beginning =
             blocks.split_first().filter(|(_, later)| !later.is_empty()).and_then(|(first, later)| {
                 let median = series.median(first.clone())?;
-                let others = medians(later);
-                let share_as_high = others.iter().filter(|other| **other >= median).count();
+                let later_medians = medians(later);
+                let count_as_high = later_medians.iter().filter(|other| **other >= median).count();
                 Some(Beginning {
-                    count: first.clone().map(|at| series.count(at)).sum(),
+                    count: first.clone().map(|bucket| series.count(bucket)).sum(),
                     median,
                     rest: series.median(first.end..series.bucket_count())?,
-                    share_as_high: share_as_high as f64 / others.len() as f64,
-                    blocks: others.len(),
+                    share_as_high: count_as_high as f64 / later_medians.len() as f64,
+                    blocks: later_medians.len(),
                 })
             });
         Self { batches, halves, beginning, ..Self::default() }
@@ -171,12 +173,13 @@ impl TimeSeries {
 }
 
 fn merged(summaries: &[Summary]) -> Summary {
-    let mut all = Summary::default();
-    summaries.iter().for_each(|summary| all.merge(summary));
-    all
+    let mut merged = Summary::default();
+    summaries.iter().for_each(|summary| merged.merge(summary));
+    merged
 }
 
-fn limit(median: f64, deviation: f64) -> f64 {
+/// Returns the value above which a value is an outlier, from the median and the median absolute deviation.
+fn outlier_limit(median: f64, deviation: f64) -> f64 {
     median + OUTLIER_DEVIATIONS * (MAD_TO_STD * deviation).max(MIN_RELATIVE_DEVIATION * median.abs())
 }
 
@@ -211,15 +214,15 @@ mod tests {
         assert!(exact.batches.iter().zip(&stored.batches).all(|(a, b)| near(*a, *b)));
         assert_eq!(exact.outliers.count, stored.outliers.count, "{:?} {:?}", exact.outliers, stored.outliers);
         assert!(near(exact.outliers.influence, stored.outliers.influence));
-        let (begun, kept) = (exact.beginning.expect("long enough"), stored.beginning.expect("long enough"));
-        assert_eq!((begun.count, begun.blocks, begun.share_as_high), (20, 59, 0.0));
-        assert!(near(begun.median, kept.median) && near(begun.rest, kept.rest), "{begun:?} {kept:?}");
+        let [exact, stored] = [exact, stored].map(|statistics| statistics.beginning.expect("long enough"));
+        assert_eq!((exact.count, exact.blocks, exact.share_as_high), (20, 59, 0.0));
+        assert!(near(exact.median, stored.median) && near(exact.rest, stored.rest), "{exact:?} {stored:?}");
     }
 
     #[test]
     fn constant_has_no_outliers() {
-        let course = TimeSeries::from_values(&[0.005; 100]).expect("values");
-        assert_eq!((course.outliers.count, course.outliers.influence), (0, 0.0));
+        let constant = TimeSeries::from_values(&[0.005; 100]).expect("values");
+        assert_eq!((constant.outliers.count, constant.outliers.influence), (0, 0.0));
         assert_eq!(TimeSeries::from_values(&[f64::NAN]), None);
         assert_eq!(TimeSeries::from_summaries(&[]), None);
     }

@@ -1,4 +1,4 @@
-//! Test for a trend of a series.
+//! Test of whether a series has a trend.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
@@ -8,10 +8,11 @@ use crate::order::SortedValues;
 /// Maximum autocorrelation for which the number of equivalent independent values is meaningful.
 const MAX_AUTOCORRELATION: f64 = 0.95;
 
-/// Returns the probability that a series without a trend rises or falls as clearly as this one, two-sided: Mann (1945) and Kendall (1975),
-/// with the variance corrected for autocorrelation (Yue and Wang 2004, Water Resources Management 18). `None` with fewer than ten values.
+/// Returns the two-sided probability that a series without a trend rises or falls as clearly as this series. This is the test of Mann (1945)
+/// and Kendall (1975), with the variance corrected for autocorrelation (Yue and Wang 2004, Water Resources Management 18). `None` with fewer
+/// than ten values.
 ///
-/// The test uses ranks only, so that neither the shape of the distribution nor an outlier matters.
+/// The test uses ranks only, so the shape of the distribution and outliers do not matter.
 pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     let n = series.len();
     if n < 10 {
@@ -30,27 +31,28 @@ pub(super) fn chance_of_trend(series: &[f64]) -> Option<f64> {
     Some(2.0 * (1.0 - Normal::standard().cdf(z)))
 }
 
-/// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1: the number of values
-/// over the number of equivalent independent values (Matalas and Langbein 1962).
+/// Returns the factor by which autocorrelation of the first order increases the variance of the score, at least 1. It is the number of values
+/// divided by the number of equivalent independent values (Matalas and Langbein 1962).
 ///
-/// A change looks like autocorrelation, so it is removed first. It is taken as a line, or as a step after a quarter, a half or three
-/// quarters; the change that explains most is used.
+/// A change of level looks like autocorrelation, so it is removed first. Four forms of the change are tried: a line, and a step after a
+/// quarter, a half and three quarters of the series. The form that leaves the smallest autocorrelation is used.
 ///
-/// In simulations of series without a trend the test finds one in 4 % of all cases if the values are independent, and in 9 % at an
-/// autocorrelation of 0.5. At 0.5 the plain test finds one in 23 %, and the correction over all lags (Hamed and Rao 1998) in 18 %, because
-/// it underestimates the correlation of few values.
+/// In simulations of series without a trend, the test reports a trend in 4 % of all cases if the values are independent, and in 9 % at an
+/// autocorrelation of 0.5. At 0.5, the test without this correction reports a trend in 23 %, and the test with a correction over all lags
+/// (Hamed and Rao 1998) in 18 %, because that correction underestimates the correlation of few values.
 fn variance_inflation(series: &[f64]) -> f64 {
     let n = series.len();
     let count = n as f64;
-    let points: Vec<Point> = series.iter().enumerate().map(|(at, y)| Point { x: at as f64, y: *y }).collect();
+    let points: Vec<Point> =
+        series.iter().enumerate().map(|(index, y)| Point { x: index as f64, y: *y }).collect();
     let slope = theil_sen(&points).map_or(0.0, |fit| fit.slope.value);
-    let line: Vec<f64> = points.iter().map(|point| point.y - slope * point.x).collect();
-    let steps = [n / 4, n / 2, n - n / 4].map(|at| {
-        let (before, after) = series.split_at(at);
+    let without_line: Vec<f64> = points.iter().map(|point| point.y - slope * point.x).collect();
+    let without_step = [n / 4, n / 2, n - n / 4].map(|index| {
+        let (before, after) = series.split_at(index);
         [before, after].into_iter().flat_map(deviations_from_median).collect::<Vec<f64>>()
     });
-    let steps = steps.iter().map(|rest| correlation(rest, 6.0));
-    let r = steps.fold(correlation(&line, 4.0), f64::min);
+    let correlations = without_step.iter().map(|residuals| correlation(residuals, 6.0));
+    let r = correlations.fold(correlation(&without_line, 4.0), f64::min);
     1.0 + 2.0 * (r.powf(count + 1.0) - count * r * r + (count - 1.0) * r) / (count * (r - 1.0).powi(2))
 }
 
@@ -59,11 +61,12 @@ fn deviations_from_median(part: &[f64]) -> Vec<f64> {
     part.iter().map(|value| value - median).collect()
 }
 
-/// Returns the autocorrelation of the ranks at the first lag, 0 to 0.95, corrected for the bias that fitting a change of two parameters
-/// causes: about −(2 + 4 r) / n for a line (van Giersbergen 2005, Economics Letters 89), −(2 + 6 r) / n for two means.
-fn correlation(rest: &[f64], bias: f64) -> f64 {
-    let count = rest.len() as f64;
-    let ranks: Vec<f64> = ranks(rest).into_iter().map(|rank| rank - (count + 1.0) / 2.0).collect();
+/// Returns the autocorrelation r of the ranks of the residuals at the first lag, 0 to 0.95. It is corrected for the bias that the removed change
+/// causes: about −(2 + 4 r) / n for a line (van Giersbergen 2005, Economics Letters 89), −(2 + 6 r) / n for two means. `bias` is the factor
+/// of r.
+fn correlation(residuals: &[f64], bias: f64) -> f64 {
+    let count = residuals.len() as f64;
+    let ranks: Vec<f64> = ranks(residuals).into_iter().map(|rank| rank - (count + 1.0) / 2.0).collect();
     let spread: f64 = ranks.iter().map(|rank| rank.powi(2)).sum();
     if spread <= 0.0 {
         return 0.0;
@@ -89,16 +92,16 @@ fn tie_sizes(series: &[f64]) -> Vec<f64> {
     sorted.chunk_by(|a, b| a == b).filter(|group| group.len() > 1).map(|group| group.len() as f64).collect()
 }
 
-/// Returns the ranks from 1. Equal values have their mean rank.
+/// Returns the rank of each value, from 1. Equal values have the mean of their ranks.
 fn ranks(series: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..series.len()).collect();
     order.sort_unstable_by(|a, b| series[*a].total_cmp(&series[*b]));
     let mut ranks = vec![0.0; series.len()];
-    let mut before = 0;
+    let mut smaller_values = 0;
     for group in order.chunk_by(|a, b| series[*a] == series[*b]) {
-        let rank = before as f64 + (group.len() as f64 + 1.0) / 2.0;
-        group.iter().for_each(|at| ranks[*at] = rank);
-        before += group.len();
+        let rank = smaller_values as f64 + (group.len() as f64 + 1.0) / 2.0;
+        group.iter().for_each(|index| ranks[*index] = rank);
+        smaller_values += group.len();
     }
     ranks
 }

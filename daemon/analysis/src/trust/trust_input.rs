@@ -1,4 +1,4 @@
-//! Input of a run's judgement, from any source.
+//! Values that the trust findings of a run are computed from.
 
 use std::collections::BTreeMap;
 
@@ -12,58 +12,58 @@ use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::SortedValues;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
-/// Function that returns a row's message in one direction.
+/// Function that returns the message of a row in one direction.
 type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
 
-/// Input of a run's judgement. A field whose value is unknown is empty.
+/// Values that the trust findings of a run are computed from. A value that is not known is `None` or empty.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TrustInput {
     /// Conditions of the hosts that were found before the run.
     pub conditions: Vec<Condition>,
-    /// Number of iterations by how they ended.
+    /// Number of iterations by outcome.
     pub counts: Counts,
-    /// Starts that an open loop ordered, by their outcome.
+    /// Number of starts of an open loop, by their outcome.
     pub starts: Starts,
     /// Measurements that are missing.
     pub missing: Vec<MissingEvents>,
     /// Reason for which the run broke off. `None` if it finished or was stopped.
     pub failure: Option<String>,
-    /// `true` if it has no end yet.
+    /// True if the run has not ended yet.
     pub open: bool,
     /// Progress of the run, if it ended before its limit.
     pub ended_early: Option<EndedEarly>,
-    /// `true` if the clock of a host was made wrong on purpose.
+    /// True if the clock of a host was made wrong on purpose.
     pub has_clock_fault: bool,
     /// Total of each iteration, or `sensing` if the pipeline only senses. `None` without such values.
     pub total: Option<TimeSeries>,
-    /// The stages, by name.
+    /// Duration of each stage, by name.
     pub stages: Vec<(String, TimeSeries)>,
-    /// Average of the total minus its stages; seconds. Negative if stages overlap.
+    /// Mean of the total minus the stages, seconds. It is negative if stages overlap.
     pub unattributed: Option<f64>,
-    /// Average part of that time that is known to be lateness; seconds. `None` in a closed loop.
+    /// Mean lateness, a part of the unattributed time; seconds. `None` in a closed loop.
     pub lateness: Option<f64>,
     /// Processes that were restarted while iterations waited for them.
     pub restarts: Vec<Restarts>,
-    /// The judged one-way delays, by stage.
+    /// Quality of the one-way delays, for each direction.
     pub clocks: Vec<Clocks>,
     /// Accuracy of the model, by column; empty if the right answers are not known.
     pub accuracy: BTreeMap<String, Accuracy>,
-    /// Samples that are neither right nor wrong, because their label is not a class of the model.
+    /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
 }
 
-/// Number of iterations of a run by how they ended.
+/// Number of iterations of a run by outcome. Only `warm_up` includes the warm-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Iterations with an answer. Warm-up is left out of all counts but `warm_up`.
+    /// Number of iterations with an answer.
     pub ok: u64,
-    /// Iterations whose sample or model failed.
+    /// Number of iterations whose sample or model failed.
     pub failed: u64,
-    /// Iterations that will never be answered.
+    /// Number of iterations whose connection broke.
     pub lost: u64,
-    /// Iterations not answered in time.
+    /// Number of iterations without an answer in time.
     pub timeout: u64,
-    /// Iterations of the warm-up, which statistics exclude.
+    /// Number of iterations of the warm-up, which statistics exclude.
     pub warm_up: u64,
 }
 
@@ -72,7 +72,7 @@ pub struct Counts {
 pub struct MissingEvents {
     /// Number of missing events; 0 if it is not known.
     pub count: u64,
-    /// Reason for which they are missing.
+    /// Reason for which the events are missing.
     pub reason: String,
 }
 
@@ -83,22 +83,22 @@ pub struct Clocks {
     pub stage: String,
     /// Number of delays by verdict.
     pub verdicts: Vec<(Verdict, u64)>,
-    /// The median delay, seconds.
+    /// Median delay, seconds.
     pub delay: Option<f64>,
-    /// The median of half the width of its bounds, seconds.
+    /// Median of half the width of the bounds of a delay, seconds.
     pub half_width: Option<f64>,
 }
 
 impl TrustInput {
-    /// Returns the input from the rows of a run and the conditions of its hosts that were found before it.
+    /// Returns the input from the rows of a run and from the conditions of the hosts that were found before the run.
     pub fn from_rows(rows: &Rows, conditions: &[Condition]) -> Self {
-        let measured = || rows.iter().filter(|row| row.is_counted());
+        let counted = || rows.iter().filter(|row| row.is_counted());
         let time_series =
             |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
-        // Both sums cover the same iterations: if a delay is not known, the unattributed time is not known either.
-        let explained = || measured().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
+        // Both means cover the same iterations: those whose unattributed time is known, for which both delays must be known.
+        let with_unattributed = || counted().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
-            let values = || explained().filter_map(|row| row.value(column));
+            let values = || with_unattributed().filter_map(|row| row.value(column));
             let count = values().count();
             (count > 0).then(|| values().sum::<f64>() / count as f64)
         };
@@ -112,7 +112,7 @@ impl TrustInput {
         Self {
             conditions: conditions.to_vec(),
             counts: Counts {
-                ok: measured().count() as u64,
+                ok: counted().count() as u64,
                 failed: count(Outcome::Failed),
                 lost: count(Outcome::Lost),
                 timeout: count(Outcome::Timeout),
@@ -126,8 +126,8 @@ impl TrustInput {
             restarts: Restarts::from_rows(rows),
             clocks: directions
                 .into_iter()
-                .filter_map(|(name, of)| {
-                    Clocks::from_passages(name.as_str(), measured().filter_map(|row| of(&row)))
+                .filter_map(|(name, passage)| {
+                    Clocks::from_passages(name.as_str(), counted().filter_map(|row| passage(&row)))
                 })
                 .collect(),
             accuracy: Accuracy::by_column(rows),
@@ -142,7 +142,7 @@ impl TrustInput {
         Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// Adds the facts of the run's description about clock faults, labels and classes.
+    /// Adds the facts of the run about clock faults, labels and classes.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
@@ -152,7 +152,7 @@ impl TrustInput {
 }
 
 impl Counts {
-    /// Returns the number of iterations that should be in the statistics.
+    /// Returns the number of iterations without the warm-up.
     pub const fn measured(&self) -> u64 {
         self.ok + self.unanswered()
     }
@@ -169,8 +169,8 @@ impl Clocks {
         let (mut delays, mut half_widths) = (Vec::new(), Vec::new());
         for passage in passages {
             let verdict = passage.delay.verdict;
-            let place = Verdict::ALL.iter().position(|known| *known == verdict).unwrap_or(usize::MAX);
-            verdicts.entry(place).or_insert((verdict, 0)).1 += 1;
+            let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
+            verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             delays.extend(passage.seconds());
             half_widths.extend(passage.bounds().map(|(lo, hi)| (hi - lo) / 2.0));
         }

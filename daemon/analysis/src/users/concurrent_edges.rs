@@ -5,18 +5,18 @@ use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
 
-/// Groups the edges that measured at the same time: those of one repeat of one configuration of an experiment. Keeps the order of the
-/// input.
+/// Groups the edges that measured the same repeat of the same configuration of an experiment, which they did at the same time. Groups and
+/// edges keep the order of the input.
 pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut groups: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
-        let belongs = |group: &&mut Vec<&Loaded>| {
+        let belongs_to = |group: &&mut Vec<&Loaded>| {
             let is_same_repeat =
                 edge.record.experiment.is_some() && edge.record.experiment == group[0].record.experiment;
             // A copy of an edge's results is not a further edge of the group; it becomes a separate group.
             is_same_repeat && group.iter().all(|other| other.record.edge.name != edge.record.edge.name)
         };
-        match groups.iter_mut().find(belongs) {
+        match groups.iter_mut().find(belongs_to) {
             Some(group) => group.push(edge),
             None => groups.push(vec![edge]),
         }
@@ -24,8 +24,8 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     groups
 }
 
-/// Returns each edge's share and all totals, from the time in which all edges were measuring; `None` if there is no such time. For an edge
-/// alone this is its whole run: all its totals count.
+/// Returns the share of each edge and the totals of all edges, from the time in which all edges were measuring. `None` if there is no such
+/// time. For a single edge, this time is its whole run, and all its totals count.
 pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();
@@ -35,17 +35,17 @@ pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Ve
     let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
     (to > from).then_some(())?;
     let is_alone = edges.len() == 1;
-    // An iteration starts at `from` and another at `to`. Without the start at `to`, n starts span n periods.
+    // For a rate, the starts must be as many as the periods between `from` and `to`. The start at `to` is therefore left out.
     let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
     let starts_and_totals = |rows: &Vec<RowRef<'_>>| {
         let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));
         (rows.iter().filter(|row| within(row)).count(), totals.collect())
     };
-    let totals: Vec<(usize, Vec<f64>)> = rows.iter().map(starts_and_totals).collect();
-    let share = |(count, totals): &(usize, Vec<f64>)| EdgeShare {
-        rate: *count as f64 / (to - from),
+    let edges: Vec<(usize, Vec<f64>)> = rows.iter().map(starts_and_totals).collect();
+    let share = |(starts, totals): &(usize, Vec<f64>)| EdgeShare {
+        rate: *starts as f64 / (to - from),
         median: totals.iter().copied().collect::<SortedValues>().median(),
     };
-    let shares = totals.iter().map(share).collect();
-    Some((shares, totals.into_iter().flat_map(|(_, totals)| totals).collect()))
+    let shares = edges.iter().map(share).collect();
+    Some((shares, edges.into_iter().flat_map(|(_, totals)| totals).collect()))
 }

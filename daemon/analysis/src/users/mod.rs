@@ -1,9 +1,9 @@
-//! Statistics of many users of one cloud at the same time: latency against their number, and fairness.
+//! Statistics of many users of one cloud at the same time: latency against the number of users, and fairness.
 //!
 //! ```text
-//! Loaded ── together ── of ──┐
-//!                            Users ─┬─ text, Markdown, LaTeX, CSV
-//! roll-ups ── UsersLine::new ┘      └─ curves   latency against the number of edges
+//! Loaded ── concurrent_edges ──┐
+//!                              Users ─┬─ text, Markdown, LaTeX, CSV
+//! roll-ups ── UsersLine ───────┘      └─ curves   latency against the number of edges
 //! ```
 
 mod concurrent_edges;
@@ -15,12 +15,12 @@ pub use curves::Curve;
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
 
-/// Returns Jain's index of fairness, (Σx)² / (n Σx²): from 1/n, where one gets everything, to 1, where all get the same; `None` if all
+/// Returns Jain's index of fairness, (Σx)² / (n Σx²). It is 1/n if one of n users gets everything, and 1 if all get the same. `None` if all
 /// shares are 0 (Jain, Chiu and Hawe 1984, *A Quantitative Measure of Fairness and Discrimination for Resource Allocation in Shared
 /// Computer Systems*, DEC-TR-301).
 pub fn jain_index(shares: &[f64]) -> Option<f64> {
     let (sum, squares) = shares.iter().fold((0.0, 0.0), |(sum, squares), x| (sum + x, squares + x * x));
-    // Equal shares may be rounded to a little more than 1.
+    // Because of rounding, the index of equal shares can be a little more than 1.
     (squares > 0.0).then(|| (sum * sum / (shares.len() as f64 * squares)).min(1.0))
 }
 
@@ -38,9 +38,9 @@ pub struct Users {
 pub struct UsersLine {
     /// Labels that distinguish the configuration: as many as there are axes.
     pub labels: Vec<String>,
-    /// Edges at once.
+    /// Number of edges at the same time.
     pub edges: usize,
-    /// Answers per second of all edges together, on average over the repeats; `None` if they never measured at the same time.
+    /// Answers per second of all edges together, on average over the repeats; `None` if the edges never measured at the same time.
     pub rate: Option<f64>,
     /// [`jain_index`] of the edges' rates, on average over the repeats.
     pub fairness: Option<f64>,
@@ -55,7 +55,7 @@ pub struct UsersLine {
 pub struct EdgeShare {
     /// Answers per second.
     pub rate: f64,
-    /// Median of its totals, seconds; `None` if none was measured.
+    /// Median of the edge's totals, seconds; `None` if no total was measured.
     pub median: Option<f64>,
 }
 
@@ -64,9 +64,9 @@ pub struct EdgeShare {
 pub struct Totals {
     /// Number of totals.
     pub count: usize,
-    /// Their mean.
+    /// Mean of the totals.
     pub mean: Option<f64>,
-    /// The median.
+    /// Median of the totals.
     pub median: Option<f64>,
     /// 95th percentile; `None` below 60 totals.
     pub p95: Option<f64>,
@@ -75,46 +75,52 @@ pub struct Totals {
 }
 
 impl Users {
-    /// Returns the users of runs, one run for each edge. Edges that were measured at the same time are found by their records. `None` if
-    /// every edge was alone.
+    /// Returns the statistics of runs, one run for each edge. Edges that measured at the same time are found by their records. `None` if no
+    /// two edges measured at the same time.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        let runs = concurrent_edges::concurrent_groups(runs);
-        runs.iter().any(|edges| edges.len() > 1).then_some(())?;
-        let place = |edges: &[&Loaded]| -> Vec<(String, String)> {
+        let concurrent_groups = concurrent_edges::concurrent_groups(runs);
+        concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
+        let configuration = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
             experiment.map(|place| place.configuration.clone()).unwrap_or_default()
         };
         let mut axes: Vec<String> = Vec::new();
-        for (axis, _) in runs.iter().flat_map(|edges| place(edges)) {
+        for (axis, _) in concurrent_groups.iter().flat_map(|edges| configuration(edges)) {
             if !axes.contains(&axis) {
                 axes.push(axis);
             }
         }
         let label = |edges: &[&Loaded], axis: &String| {
-            let found = place(edges).into_iter().find(|(name, _)| name == axis);
-            found.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
+            let axis_and_label = configuration(edges).into_iter().find(|(name, _)| name == axis);
+            axis_and_label.map_or_else(|| tables::EMPTY_CELL.to_owned(), |(_, label)| label)
         };
-        let mut groups: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
-        for edges in &runs {
+        // Repeats of each configuration: the groups of edges with the same labels and the same number of edges.
+        let mut configurations: Vec<(Vec<String>, Vec<&[&Loaded]>)> = Vec::new();
+        for edges in &concurrent_groups {
             let labels: Vec<String> = axes.iter().map(|axis| label(edges, axis)).collect();
-            match groups.iter_mut().find(|(other, group)| *other == labels && group[0].len() == edges.len()) {
-                Some((_, group)) => group.push(edges),
-                None => groups.push((labels, vec![edges])),
+            let is_same = |(other, repeats): &&mut (Vec<String>, Vec<&[&Loaded]>)| {
+                *other == labels && repeats[0].len() == edges.len()
+            };
+            match configurations.iter_mut().find(is_same) {
+                Some((_, repeats)) => repeats.push(edges),
+                None => configurations.push((labels, vec![edges])),
             }
         }
-        let line = |(labels, group): (Vec<String>, Vec<&[&Loaded]>)| {
-            let shared: Vec<(Vec<EdgeShare>, Vec<f64>)> =
-                group.iter().filter_map(|edges| concurrent_edges::shares_and_totals(edges)).collect();
-            let totals: SortedValues = shared.iter().flat_map(|(_, totals)| totals).copied().collect();
-            let repeats: Vec<Vec<EdgeShare>> = shared.into_iter().map(|(shares, _)| shares).collect();
-            UsersLine::new(labels, group[0].len(), &repeats, Totals::from_values(&totals))
+        let line = |(labels, repeats): (Vec<String>, Vec<&[&Loaded]>)| {
+            let shares_and_totals: Vec<(Vec<EdgeShare>, Vec<f64>)> =
+                repeats.iter().filter_map(|edges| concurrent_edges::shares_and_totals(edges)).collect();
+            let totals: SortedValues =
+                shares_and_totals.iter().flat_map(|(_, totals)| totals).copied().collect();
+            let shares: Vec<Vec<EdgeShare>> =
+                shares_and_totals.into_iter().map(|(shares, _)| shares).collect();
+            UsersLine::new(labels, repeats[0].len(), &shares, Totals::from_values(&totals))
         };
-        Some(Self { axes, lines: groups.into_iter().map(line).collect() })
+        Some(Self { axes, lines: configurations.into_iter().map(line).collect() })
     }
 }
 
 impl UsersLine {
-    /// Returns a configuration with `edges` edges, from the share of each edge in each repeat.
+    /// Returns the line of a configuration with `edges` edges, from the share of each edge in each repeat.
     pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<EdgeShare>], totals: Totals) -> Self {
         let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
         let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();
@@ -128,19 +134,20 @@ impl UsersLine {
         }
     }
 
-    /// Returns a configuration from whole runs, each given by its repeat and its edge's share. Repeats that lack an edge are left out.
+    /// Returns the line of a configuration from whole runs, each given by the number of its repeat and the share of its edge. Repeats that
+    /// lack an edge are left out.
     pub fn from_whole_runs(labels: Vec<String>, runs: &[(u32, Option<EdgeShare>)], totals: Totals) -> Self {
         let mut repeats: Vec<(u32, Vec<Option<EdgeShare>>)> = Vec::new();
         for (repeat, share) in runs {
-            match repeats.iter_mut().find(|(known, _)| known == repeat) {
+            match repeats.iter_mut().find(|(number, _)| number == repeat) {
                 Some((_, shares)) => shares.push(*share),
                 None => repeats.push((*repeat, vec![*share])),
             }
         }
         let edges = repeats.iter().map(|(_, shares)| shares.len()).max().unwrap_or_default();
-        let whole = repeats.into_iter().filter(|(_, shares)| shares.len() == edges);
+        let complete_repeats = repeats.into_iter().filter(|(_, shares)| shares.len() == edges);
         let shares: Vec<Vec<EdgeShare>> =
-            whole.map(|(_, shares)| shares.into_iter().flatten().collect()).collect();
+            complete_repeats.map(|(_, shares)| shares.into_iter().flatten().collect()).collect();
         Self::new(labels, edges, &shares, totals)
     }
 

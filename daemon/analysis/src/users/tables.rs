@@ -1,4 +1,4 @@
-//! Table of many users.
+//! Tables of the statistics of many users.
 
 use peernet_statistics::number::{fixed, milliseconds, significant};
 
@@ -7,6 +7,7 @@ use crate::table::{Table, csv_text};
 
 /// Cell of an unknown value.
 pub(super) const EMPTY_CELL: &str = "—";
+/// Note below the tables.
 const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
 
@@ -26,7 +27,7 @@ impl Users {
         self.table().latex(NOTE)
     }
 
-    /// Returns CSV for programs: seconds and answers per second, all digits.
+    /// Returns CSV for programs: seconds and answers per second, with all digits.
     pub fn csv(&self) -> String {
         let mut header: Vec<&str> = self.axes.iter().map(String::as_str).collect();
         header.extend(["edges", "rate", "rate-least", "rate-most", "fairness", "count"]);
@@ -49,24 +50,26 @@ impl Users {
         let labels = header.len();
         header.extend(["edges", "iterations/s", "per edge", "fairness"].map(str::to_owned));
         header.extend(["mean ms", "p50 ms", "p95 ms", "p99 ms"].map(|name| format!("total {name}")));
-        let told =
-            |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| EMPTY_CELL.to_owned(), form);
+        let cell = |value: Option<f64>, format: fn(f64) -> String| {
+            value.map_or_else(|| EMPTY_CELL.to_owned(), format)
+        };
         let row = |line: &UsersLine| {
             let mut cells = line.labels.clone();
             cells.push(line.edges.to_string());
-            cells.push(told(line.rate, significant));
+            cells.push(cell(line.rate, significant));
             cells.push(line.rate_range().map_or_else(
                 || EMPTY_CELL.to_owned(),
                 |(least, most)| format!("{} – {}", significant(least), significant(most)),
             ));
-            cells.push(told(line.fairness, |value| fixed(value, 3)));
-            cells.extend(latencies(line).map(|value| told(value, milliseconds)));
+            cells.push(cell(line.fairness, |value| fixed(value, 3)));
+            cells.extend(latencies(line).map(|value| cell(value, milliseconds)));
             cells
         };
         Table { header, labels, rows: self.lines.iter().map(row).collect(), marked: Vec::new() }
     }
 }
 
+/// Returns mean, median, 95th and 99th percentile of the totals, seconds.
 fn latencies(line: &UsersLine) -> [Option<f64>; 4] {
     [line.totals.mean, line.totals.median, line.totals.p95, line.totals.p99]
 }

@@ -1,5 +1,5 @@
-//! Benchmark of drawing figures: those of a run of 10,005 iterations, as in the paper, of a run of 100,000, and of an experiment. Prints
-//! seconds, the peak memory so far, and the sizes of the files. The files stay in a folder that is named on the command line.
+//! Benchmark of drawing figures: of a run of 10,005 iterations, as in the paper, of a run of 100,000, and of several experiments. It prints
+//! seconds, the peak memory so far, and the size of the largest file. The files stay in the folder that is named on the command line.
 #![expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 
 mod rows;
@@ -11,50 +11,52 @@ use peernet_clock::{Clock, ClockIdentity, SystemClock};
 use peernet_figures::{self as figures, Columns, Kind};
 
 fn main() {
-    let kept = std::env::args().skip(1).find(|argument| !argument.starts_with('-')).map(PathBuf::from);
+    let named_folder =
+        std::env::args().skip(1).find(|argument| !argument.starts_with('-')).map(PathBuf::from);
     let temporary = tempfile::tempdir().expect("a temporary folder");
-    let folder = kept.unwrap_or_else(|| temporary.path().to_owned());
-    println!("{:28}  {:>8}  {:>9}  {:>9}", "what", "seconds", "peak MiB", "files kB");
+    let folder = named_folder.unwrap_or_else(|| temporary.path().to_owned());
+    println!("{:28}  {:>8}  {:>9}  {:>9}", "what", "seconds", "peak MiB", "largest kB");
     let run = [rows::remote("efficientnet_v2_s", "zmq-tcp", 10_005)];
-    let begun = peak_kib();
-    timed("6 histograms, 10,005", &folder, &|folder| {
+    let peak_before = peak_kib();
+    print_time("6 histograms, 10,005", &folder, &|folder| {
         figures::of_run(&run[0].record, &run[0].rows, folder).expect("writable")
     });
     for kind in [Kind::Cumulative, Kind::Series, Kind::Length] {
-        timed(&format!("{}, 10,005", kind.name()), &folder, &|folder| drawn(kind, &run, folder));
+        print_time(&format!("{}, 10,005", kind.name()), &folder, &|folder| draw(kind, &run, folder));
     }
-    println!("more than before: {:.1} MiB", (peak_kib() - begun) as f64 / 1024.0);
+    println!("peak memory grew by {:.1} MiB", (peak_kib() - peak_before) as f64 / 1024.0);
     let experiment = rows::experiment();
-    timed("an experiment of 6 × 2,000", &folder, &|folder| {
+    print_time("an experiment of 6 × 2,000", &folder, &|folder| {
         figures::of_experiment(&experiment, folder).expect("writable")
     });
     let teleoperation = rows::teleoperation();
-    let of = folder.join("teleoperation");
-    timed("bars of 7 × 500", &of, &|folder| drawn(Kind::Stacked, &teleoperation, folder));
+    let subfolder = folder.join("teleoperation");
+    print_time("bars of 7 × 500", &subfolder, &|folder| draw(Kind::Stacked, &teleoperation, folder));
     let payload = [rows::payload()];
-    timed("payload of 7 × 200", &folder, &|folder| drawn(Kind::Payload, &payload, folder));
+    print_time("payload of 7 × 200", &folder, &|folder| draw(Kind::Payload, &payload, folder));
     let users = rows::users();
-    timed("users, 62 × 200", &folder, &|folder| drawn(Kind::Users, &users, folder));
+    print_time("users, 62 × 200", &folder, &|folder| draw(Kind::Users, &users, folder));
     let long = [rows::remote("efficientnet_v2_s", "zmq-tcp", 100_000)];
-    let of = folder.join("long");
-    timed("6 histograms, 100,000", &of, &|folder| {
+    let subfolder = folder.join("long");
+    print_time("6 histograms, 100,000", &subfolder, &|folder| {
         figures::of_run(&long[0].record, &long[0].rows, folder).expect("writable")
     });
     for kind in [Kind::Cumulative, Kind::Series, Kind::Length] {
-        timed(&format!("{}, 100,000", kind.name()), &of, &|folder| drawn(kind, &long, folder));
+        print_time(&format!("{}, 100,000", kind.name()), &subfolder, &|folder| draw(kind, &long, folder));
     }
 }
 
-fn drawn(kind: Kind, runs: &[Loaded], folder: &Path) -> Vec<PathBuf> {
+fn draw(kind: Kind, runs: &[Loaded], folder: &Path) -> Vec<PathBuf> {
     figures::draw(kind, runs, &Columns::default(), folder).expect("there is something to draw").files
 }
 
-fn timed(what: &str, folder: &Path, work: &dyn Fn(&Path) -> Vec<PathBuf>) {
+/// Draws figures into a folder and prints a line of the table.
+fn print_time(what: &str, folder: &Path, draw: &dyn Fn(&Path) -> Vec<PathBuf>) {
     std::fs::create_dir_all(folder).expect("a folder");
     let clock = SystemClock::new(ClockIdentity::new("bench", "system"));
-    let begun = clock.mono();
-    let files = work(folder);
-    let seconds = (clock.mono() - begun).seconds();
+    let start = clock.mono();
+    let files = draw(folder);
+    let seconds = (clock.mono() - start).seconds();
     let size = |path: &PathBuf| std::fs::metadata(path).map_or(0, |metadata| metadata.len());
     let largest = files.iter().map(size).max().unwrap_or_default() as f64 / 1e3;
     println!("{what:28}  {seconds:>8.3}  {:>9.1}  {largest:>9.1}", peak_kib() as f64 / 1024.0);

@@ -6,7 +6,7 @@ use peernet_analysis::rows::{Column, Outcome, Row, Rows};
 use peernet_statistics::SplitMix64;
 use peernet_stream::ExperimentPlace;
 
-/// Random numbers with a fixed seed, so that every run has the same.
+/// Random numbers with a fixed seed, so that every run of the benchmark has the same numbers.
 pub(crate) struct TestRng(SplitMix64);
 
 impl TestRng {
@@ -14,18 +14,20 @@ impl TestRng {
         Self(SplitMix64::new(seed))
     }
 
-    fn even(&mut self) -> f64 {
+    /// Returns a uniform number from 0 to 1.
+    fn uniform(&mut self) -> f64 {
         self.0.unit()
     }
 
+    /// Returns a normal number with mean 0 and standard deviation 1 (Box and Muller).
     fn normal(&mut self) -> f64 {
-        let (radius, angle) = ((-2.0 * self.even().max(1e-12).ln()).sqrt(), self.even());
+        let (radius, angle) = ((-2.0 * self.uniform().max(1e-12).ln()).sqrt(), self.uniform());
         radius * (std::f64::consts::TAU * angle).cos()
     }
 
-    /// Returns a latency around `mean` that is seldom much longer.
-    fn late(&mut self, mean: f64, spread: f64) -> f64 {
-        let tail = if self.even() < 0.004 { mean * 8.0 * self.even() } else { 0.0 };
+    /// Returns a latency around `mean`. A few latencies are much longer.
+    fn latency(&mut self, mean: f64, spread: f64) -> f64 {
+        let tail = if self.uniform() < 0.004 { mean * 8.0 * self.uniform() } else { 0.0 };
         mean * (spread * self.normal()).exp() + tail
     }
 }
@@ -65,23 +67,23 @@ fn values(stages: &[(&'static str, f64)]) -> Vec<(Column, f64)> {
 
 /// Returns a run with a model in the cloud.
 pub(crate) fn remote(model: &str, network: &str, count: u64) -> Loaded {
-    let mut dice = TestRng::new(7);
+    let mut rng = TestRng::new(7);
     let mut at = 0.0;
     let mut all = Vec::new();
     for number in 1..=count {
         let busy = if (count / 2..count * 11 / 20).contains(&number) { 1.8 } else { 1.0 };
         let cold = if number <= 5 { 6.0 } else { 1.0 };
-        let upload = dice.late(17.5e-3 * busy, 0.12);
-        let download = dice.late(0.37e-3, 0.25);
-        let answer = if dice.even() < 0.6 { 180.0 } else { 420.0 };
-        let answer = (answer + 30.0 * dice.normal()).round().max(8.0);
-        let inference = cold * (3.7e-3 + answer * 20e-6 + 0.3e-3 * dice.normal().abs());
+        let upload = rng.latency(17.5e-3 * busy, 0.12);
+        let download = rng.latency(0.37e-3, 0.25);
+        let answer = if rng.uniform() < 0.6 { 180.0 } else { 420.0 };
+        let answer = (answer + 30.0 * rng.normal()).round().max(8.0);
+        let inference = cold * (3.7e-3 + answer * 20e-6 + 0.3e-3 * rng.normal().abs());
         let mut values = values(&[
-            ("sensing", dice.late(0.76e-3, 0.3)),
+            ("sensing", rng.latency(0.76e-3, 0.3)),
             ("encode", 0.05e-3),
             ("upload", upload),
             ("queue", 0.02e-3),
-            ("preprocessing", dice.late(1.4e-3, 0.1)),
+            ("preprocessing", rng.latency(1.4e-3, 0.1)),
             ("inference", inference),
             ("postprocessing", 0.08e-3),
             ("download", download),
@@ -114,7 +116,7 @@ fn place(run: &mut Loaded, model: &str, kind: &str, device: &str, network: Optio
 
 /// Returns runs of three models on the robot and in the cloud: the paper's first experiment.
 pub(crate) fn experiment() -> Vec<Loaded> {
-    let mut dice = TestRng::new(3);
+    let mut rng = TestRng::new(3);
     let mut runs = Vec::new();
     for (model, local) in
         [("efficientnet_v2_s", 62e-3), ("efficientnet_v2_m", 95e-3), ("efficientnet_v2_l", 151e-3)]
@@ -123,15 +125,15 @@ pub(crate) fn experiment() -> Vec<Loaded> {
             let rows = (1..=2000).map(|number| {
                 let stages = if kind == "local" {
                     vec![
-                        ("sensing", dice.late(0.7e-3, 0.2)),
-                        ("inference", local * (1.0 + 0.01 * dice.normal())),
+                        ("sensing", rng.latency(0.7e-3, 0.2)),
+                        ("inference", local * (1.0 + 0.01 * rng.normal())),
                     ]
                 } else {
                     vec![
-                        ("sensing", dice.late(0.7e-3, 0.2)),
-                        ("upload", dice.late(17e-3, 0.2)),
-                        ("inference", dice.late(local / 2.5, 0.2)),
-                        ("download", dice.late(0.5e-3, 0.2)),
+                        ("sensing", rng.latency(0.7e-3, 0.2)),
+                        ("upload", rng.latency(17e-3, 0.2)),
+                        ("inference", rng.latency(local / 2.5, 0.2)),
+                        ("download", rng.latency(0.5e-3, 0.2)),
                     ]
                 };
                 row(number, number as f64, values(&stages))
@@ -160,13 +162,13 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         ("no", "A100", "CAN", [0.79, 102.48, 7.19, 3.16], [0.27, 26.40, 3.38, 8.95]),
         ("yes", "A100", "CAN", [4.83, 15.13, 6.71, 3.59], [1.08, 7.63, 3.05, 4.83]),
     ];
-    let mut dice = TestRng::new(5);
+    let mut rng = TestRng::new(5);
     let run = |(resize, gpu, network, means, stds): (&str, &str, &str, [f64; 4], [f64; 4])| {
         let names = ["sensing", "upload", "inference", "download"];
         let rows = (1..=500).map(|number| {
             let stages: Vec<(&'static str, f64)> = (0..4)
                 .filter(|at| means[*at] > 0.0)
-                .map(|at| (names[at], (means[at] + stds[at] * dice.normal()).max(0.01) / 1e3))
+                .map(|at| (names[at], (means[at] + stds[at] * rng.normal()).max(0.01) / 1e3))
                 .collect();
             row(number, number as f64, values(&stages))
         });
@@ -182,12 +184,12 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
 
 /// Returns a run with payloads of seven sizes.
 pub(crate) fn payload() -> Loaded {
-    let mut dice = TestRng::new(9);
+    let mut rng = TestRng::new(9);
     let sizes = [1e3, 3e3, 1e4, 3e4, 1e5, 3e5, 1e6];
     let rows = (1..=1400).map(|number| {
         let size = sizes[number as usize % sizes.len()];
-        let delay = |dice: &mut TestRng, bytes: f64| dice.late(0.21e-3 + bytes / 110e6, 0.06);
-        let (up, down) = (delay(&mut dice, size + 300.0), delay(&mut dice, size + 400.0));
+        let delay = |rng: &mut TestRng, bytes: f64| rng.latency(0.21e-3 + bytes / 110e6, 0.06);
+        let (up, down) = (delay(&mut rng, size + 300.0), delay(&mut rng, size + 400.0));
         let mut values = values(&[("sensing", 1e-4), ("upload", up), ("download", down)]);
         values.extend([
             ("upload-bytes".into(), size),
@@ -204,7 +206,7 @@ pub(crate) fn payload() -> Loaded {
 
 /// Returns runs of one model of 40 ms and another of 12 ms with one worker each, used by up to sixteen edges at the same time.
 pub(crate) fn users() -> Vec<Loaded> {
-    let mut dice = TestRng::new(11);
+    let mut rng = TestRng::new(11);
     let mut runs = Vec::new();
     for (model, service) in [("efficientnet_v2_s", 12e-3), ("efficientnet_v2_l", 40e-3)] {
         for edges in [1_u32, 2, 4, 8, 16] {
@@ -214,7 +216,7 @@ pub(crate) fn users() -> Vec<Loaded> {
                 let mean = 4e-3 + service * f64::from(edges) * lucky;
                 let mut at = 0.0;
                 let rows = (1..=200).map(|number| {
-                    let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", dice.late(mean, 0.12))];
+                    let stages = [("sensing", 1e-3), ("upload", 2e-3), ("queue", rng.latency(mean, 0.12))];
                     let stages = [&stages[..], &[("inference", service), ("download", 4e-4)]].concat();
                     let values = values(&stages);
                     at += stages.iter().map(|(_, value)| value).sum::<f64>();

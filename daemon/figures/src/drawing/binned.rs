@@ -1,27 +1,29 @@
-//! Distributions of sketches on an axis that several of them share. Pages have them.
+//! Distributions of sketches on an axis that several distributions share. Only pages have them.
 
-use peernet_statistics::Summary;
+use peernet_statistics::{Moments, Summary};
 
 use super::lengths::would_squeeze;
 use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
 use crate::scale::Scale;
 
-/// Bins between the ends of the values.
+/// Number of bins between the ends of the values.
 const BINS: u32 = 48;
-/// Quantile above which values are only counted, so that one straggler does not compress all others into a corner.
-const ENDS_AT: f64 = 0.99;
-/// Share of its length by which the axis extends beyond that quantile. A largest value that is at most [`WORTH`] times this length is not
-/// a straggler.
+/// Quantile from which the end of the axis is computed. If values lie far beyond it, they are only counted, so that one straggler does not
+/// compress all others into a corner.
+const END_QUANTILE: f64 = 0.99;
+/// Share of the length from the smallest value to that quantile by which the axis extends beyond the quantile.
 const MARGIN: f64 = 0.1;
-const WORTH: f64 = 1.5;
+/// Multiple of that length up to which the largest value is not a straggler, so that the axis ends at the largest value.
+const MAX_EXTENSION: f64 = 1.5;
 /// Margin on both sides of values that lie far from zero, as a share of their range.
 const ROOM: f64 = 0.05;
-/// Ends within this share of each other are one end.
+/// Share by which a value may lie beyond the end of the axis because of rounding.
 const ROUNDING: f64 = 1e-9;
-/// Smallest value, as a share of the largest, that is not taken as zero. Without this limit such a value would make the axis logarithmic.
-const NOTHING: f64 = 1e-12;
-/// Marks on the axis.
+/// Share of the quantile [`END_QUANTILE`] below which the smallest value is taken as zero. Without this limit such a value would make the
+/// axis logarithmic.
+const ZERO_SHARE: f64 = 1e-12;
+/// Approximate number of marks on the axis.
 const MARKS: usize = 5;
 
 /// Axis of a quantity with its bins.
@@ -36,14 +38,16 @@ pub struct BinnedAxis {
 }
 
 impl BinnedAxis {
-    /// Returns an axis from the smallest of all values to the largest, or to a little above the largest 99th percentile if stragglers lie
-    /// far beyond it. It is logarithmic if that is more than a decade. `None` without values.
+    /// Returns an axis from the smallest of all values to the largest. If stragglers lie far beyond the 99th percentile of their
+    /// distribution, the axis ends a little above that percentile. The axis is logarithmic if it spans more than a decade. `None` without
+    /// values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let ends = Self::ends(all, &unit)?;
         Some(Self::new(unit, Self::between(ends), ends))
     }
 
-    /// Returns the same axis from zero, except if zero would squeeze all values, if they span more than a decade, or if the smallest is
+    /// Returns an axis that begins at zero and ends a little above the same upper end as [`BinnedAxis::around`]. It begins near the smallest
+    /// value instead in three cases: zero would squeeze all values into a corner, the values span more than a decade, or the smallest value is
     /// negative.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
         let (lo, hi) = Self::ends(all, &unit)?;
@@ -69,12 +73,13 @@ impl BinnedAxis {
 
     /// Returns the ends of the values that are shown.
     fn ends<'a>(all: impl Iterator<Item = &'a Summary>, unit: &Unit) -> Option<(f64, f64)> {
-        let ends = |known: &Summary| {
-            let (typical, most, least) = (known.quantile(ENDS_AT)?, known.moments.max, known.moments.min);
-            let lo = if least.abs() < typical.abs() * NOTHING { 0.0 } else { least };
-            let spread = Scale::decades((lo, typical)).unwrap_or(Scale::linear((lo, typical)));
-            let beyond = |share: f64| spread.between(lo, typical, share);
-            let hi = if most <= beyond(WORTH) { most } else { beyond(1.0 + MARGIN).min(most) };
+        let ends = |summary: &Summary| {
+            let Moments { min, max, .. } = summary.moments;
+            let quantile = summary.quantile(END_QUANTILE)?;
+            let lo = if min.abs() < quantile.abs() * ZERO_SHARE { 0.0 } else { min };
+            let scale = Scale::decades((lo, quantile)).unwrap_or(Scale::linear((lo, quantile)));
+            let extended_by = |factor: f64| scale.between(lo, quantile, factor);
+            let hi = if max <= extended_by(MAX_EXTENSION) { max } else { extended_by(1.0 + MARGIN).min(max) };
             Some((lo * unit.per_si, hi * unit.per_si))
         };
         let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
@@ -87,12 +92,12 @@ impl BinnedAxis {
         self.unit.axis(self.scale).with_grid()
     }
 
-    /// Returns the largest value that has a place on the axis, in the unit that is measured.
+    /// Returns the largest value that has a position on the axis, in SI units.
     pub fn end(&self) -> f64 {
         self.edges.last().map_or(f64::INFINITY, |end| (end + end.abs() * ROUNDING) / self.unit.per_si)
     }
 
-    /// Returns the place of a measured value; `None` beyond the end.
+    /// Returns the position of a value in SI units; `None` beyond the end.
     pub fn at(&self, value: f64) -> Option<f64> {
         (value <= self.end()).then(|| self.scale.at(value * self.unit.per_si))
     }
@@ -103,23 +108,32 @@ impl BinnedAxis {
         ((1.0 - inside) * values.count() as f64).round() as u64
     }
 
-    /// Returns begin, end and height of the bars of a distribution, as shares; the fullest bin has the full height.
+    /// Returns beginning, end and height of the bars of a distribution, as shares. The bar of the fullest bin has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
+        // If no value is beyond the end, the last bin must not lose the largest values to rounding.
         if let Some(end) = edges.last_mut().filter(|_| self.end() >= values.moments.max) {
             *end = f64::INFINITY;
         }
         let counts = values.histogram(&edges);
-        let most = counts.iter().copied().fold(0.0, f64::max);
-        let bars = self.edges.windows(2).zip(&counts).filter(|(_, size)| **size > 0.0);
-        bars.map(|(edges, size)| [self.scale.at(edges[0]), self.scale.at(edges[1]), size / most]).collect()
+        let largest_count = counts.iter().copied().fold(0.0, f64::max);
+        let filled_bins = self.edges.windows(2).zip(&counts).filter(|(_, count)| **count > 0.0);
+        let bar = |(edges, count): (&[f64], &f64)| {
+            [self.scale.at(edges[0]), self.scale.at(edges[1]), count / largest_count]
+        };
+        filled_bins.map(bar).collect()
     }
 
-    /// Returns a small histogram. `within` is the interval of the median, if the median is uncertain.
-    pub fn histogram(&self, values: &Summary, stage: &Stage, within: Option<(f64, f64)>) -> Vec<Item> {
+    /// Returns a small histogram. `median_interval` is the interval of the median in SI units, if the median is uncertain.
+    pub fn histogram(
+        &self,
+        values: &Summary,
+        stage: &Stage,
+        median_interval: Option<(f64, f64)>,
+    ) -> Vec<Item> {
         let mut items = Item::grid(&self.scale);
-        items.extend(self.upright(values, &stage.plain().bin()));
-        items.extend(within.map(|(lo, hi)| {
+        items.extend(self.upright_bars(values, &stage.plain().bin()));
+        items.extend(median_interval.map(|(lo, hi)| {
             let [from, to] = [lo, hi].map(|value| self.scale.at(value * self.unit.per_si));
             Item::rect(At::new(from, 0.0), At::new(to, 1.0), Style::of_page("band"))
         }));
@@ -131,16 +145,16 @@ impl BinnedAxis {
         items
     }
 
-    /// Returns the bars of a distribution above the axis.
-    pub fn upright(&self, values: &Summary, style: &Style) -> Vec<Item> {
+    /// Returns the bars of a distribution, upright above a horizontal axis.
+    pub fn upright_bars(&self, values: &Summary, style: &Style) -> Vec<Item> {
         let bar = |[from, to, height]: [f64; 3]| {
             Item::rect(At::new(from, 1.0 - height), At::new(to, 1.0), style.clone())
         };
         self.bars(values).into_iter().map(bar).collect()
     }
 
-    /// Returns the bars of a distribution to the right of the axis.
-    pub fn lying(&self, values: &Summary, style: &Style) -> Vec<Item> {
+    /// Returns the bars of a distribution, level at the right of a vertical axis.
+    pub fn level_bars(&self, values: &Summary, style: &Style) -> Vec<Item> {
         let bar = |[from, to, width]: [f64; 3]| {
             Item::rect(At::new(0.0, 1.0 - to), At::new(width, 1.0 - from), style.clone())
         };

@@ -16,9 +16,11 @@ const LOGARITHMIC_RATIO: f64 = 12.0;
 const AXIS_MARGIN: f64 = 0.02;
 /// Share of the largest value: an axis begins at zero unless the smallest value is above it.
 const ZERO_THRESHOLD: f64 = 0.5;
-/// Height of the first mark of a curve and the distance to the next curve's, so that none hides another.
+/// Height of the mark of the first curve, as a share of the plot.
 const FIRST_MARK_HEIGHT: f64 = 0.12;
+/// Difference of the heights of the marks of two consecutive curves, so that no mark hides another.
 const MARK_DISTANCE: f64 = 0.16;
+/// Radius of a mark, points.
 const RADIUS: f64 = 1.7;
 
 /// Cumulative distributions.
@@ -39,26 +41,27 @@ pub struct Cumulative {
 pub struct CumulativeCurve {
     /// Name of the quantity.
     pub name: String,
-    /// Look of its line.
+    /// Style of the line.
     pub line: Style,
-    /// Mark with its look.
+    /// Shape and style of the mark.
     pub mark: (Mark, Style),
     /// The values, SI units.
     pub values: SortedValues,
 }
 
 impl CumulativeCurve {
-    /// Returns the name of a curve and the number of its values above `most`, if there are any.
-    fn count_beyond(&self, most: f64) -> Option<(&str, String)> {
-        let count = self.values.values().iter().filter(|value| **value > most).count();
+    /// Returns the name of the curve and the number of its values above `max`; `None` if there are none.
+    fn count_beyond(&self, max: f64) -> Option<(&str, String)> {
+        let count = self.values.values().iter().filter(|value| **value > max).count();
         (count > 0).then(|| (self.name.as_str(), fixed(count as f64, 0)))
     }
 }
 
 impl Cumulative {
+    /// Returns the curves that are drawn, each with the range of its values that is shown.
     fn shown_curves(&self) -> impl Iterator<Item = (&CumulativeCurve, (f64, f64))> {
-        let known = self.curves.iter().filter_map(|curve| Some((curve, range(&curve.values)?)));
-        known.filter(|(_, (lo, hi))| lo.is_finite() && hi.is_finite())
+        let curves_with_values = self.curves.iter().filter_map(|curve| Some((curve, range(&curve.values)?)));
+        curves_with_values.filter(|(_, (lo, hi))| lo.is_finite() && hi.is_finite())
     }
 
     fn scale(&self) -> Option<Scale> {
@@ -66,9 +69,9 @@ impl Cumulative {
         let (lo, hi) = ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         let medians: SortedValues =
             self.shown_curves().filter_map(|(curve, _)| curve.values.median()).collect();
-        let (least, most) = medians.values().first().zip(medians.values().last())?;
+        let (smallest, largest) = medians.values().first().zip(medians.values().last())?;
         let (lo, hi) = (lo * self.unit.per_si, hi * self.unit.per_si);
-        Some(if lo > 0.0 && *most >= LOGARITHMIC_RATIO * least {
+        Some(if lo > 0.0 && *largest >= LOGARITHMIC_RATIO * smallest {
             let room = (hi / lo).powf(AXIS_MARGIN);
             Scale::logarithmic((lo / room, hi * room))
         } else if lo > hi * ZERO_THRESHOLD {
@@ -100,9 +103,9 @@ impl Cumulative {
                     Some(format!("{count} beyond {} →", self.unit.words(end / self.unit.per_si, 0.0)));
             }
             if !beyond.is_empty() {
-                let named: Vec<String> =
+                let counts: Vec<String> =
                     beyond.iter().map(|(name, count)| format!("{count} of {name}")).collect();
-                notes.push(format!("beyond the axis: {}", named.join(", ")));
+                notes.push(format!("beyond the axis: {}", counts.join(", ")));
             }
             plots.push(plot);
         }
@@ -118,18 +121,19 @@ impl Cumulative {
 
     fn curve(&self, plot: &Plot, number: usize, curve: &CumulativeCurve) -> Vec<Item> {
         let values = curve.values.values();
-        let at = |index: usize| {
+        let point = |index: usize| {
             let share = (index + 1) as f64 / values.len() as f64;
             let at = plot.at(values[index] * self.unit.per_si, share * 100.0);
             (at.x, at.y)
         };
         let last = values.len().saturating_sub(1);
         let steps = CURVE_POINTS.min(last.max(1));
-        let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| at(last * step / steps)).collect();
+        let mut points: Vec<(f64, f64)> = (0..=steps).map(|step| point(last * step / steps)).collect();
+        // The curve begins at a share of zero, straight below its first value.
         points.insert(0, (points[0].0, 1.0));
-        let wanted = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * number as f64).fract();
+        let mark_y = 1.0 - (FIRST_MARK_HEIGHT + MARK_DISTANCE * number as f64).fract();
         let mark =
-            points.iter().min_by(|a, b| (a.1 - wanted).abs().total_cmp(&(b.1 - wanted).abs())).copied();
+            points.iter().min_by(|a, b| (a.1 - mark_y).abs().total_cmp(&(b.1 - mark_y).abs())).copied();
         let mut items = vec![Item::path(Path::line(points.into_iter().map(Some)), curve.line.clone())];
         if self.curves.len() > 1 {
             let (shape, style) = &curve.mark;

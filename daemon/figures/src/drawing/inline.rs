@@ -1,38 +1,38 @@
-//! Small pictures in the lines of tables, beside their numbers. Pages have them.
+//! Small pictures in the lines of tables, beside their numbers. Only pages have them.
 
 use crate::look::{Style, stage};
 use crate::plot::{At, Item, Label, Path};
 use peernet_statistics::number;
 
-/// Length of a whole in a share bar, so that its number has room behind it.
-const WHOLE: f64 = 0.72;
+/// Length of a share bar for a share of 1. The rest of the width is room for the number after the bar.
+const FULL_LENGTH: f64 = 0.72;
 /// Share from which on a meter is marked as nearly full.
-const NEARLY: f64 = 0.9;
-/// Minimum length of a meter's bar, so that a little is visible.
-const LITTLE: f64 = 0.02;
+const NEARLY_FULL: f64 = 0.9;
+/// Minimum length of a meter's bar, so that a small share is visible.
+const MIN_LENGTH: f64 = 0.02;
 
-/// Returns a stage's share of the whole, 0 to 1, as a bar with its number.
+/// Returns the share of a stage, 0 to 1, as a bar with its number.
 pub fn share_bar(name: &str, share: f64) -> Vec<Item> {
-    let end = share.clamp(0.0, 1.0) * WHOLE;
+    let end = share.clamp(0.0, 1.0) * FULL_LENGTH;
     let number = Label::new(At::new(end + 0.02, 0.5), number::share(share), crate::look::TextStyle::AXIS);
     vec![Item::rect(At::new(0.0, 0.19), At::new(end, 0.81), stage(name).plain()), Item::Text(number)]
 }
 
-/// Returns a share of a limit, 0 to 1, as a bar from nothing to the limit; and whether it is nearly full.
+/// Returns a share of a limit, 0 to 1, as a bar on a track that ends at the limit; and whether the meter is nearly full.
 pub fn meter(share: f64) -> (Vec<Item>, bool) {
     let share = if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 };
-    let end = if share > 0.0 { share.max(LITTLE) } else { 0.0 };
+    let end = if share > 0.0 { share.max(MIN_LENGTH) } else { 0.0 };
     let bar = |end, class| Item::rect(At::new(0.0, 0.0), At::new(end, 1.0), Style::of_page(class));
-    (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY)
+    (vec![bar(1.0, "track"), bar(end, "fill")], share >= NEARLY_FULL)
 }
 
-/// Returns values from 0 to 1 at evenly spaced times as a line over its area; a missing value interrupts it.
+/// Returns values from 0 to 1 at evenly spaced times as a line with the area below it. A missing value interrupts both.
 pub fn sparkline(values: &[Option<f64>]) -> Vec<Item> {
     let step = 1.0 / values.len().saturating_sub(1).max(1) as f64;
-    let place = |(index, value): (usize, &Option<f64>)| {
+    let point = |(index, value): (usize, &Option<f64>)| {
         value.map(|value| (index as f64 * step, 1.0 - value.clamp(0.0, 1.0)))
     };
-    let points: Vec<_> = values.iter().enumerate().map(place).collect();
+    let points: Vec<_> = values.iter().enumerate().map(point).collect();
     let paths = [(Path::area(points.iter().copied()), "a"), (Path::line(points), "line")];
     paths.into_iter().map(|(path, class)| Item::path(path, Style::of_page(class))).collect()
 }

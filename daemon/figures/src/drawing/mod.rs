@@ -1,12 +1,11 @@
 //! Kinds of figures: the layout of the results of the analysis.
 //!
-//! Every kind is a value with a method `figure` (or `plot`, or `items`) that makes a layout of `crate::plot`; both sheets draw it.
-//! Everything that differs by colour differs by mark, dash or hatch as well. [`Distribution`] and [`Stack`] are for both sheets. Kinds of
-//! pages alone say so; their values are sketches and means, because a page reads no iterations.
+//! Every kind is a value with a method `figure`, `plot` or `items` that returns a layout of `crate::plot`, which both sheets can draw.
+//! Everything that differs by colour differs by mark, dash or hatch as well. [`Distribution`] and [`Stack`] are for both sheets. A kind that
+//! only pages have says so. The values of such a kind are sketches and means, because a page does not read single iterations.
 
 mod accuracy;
 mod binned;
-mod course;
 mod cumulative;
 mod histogram;
 mod inline;
@@ -21,11 +20,12 @@ mod stack;
 mod stacked;
 mod stage_bar;
 mod stages_over_time;
+mod time_series;
 
 pub use crate::plot::Unit;
 pub use accuracy::{Accuracy, Score};
 pub use binned::BinnedAxis;
-pub use course::{Course, Line};
+
 pub use cumulative::{Cumulative, CumulativeCurve};
 pub use histogram::{Bins, Distribution, Histogram, View};
 pub use inline::{meter, share_bar, sparkline};
@@ -40,6 +40,7 @@ pub use stack::{Direction, Stack};
 pub use stacked::{Bar, Stacked};
 pub use stage_bar::{StageBar, StagePart};
 pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};
+pub use time_series::{Line, TimeSeries};
 
 #[cfg(test)]
 mod tests;

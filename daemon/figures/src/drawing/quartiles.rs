@@ -1,4 +1,4 @@
-//! A distribution in five numbers, lying; several share one scale. Pages have it.
+//! Horizontal box plot of a distribution; several box plots share one scale. Only pages have this kind.
 
 use peernet_analysis::order::MIN_VALUES_FOR_P95;
 use peernet_statistics::Summary;
@@ -28,7 +28,7 @@ pub struct Quartiles {
 }
 
 impl Quartiles {
-    /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true ones.
+    /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true quantiles.
     pub fn of(summary: &Summary) -> Option<Self> {
         let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
         let tails = p5.zip(p95).filter(|_| summary.count() >= MIN_VALUES_FOR_P95 as u64);
@@ -40,7 +40,7 @@ impl Quartiles {
         self.tails.map_or(self.middle[2], |(_, p95)| p95).max(self.mean)
     }
 
-    /// Returns the numbers in words.
+    /// Returns the numbers as text, for screen readers.
     pub fn words(&self) -> String {
         let [p25, p50, p75] = self.middle.map(milliseconds);
         let tails = self.tails.map_or_else(String::new, |(p5, p95)| {
@@ -50,8 +50,8 @@ impl Quartiles {
         format!("median {p50}{SPACE}ms, quartiles {p25} and {p75}{tails}, mean {mean}; {count} samples")
     }
 
-    /// Lays it out in the colour of a stage, on a scale in ms.
-    pub fn items(&self, name: &str, scale: &Scale) -> Vec<Item> {
+    /// Lays the box plot out in the colour of a stage, on a scale in ms.
+    pub fn items(&self, stage_name: &str, scale: &Scale) -> Vec<Item> {
         let at = |seconds: f64, y: f64| At::new(scale.at(seconds * 1e3), y);
         let [p25, p50, p75] = self.middle;
         let mut items = Item::grid(scale);
@@ -63,7 +63,7 @@ impl Quartiles {
                 &Style::whisker(),
             ));
         }
-        items.push(Item::rect(at(p25, 0.08), at(p75, 0.92), stage(name).plain()));
+        items.push(Item::rect(at(p25, 0.08), at(p75, 0.92), stage(stage_name).plain()));
         items.extend(
             [Style::halo(), Style::whisker()].map(|style| Item::line(at(p50, 0.0), at(p50, 1.0), style)),
         );

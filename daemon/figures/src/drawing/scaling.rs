@@ -1,4 +1,4 @@
-//! Figure of a quantity against size, on logarithmic axes: a point with its spread for each size, a fitted line for each series.
+//! Figure of a quantity against size, on logarithmic axes. It has a point with its spread for each size and a fitted line for each series.
 
 use peernet_statistics::number::bytes;
 
@@ -20,7 +20,7 @@ const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
 /// Number of points of a drawn line, which is a curve on logarithmic axes.
 const LINE_POINTS: u32 = 60;
-/// Room beyond the values at each end: a power of the range of values, and the minimum factor.
+/// Room beyond the values at each end of the vertical axis: a factor that is this power of the ratio of the ends, and its minimum.
 const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
 const SIDE_FACTOR: f64 = 1.4;
@@ -36,7 +36,7 @@ pub struct Value {
     pub value: f64,
     /// Range of most values, drawn as a bar.
     pub spread: Option<(f64, f64)>,
-    /// Bounds of the true value, drawn as a whisker. Without an upper end it leaves the plot.
+    /// Lower and upper bound of the true value, drawn as a whisker. A whisker without an upper bound leaves the plot.
     pub bounds: Option<(f64, Option<f64>)>,
 }
 
@@ -45,7 +45,7 @@ pub struct Value {
 pub struct Series {
     /// Name in the legend.
     pub name: String,
-    /// Stage that determines its colour: `upload` or `download`.
+    /// Stage that determines the colour: `upload` or `download`.
     pub stage: &'static str,
     /// Mark of the series.
     pub mark: Mark,
@@ -62,7 +62,7 @@ impl Value {
     }
 }
 
-/// Explanations of the parts of a figure, in a few words each; parts that are not drawn are not explained.
+/// Explanations of the parts of a figure, in a few words each. The figure shows only the explanations of parts that are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
     /// Explanation of the points.
@@ -80,7 +80,7 @@ pub struct Scaling {
     pub title: String,
     /// Unit of the vertical axis.
     pub unit: Unit,
-    /// Explanations of its parts; bars are always from the 5th to the 95th percentile.
+    /// Explanations of the parts. Bars need none: they always show the 5th to the 95th percentile.
     pub parts: Parts,
     /// Further notes on the values.
     pub notes: Vec<String>,
@@ -93,32 +93,33 @@ impl Scaling {
         self.series.iter().flat_map(|series| &series.values).filter(|value| value.value > 0.0)
     }
 
-    /// Returns the lowest and the highest of all values, bars and bounds.
+    /// Returns the lowest and the highest of all values, bars and bounds, SI units. Bounds that are far from their value are ignored in part.
     fn heights(&self) -> Option<(f64, f64)> {
-        let of = |value: &Value| {
+        let extent = |value: &Value| {
             let (lo, hi) = value.spread.unwrap_or((value.value, value.value));
             let whisker = value.whisker();
-            let most = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
-            // A lower bound near zero would squeeze everything else.
-            let least = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
-            (least.min(lo).max(value.value / 100.0), most.max(hi))
+            // Bounds that are far from the value, such as a lower bound near zero, would squeeze everything else.
+            let top = whisker.and_then(|bounds| bounds.1).map_or(hi, |bound| bound.min(value.value * 10.0));
+            let bottom = whisker.map_or(lo, |bounds| bounds.0.max(value.value / 4.0));
+            (bottom.min(lo).max(value.value / 100.0), top.max(hi))
         };
-        self.values().map(of).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
+        self.values().map(extent).reduce(|(lo, hi), (a, b)| (lo.min(a), hi.max(b)))
     }
 
-    /// Returns the height of a series' level line, and whether it is near enough to be drawn.
+    /// Returns the height of the line of a series and whether it is near enough to the values to be drawn. `None` if the line is not level.
     fn level(&self, series: &Series) -> Option<(f64, bool)> {
         let (height, _) = series.line.filter(|(height, slope)| *slope == 0.0 && *height > 0.0)?;
         let (low, high) = self.heights()?;
         Some((height, height <= high * MAX_LEVEL_RATIO && height >= low / MAX_LEVEL_RATIO))
     }
 
+    /// Returns whether the line of a series is level and too far from the values to be drawn.
     fn is_far(&self, series: &Series) -> bool {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
     /// Returns the explanations of the parts that are drawn, and notes on those that are not.
-    fn explained(&self) -> Vec<String> {
+    fn reading_notes(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {
             parts.push("bar: 5th to 95th percentile".to_owned());
@@ -130,14 +131,15 @@ impl Scaling {
             parts.push(format!("line: {}", self.parts.line));
         }
         let mut notes = vec![parts.join(" · ")];
-        let beyond: Vec<&str> = self
+        let far_lines: Vec<&str> = self
             .series
             .iter()
             .filter(|series| self.is_far(series))
             .map(|series| series.name.split(':').next().unwrap_or_default())
             .collect();
-        if !beyond.is_empty() {
-            notes.push(format!("far beyond the axis and not drawn: the line of {}", beyond.join(" and of ")));
+        if !far_lines.is_empty() {
+            let names = far_lines.join(" and of ");
+            notes.push(format!("far beyond the axis and not drawn: the line of {names}"));
         }
         notes.extend(self.notes.iter().cloned());
         notes
@@ -173,39 +175,43 @@ impl Scaling {
         Figure {
             title: self.title.clone(),
             legend: self.series.iter().map(key).collect(),
-            notes: self.explained(),
+            notes: self.reading_notes(),
             plots: plots.into_iter().collect(),
             ..Figure::default()
         }
     }
 
-    fn series_items(&self, plot: &Plot, series: &Series, aside: f64) -> Vec<Item> {
-        let show = |value: f64| value * self.unit.per_si;
+    /// Returns the items of a series. The whole series is moved to the right by `dx` points, so that two series at one size are both visible.
+    fn series_items(&self, plot: &Plot, series: &Series, dx: f64) -> Vec<Item> {
+        let in_shown_unit = |value: f64| value * self.unit.per_si;
         let (line_style, mark_style) = look(series);
         let mut items = Vec::new();
         if let Some((intercept, slope)) = series.line.filter(|_| !self.is_far(series)) {
-            let line = line(plot, |bytes| show(intercept + slope * bytes));
-            // The line is shifted like its points, so that they lie on it if they fit.
-            let aside = if slope == 0.0 { 0.0 } else { aside };
-            items.push(Item::path(line.within(aside / PLOT_WIDTH).aside(aside), line_style));
+            let line = line(plot, |bytes| in_shown_unit(intercept + slope * bytes));
+            // A line that is not level is moved like the points, so that points that fit the line lie on it.
+            let dx = if slope == 0.0 { 0.0 } else { dx };
+            items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
         }
         let colour = stage(series.stage).line_colour();
         let bar = Style::area("bar", Fill::of(colour.tint(0.35)));
         let whisker = Style::line("whisk2", colour, WHISKER_WIDTH);
         for value in series.values.iter().filter(|value| value.value > 0.0) {
-            let at = |height: f64| plot.at(value.bytes, show(height)).aside(aside, 0.0);
+            let at = |height: f64| plot.at(value.bytes, in_shown_unit(height)).offset_by(dx, 0.0);
             if let Some((lo, hi)) = value.spread {
                 items.push(Item::rect(
-                    at(lo).aside(-BAR_HALF_WIDTH, 0.0),
-                    at(hi).aside(BAR_HALF_WIDTH, 0.0),
+                    at(lo).offset_by(-BAR_HALF_WIDTH, 0.0),
+                    at(hi).offset_by(BAR_HALF_WIDTH, 0.0),
                     bar.clone(),
                 ));
             }
             if let Some((lo, hi)) = value.whisker() {
-                let above = hi.map_or(At { y: 0.0, ..at(lo) }, at);
-                // A whisker that leaves the plot has no cap.
-                let caps = [plot.y.scale.has(show(lo)), hi.is_some_and(|hi| plot.y.scale.has(show(hi)))];
-                items.extend(Item::whisker([at(lo), above], caps, CAP_HALF_WIDTH, &whisker));
+                let top = hi.map_or(At { y: 0.0, ..at(lo) }, at);
+                // A whisker has no cap where it leaves the plot.
+                let has_cap = [
+                    plot.y.scale.has(in_shown_unit(lo)),
+                    hi.is_some_and(|hi| plot.y.scale.has(in_shown_unit(hi))),
+                ];
+                items.extend(Item::whisker([at(lo), top], has_cap, CAP_HALF_WIDTH, &whisker));
             }
             items.push(Item::mark(at(value.value), series.mark, RADIUS, mark_style.clone()));
         }
@@ -213,10 +219,10 @@ impl Scaling {
     }
 }
 
-/// Returns a function of the horizontal axis as a path, as far as it lies in the plot.
-fn line(plot: &Plot, of: impl Fn(f64) -> f64) -> Path {
-    let values = plot.x.scale.along(LINE_POINTS).map(|x| (x, of(x)));
-    let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.up(y))));
+/// Returns a function of the values of the horizontal axis as a path. Parts outside of the plot are left out.
+fn line(plot: &Plot, function: impl Fn(f64) -> f64) -> Path {
+    let values = plot.x.scale.along(LINE_POINTS).map(|x| (x, function(x)));
+    let inside = values.map(|(x, y)| plot.y.scale.has(y).then(|| (plot.x.scale.at(x), plot.y_share(y))));
     Path::line(inside)
 }
 

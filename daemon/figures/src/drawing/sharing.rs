@@ -1,4 +1,4 @@
-//! Growth of latency with the number of edges that share one cloud, and fairness among these edges.
+//! Figure of latency against the number of edges that share one cloud, with the fairness among these edges.
 
 use peernet_statistics::number::fixed;
 
@@ -10,7 +10,7 @@ use crate::scale::{Scale, Tick};
 pub const MOST_CURVES: usize = 4;
 /// Half the distance between two curves at one number of edges, points.
 const HALF_DISTANCE: f64 = 2.0;
-/// Half the width of a whisker's cap, and of the dash of a single edge, points.
+/// Half the width of a whisker's cap, and of the dash at the median of one edge, points.
 const CAP_HALF_WIDTH: f64 = 1.7;
 const DASH_HALF_WIDTH: f64 = 2.7;
 /// Radius of a point, and width of lines, points.
@@ -19,10 +19,10 @@ const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
 /// Height of the plot of fairness, points.
 const FAIRNESS_HEIGHT: f64 = 28.5;
-/// Ratios of the largest to the smallest value, of edges and of latencies, from which the axis is logarithmic.
+/// Ratios of the largest to the smallest number of edges, and of the highest to the lowest latency, from which the axis is logarithmic.
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Room beyond the values at each end, as a share of their range.
+/// Room beyond the values at each end, as a share of their range; on a logarithmic axis, as a power of their ratio.
 const AXIS_MARGIN: f64 = 0.06;
 
 /// Latency and fairness against the number of edges.
@@ -80,12 +80,12 @@ impl Sharing {
     }
 
     fn legend(&self) -> Vec<Key> {
-        let named = self.curves.iter().enumerate().filter(|(_, curve)| !curve.name.is_empty());
+        let named_curves = self.curves.iter().enumerate().filter(|(_, curve)| !curve.name.is_empty());
         let key = |(number, curve): (usize, &SharingCurve)| {
             let look = series(number);
             Key::new(Swatch::Curve(look.line(LINE_WIDTH), look.mark, look.marks()), curve.name.clone())
         };
-        named.map(key).collect()
+        named_curves.map(key).collect()
     }
 
     fn notes(&self) -> Vec<String> {
@@ -160,12 +160,12 @@ impl Sharing {
         let mut fairness = Plot::new(across, index);
         fairness.height = Height::Points(FAIRNESS_HEIGHT);
         for (number, curve) in self.curves.iter().enumerate() {
-            let known = curve.points.iter().filter(|point| point.median.is_finite());
-            let known = known.filter_map(|point| Some((point.edges as f64, point.fairness?)));
-            let items = self.line(&fairness, number, known.collect());
+            let points = curve.points.iter().filter(|point| point.median.is_finite());
+            let values = points.filter_map(|point| Some((point.edges as f64, point.fairness?)));
+            let items = self.line(&fairness, number, values.collect());
             fairness.items.extend(items);
         }
-        // The numbers of edges are below the lower plot.
+        // Both plots share the horizontal axis, so only the lower plot has its title and its labels.
         latency.x.title.clear();
         if let Marks::At(ticks) = &mut latency.x.marks {
             ticks.iter_mut().for_each(|tick| tick.text.clear());
@@ -179,44 +179,47 @@ impl Sharing {
             Style::line("faint", look.colour.tint(0.5), LINE_WIDTH),
             Style::line("whisk2", look.colour, WHISKER_WIDTH),
         );
-        let known = || curve.points.iter().filter(|point| point.median.is_finite());
+        let points = || curve.points.iter().filter(|point| point.median.is_finite());
         let mut items = Vec::new();
-        for point in known() {
+        for point in points() {
             let at = |value: f64| {
-                plot.at(point.edges as f64, value * self.unit.per_si).aside(self.aside(number), 0.0)
+                plot.at(point.edges as f64, value * self.unit.per_si)
+                    .offset_by(self.curve_offset(number), 0.0)
             };
             for value in point.each.iter().filter(|value| value.is_finite() && point.each.len() > 1) {
                 items.push(Item::line(
-                    at(*value).aside(-DASH_HALF_WIDTH, 0.0),
-                    at(*value).aside(DASH_HALF_WIDTH, 0.0),
+                    at(*value).offset_by(-DASH_HALF_WIDTH, 0.0),
+                    at(*value).offset_by(DASH_HALF_WIDTH, 0.0),
                     dash.clone(),
                 ));
             }
-            if let Some(late) = point.p95.filter(|late| late.is_finite()) {
+            if let Some(p95) = point.p95.filter(|p95| p95.is_finite()) {
                 items.extend(Item::whisker(
-                    [at(point.median), at(late)],
+                    [at(point.median), at(p95)],
                     [false, true],
                     CAP_HALF_WIDTH,
                     &whisker,
                 ));
             }
         }
-        let medians = known().map(|point| (point.edges as f64, point.median * self.unit.per_si));
+        let medians = points().map(|point| (point.edges as f64, point.median * self.unit.per_si));
         items.extend(self.line(plot, number, medians.collect()));
         items
     }
 
     /// Returns a curve through some values, with its marks.
     fn line(&self, plot: &Plot, number: usize, values: Vec<(f64, f64)>) -> Vec<Item> {
-        let (look, aside) = (series(number), self.aside(number));
+        let (look, dx) = (series(number), self.curve_offset(number));
         let places: Vec<_> = values.into_iter().map(|(x, y)| plot.at(x, y)).collect();
-        let line = Path::line(places.iter().map(|at| Some((at.x, at.y)))).aside(aside);
+        let line = Path::line(places.iter().map(|at| Some((at.x, at.y)))).offset_by(dx);
         let line = (places.len() > 1).then(|| Item::path(line, look.line(LINE_WIDTH)));
-        let marks = places.iter().map(|at| Item::mark(at.aside(aside, 0.0), look.mark, RADIUS, look.marks()));
+        let marks =
+            places.iter().map(|at| Item::mark(at.offset_by(dx, 0.0), look.mark, RADIUS, look.marks()));
         line.into_iter().chain(marks).collect()
     }
 
-    fn aside(&self, number: usize) -> f64 {
+    /// Returns the distance in points by which a curve is moved to the right, so that curves do not hide each other.
+    fn curve_offset(&self, number: usize) -> f64 {
         HALF_DISTANCE * (2.0 * number as f64 - (self.curves.len() as f64 - 1.0))
     }
 }

@@ -6,7 +6,7 @@ use crate::scale::Scale;
 
 /// Minimum length of a part in a file, points, so that a short part is visible.
 const MIN_LENGTH: f64 = 0.6;
-/// Parts of less than this share of the scale have no line between them.
+/// A part that is shorter than this share of the scale has no line between itself and the part before it.
 const MIN_SEPARATED_SHARE: f64 = 0.006;
 
 /// Direction of a bar.
@@ -19,7 +19,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// Returns the place at a share along the scale and one across, which is counted from the left or from above.
+    /// Returns the place at a share along the scale and a share across it, which is counted from the left or from the top.
     pub fn at(self, along: f64, across: f64) -> At {
         match self {
             Self::Upright => At::new(across, 1.0 - along),
@@ -27,23 +27,23 @@ impl Direction {
         }
     }
 
-    /// Returns a whisker along the scale, with caps of `cap` points to each side.
-    pub fn whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
+    /// Returns a whisker along the scale. `has_cap` says which of its ends have a cap, which extends `cap` points to each side.
+    pub fn whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Upright {
-            return Item::whisker(ends, caps, cap, style);
+            return Item::whisker(ends, has_cap, cap, style);
         }
         let mut items = vec![Item::line(ends[0], ends[1], style.clone())];
-        for (end, _) in ends.into_iter().zip(caps).filter(|(_, has)| *has) {
-            items.push(Item::line(end.aside(0.0, -cap), end.aside(0.0, cap), style.clone()));
+        for (end, _) in ends.into_iter().zip(has_cap).filter(|(_, has_cap)| *has_cap) {
+            items.push(Item::line(end.offset_by(0.0, -cap), end.offset_by(0.0, cap), style.clone()));
         }
         items
     }
 
-    /// Returns the same whisker on a rim of the ground's colour.
-    pub fn rimmed_whisker(self, ends: [At; 2], caps: [bool; 2], cap: f64) -> Vec<Item> {
+    /// Returns the same whisker on a rim in the colour of the background.
+    pub fn rimmed_whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64) -> Vec<Item> {
         [Style::halo(), Style::whisker()]
             .iter()
-            .flat_map(|style| self.whisker(ends, caps, cap, style))
+            .flat_map(|style| self.whisker(ends, has_cap, cap, style))
             .collect()
     }
 }
@@ -64,12 +64,12 @@ impl Stack<'_> {
         self.parts.iter().map(|(_, value)| value.max(0.0)).sum()
     }
 
-    /// Returns start and end of each part that is not zero, in the unit of the scale.
+    /// Returns name, start and end of each part that is not zero, in the unit of the scale. Parts below zero are stacked from zero downwards.
     pub fn segments(&self) -> Vec<(&str, f64, f64)> {
-        let (mut below, mut above) = (0.0, 0.0);
+        let (mut negative_end, mut positive_end) = (0.0, 0.0);
         let parts = self.parts.iter().filter(|(_, value)| *value != 0.0);
         let segment = |(name, value): &(_, f64)| {
-            let end = if *value < 0.0 { &mut below } else { &mut above };
+            let end = if *value < 0.0 { &mut negative_end } else { &mut positive_end };
             let from = *end;
             *end += value;
             (*name, from, *end)
@@ -77,7 +77,7 @@ impl Stack<'_> {
         parts.map(segment).collect()
     }
 
-    /// Lays the parts out between two places across.
+    /// Lays the parts out in a bar between two positions across the scale.
     pub fn items(&self, (near, far): (f64, f64), direction: Direction) -> Vec<Item> {
         let mut items = Vec::new();
         let least = if direction == Direction::Upright { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };

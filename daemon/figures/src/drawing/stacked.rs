@@ -11,21 +11,22 @@ use crate::text::width;
 
 /// Height of a horizontal bar with the space around it, points.
 const ROW_HEIGHT: f64 = 14.4;
-/// Height of a bar's place if there are many bars, points: sixty fill a page.
+/// Height of a horizontal bar with the space around it if there are many bars, points: sixty bars fill a page.
 const CLOSE_ROW_HEIGHT: f64 = 10.0;
-/// Number of bars from which they are closer to each other.
+/// Maximum number of bars with [`ROW_HEIGHT`]. More bars are closer to each other.
 const CLOSE_ROW_COUNT: usize = 16;
-/// Maximum number of upright bars: their labels are below them.
+/// Maximum number of upright bars, because their labels must fit side by side.
 const MAX_UPRIGHT_BARS: usize = 6;
 /// Space at the sides of the bars of an upright plot, points.
 const SIDE_MARGIN: f64 = 39.0;
 /// Space between horizontal bars and their names, and between a bar and its sum, points.
 const NAME_DISTANCE: f64 = 16.0;
 const SUM_DISTANCE: f64 = 4.5;
-/// Share of a bar's place that the bar fills, and its maximum share of the plot.
+/// Width of a bar as a share of the distance between two bars.
 const BAR_SHARE: f64 = 0.6;
+/// Maximum width of a bar as a share of the plot.
 const MAX_BAR_SHARE: f64 = 0.19;
-/// Share of the plot's height for the words above the tallest bar.
+/// Share of the plot's height for the sum above the tallest bar.
 const WORDS_HEIGHT: f64 = 0.12;
 /// Half the width of an error bar's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.8;
@@ -61,12 +62,13 @@ pub struct Bar {
 impl Bar {
     /// Returns the two ends of the bar, including its error bar.
     fn range(&self) -> (f64, f64) {
-        let part = |of: fn(f64) -> bool| self.means.iter().filter(|mean| of(**mean)).sum::<f64>();
-        let (below, above) = (part(|mean| mean < 0.0), part(|mean| mean > 0.0));
-        (below.min(self.total), above.max(self.total + self.std.unwrap_or_default()))
+        let sum_of =
+            |is_included: fn(f64) -> bool| self.means.iter().filter(|mean| is_included(**mean)).sum::<f64>();
+        let (negative_sum, positive_sum) = (sum_of(|mean| mean < 0.0), sum_of(|mean| mean > 0.0));
+        (negative_sum.min(self.total), positive_sum.max(self.total + self.std.unwrap_or_default()))
     }
 
-    /// Returns the sum with its deviation: `22.4 ± 2.1`.
+    /// Returns the total with its standard deviation: `22.4 ± 2.1`.
     fn sum_text(&self, unit: &Unit) -> String {
         let decimals = peernet_statistics::number::decimals(self.total * unit.per_si, 3).min(3);
         let total = fixed(self.total * unit.per_si, decimals);
@@ -78,7 +80,7 @@ impl Bar {
 }
 
 impl Stacked {
-    /// Returns whether the bars are upright: a few bars with short labels.
+    /// Returns whether the bars are upright. They are upright if they are few and their labels are short.
     fn is_upright(&self) -> bool {
         let room = (WIDTH - SIDE_MARGIN) / self.bars.len().max(1) as f64 - 3.0;
         let fits = |words: &str, size: f64| width(words, size) <= room;
@@ -144,7 +146,7 @@ impl Stacked {
         plot.height = Height::Points(
             count * if self.bars.len() > CLOSE_ROW_COUNT { CLOSE_ROW_HEIGHT } else { ROW_HEIGHT },
         );
-        plot.free = self.free_space(values);
+        plot.free_right = self.free_space(values);
         for (number, bar) in self.bars.iter().enumerate() {
             let (items, end) =
                 self.bar(bar, values, (place(number), BAR_SHARE / count / 2.0), Direction::Level);
@@ -157,19 +159,21 @@ impl Stacked {
         plot
     }
 
-    /// Returns the space that the sums at the right of horizontal bars need, points. Sums of shorter bars use the
-    /// free space beside their bars.
+    /// Returns the width that must stay free at the right of the plot for the sums after horizontal bars, points. The sum of a shorter bar
+    /// uses the free space after its bar.
     fn free_space(&self, values: Scale) -> f64 {
-        let names = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
-        let across = WIDTH - NAME_DISTANCE - names.min(MOST_NAME);
-        let plot = |bar: &Bar| {
-            let sum = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;
-            (across - sum) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
+        let names_width = self.bars.iter().map(|bar| width(&bar.label, TEXT)).fold(0.0, f64::max);
+        let available_width = WIDTH - NAME_DISTANCE - names_width.min(MOST_NAME);
+        // Maximum width of the plot at which a bar and the sum after it fit into the available width.
+        let max_plot_width = |bar: &Bar| {
+            let sum_width = width(&bar.sum_text(&self.unit), SMALL) + SUM_DISTANCE;
+            (available_width - sum_width) / values.at(bar.range().1 * self.unit.per_si).max(0.1)
         };
-        across - self.bars.iter().map(plot).fold(across, f64::min)
+        available_width - self.bars.iter().map(max_plot_width).fold(available_width, f64::min)
     }
 
-    /// Returns a bar with its error bar, centred at a place; and its end, in the unit shown.
+    /// Returns a bar with its error bar, and the end of both in the unit shown. The bar is centred at `middle`, and `half` is half its width;
+    /// both are shares across the bars.
     fn bar(
         &self,
         bar: &Bar,
@@ -177,17 +181,18 @@ impl Stacked {
         (middle, half): (f64, f64),
         direction: Direction,
     ) -> (Vec<Item>, f64) {
-        let shown = |value: f64| value * self.unit.per_si;
-        let parts = self.stages.iter().map(String::as_str).zip(bar.means.iter().map(|mean| shown(*mean)));
+        let in_shown_unit = |value: f64| value * self.unit.per_si;
+        let means = bar.means.iter().map(|mean| in_shown_unit(*mean));
+        let parts = self.stages.iter().map(String::as_str).zip(means);
         let stack = Stack { parts: parts.collect(), scale: values };
         let mut items = stack.items((middle - half, middle + half), direction);
-        let mut end = shown(bar.total).max(stack.end());
-        if let Some(std) = bar.std.map(shown).filter(|std| *std > 0.0) {
-            let total = shown(bar.total);
+        let mut end = in_shown_unit(bar.total).max(stack.end());
+        if let Some(std) = bar.std.map(in_shown_unit).filter(|std| *std > 0.0) {
+            let total = in_shown_unit(bar.total);
             end = end.max(total + std);
             let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
-            let caps = [total - std, total + std].map(|value| values.has(value));
-            items.extend(direction.rimmed_whisker(ends, caps, CAP_HALF_WIDTH));
+            let has_cap = [total - std, total + std].map(|value| values.has(value));
+            items.extend(direction.rimmed_whisker(ends, has_cap, CAP_HALF_WIDTH));
         }
         (items, end)
     }

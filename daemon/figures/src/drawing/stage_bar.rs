@@ -1,4 +1,4 @@
-//! Bar of the stages of one thing, with its values and with what is known of its total. Pages have it.
+//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. Only pages have this kind.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
@@ -8,14 +8,16 @@ use crate::look::{INK_2, INK_3, Style, TextStyle, stage};
 use crate::plot::{Anchor, At, Item, Label};
 use crate::scale::Scale;
 
-/// Upper and lower side of the bar, as shares of the height.
+/// Upper and lower side of the bar, as shares of the height from the top.
 const BAR: (f64, f64) = (0.15, 0.85);
-/// Height of the whiskers of clock bounds.
-const BOUND: f64 = 0.08;
-/// Share of the scale below which a clock bound is left out: it would look like the line between two stages.
-const SEEN: f64 = 0.004;
-/// Half the width of the caps of a clock bound and of the total's whisker, points.
-const CAPS: (f64, f64) = (1.5, 3.8);
+/// Vertical position of the whiskers of clock bounds, as a share of the height from the top.
+const BOUND_Y: f64 = 0.08;
+/// Minimum length of the whisker of a clock bound, as a share of the scale. A shorter whisker would look like the line between two stages.
+const MIN_BOUND_LENGTH: f64 = 0.004;
+/// Half the width of the caps of the whisker of a clock bound, points.
+const BOUND_CAP_HALF_WIDTH: f64 = 1.5;
+/// Half the width of the caps of the whisker of the total, points.
+const TOTAL_CAP_HALF_WIDTH: f64 = 3.8;
 
 /// Length of a stage in a bar.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +26,7 @@ pub struct StagePart {
     pub name: String,
     /// Length, seconds.
     pub seconds: f64,
-    /// Half width of the bound of its length, seconds; for one-way delays.
+    /// Half the width of the interval of the length by the clock bounds, seconds. Only one-way delays have it.
     pub bound: Option<f64>,
 }
 
@@ -35,30 +37,30 @@ pub struct StageBar<'a> {
     pub parts: &'a [StagePart],
     /// Scale, ms.
     pub scale: Scale,
-    /// True for lines at the marks of the scale.
+    /// True if the marks of the scale are lines through the picture.
     pub has_grid: bool,
-    /// True for values and clock bounds, for which a low bar has no room.
+    /// True if values and clock bounds are shown. A low bar has no room for them.
     pub has_values: bool,
-    /// Mean of the total and its standard deviation, seconds, which is drawn to both sides.
+    /// Mean and standard deviation of the total, seconds. A whisker shows the standard deviation on both sides of the mean.
     pub spread: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
 }
 
 impl<'a> StageBar<'a> {
-    /// Returns a bar with its values and nothing about the total.
+    /// Returns a bar with a grid and the values of its stages, but without the distribution of the total.
     pub fn new(parts: &'a [StagePart], scale: Scale) -> Self {
         Self { parts, scale, has_grid: true, has_values: true, spread: None, quantiles: [None; 2] }
     }
 
-    /// Returns the bar of parts that fill it.
+    /// Returns a bar without a grid that its parts fill from end to end.
     pub fn whole(parts: &'a [StagePart]) -> Self {
         let end = parts.iter().map(|part| part.seconds.max(0.0)).sum::<f64>() * 1e3;
         let scale = if end > 0.0 { Scale::linear((0.0, end)) } else { Scale::up_to(0.0, 1) };
         Self { has_grid: false, ..Self::new(parts, scale) }
     }
 
-    /// Lays it out.
+    /// Lays the bar out.
     pub fn items(&self) -> Vec<Item> {
         let parts = self.parts.iter().filter(|part| part.seconds > 0.0);
         let parts = parts.map(|part| (part.name.as_str(), part.seconds * 1e3)).collect();
@@ -66,55 +68,62 @@ impl<'a> StageBar<'a> {
         let mut items = if self.has_grid { Item::grid(&self.scale) } else { Vec::new() };
         items.extend(stack.items(BAR, Direction::Level));
         if self.has_values {
-            items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value(segment))));
-            items.extend(self.bounds(&stack));
+            items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value_label(segment))));
+            items.extend(self.bound_whiskers(&stack));
         }
-        let whisker = |ends| Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.1);
+        let whisker = |ends| Direction::Level.rimmed_whisker(ends, [true; 2], TOTAL_CAP_HALF_WIDTH);
         items
             .extend(self.spread_ends().into_iter().flat_map(|ends| whisker(ends.map(|at| At::new(at, 0.5)))));
-        items.extend(self.whiskers(&stack));
+        items.extend(self.quantile_whiskers(&stack));
         items
     }
 
+    /// Returns the positions of both ends of the total's whisker.
     fn spread_ends(&self) -> Option<[f64; 2]> {
         let (mean, std) = self.spread?;
         Some([mean - std, mean + std].map(|seconds| self.scale.at(seconds * 1e3)))
     }
 
-    /// Returns the value in a stage, with the stage's name where there is room; the total's whisker does not cross it.
-    fn value(&self, (name, from, to): (&str, f64, f64)) -> Label {
+    /// Returns the value of a stage, with the name of the stage where there is room. The label is hidden where the whisker of the total would
+    /// cross it.
+    fn value_label(&self, (name, from, to): (&str, f64, f64)) -> Label {
         let (begin, end) = (self.scale.at(from), self.scale.at(to));
         let (middle, value) = (f64::midpoint(begin, end), to - from);
         let words = if (1.0..9.95).contains(&value) { fixed(value, 1) } else { figure(value) };
-        let short = if name == BOTH_DIRECTIONS { "up + down" } else { name };
+        let short_name = if name == BOTH_DIRECTIONS { "up + down" } else { name };
         let label = Label::new(At::new(middle, 0.5), words, stage(name).text()).anchored(Anchor::Middle);
-        let label = label.led_by(format!("{short} ")).fits_within(end - begin);
+        let label = label.led_by(format!("{short_name} ")).fits_within(end - begin);
         match self.spread_ends() {
             Some([left, right]) => label.fits_within(2.0 * (left - middle).max(middle - right).max(0.0)),
             None => label,
         }
     }
 
-    /// Returns the clock bounds. The sum of both directions is exact: uncertain is where the other host's part begins and ends.
-    fn bounds(&self, stack: &Stack<'_>) -> Vec<Item> {
+    /// Returns the whiskers of the clock bounds. The sum of both directions is exact. Only the boundaries between the network and the stages
+    /// on the other host are uncertain, so the whiskers are at the end of the upload and at the beginning of the download.
+    fn bound_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let whisker = |(name, from, to): (&str, f64, f64)| {
             let part = self.parts.iter().find(|part| part.name == name)?;
             let bound = part.bound?.min(part.seconds) * 1e3;
-            let inner = if name == "download" { from } else { to };
-            let ends = [inner - bound, inner + bound].map(|value| At::new(self.scale.at(value), BOUND));
-            (ends[1].x - ends[0].x >= SEEN).then(|| Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.0))
+            let boundary = if name == "download" { from } else { to };
+            let ends =
+                [boundary - bound, boundary + bound].map(|value| At::new(self.scale.at(value), BOUND_Y));
+            (ends[1].x - ends[0].x >= MIN_BOUND_LENGTH)
+                .then(|| Direction::Level.rimmed_whisker(ends, [true; 2], BOUND_CAP_HALF_WIDTH))
         };
         stack.segments().into_iter().filter_map(whisker).flatten().collect()
     }
 
-    /// Returns whiskers from the bar's end: solid to the 95th percentile, dotted from there to the 99th.
-    fn whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
+    /// Returns the whiskers after the end of the bar: a solid line to the 95th percentile, and a dotted line from there to the 99th. A quantile
+    /// beyond the scale has an arrow.
+    fn quantile_whiskers(&self, stack: &Stack<'_>) -> Vec<Item> {
         let solid = || Style::line("whisk", INK_2.light, 0.75);
         let dotted = Style::line("whisk far", INK_3.light, 0.75).dashed(Some((1.5, 1.5)));
+        // Style of each line, and half the height of the mark at its end.
         let looks = [(solid(), 0.16), (dotted, 0.1)];
         let mut items = Vec::new();
         let mut from = self.scale.at(stack.end());
-        for (quantile, (line, half)) in self.quantiles.iter().zip(looks) {
+        for (quantile, (line, half_height)) in self.quantiles.iter().zip(looks) {
             let Some(value) = quantile.map(|seconds| seconds * 1e3) else { continue };
             let to = self.scale.at(value);
             if to <= from {
@@ -122,7 +131,7 @@ impl<'a> StageBar<'a> {
             }
             items.push(Item::line(At::new(from, 0.5), At::new(to, 0.5), line));
             items.push(if self.scale.has(value) {
-                Item::line(At::new(to, 0.5 - half), At::new(to, 0.5 + half), solid())
+                Item::line(At::new(to, 0.5 - half_height), At::new(to, 0.5 + half_height), solid())
             } else {
                 Item::Text(Label::new(At::new(1.0, 0.5), "→", TextStyle::BEYOND).anchored(Anchor::End))
             });

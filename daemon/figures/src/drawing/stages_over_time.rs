@@ -1,4 +1,4 @@
-//! Stages of one run over time, stacked, with the quantiles of the total; several runs share their axes. Pages have it.
+//! Stages of one run over time, stacked, with the quantiles of the total. Several runs share their axes. Only pages have this kind.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 
@@ -9,7 +9,7 @@ use crate::scale::Scale;
 
 /// Share of the largest quantile by which the vertical axis extends beyond it.
 const MARGIN: f64 = 0.05;
-/// Units of time: longest axis that the unit is used for, seconds; length of the unit, seconds; its name.
+/// Units of the horizontal axis: length of the longest axis with the unit, seconds; length of the unit, seconds; name of the unit.
 const UNITS: [(f64, f64, &str); 4] = [
     (180.0, 1.0, "seconds"),
     (10_800.0, 60.0, "minutes"),
@@ -18,26 +18,26 @@ const UNITS: [(f64, f64, &str); 4] = [
 ];
 /// Runs shorter than this share of the axis are reported as short.
 const SHORT: f64 = 0.02;
-/// Marks on the rail that are closer than this share of it are merged.
-const TOUCHING: f64 = 0.005;
+/// Distance of marks of iterations without an answer below which they become one mark, as a share of the axis.
+const MIN_MARK_DISTANCE: f64 = 0.005;
 
 /// Returns the position of a stage in a stack, counted from below.
-fn place(name: &str) -> usize {
-    // Both directions together take the place of the upload.
+fn stack_position(name: &str) -> usize {
+    // Both directions together take the position of the upload.
     let name = if name == BOTH_DIRECTIONS { "upload" } else { name };
-    STAGES.iter().position(|known| known.name == name).unwrap_or(STAGES.len())
+    STAGES.iter().position(|stage| stage.name == name).unwrap_or(STAGES.len())
 }
 
-/// A bucket; seconds since the run's first iteration, and seconds of latency.
+/// Statistics of the iterations in one period of the run. Latencies are in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageBucket {
-    /// Begin of the bucket.
+    /// Beginning of the bucket, seconds since the run's first iteration.
     pub begin: f64,
     /// Median of the total.
     pub median: f64,
     /// 95th percentile of the total; `None` for few values.
     pub p95: Option<f64>,
-    /// Means of the stages, which add up to that of the total.
+    /// Means of the stages. Their sum is the mean of the total.
     pub parts: Vec<StagePart>,
 }
 
@@ -47,7 +47,7 @@ impl StageBucket {
     }
 }
 
-/// A run over time; moments are seconds since its first iteration.
+/// A run over time. Times are seconds since the run's first iteration.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StagesOverTime {
     /// Length of the run.
@@ -67,35 +67,38 @@ pub struct StagesOverTime {
 }
 
 impl StagesOverTime {
-    /// Returns the largest quantile; where no bucket has enough samples for a high one, that of the whole run.
-    fn reach(&self) -> f64 {
-        let largest =
-            |of: fn(&StageBucket) -> Option<f64>| self.buckets.iter().filter_map(of).reduce(f64::max);
-        let high =
+    /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no bucket has enough
+    /// samples for a 95th percentile, that of the whole run is used, or otherwise the largest mean.
+    fn largest_latency(&self) -> f64 {
+        let largest = |latency: fn(&StageBucket) -> Option<f64>| {
+            self.buckets.iter().filter_map(latency).reduce(f64::max)
+        };
+        let largest_p95 =
             largest(|bucket| bucket.p95).or(self.p95).or_else(|| largest(|bucket| Some(bucket.mean())));
-        high.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
+        largest_p95.into_iter().chain(largest(|bucket| Some(bucket.median))).fold(0.0, f64::max)
     }
 
     fn has_p95(&self) -> bool {
         self.buckets.iter().any(|bucket| bucket.p95.is_some())
     }
 
-    /// Returns the line of one value of all buckets: each in the middle of its bucket, and the ends of a piece without a gap extended to
-    /// the ends of their buckets.
+    /// Returns a line through one value of all buckets, as times and values; `None` interrupts the line. The line has a point in the middle of
+    /// each bucket. It is interrupted where buckets or values are missing. Each piece is extended to the beginning of its first bucket and to
+    /// the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
-        // A bucket in which the warm-up ends holds nothing from before.
-        let begun = self.warm_up.unwrap_or(0.0).clamp(0.0, self.length);
-        let inside = |at: f64| at.clamp(begun, self.length);
+        // A bucket in which the warm-up ends contains only iterations after the warm-up.
+        let start = self.warm_up.unwrap_or(0.0).clamp(0.0, self.length);
+        let within_run = |time: f64| time.clamp(start, self.length);
         let mut points = Vec::with_capacity(self.buckets.len() + 4);
-        for piece in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
-            // A quantile may be missing in the midst of a piece.
-            for known in piece.chunk_by(|a, b| value(a).is_some() == value(b).is_some()) {
+        for consecutive in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
+            // A quantile may be missing in some of consecutive buckets.
+            for piece in consecutive.chunk_by(|a, b| value(a).is_some() == value(b).is_some()) {
                 let point = |bucket: &StageBucket, share: f64| {
-                    Some((inside(bucket.begin + self.width * share), value(bucket)?))
+                    Some((within_run(bucket.begin + self.width * share), value(bucket)?))
                 };
-                points.extend(known.first().map(|first| point(first, 0.0)));
-                points.extend(known.iter().filter(|_| known.len() > 1).map(|bucket| point(bucket, 0.5)));
-                points.extend(known.last().map(|last| point(last, 1.0)));
+                points.extend(piece.first().map(|first| point(first, 0.0)));
+                points.extend(piece.iter().filter(|_| piece.len() > 1).map(|bucket| point(bucket, 0.5)));
+                points.extend(piece.last().map(|last| point(last, 1.0)));
                 points.push(None);
             }
         }
@@ -110,111 +113,118 @@ impl StagesOverTime {
                 names.push(name);
             }
         }
-        names.sort_by_key(|name| std::cmp::Reverse(place(name)));
+        names.sort_by_key(|name| std::cmp::Reverse(stack_position(name)));
         names
     }
 
-    /// Lays it out on axes that hold it: areas, each of which covers those below it too, and lines over them.
+    /// Lays the run out on shared axes: areas of the stages, and lines over the areas. Each area reaches down to the axis, and the areas of
+    /// lower stages are drawn over it.
     pub fn plot(&self, axes: &OverTimeAxes) -> Plot {
         let x = Axis::new(axes.x(), "", "").marked(Marks::Round(4));
         let y = Axis::new(axes.y(), "", "").marked(Marks::Round(5)).with_grid();
         let mut plot = Plot::new(x, y);
-        let (seconds, _) = axes.times();
-        let at = |point: Option<(f64, f64)>| {
-            let (at, value) = point?;
-            Some((plot.x.scale.at(at / seconds), 1.0 - plot.y.scale.at_or_outside(value * 1e3)))
+        let (seconds, _) = axes.time_unit();
+        let position = |point: Option<(f64, f64)>| {
+            let (time, value) = point?;
+            Some((plot.x.scale.at(time / seconds), 1.0 - plot.y.scale.at_or_outside(value * 1e3)))
         };
-        let outline = |value: &dyn Fn(&StageBucket) -> Option<f64>| self.outline(value).into_iter().map(at);
-        let below = |bucket: &StageBucket, name: &str| {
-            let parts = bucket.parts.iter().filter(|part| place(&part.name) <= place(name));
+        let outline =
+            |value: &dyn Fn(&StageBucket) -> Option<f64>| self.outline(value).into_iter().map(position);
+        let stack_height = |bucket: &StageBucket, name: &str| {
+            let parts = bucket.parts.iter().filter(|part| stack_position(&part.name) <= stack_position(name));
             Some(parts.map(|part| part.seconds).sum())
         };
         let mut items = Vec::new();
-        if let Some(until) = self.warm_up {
-            let end = plot.x.scale.at(until / seconds);
+        if let Some(end) = self.warm_up {
+            let end = plot.x.scale.at(end / seconds);
             items.push(Item::rect(At::new(0.0, 0.0), At::new(end, 1.0), Style::shade()));
         }
         for name in self.names() {
-            let area = Path::area(outline(&|bucket| below(bucket, name)));
+            let area = Path::area(outline(&|bucket| stack_height(bucket, name)));
             items.push(Item::path(area, stage(name).plain()));
         }
-        let across = |at: &f64| plot.x.scale.at(at / seconds);
-        let ticks = |places: Vec<f64>| Path::ticks(places.into_iter().map(|x| (x, 0.0, 1.0)));
+        let x_share = |time: &f64| plot.x.scale.at(time / seconds);
+        let ticks = |xs: Vec<f64>| Path::ticks(xs.into_iter().map(|x| (x, 0.0, 1.0)));
         let lines = [
-            (ticks(self.borders.iter().map(across).collect()), "border"),
+            (ticks(self.borders.iter().map(x_share).collect()), "border"),
             (Path::line(outline(&|bucket| bucket.p95)), "p95"),
             (Path::line(outline(&|bucket| Some(bucket.median))), "median"),
         ];
         for (path, class) in lines.into_iter().filter(|(path, _)| !path.is_empty()) {
             items.extend(["under", class].map(|class| Item::path(path.clone(), Style::of_page(class))));
         }
-        let mut lost: Vec<f64> = self.unanswered.iter().map(across).collect();
-        lost.sort_by(f64::total_cmp);
-        lost.dedup_by(|b, a| *b - *a < TOUCHING);
-        if !lost.is_empty() {
+        let mut unanswered: Vec<f64> = self.unanswered.iter().map(x_share).collect();
+        unanswered.sort_by(f64::total_cmp);
+        unanswered.dedup_by(|later, earlier| *later - *earlier < MIN_MARK_DISTANCE);
+        if !unanswered.is_empty() {
             let rail = Item::line(At::new(0.0, 1.0), At::new(1.0, 1.0), Style::rail());
-            let items = vec![rail, Item::path(ticks(lost), Style::lost())];
-            plot.above = Some(Strip { items, size: 0.0 });
+            let items = vec![rail, Item::path(ticks(unanswered), Style::lost())];
+            plot.top_strip = Some(Strip { items, size: 0.0 });
         }
         plot.items = items;
         plot
     }
 }
 
-/// The axes that all runs share: seconds across, and upwards.
+/// Axes that all runs share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OverTimeAxes {
+    /// Length of the horizontal axis, seconds.
     length: f64,
+    /// Upper end of the vertical axis, seconds.
     top: f64,
 }
 
 impl OverTimeAxes {
-    /// Returns axes from zero to the end of the longest run, and to a little above the largest quantile; `None` without a bucket.
-    pub fn of(all: &[StagesOverTime]) -> Option<Self> {
-        let most = |of: fn(&StagesOverTime) -> f64| all.iter().map(of).fold(0.0, f64::max);
-        let top = most(StagesOverTime::reach) * (1.0 + MARGIN);
-        let known = all.iter().any(|one| !one.buckets.is_empty());
-        known.then(|| Self { length: most(|one| one.length), top: if top > 0.0 { top } else { 1e-3 } })
+    /// Returns axes for these runs. Both begin at zero; one ends at the end of the longest run, the other a little above the largest quantile.
+    /// `None` if no run has a bucket.
+    pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
+        let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
+        let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);
+        let has_bucket = runs.iter().any(|run| !run.buckets.is_empty());
+        has_bucket.then(|| Self { length: max(|run| run.length), top: if top > 0.0 { top } else { 1e-3 } })
     }
 
-    /// Returns the entries of the legend for what these runs have beside their stages.
-    pub fn legend(all: &[StagesOverTime]) -> Vec<Key> {
-        let has = |of: fn(&StagesOverTime) -> bool| all.iter().any(of);
+    /// Returns the entries of the legend for the lines, marks and shades that these runs have. Stages are not among them.
+    pub fn legend(runs: &[StagesOverTime]) -> Vec<Key> {
+        let any = |condition: fn(&StagesOverTime) -> bool| runs.iter().any(condition);
         let line = |class| Swatch::Line(Style::of_page(class));
         let keys = [
             (true, line("median"), "median of the total"),
-            (has(StagesOverTime::has_p95), line("p95"), "p95 of points with 60 iterations"),
-            (has(|one| !one.borders.is_empty()), line("border"), "new episode"),
-            (has(|one| one.warm_up.is_some()), Swatch::Area(Style::shade()), "warm-up"),
-            (has(|one| !one.unanswered.is_empty()), line("lost"), "no answer"),
+            (any(StagesOverTime::has_p95), line("p95"), "p95 of points with 60 iterations"),
+            (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
+            (any(|run| run.warm_up.is_some()), Swatch::Area(Style::shade()), "warm-up"),
+            (any(|run| !run.unanswered.is_empty()), line("lost"), "no answer"),
         ];
-        keys.into_iter().filter(|(has, ..)| *has).map(|(_, swatch, text)| Key::new(swatch, text)).collect()
+        let shown = keys.into_iter().filter(|(is_shown, ..)| *is_shown);
+        shown.map(|(_, swatch, text)| Key::new(swatch, text)).collect()
     }
 
     /// Returns the unit of the horizontal axis.
     pub fn unit(&self) -> &'static str {
-        self.times().1
+        self.time_unit().1
     }
 
-    fn times(&self) -> (f64, &'static str) {
-        let fits = |(most, ..): &&(f64, f64, &str)| self.length <= *most;
+    /// Returns length in seconds and name of the unit of the horizontal axis.
+    fn time_unit(&self) -> (f64, &'static str) {
+        let fits = |(max_length, ..): &&(f64, f64, &str)| self.length <= *max_length;
         UNITS.iter().find(fits).map_or((1.0, "seconds"), |(_, seconds, name)| (*seconds, *name))
     }
 
     fn x(&self) -> Scale {
-        Scale::linear((0.0, self.length / self.times().0))
+        Scale::linear((0.0, self.length / self.time_unit().0))
     }
 
     fn y(&self) -> Scale {
         Scale::linear((0.0, self.top * 1e3))
     }
 
-    /// Returns the number of buckets of a run whose mean is beyond the upper end.
+    /// Returns the number of buckets of a run whose mean is above the upper end of the axis.
     pub fn beyond(&self, run: &StagesOverTime) -> usize {
         run.buckets.iter().filter(|bucket| bucket.mean() > self.top).count()
     }
 
-    /// Returns whether a run is so short beside the longest that it can hardly be seen.
+    /// Returns whether a run is so much shorter than the longest run that it can hardly be seen.
     pub fn is_short(&self, run: &StagesOverTime) -> bool {
         run.length < self.length * SHORT
     }

@@ -39,12 +39,12 @@ impl fmt::Display for Rgb {
     }
 }
 
-/// Colour of the dashboard in both themes. Files use the light one.
+/// Colour of the dashboard in both themes. Files use the colour of the light theme.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Token {
     /// Name of the custom property without its dashes.
     pub name: &'static str,
-    /// Colour on paper.
+    /// Colour in the light theme and in files.
     pub light: Rgb,
     /// Colour in the dark theme.
     pub dark: Rgb,
@@ -67,19 +67,19 @@ pub const INK_3: Token = Token::new("ink-3", 0x62_6b78, 0x8e_98a6);
 pub const LINE: Token = Token::new("line", 0xe3_e7ec, 0x25_2c35);
 /// Axes, and the bars of totals.
 pub const LINE_STRONG: Token = Token::new("line-strong", 0x8a_94a3, 0x5d_6877);
-/// Ground of a figure.
+/// Background of a figure.
 pub const SURFACE: Token = Token::new("surface", 0xff_ffff, 0x14_181e);
 /// Iterations without an answer, and errors.
 pub const BAD: Token = Token::new("bad", 0x9b_1620, 0xff_9f98);
 
-/// Tokens that belong to no stage.
+/// Tokens that do not belong to a stage.
 pub const TOKENS: [Token; 7] = [INK, INK_2, INK_3, LINE, LINE_STRONG, SURFACE, BAD];
 
-/// Ground of a file.
+/// Background of a file.
 pub const WHITE: Rgb = Rgb::hex(0xff_ffff);
 /// Grid of a file: a little darker than on a page, because it is printed.
 pub const GRID: Rgb = Rgb::hex(0xdd_e2e8);
-/// Ground of stretches that are left out, in a file.
+/// Background of periods that are excluded, in a file.
 pub const SHADE: Rgb = Rgb::hex(0xe8_ebef);
 /// Text on a dark fill.
 pub const ON_DARK: Rgb = WHITE;

@@ -2,7 +2,7 @@
 
 /// Distance between two lines of a hatch, points.
 const STEP: f64 = 3.9;
-/// Minimum distance of a line from an edge, points: one that only touches a corner or runs along an edge is left out.
+/// Minimum distance of a line from an edge, points. A line that only touches a corner or runs along an edge is left out.
 const EDGE: f64 = 0.2;
 
 /// Lines over an area.
@@ -27,22 +27,24 @@ type Line = [(f64, f64); 2];
 
 /// Returns the lines of a hatch over a rectangle from its left upper to its right lower corner, on one grid for the whole figure.
 pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<Line> {
-    let between = |lo: f64, hi: f64, step: f64| {
+    // Multiples of `step` between two edges. All areas use the same multiples, so the lines of neighbouring areas meet.
+    let multiples = |lo: f64, hi: f64, step: f64| {
         let first = ((lo + EDGE) / step).ceil() as i64;
-        (first..).map(move |number| number as f64 * step).take_while(move |at| *at < hi - EDGE)
+        (first..).map(move |number| number as f64 * step).take_while(move |position| *position < hi - EDGE)
     };
     // The factor makes slanted lines look as close as straight ones.
-    let slanted = STEP * 1.4;
+    let slanted_step = STEP * 1.4;
+    // On a rising line x + y is constant, on a falling line x − y.
     let rising = || {
-        between(left + top, right + bottom, slanted).map(|sum| {
+        multiples(left + top, right + bottom, slanted_step).map(|sum| {
             [(left.max(sum - bottom), bottom.min(sum - left)), (right.min(sum - top), top.max(sum - right))]
         })
     };
     let falling = || {
-        between(left - bottom, right - top, slanted).map(|less| {
+        multiples(left - bottom, right - top, slanted_step).map(|difference| {
             [
-                (left.max(top + less), top.max(left - less)),
-                (right.min(bottom + less), bottom.min(right - less)),
+                (left.max(top + difference), top.max(left - difference)),
+                (right.min(bottom + difference), bottom.min(right - difference)),
             ]
         })
     };
@@ -51,8 +53,8 @@ pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<L
         Hatch::Rising => rising().collect(),
         Hatch::Falling => falling().collect(),
         Hatch::Cross => rising().chain(falling()).collect(),
-        Hatch::Level => between(top, bottom, STEP / 1.5).map(|y| [(left, y), (right, y)]).collect(),
-        Hatch::Upright => between(left, right, STEP / 1.5).map(|x| [(x, top), (x, bottom)]).collect(),
+        Hatch::Level => multiples(top, bottom, STEP / 1.5).map(|y| [(left, y), (right, y)]).collect(),
+        Hatch::Upright => multiples(left, right, STEP / 1.5).map(|x| [(x, top), (x, bottom)]).collect(),
     }
 }
 

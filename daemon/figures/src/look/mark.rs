@@ -19,7 +19,7 @@ impl Mark {
     /// Marks of series, in the order of their use.
     pub const ALL: [Self; 4] = [Self::Disc, Self::Triangle, Self::Square, Self::Diamond];
 
-    /// Returns dash and gap of its line, points; `None` for a solid one.
+    /// Returns the dash and the gap of the mark's line, points; `None` for a solid line.
     pub const fn dash(self) -> Option<(f64, f64)> {
         match self {
             Self::Disc | Self::Cross => None,
@@ -29,7 +29,7 @@ impl Mark {
         }
     }
 
-    /// Returns the corners around the middle for a radius of 1; empty for a disc, and two strokes for a cross.
+    /// Returns the corners around the middle for a radius of 1. A disc has none; a cross has the ends of its two strokes.
     pub(crate) const fn corners(self) -> &'static [(f64, f64)] {
         match self {
             Self::Disc => &[],

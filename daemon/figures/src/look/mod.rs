@@ -2,8 +2,8 @@
 //!
 //! A colour means a stage, a direction, a verdict or a failure, nothing else. Runs, placements (local or a cloud) and configurations are
 //! distinguished by ink and greys, marks and dashes ([`series`]). Every [`Style`] says how a shape looks on both sheets: the class in the
-//! dashboard's style sheet, and fill and stroke for a file. A new look is a function or constant in `style.rs` and a rule in
-//! `web/assets/css`; a look that only pages have is the rule alone ([`Style::of_page`]).
+//! dashboard's style sheet, and fill and stroke for a file. To add a look, add a function or constant to `style.rs` and a rule to
+//! `web/assets/css`. A look that only pages have needs only the rule ([`Style::of_page`]).
 
 mod colour;
 mod hatch;

@@ -20,13 +20,13 @@ pub struct Stage {
     pub name: &'static str,
     /// Suffix of the classes `f-…` (fill) and `o-…` (text on the fill) on pages. Stages of one class share a colour.
     pub class: &'static str,
-    /// Ground.
+    /// Colour of the fill.
     pub colour: Token,
     /// Darker edge of a fill that is pale on paper, so that every boundary has a contrast of at least 3.
     pub edge: Option<Token>,
-    /// Hatch in a file, so that stages also differ without colour. Pages only hatch waiting and the unattributed time.
+    /// Hatch in a file, so that stages also differ without colour. On pages only waiting and the unattributed time are hatched.
     pub hatch: Hatch,
-    /// Colour of a line in a file if neither ground nor edge is suitable.
+    /// Colour of a line in a file if neither the colour of the fill nor that of the edge is suitable.
     line: Option<Rgb>,
 }
 
@@ -75,7 +75,7 @@ pub const STAGES: [Stage; 13] = [
     pale(UNATTRIBUTED, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Falling),
 ];
 
-/// Looks of quantities that are not stages: parts of stages, both directions together, totals. Their names are those of events.
+/// Looks of quantities that are not stages: parts of stages, both directions together, totals. They have the names that events use.
 const PARTS: [Stage; 6] = [
     Stage { name: "capture", class: "capture", ..STAGES[0] },
     Stage { name: "transform", class: "transform", ..STAGES[0] },
@@ -95,18 +95,18 @@ const OTHER: Stage = Stage {
     line: None,
 };
 
-/// Returns the look of a stage, a part of one or a total. One of a user's own is quiet ink.
+/// Returns the look of a stage, of a part of a stage, or of a total. A stage that a user's program defines has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {
     STAGES.iter().chain(&PARTS).copied().find(|stage| stage.name == name).unwrap_or(OTHER)
 }
 
 impl Stage {
-    /// Returns whether it is a stage of [`STAGES`], each of which has a colour of its own.
+    /// Returns whether the stage is one of [`STAGES`]. Only these have a colour of their own.
     pub fn has_colour(&self) -> bool {
         STAGES.iter().any(|stage| stage.name == self.name)
     }
 
-    /// Returns the style of text on its area.
+    /// Returns the style of text on the stage's area.
     pub fn text(&self) -> TextStyle {
         let (class, colour) = match self.class {
             "sensing" => ("o-sensing", ON_PALE),
@@ -127,7 +127,7 @@ impl Stage {
         TextStyle { class, colour, halo: false }
     }
 
-    /// Returns the style of its area in a stack.
+    /// Returns the style of the stage's area in a stack.
     pub fn area(&self) -> Style {
         let hatch = match self.edge {
             Some(edge) => (self.hatch, edge.light),
@@ -141,22 +141,22 @@ impl Stage {
         }
     }
 
-    /// Returns the style of its area without a hatch, for bars that are side by side: a hatch would only blur them.
+    /// Returns the style of the stage's area without a hatch, for bars that are side by side. A hatch would only blur such bars.
     pub fn plain(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
 
-    /// Returns the colour of its line or marks in a file: one with contrast to white, unlike a pale ground.
+    /// Returns the colour of the stage's line or marks in a file. It has contrast to white, which a pale fill has not.
     pub fn line_colour(&self) -> Rgb {
         self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
     }
 
-    /// Returns the style of its line.
+    /// Returns the style of the stage's line.
     pub fn line(&self, width: f64) -> Style {
         Style::line(class("g-", self.class), self.line_colour(), width)
     }
 
-    /// Returns the style of its points and marks.
+    /// Returns the style of the stage's points and marks.
     pub fn mark(&self) -> Style {
         Style::area(class("f-", self.class), Fill::of(self.line_colour()))
     }
@@ -177,9 +177,9 @@ mod tests {
     fn stages_have_the_order_of_the_logger() {
         let order = peernet_logger::stage::ORDER;
         let names: Vec<&str> = STAGES.iter().map(|stage| stage.name).collect();
-        let known: Vec<&str> =
+        let expected: Vec<&str> =
             order.iter().map(peernet_logger::Name::as_str).chain([LATENESS, UNATTRIBUTED]).collect();
-        assert_eq!(names, known);
+        assert_eq!(names, expected);
     }
 
     #[test]
@@ -195,8 +195,8 @@ mod tests {
     #[test]
     fn dashboard_has_the_same_colours_as_figures() {
         let sheet = include_str!("../../../../web/assets/css/tokens.css");
-        let of_stages = STAGES.iter().flat_map(|stage| std::iter::once(stage.colour).chain(stage.edge));
-        for Token { name, light, dark } in of_stages.chain(TOKENS) {
+        let stage_tokens = STAGES.iter().flat_map(|stage| std::iter::once(stage.colour).chain(stage.edge));
+        for Token { name, light, dark } in stage_tokens.chain(TOKENS) {
             let rule = format!("--{name}: light-dark({light}, {dark});");
             assert!(sheet.contains(&rule), "no rule: {rule}");
         }
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn text_holds_on_its_stage() {
+    fn text_has_contrast_on_its_stage() {
         for stage in STAGES {
             let contrast = stage.text().colour.contrast(stage.colour.light);
             assert!(contrast >= 4.5, "{}: {contrast}", stage.name);

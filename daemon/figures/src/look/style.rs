@@ -9,11 +9,11 @@ use super::mark::Mark;
 /// Fill of a shape in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fill {
-    /// Ground.
+    /// Colour of the fill.
     pub colour: Rgb,
-    /// Opacity from 0 to 1; also written on pages, where it represents a number.
+    /// Opacity from 0 to 1. It represents a number, so pages have it as well.
     pub opacity: f64,
-    /// Lines over the ground, and their colour.
+    /// Lines over the fill, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,
 }
 
@@ -29,7 +29,7 @@ impl Fill {
 pub struct Stroke {
     /// Colour of the stroke.
     pub colour: Rgb,
-    /// Points.
+    /// Width, points.
     pub width: f64,
     /// Dash and gap, points; `None` for a solid line.
     pub dash: Option<(f64, f64)>,
@@ -78,7 +78,7 @@ impl Style {
         Self { stroke: stroke.or(self.stroke), ..self }
     }
 
-    /// Returns the same fill with an opacity, which is written on pages as well.
+    /// Returns the same style with another opacity of the fill, which pages show as well.
     #[must_use]
     pub fn opacity(mut self, opacity: f64) -> Self {
         if let Some(fill) = &mut self.fill {
@@ -103,14 +103,14 @@ impl Style {
         Self::line("rail", LINE_STRONG.light, 0.45)
     }
 
-    /// Returns the same style for a bar of a distribution: bars are separated by a line of the ground's colour.
+    /// Returns the same style for a bar of a distribution. Bars are separated by a line in the colour of the background.
     #[must_use]
     pub fn bin(self) -> Self {
-        let parted = Stroke { colour: WHITE, width: 0.3, dash: None };
-        Self { class: format!("bin {}", self.class).into(), stroke: Some(parted), ..self }
+        let separator = Stroke { colour: WHITE, width: 0.3, dash: None };
+        Self { class: format!("bin {}", self.class).into(), stroke: Some(separator), ..self }
     }
 
-    /// Returns the style of a bar that belongs to no stage.
+    /// Returns the style of a bar that does not belong to a stage.
     pub fn total() -> Self {
         Self::area("f-total", Fill::of(LINE_STRONG.light))
     }
@@ -125,12 +125,12 @@ impl Style {
         Self::line(format!("mark {name}"), colour.light, width).dashed(dash)
     }
 
-    /// Returns a rim of the ground's colour, which separates a line from the items behind it.
+    /// Returns the style of a rim in the colour of the background, which separates a line from the items behind it.
     pub fn halo() -> Self {
         Self::line("halo", WHITE, 2.0)
     }
 
-    /// Returns a narrower rim, for lines over bars.
+    /// Returns the style of a narrower rim, for lines over bars.
     pub fn rim() -> Self {
         Self::line("cut", WHITE, 1.8)
     }
@@ -145,12 +145,12 @@ impl Style {
         Self::line("cut", WHITE, 0.45)
     }
 
-    /// Returns the style of points and lines that belong to no stage.
+    /// Returns the style of points and lines that do not belong to a stage.
     pub fn ink() -> Self {
         Self::area("f-ink", Fill::of(INK.light))
     }
 
-    /// Returns the style of a band around a line that belongs to no stage.
+    /// Returns the style of a band around a line that does not belong to a stage.
     pub fn band() -> Self {
         Self::area("band", Fill::of(INK.light)).opacity(0.25)
     }
@@ -178,12 +178,12 @@ pub struct TextStyle {
     pub class: &'static str,
     /// Colour in a file.
     pub colour: Rgb,
-    /// True if a rim of the ground's colour parts it from the shapes behind it.
+    /// True if a rim in the colour of the background separates the text from the shapes behind it.
     pub halo: bool,
 }
 
 impl TextStyle {
-    /// Label of an axis; pages style it by its place.
+    /// Label of an axis. The style sheet of pages styles it by its position.
     pub const AXIS: Self = Self { class: "", colour: INK_2.light, halo: false };
     /// Name of a category at an axis.
     pub const NAME: Self = Self { class: "", colour: INK.light, halo: false };
@@ -202,15 +202,15 @@ impl TextStyle {
 pub struct Series {
     /// Ink or a grey.
     pub colour: Rgb,
-    /// Ground of its areas.
+    /// Fill of its areas.
     pub ground: Rgb,
     /// Mark of its points.
     pub mark: Mark,
-    /// Classes of its line, and of its points and areas.
+    /// Class of its line, and class of its points and areas.
     classes: [&'static str; 2],
 }
 
-/// Returns the look of the series of a number: the fifth looks like the first.
+/// Returns the look of the series with this index. There are four looks, so the fifth series looks like the first.
 pub fn series(number: usize) -> Series {
     const GREYS: [Rgb; 4] = [INK.light, Rgb::hex(0x7c_8694), Rgb::hex(0x45_4d59), Rgb::hex(0x8a_94a3)];
     const CLASSES: [[&str; 2]; 4] = [

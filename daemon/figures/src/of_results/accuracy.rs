@@ -1,11 +1,11 @@
-//! Accuracy of each configuration against its latency.
+//! Figure of the accuracy of each configuration against its latency.
 
 use peernet_statistics::number::{self, fixed};
 
 use super::columns::{excluded_note, is_drawable, too_large_note};
-use super::configured::{Configured, counted_rows};
+use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Accuracy, Score, Unit};
 use peernet_analysis::accuracy::{ACCURACIES, score};
 use peernet_analysis::loaded::{Loaded, unknown_labels};
@@ -17,17 +17,17 @@ pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
 const MAX_POINTS: usize = 24;
 
-/// Returns one point for each configuration with scored answers; repeats are merged.
+/// Returns the figure with one point for each configuration that has scored answers; repeats are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let Configured { axes, groups } = Configured::from_runs(runs);
-    let judged = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
-    let all = || groups.iter().flat_map(|(_, runs)| counted_rows(runs)).filter(judged);
-    if all().next().is_none() {
+    let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
+    let is_scored = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
+    let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs)).filter(is_scored);
+    if all_rows().next().is_none() {
         return Err(MissingData::Labels { unknown: unknown_labels(runs) });
     }
-    let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-    let scored = |(label, runs): &(String, Vec<&Loaded>)| {
-        let rows: Vec<RowRef<'_>> = counted_rows(runs).filter(judged).collect();
+    let total = if all_rows().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let group_score = |(label, runs): &(String, Vec<&Loaded>)| {
+        let rows: Vec<RowRef<'_>> = counted_rows(runs).filter(is_scored).collect();
         let times: SortedValues =
             rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
         Some(Score {
@@ -38,8 +38,8 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             p95: times.p95(),
         })
     };
-    let mut scores: Vec<Score> = groups.iter().filter_map(scored).collect();
-    let (configurations, without) = (scores.len(), groups.len() - scores.len());
+    let mut scores: Vec<Score> = groups.iter().filter_map(group_score).collect();
+    let (score_count, omitted_groups) = (scores.len(), groups.len() - scores.len());
     scores.truncate(MAX_POINTS);
     let fewest = scores.iter().map(|score| score.count).min().unwrap_or_default();
     let most = scores.iter().map(|score| score.count).max().unwrap_or_default();
@@ -48,23 +48,24 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut notes = vec![format!("configurations: {} · n = {n} each", axes.join(", "))];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let mut missing = Vec::new();
-    if configurations > MAX_POINTS {
-        missing.push(format!("the first {MAX_POINTS} of {configurations} configurations"));
+    if score_count > MAX_POINTS {
+        missing.push(format!("the first {MAX_POINTS} of {score_count} configurations"));
     }
-    if without > 0 {
-        let configurations = number::counted(without as u64, "configuration");
+    if omitted_groups > 0 {
+        let configurations = number::counted(omitted_groups as u64, "configuration");
         missing.push(format!("left out: {configurations} without scored samples"));
     }
     notes.extend(missing.iter().cloned());
-    // Only configurations with scored samples, and only iterations without a score for another reason than their label.
-    let unscored = |(_, runs): &(String, Vec<&Loaded>)| {
-        let valid = counted_rows(runs).filter(judged).count();
-        let foreign = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let others = (counted_rows(runs).count() - valid) as u64;
-        if valid > 0 { others.saturating_sub(foreign) } else { 0 }
+    // Iterations without a score, of configurations that are in the figure. Iterations whose label the model does not know are not counted
+    // here, because they have their own note.
+    let unscored_iterations = |(_, runs): &(String, Vec<&Loaded>)| {
+        let scored = counted_rows(runs).filter(is_scored).count();
+        let with_unknown_label = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
+        let without_score = (counted_rows(runs).count() - scored) as u64;
+        if scored > 0 { without_score.saturating_sub(with_unknown_label) } else { 0 }
     };
-    let unscored: u64 = groups.iter().map(unscored).sum();
-    notes.extend(too_large_note(all(), &[total]));
+    let unscored: u64 = groups.iter().map(unscored_iterations).sum();
+    notes.extend(too_large_note(all_rows(), &[total]));
     if unscored > 0 {
         let iterations = number::counted(unscored, "iteration");
         notes.push(format!("left out: {iterations} without a valid score"));
@@ -73,12 +74,12 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let iterations = number::counted(unknown.count, "iteration");
         notes.push(format!("left out: {iterations}, {}", unknown.reason()));
     }
-    let what = if total == "total" { "Total" } else { "Sum of stages" };
+    let quantity = if total == "total" { "Total" } else { "Sum of stages" };
     let accuracy = Accuracy {
         title: "Accuracy against latency".to_owned(),
-        unit: Unit::milliseconds(what),
+        unit: Unit::milliseconds(quantity),
         scores,
         notes,
     };
-    Ok(vec![Drawing::new("accuracy", Shown::Accuracy(accuracy)).without(missing)])
+    Ok(vec![Drawing::new("accuracy", AnyFigure::Accuracy(accuracy)).with_left_out(missing)])
 }

@@ -4,7 +4,7 @@ use peernet_logger::stage;
 
 use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
 use crate::look::{INK, Mark, Style, stage as look};
 use peernet_analysis::order::SortedValues;
@@ -24,22 +24,22 @@ pub(super) fn drawings(
     column: Option<&str>,
 ) -> Result<Vec<Drawing>, MissingData> {
     if let Some(column) = column {
-        let what = heading(column);
+        let title = heading(column);
         let curve = curve(column, values(rows, column), 0);
         if curve.values.is_empty() {
             return Err(MissingData::Column(column.to_owned()));
         }
-        let shown = Cumulative {
-            title: with_run_name(&what, &record.title),
-            unit: unit(&record.units, column, &what),
+        let figure = Cumulative {
+            title: with_run_name(&title, &record.title),
+            unit: unit(&record.units, column, &title),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
         };
-        return Ok(vec![Drawing::new(format!("{column}-cumulative"), Shown::Cumulative(shown))]);
+        return Ok(vec![Drawing::new(format!("{column}-cumulative"), AnyFigure::Cumulative(figure))]);
     }
-    let total = ["total", "stages-total"].map(|column| (column, values(rows, column)));
-    let total = total.into_iter().find(|(_, values)| !values.is_empty());
-    let (total, of_total) = total.ok_or(MissingData::Total)?;
+    let totals = ["total", "stages-total"].map(|column| (column, values(rows, column)));
+    let total = totals.into_iter().find(|(_, values)| !values.is_empty());
+    let (total_column, total_values) = total.ok_or(MissingData::Total)?;
     let stages = stage::ORDER.into_iter().map(|name| (values(rows, &name), name));
     let mut stages: Vec<_> =
         stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
@@ -47,21 +47,21 @@ pub(super) fn drawings(
     stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
     let shorter: Vec<String> = stages.iter().skip(STAGE_CURVES).map(|(_, name)| name.to_string()).collect();
     stages.truncate(STAGE_CURVES);
-    stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|known| known == name));
-    let mut notes = notes(rows, &[total], &of_total);
+    stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|other| other == name));
+    let mut notes = notes(rows, &[total_column], &total_values);
     if !shorter.is_empty() {
         notes.push(format!("shorter stages, not drawn: {}", shorter.join(", ")));
     }
-    let of_stages =
+    let stage_curves =
         stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
-    let curves = std::iter::once(curve(total, of_total, 0)).chain(of_stages).collect();
-    let shown = Cumulative {
+    let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
+    let figure = Cumulative {
         title: with_run_name("Cumulative distributions", &record.title),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,
     };
-    Ok(vec![Drawing::new("cumulative", Shown::Cumulative(shown))])
+    Ok(vec![Drawing::new("cumulative", AnyFigure::Cumulative(figure))])
 }
 
 fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
@@ -69,7 +69,7 @@ fn notes(rows: &Rows, columns: &[&str], values: &SortedValues) -> Vec<String> {
     std::iter::once(count_note).chain(too_large_note(rows.iter(), columns)).collect()
 }
 
-/// Returns the curve of a stage, which has its colour and a mark, or of a total, which is ink.
+/// Returns the curve of a stage in the stage's colour with the mark of this number, or the curve of a total in ink.
 fn curve(name: &str, values: SortedValues, number: usize) -> CumulativeCurve {
     let look = look(name);
     let (line, mark) = if !look.has_colour() {

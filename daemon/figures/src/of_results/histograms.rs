@@ -1,11 +1,11 @@
-//! Histograms of a run: the six published histograms, or the histogram of a column.
+//! Histograms of a run: the six histograms of the paper's original program, or the histogram of a column.
 
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
 use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Histogram;
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_analysis::loaded::Loaded;
@@ -14,41 +14,43 @@ use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_analysis::summary::Scale;
 
-/// Returns the published histograms that a run has the data for.
-pub(super) fn published(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
-    let is_at = |kind| record.placement.is(kind);
-    let remote = !is_at(PlacementKind::Local) && !is_at(PlacementKind::None);
-    let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, what)| {
-        let histogram = histogram(record, rows, column, what);
-        let expected = match *column {
+/// Returns the histograms of the paper's original program. A histogram without values is left out if the placement of the run does not have
+/// such values.
+pub(super) fn original_histograms(record: &RunRecord, rows: &Rows) -> Vec<Drawing> {
+    let has_placement = |kind| record.placement.is(kind);
+    let is_remote = !has_placement(PlacementKind::Local) && !has_placement(PlacementKind::None);
+    let drawings = HISTOGRAMS.iter().filter_map(|(stem, column, title)| {
+        let histogram = histogram(record, rows, column, title);
+        let is_expected = match *column {
             "sensing" => true,
-            "inference" => !is_at(PlacementKind::None),
-            _ => remote,
+            "inference" => !has_placement(PlacementKind::None),
+            _ => is_remote,
         };
-        (expected || !histogram.values.is_empty()).then(|| Drawing::new(*stem, Shown::Histogram(histogram)))
+        (is_expected || !histogram.values.is_empty())
+            .then(|| Drawing::new(*stem, AnyFigure::Histogram(histogram)))
     });
     drawings.collect()
 }
 
-/// Returns the published histograms, or the histogram of `column`.
+/// Returns the histogram of `column`, or without a column the histograms of the paper's original program.
 pub(super) fn drawings(run: &Loaded, column: Option<&str>) -> Result<Vec<Drawing>, MissingData> {
-    let Some(column) = column else { return Ok(published(&run.record, &run.rows)) };
+    let Some(column) = column else { return Ok(original_histograms(&run.record, &run.rows)) };
     let histogram = histogram(&run.record, &run.rows, column, &heading(column));
     if histogram.values.is_empty() {
         return Err(MissingData::Column(column.to_owned()));
     }
-    Ok(vec![Drawing::new(format!("{column}-histogram"), Shown::Histogram(histogram))])
+    Ok(vec![Drawing::new(format!("{column}-histogram"), AnyFigure::Histogram(histogram))])
 }
 
-fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histogram {
+fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Histogram {
     let values = values(rows, column);
     let mut notes = vec![count_note(&rows.iter(), values.len())];
     notes.extend(too_large_note(rows.iter(), &[column]));
-    notes.extend(clocks(rows, column));
-    notes.extend(impossible(column, &values));
+    notes.extend(clock_bounds_note(rows, column));
+    notes.extend(negative_delays_note(column, &values));
     Histogram {
-        title: with_run_name(what, &record.title),
-        unit: unit(&record.units, column, what),
+        title: with_run_name(title, &record.title),
+        unit: unit(&record.units, column, title),
         stage: column.to_owned(),
         values,
         notes,
@@ -56,29 +58,29 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, what: &str) -> Histo
 }
 
 /// Returns a note on delays below zero, which are impossible. They occur if the clocks are not related, as in results of other programs.
-fn impossible(column: &str, values: &SortedValues) -> Option<String> {
+fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
     let count = values.values().partition_point(|value| *value < 0.0) as u64;
     let is_delay = ["upload", "download"].contains(&column);
     (is_delay && count > 0).then(|| format!("below zero, by the clocks' error: {}", fixed(count as f64, 0)))
 }
 
-/// Returns a note on the bounds of the true median by the clock bounds: it lies between the medians of the lower and the upper bounds.
-/// `None` if the column has no bounds, or one clock measured both ends.
-fn clocks(rows: &Rows, column: &str) -> Option<String> {
-    let end = |end: &str| -> Option<f64> {
-        let name = format!("{column}-{end}");
+/// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds and the median of the
+/// upper clock bounds. `None` if some counted value of the column has no bounds, or if one clock measured both ends of all delays.
+fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
+    let median_bound = |suffix: &str| -> Option<f64> {
+        let bound_column = format!("{column}-{suffix}");
         let counted = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-        counted.map(|row| row.value(&name)).collect::<Option<SortedValues>>()?.median()
+        counted.map(|row| row.value(&bound_column)).collect::<Option<SortedValues>>()?.median()
     };
     if !["upload", "download", "upload-throughput", "download-throughput"].contains(&column) {
         return None;
     }
-    let (lo, hi) = (end("lo")?, end("hi")?);
-    let between = match Scale::for_column(column, None) {
+    let (lo, hi) = (median_bound("lo")?, median_bound("hi")?);
+    let interval = match Scale::for_column(column, None) {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", throughput_between((lo, Some(hi))))
         }
         _ => format!("{} ms", range_ms((lo, hi))),
     };
-    (lo < hi).then(|| format!("clock bounds of the median: {between}"))
+    (lo < hi).then(|| format!("clock bounds of the median: {interval}"))
 }

@@ -3,7 +3,7 @@
 use super::Columns;
 use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_run_name};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Lengths;
 use peernet_analysis::answer_length::{LATENCY, answer_length, varies};
 use peernet_analysis::loaded::Loaded;
@@ -11,13 +11,17 @@ use peernet_analysis::rows::RowRef;
 
 /// Returns the figure of length and latency of each answer.
 pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
-    let there = run.rows.names().iter().filter(|name| run.rows.counted_values(name).next().is_some());
-    let x = columns.x.clone().unwrap_or_else(|| answer_length(there.map(|name| &**name)).to_owned());
+    let columns_with_values =
+        run.rows.names().iter().filter(|name| run.rows.counted_values(name).next().is_some());
+    let x = columns
+        .x
+        .clone()
+        .unwrap_or_else(|| answer_length(columns_with_values.map(|name| &**name)).to_owned());
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
-    let counted = run.rows.iter().filter(|row| row.is_counted());
+    let counted_rows = run.rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
-        counted.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
+        counted_rows.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
     if points.is_empty() {
         return Err(MissingData::Columns { x, y });
     }
@@ -43,5 +47,5 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
             .collect(),
         points,
     };
-    Ok(vec![Drawing::new("length", Shown::Lengths(lengths))])
+    Ok(vec![Drawing::new("length", AnyFigure::Lengths(lengths))])
 }

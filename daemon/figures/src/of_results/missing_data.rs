@@ -10,20 +10,20 @@ use peernet_statistics::number::counted;
 /// Data that a figure needs and the results lack.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MissingData {
-    /// There is nothing to draw from.
+    /// There are no runs.
     #[error("there is no run")]
     Runs,
-    /// No iteration counts.
+    /// No iteration is counted: each is warm-up or without an answer.
     #[error("no iteration counts: all are warm-up or without an answer")]
     Iterations,
-    /// No answered iteration has a usable total.
+    /// No answered iteration has a total that can be drawn.
     #[error("no iteration was answered with a total that can be drawn")]
     Total,
-    /// The column has no usable number.
-    #[error("no iteration that counts has a number that can be drawn in the column {0}")]
+    /// The column has no number that can be drawn.
+    #[error("no counted iteration has a number that can be drawn in the column {0}")]
     Column(String),
-    /// No iteration has a usable number in both columns.
-    #[error("no iteration that counts has a number that can be drawn in both columns, {x} and {y}")]
+    /// No iteration has a number that can be drawn in both columns.
+    #[error("no counted iteration has a number that can be drawn in both columns, {x} and {y}")]
     Columns {
         /// The column of the horizontal axis.
         x: String,
@@ -40,7 +40,7 @@ pub enum MissingData {
         /// The only length.
         length: f64,
     },
-    /// The lengths differ too little to be drawn against.
+    /// The lengths differ too little to show an effect.
     #[error("all answers have much the same length ({x}); name another column with --x")]
     SimilarLength {
         /// The column of lengths.
@@ -72,7 +72,7 @@ pub enum MissingData {
     )]
     MessageSizes,
     /// No answer was scored as right or wrong.
-    #[error("it needs answers to labelled samples, and no iteration that counts has a {TOP_1}{}", Unscored(.unknown))]
+    #[error("it needs answers to labelled samples, and no counted iteration has a {TOP_1}{}", Unscored(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.
         unknown: Option<UnknownLabels>,
@@ -87,13 +87,14 @@ pub enum MissingData {
     CommonTotal,
 }
 
-/// Formats the end of the sentence: the number of iterations that cannot have a score.
+/// Formats the end of the text of [`MissingData::Labels`]: the number of iterations that cannot have a score.
 struct Unscored<'a>(&'a Option<UnknownLabels>);
 
 impl fmt::Display for Unscored<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.as_ref().map_or(Ok(()), |unknown| {
-            write!(f, "; {} cannot have one, {}", counted(unknown.count, "iteration"), unknown.reason())
+        self.0.as_ref().map_or(Ok(()), |unknown_labels| {
+            let iterations = counted(unknown_labels.count, "iteration");
+            write!(f, "; {iterations} cannot have one, {}", unknown_labels.reason())
         })
     }
 }

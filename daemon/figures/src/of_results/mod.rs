@@ -9,7 +9,7 @@
 
 mod accuracy;
 mod columns;
-mod configured;
+mod configuration_groups;
 mod cumulative;
 mod histograms;
 mod length;
@@ -20,10 +20,10 @@ mod series;
 mod stacked;
 mod totals;
 mod users;
-mod written;
+mod written_figures;
 
 pub use missing_data::MissingData;
-pub use written::Written;
+pub use written_figures::WrittenFigures;
 
 use std::path::{Path, PathBuf};
 
@@ -35,9 +35,9 @@ use peernet_analysis::rows::Rows;
 /// Kind of figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// The six histograms of the published program.
+    /// The six histograms of the paper's original program.
     Histograms,
-    /// Share of iterations up to each latency, of the total and its longest stages.
+    /// Share of iterations up to each latency, for the total and its longest stages.
     Cumulative,
     /// Stages over time.
     Series,
@@ -45,7 +45,7 @@ pub enum Kind {
     Length,
     /// Sums of the stages of each configuration.
     Stacked,
-    /// Share of iterations up to each total, of each configuration.
+    /// Share of iterations up to each total, for each configuration.
     Totals,
     /// Accuracy of each configuration against its latency.
     Accuracy,
@@ -93,7 +93,8 @@ impl Kind {
         matches!(self, Self::Histograms | Self::Cumulative | Self::Series | Self::Length)
     }
 
-    /// Returns whether all results have the data for the figure. If all figures are requested, a missing one is reported only then.
+    /// Returns whether all results have the data for the figure. If a user requests all figures, only the absence of such a figure is
+    /// reported.
     pub const fn is_expected(self) -> bool {
         matches!(self, Self::Series | Self::Stacked)
     }
@@ -102,7 +103,7 @@ impl Kind {
     pub fn is_worth_drawing(self, runs: &[Loaded]) -> bool {
         match self {
             Self::Stacked | Self::Totals | Self::Accuracy => {
-                configured::Configured::from_runs(runs).groups.len() > 1
+                configuration_groups::ConfigurationGroups::from_runs(runs).groups.len() > 1
             }
             Self::Paired => runs.len() > 1,
             Self::Users => users::have_curves(runs),
@@ -113,7 +114,7 @@ impl Kind {
     }
 }
 
-/// Columns that the user chose; without them each kind uses its default.
+/// Columns that the user chose. A kind uses its default for a column that is `None`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     /// Column of the horizontal axis: the column of a histogram or of a cumulative distribution, or the length of a response.
@@ -125,7 +126,7 @@ pub struct Columns {
 /// Error of a figure that was not drawn.
 #[derive(Debug, thiserror::Error)]
 pub enum PlotError {
-    /// There is nothing in the results that it could show.
+    /// The results lack the data that the figure shows.
     #[error("cannot draw {kind}: {missing}", kind = .0.name(), missing = .1)]
     Lacking(Kind, #[source] MissingData),
     /// A file could not be written.
@@ -133,23 +134,25 @@ pub enum PlotError {
     Write(#[from] WriteError),
 }
 
-/// Draws the six published histograms of a run, `sensing-time` to `download-throughput`, its `cumulative` distributions and its `series`
-/// into a folder, each as `.png`, `.svg`, `.pdf` and, with all notes, `-caption.txt`; returns the files that were written. A run that sent
-/// nothing over a network has only the histograms of sensing and inference; one without any values says so. A run without any total has
-/// neither `cumulative` nor `series`.
+/// Draws the figures of a run into a folder: the six histograms of the paper's original program (`sensing-time` to `download-throughput`),
+/// the `cumulative` distributions and the `series`. Each figure is written as `.png`, `.svg`, `.pdf` and, with all notes, `-caption.txt`.
+/// Returns the files that were written.
+///
+/// A run that sent nothing over a network has only the histograms of sensing and inference. A histogram without values says so. A run
+/// without any total has neither `cumulative` nor `series`.
 ///
 /// # Errors
 /// If a file cannot be written.
 pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
-    let mut drawings = histograms::published(record, rows);
+    let mut drawings = histograms::original_histograms(record, rows);
     // Without a total there is no distribution of totals.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
-    Ok(written::write(&drawings, folder)?.files)
+    Ok(written_figures::write(&drawings, folder)?.files)
 }
 
-/// Draws the figures of several runs together, as far as they have the data: `stacked`, `totals` and `accuracy` of several configurations,
-/// `paired`, `payload-latency` and `payload-throughput`, `users`.
+/// Draws the figures of several runs together: `stacked`, `totals` and `accuracy` of several configurations, `paired`, `payload-latency` and
+/// `payload-throughput`, `users`. Figures for which the runs lack the data are left out. Returns the files that were written.
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -166,12 +169,18 @@ pub fn of_experiment(runs: &[Loaded], folder: &Path) -> Result<Vec<PathBuf>, Wri
     Ok(files)
 }
 
-/// Draws the figures of one kind into a folder, which is created when there is something to draw: of all runs together, or, for a kind that
-/// [is of one run](Kind::is_of_one_run), of the first. Returns the files that were written, and notes on data that are not in them.
+/// Draws the figures of one kind into a folder. A kind that [is of one run](Kind::is_of_one_run) shows the first run, other kinds show all
+/// runs together. The folder is created if there is something to draw. Returns the files that were written, and notes on data that are not
+/// in them.
 ///
 /// # Errors
 /// If the runs lack the data that the kind shows, or a file cannot be written.
-pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Result<Written, PlotError> {
+pub fn draw(
+    kind: Kind,
+    runs: &[Loaded],
+    columns: &Columns,
+    folder: &Path,
+) -> Result<WrittenFigures, PlotError> {
     let first = runs.first().ok_or(PlotError::Lacking(kind, MissingData::Runs))?;
     let drawings = match kind {
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
@@ -186,7 +195,7 @@ pub fn draw(kind: Kind, runs: &[Loaded], columns: &Columns, folder: &Path) -> Re
         Kind::Users => users::drawings(runs),
     };
     let drawings = drawings.map_err(|missing| PlotError::Lacking(kind, missing))?;
-    Ok(written::write(&drawings, folder)?)
+    Ok(written_figures::write(&drawings, folder)?)
 }
 
 #[cfg(test)]

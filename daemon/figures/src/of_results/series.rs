@@ -4,8 +4,8 @@ use peernet_logger::{Name, stage};
 
 use super::columns::{count_note, is_drawable, too_large_note, with_run_name};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
-use crate::drawing::{Course, Line, Unit};
+use super::written_figures::{AnyFigure, Drawing};
+use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
@@ -16,7 +16,7 @@ const ITERATION: &str = "Iteration";
 
 /// Returns the figure of the total and the stages over time.
 pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, MissingData> {
-    let (x, time) = times(rows);
+    let (x, time) = horizontal_axis(rows);
     let answered = || rows.iter().filter(|row| row.outcome() == Outcome::Ok);
     let line = |column: &str| {
         let values = answered().filter_map(|row| Some((time(row), row.value(column)?)));
@@ -32,7 +32,8 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
-    // The sums are computed before any line, because the lines of all stages of a long run would need much more memory.
+    // The longest stages are found by their sums and not by their lines, because the lines of all stages of a long run would need much more
+    // memory.
     let sum =
         |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| is_drawable(*value)).sum();
     let mut stages: Vec<(f64, usize, Name)> =
@@ -41,64 +42,68 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let shorter = stages.split_off(STAGE_CURVES.min(stages.len()));
     stages.sort_by_key(|(_, place, _)| *place);
     let stages = stages.iter().map(|(_, _, name)| line(name));
-    let first = |(last, row): (RowRef<'_>, RowRef<'_>)| (last.episode() != row.episode()).then(|| time(row));
-    let course = Course {
+    let episode_start =
+        |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
+    let time_series = TimeSeries {
         title: with_run_name("Latency over time", &record.title),
-        is_counted: x == ITERATION,
+        x_is_iteration: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),
-        notes: std::iter::once(account_of(rows, total.values.len()))
+        notes: std::iter::once(count_and_warm_up_note(rows, total.values.len()))
             .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
-            .chain(not_drawn(shorter))
+            .chain(undrawn_stages_note(shorter))
             .collect(),
         total,
         stages: stages.filter(|line| !line.values.is_empty()).collect(),
-        warm_up: warm_up(rows, &time),
-        episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(first).collect(),
+        warm_up: warm_up_periods(rows, &time),
+        episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
         unanswered,
     };
-    Ok(vec![Drawing::new("series", Shown::Course(course))])
+    Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
 }
 
-/// Returns a note on the stages that occurred and have no line.
-fn not_drawn(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
+/// Returns a note on the stages that occurred but have no line.
+fn undrawn_stages_note(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
     shorter.retain(|(sum, ..)| *sum != 0.0);
     shorter.sort_by_key(|(_, place, _)| *place);
     let names: Vec<&str> = shorter.iter().map(|(_, _, name)| name.as_str()).collect();
     (!names.is_empty()).then(|| format!("shorter stages, not drawn: {}", names.join(", ")))
 }
 
-/// Returns the account without the warm-up, which is in the figure.
-fn account_of(rows: &Rows, shown: usize) -> String {
-    let counted = count_note(&rows.iter(), rows.iter().filter(|row| row.is_counted()).count());
-    let counted = counted.split(" · ").next().unwrap_or_default().to_owned();
-    let warm = shown.saturating_sub(rows.iter().filter(|row| row.is_counted()).count());
-    let warm = if warm > 0 { format!(" and {warm} warm-up") } else { String::new() };
-    format!("{counted}{warm} · lines: medians")
+/// Returns the note on the numbers of counted iterations and of iterations of the warm-up, which this figure shows as well: `n = 54 and 5
+/// warm-up · lines: medians`.
+fn count_and_warm_up_note(rows: &Rows, shown_count: usize) -> String {
+    let counted_rows = rows.iter().filter(|row| row.is_counted()).count();
+    let note = count_note(&rows.iter(), counted_rows);
+    let n = note.split(" · ").next().unwrap_or_default();
+    let warm_up_count = shown_count.saturating_sub(counted_rows);
+    let warm_up = if warm_up_count > 0 { format!(" and {warm_up_count} warm-up") } else { String::new() };
+    format!("{n}{warm_up} · lines: medians")
 }
 
-/// Returns the horizontal axis: seconds since the first iteration if all times are known, else the numbers of the iterations.
-fn times(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
-    let known = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
-    let begun = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);
-    let title = if known { "Time since the start, s" } else { ITERATION };
-    (title, move |row: RowRef<'_>| if known { row.at() - begun } else { row.iteration() as f64 })
+/// Returns the title of the horizontal axis and the position of a row on it: seconds since the first iteration if all times are known, else
+/// the number of the iteration.
+fn horizontal_axis(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
+    let has_times = !rows.is_empty() && rows.iter().all(|row| row.value("at").is_some());
+    let start = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);
+    let title = if has_times { "Time since the start, s" } else { ITERATION };
+    (title, move |row: RowRef<'_>| if has_times { row.at() - start } else { row.iteration() as f64 })
 }
 
-/// Returns the periods of consecutive rows of warm-up.
-fn warm_up(rows: &Rows, time: &impl Fn(RowRef<'_>) -> f64) -> Vec<(f64, f64)> {
-    let mut ranges = Vec::new();
-    let mut begun: Option<f64> = None;
+/// Returns the periods of consecutive rows of warm-up. A period ends at the next row that is not warm-up, or at the last row.
+fn warm_up_periods(rows: &Rows, time: &impl Fn(RowRef<'_>) -> f64) -> Vec<(f64, f64)> {
+    let mut periods = Vec::new();
+    let mut start: Option<f64> = None;
     for row in rows {
-        match (row.warm_up(), begun) {
-            (true, None) => begun = Some(time(row)),
+        match (row.warm_up(), start) {
+            (true, None) => start = Some(time(row)),
             (false, Some(from)) => {
-                ranges.push((from, time(row)));
-                begun = None;
+                periods.push((from, time(row)));
+                start = None;
             }
             _ => {}
         }
     }
-    ranges.extend(begun.zip(rows.last().map(time)));
-    ranges
+    periods.extend(start.zip(rows.last().map(time)));
+    periods
 }

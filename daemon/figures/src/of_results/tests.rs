@@ -10,7 +10,7 @@ use super::*;
 use crate::look::UNATTRIBUTED;
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
-use written::Shown;
+use written_figures::AnyFigure;
 
 /// Changes rows for a test.
 trait ChangeRows {
@@ -108,7 +108,7 @@ fn run_with_total(total: f64) -> Loaded {
 #[test]
 fn local_run_has_no_network_figures() {
     let local = placed("s", "local", 5.0);
-    let drawings = histograms::published(&local.record, &local.rows);
+    let drawings = histograms::original_histograms(&local.record, &local.rows);
     let stems: Vec<&str> = drawings.iter().map(|drawing| drawing.stem.as_str()).collect();
     assert_eq!(stems, ["sensing-time", "inference-time"]);
 }
@@ -117,7 +117,7 @@ fn local_run_has_no_network_figures() {
 fn any_column_can_be_a_histogram() {
     let run = run(60, |number| vec![("gripper-force", number as f64)]);
     let drawings = histograms::drawings(&run, Some("gripper-force")).expect("there are numbers");
-    let Shown::Histogram(histogram) = &drawings[0].shown else { panic!("a histogram") };
+    let AnyFigure::Histogram(histogram) = &drawings[0].figure else { panic!("a histogram") };
     let stem = &drawings[0].stem;
     assert_eq!(
         (stem.as_str(), histogram.unit.title.as_str()),
@@ -143,7 +143,7 @@ fn stages_add_up_to_the_total() {
     };
     let runs = [with_total(placed("s", "local", 20.0)), with_total(placed("s", "remote", 4.0))];
     let drawings = stacked::drawings(&runs).expect("there is something");
-    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages, ["sensing", "inference", UNATTRIBUTED]);
     assert_eq!(
         figure.bars.iter().map(|bar| bar.label.as_str()).collect::<Vec<_>>(),
@@ -168,7 +168,7 @@ fn lateness_is_separate_part() {
         }
     });
     let drawings = stacked::drawings(&[run]).expect("there is something");
-    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages[2..], ["lateness", UNATTRIBUTED]);
     let bar = &figure.bars[0];
     assert!((bar.means[2] - 7e-3).abs() < 1e-9 && (bar.means[3] - 2e-3).abs() < 1e-9, "{bar:?}");
@@ -184,7 +184,7 @@ fn accuracy_is_drawn_against_latency() {
     };
     let drawings = accuracy::drawings(&[labelled("s", 20.0), labelled("m", 80.0), placed("l", "local", 9.0)]);
     let drawings = drawings.expect("there are labels");
-    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(
         figure
             .scores
@@ -197,16 +197,16 @@ fn accuracy_is_drawn_against_latency() {
         (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
         "{figure:?}"
     );
-    let told =
+    let expected_notes =
         ["left out: 15 warm-up, 3 without an answer", "left out: 1 configuration without scored samples"];
-    assert_eq!(figure.notes[1..], told);
+    assert_eq!(figure.notes[1..], expected_notes);
     let mut broken = labelled("s", 20.0);
     broken.rows.change(|row| {
         let scores = row.values.iter_mut().filter(|(name, _)| name == "top-1" && row.iteration > 90);
         scores.for_each(|(_, score)| *score = f64::NAN);
     });
     let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
-    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[3], "left out: 10 iterations without a valid score");
     assert!(
         accuracy::drawings(&[placed("l", "local", 9.0)])
@@ -236,7 +236,7 @@ fn totals_have_four_curves_per_figure() {
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
         ["totals", "totals-2"]
     );
-    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    let AnyFigure::Cumulative(figure) = &drawings[0].figure else { panic!("curves") };
     assert_eq!(figure.curves.iter().map(|curve| curve.values.len()).collect::<Vec<_>>(), [94; 4]);
     assert_eq!(figure.notes[..2], ["n = 94 each", "configurations: model, where · measured total"]);
     assert!(totals::drawings(&[remote(4)]).is_err(), "all is warm-up");
@@ -246,7 +246,7 @@ fn totals_have_four_curves_per_figure() {
 fn run_has_curves_of_total_and_longest_stages() {
     let run = run_with_total(20.0);
     let drawings = cumulative::drawings(&run.record, &run.rows, None).expect("there is a total");
-    let Shown::Cumulative(figure) = &drawings[0].shown else { panic!("curves") };
+    let AnyFigure::Cumulative(figure) = &drawings[0].figure else { panic!("curves") };
     let names: Vec<&str> = figure.curves.iter().map(|curve| curve.name.as_str()).collect();
     assert_eq!(names, ["total", "sensing", "upload"]);
     let one = cumulative::drawings(&run.record, &run.rows, Some("upload")).expect("there are values");
@@ -255,7 +255,7 @@ fn run_has_curves_of_total_and_longest_stages() {
 }
 
 #[test]
-fn models_are_paired_by_where_they_ran() {
+fn models_are_paired_by_placement() {
     let runs = [
         placed("s", "remote", 4.0),
         placed("s", "local", 20.0),
@@ -263,7 +263,7 @@ fn models_are_paired_by_where_they_ran() {
         placed("m", "remote", 6.0),
     ];
     let drawings = paired::drawings(&runs, None).expect("there are pairs");
-    let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
+    let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
     assert_eq!(figure.sides, ["local", "remote"]);
     assert_eq!(figure.groups.iter().map(|group| group.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     assert_eq!(
@@ -291,7 +291,7 @@ fn payloads_of_several_sizes_are_fitted() {
         drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(),
         ["payload-latency", "payload-throughput"]
     );
-    let Shown::Scaling(latency) = &drawings[0].shown else { panic!("a fit") };
+    let AnyFigure::Scaling(latency) = &drawings[0].figure else { panic!("a fit") };
     assert_eq!(latency.series.len(), 1, "answers had one size");
     assert_eq!(
         latency.series[0].values.iter().map(|value| value.bytes).collect::<Vec<_>>(),
@@ -301,14 +301,15 @@ fn payloads_of_several_sizes_are_fitted() {
     assert!((intercept - 0.2e-3).abs() < 2e-5 && (slope * 1e8 - 1.0).abs() < 0.01, "{intercept} {slope}");
     assert!(latency.series[0].name.contains(" ± ") && latency.series[0].name.contains("MB/s"), "{latency:?}");
     assert!(latency.series[0].name.contains("size ÷ (99.98"), "{latency:?}");
-    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
+    let AnyFigure::Scaling(throughput) = &drawings[1].figure else { panic!("a fit") };
     assert!(
         throughput.series[0].name.starts_with("upload: 99.98") && throughput.series[0].name.contains(" ± ")
     );
     assert!(latency.title.starts_with("One-way delay against payload"));
     let missing = "not drawn: download, 8 B: the largest must be twice the smallest";
-    let told = [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
-    assert_eq!(latency.notes, told);
+    let expected_notes =
+        [missing, "left out: 5 warm-up, 1 without an answer", "messages of each size: 73 to 74"];
+    assert_eq!(latency.notes, expected_notes);
     assert_eq!(throughput.notes, latency.notes);
     assert_eq!((drawings[0].missing.as_slice(), drawings[1].missing.len()), (&[missing.to_owned()][..], 0));
     assert!(payload::drawings(&[remote(60)]).is_err());
@@ -317,14 +318,14 @@ fn payloads_of_several_sizes_are_fitted() {
         Loaded { record, folder: "results".into(), rows: sized.rows.clone() }
     };
     let drawings = payload::drawings(&[named("s"), named("m")]).expect("sizes differ");
-    let Shown::Scaling(throughput) = &drawings[1].shown else { panic!("a fit") };
-    let told = [
+    let AnyFigure::Scaling(throughput) = &drawings[1].figure else { panic!("a fit") };
+    let expected_notes = [
         missing,
         "messages of 2 runs, pooled, that differ in model",
         "left out: 10 warm-up, 2 without an answer",
         "messages of each size: 146 to 148",
     ];
-    assert_eq!(throughput.notes, told);
+    assert_eq!(throughput.notes, expected_notes);
 }
 
 /// Returns one edge of a run with `edges` edges.
@@ -345,7 +346,7 @@ fn concurrent_edges_have_curve_per_model() {
     let runs = [at_once("s", 2, 40.0), at_once("s", 1, 20.0), at_once("m", 1, 30.0), at_once("m", 3, 90.0)];
     let drawings = users::drawings(&runs.concat()).expect("there are several edges");
     assert_eq!(drawings.iter().map(|drawing| drawing.stem.as_str()).collect::<Vec<_>>(), ["users"]);
-    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    let AnyFigure::Sharing(figure) = &drawings[0].figure else { panic!("curves") };
     assert_eq!(figure.curves.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(), ["s", "m"]);
     let edges =
         |curve: usize| figure.curves[curve].points.iter().map(|point| point.edges).collect::<Vec<_>>();
@@ -375,11 +376,11 @@ fn many_curves_are_several_pictures() {
 }
 
 #[test]
-fn lengths_are_tokens_where_there_are_some() {
+fn length_is_counted_in_tokens_if_available() {
     let talking =
         run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
     let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");
-    let Shown::Lengths(figure) = &drawings[0].shown else { panic!("lengths") };
+    let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
     assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Inference tokens, as logged"));
     let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
     let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
@@ -403,23 +404,27 @@ fn series_has_totals_stages_warm_up_and_unanswered() {
         row.values.extend(total);
     });
     let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
-    let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
-    assert_eq!(course.total.values.len(), 59);
+    let AnyFigure::TimeSeries(time_series) = &drawings[0].figure else { panic!("a time series") };
+    assert_eq!(time_series.total.values.len(), 59);
     assert_eq!(
-        course.stages.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
+        time_series.stages.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(),
         ["sensing", "upload", "inference", "download"]
     );
     let near = |value: f64, wanted: f64| (value - wanted).abs() < 1e-6;
-    assert!(near(course.unanswered[0], 0.6) && course.unanswered.len() == 1, "{course:?}");
-    assert!(near(course.warm_up[0].0, 0.0) && near(course.warm_up[0].1, 0.5));
-    assert!(near(course.episodes[0], 1.9) && course.episodes.len() == 3);
-    assert!(course.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", course.notes);
+    assert!(near(time_series.unanswered[0], 0.6) && time_series.unanswered.len() == 1, "{time_series:?}");
+    assert!(near(time_series.warm_up[0].0, 0.0) && near(time_series.warm_up[0].1, 0.5));
+    assert!(near(time_series.episodes[0], 1.9) && time_series.episodes.len() == 3);
+    assert!(time_series.notes[0].starts_with("n = 54 and 5 warm-up"), "{:?}", time_series.notes);
     run.rows.change(|row| row.at = 0.0);
-    let Shown::Course(course) = &series::drawings(&run.record, &run.rows).expect("there is a total")[0].shown
+    let AnyFigure::TimeSeries(time_series) =
+        &series::drawings(&run.record, &run.rows).expect("there is a total")[0].figure
     else {
-        panic!("a course")
+        panic!("a time series")
     };
-    assert_eq!((course.x.as_str(), course.is_counted, course.unanswered[0]), ("Iteration", true, 7.0));
+    assert_eq!(
+        (time_series.x.as_str(), time_series.x_is_iteration, time_series.unanswered[0]),
+        ("Iteration", true, 7.0)
+    );
     run.rows.change(|row| row.outcome = Outcome::Lost);
     assert!(series::drawings(&run.record, &run.rows).is_err());
 }

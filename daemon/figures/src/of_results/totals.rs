@@ -3,9 +3,9 @@
 use peernet_statistics::number::{self, fixed};
 
 use super::columns::{excluded_note, is_drawable, too_large_note};
-use super::configured::{Configured, counted_rows};
+use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, MOST_CURVES, Unit};
 use crate::look::series;
 use peernet_analysis::loaded::Loaded;
@@ -15,54 +15,55 @@ use peernet_analysis::rows::RowRef;
 /// Width of a curve, points.
 const LINE_WIDTH: f64 = 1.0;
 
-/// Returns one curve for each configuration, four to a figure; repeats are merged.
+/// Returns the figures with one curve for each configuration, at most four curves in a figure; repeats are pooled.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    let Configured { axes, groups } = Configured::from_runs(runs);
-    let all = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
+    let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
+    let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
     // If one iteration has no measured total, all curves are the sums of their stages.
-    let total = if all().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let total = if all_rows().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let values = |runs: &[&Loaded]| -> SortedValues {
         let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total));
         totals.filter(|value| is_drawable(*value)).collect()
     };
-    let known: Vec<(&String, SortedValues)> = groups
+    let groups_with_total: Vec<(&String, SortedValues)> = groups
         .iter()
         .map(|(label, runs)| (label, values(runs)))
         .filter(|(_, values)| !values.is_empty())
         .collect();
-    if known.is_empty() {
+    if groups_with_total.is_empty() {
         return Err(MissingData::Total);
     }
-    let without = groups.len() - known.len();
+    let omitted_groups = groups.len() - groups_with_total.len();
     let mut missing = Vec::new();
-    if without > 0 {
-        missing
-            .push(format!("left out: {} without a total", number::counted(without as u64, "configuration")));
+    if omitted_groups > 0 {
+        let configurations = number::counted(omitted_groups as u64, "configuration");
+        missing.push(format!("left out: {configurations} without a total"));
     }
-    let what = if total == "total" { "measured total" } else { "sum of stages" };
-    let mut notes = vec![format!("configurations: {} · {what}", axes.join(", "))];
+    let quantity = if total == "total" { "measured total" } else { "sum of stages" };
+    let mut notes = vec![format!("configurations: {} · {quantity}", axes.join(", "))];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
-    notes.extend(too_large_note(all(), &[total]));
+    notes.extend(too_large_note(all_rows(), &[total]));
     notes.extend(missing.iter().cloned());
-    let pictures = known.chunks(MOST_CURVES).enumerate().map(|(number, known)| {
+    let drawings = groups_with_total.chunks(MOST_CURVES).enumerate().map(|(number, chunk)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let counts = || known.iter().map(|(_, values)| values.len());
+        let counts = || chunk.iter().map(|(_, values)| values.len());
         let [fewest, most] =
             [counts().min(), counts().max()].map(|count| fixed(count.unwrap_or_default() as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
-        let shown = Cumulative {
+        let figure = Cumulative {
             title: "Total by configuration".to_owned(),
             unit: Unit::milliseconds("Total"),
-            curves: known.iter().enumerate().map(|(number, known)| curve(known, number)).collect(),
+            curves: chunk.iter().enumerate().map(|(number, group)| curve(group, number)).collect(),
             notes: std::iter::once(format!("n = {each} each")).chain(notes.iter().cloned()).collect(),
         };
-        let drawing = Drawing::new(format!("totals{suffix}"), Shown::Cumulative(shown));
-        // All figures have these notes, so other texts need them only once.
-        if number == 0 { drawing.without(missing.clone()) } else { drawing }
+        let drawing = Drawing::new(format!("totals{suffix}"), AnyFigure::Cumulative(figure));
+        // The text files of all figures have these notes. The list of what is left out, which is printed once, gets them from one figure.
+        if number == 0 { drawing.with_left_out(missing.clone()) } else { drawing }
     });
-    Ok(pictures.collect())
+    Ok(drawings.collect())
 }
 
+/// Returns the curve of a configuration in the look of the series with this number.
 fn curve((label, values): &(&String, SortedValues), number: usize) -> CumulativeCurve {
     let look = series(number);
     let mark = (look.mark, look.marks());

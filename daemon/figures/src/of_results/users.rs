@@ -1,15 +1,15 @@
-//! Latency against the number of edges at once.
+//! Figure of latency against the number of edges that run at the same time.
 
 use peernet_statistics::number::counted;
 
 use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
-use super::written::{Drawing, Shown};
+use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
-/// Number of configurations above which they are counted instead of named.
+/// Maximum number of configurations that a note names. If there are more, the note gives their number.
 const MAX_NAMED: usize = 3;
 
 /// Returns whether some configuration was measured with different numbers of edges.
@@ -18,7 +18,7 @@ pub(super) fn have_curves(runs: &[Loaded]) -> bool {
         .is_some_and(|users| Curve::from_users(&users).iter().any(|curve| curve.points.len() > 1))
 }
 
-/// Returns one curve for each configuration; four to a figure.
+/// Returns the figures with one curve for each configuration, at most four curves in a figure.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let users = Users::from_runs(runs).ok_or(MissingData::Users)?;
     if !users.lines.iter().any(has_total) {
@@ -27,7 +27,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let mut notes = vec!["counted while all edges of a run were measuring".to_owned()];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
     let curves = Curve::from_users(&users);
-    let pictures = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
+    let drawings = curves.chunks(MOST_CURVES).enumerate().map(|(number, curves)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
         let missing: Vec<String> = missing_points_note(curves).into_iter().collect();
         let sharing = Sharing {
@@ -36,27 +36,31 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
             curves: curves.iter().map(curve).collect(),
             notes: notes.iter().chain(&missing).cloned().collect(),
         };
-        Drawing::new(format!("users{suffix}"), Shown::Sharing(sharing)).without(missing)
+        Drawing::new(format!("users{suffix}"), AnyFigure::Sharing(sharing)).with_left_out(missing)
     });
-    Ok(pictures.collect())
+    Ok(drawings.collect())
 }
 
-/// Returns a note on the points that curves lack, by name if they are few; `None` if none is missing.
+/// Returns a note on the points that curves lack, with their names if they are few; `None` if no point is missing.
 fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
-    let of = |curve: &Curve<'_>| -> Vec<String> {
+    let missing_points = |curve: &Curve<'_>| -> Vec<String> {
         let lines = curve.points.iter().filter(|line| !has_total(line));
         let edges = lines.map(|line| counted(line.edges as u64, "edge"));
         edges
             .map(|edges| if curve.name.is_empty() { edges } else { format!("{} with {edges}", curve.name) })
             .collect()
     };
-    let names: Vec<String> = curves.iter().flat_map(of).collect();
-    let few = names.len() <= MAX_NAMED;
-    let told = if few { names.join("; ") } else { counted(names.len() as u64, "configuration") };
-    (!names.is_empty()).then(|| format!("left out, because the edges measured at different times: {told}"))
+    let names: Vec<String> = curves.iter().flat_map(missing_points).collect();
+    let names_or_count = if names.len() <= MAX_NAMED {
+        names.join("; ")
+    } else {
+        counted(names.len() as u64, "configuration")
+    };
+    (!names.is_empty())
+        .then(|| format!("left out, because the edges measured at different times: {names_or_count}"))
 }
 
-/// Returns whether it has a total that can be drawn.
+/// Returns whether a line has a total that can be drawn.
 fn has_total(line: &UsersLine) -> bool {
     line.totals.median.is_some_and(is_drawable)
 }

@@ -6,7 +6,7 @@ use peernet_statistics::number::{decimals, fixed};
 
 use crate::scale::{Scale, Tick};
 
-/// Marks on an axis that has no other number.
+/// Approximate maximum number of round marks on an axis that does not set another.
 pub(super) const MARKS: usize = 6;
 
 /// Quantity: its name and the factor from a value in SI units to the number shown.
@@ -14,33 +14,33 @@ pub(super) const MARKS: usize = 6;
 pub struct Unit {
     /// Title with the unit: `One-way delay, ms`.
     pub title: String,
-    /// Symbol of the unit, for figures in words; empty for a count.
+    /// Symbol of the unit, for numbers in text; empty for a count.
     pub symbol: Cow<'static, str>,
-    /// The number shown per SI unit.
+    /// Factor from a value in SI units to the number shown: 1,000 for seconds that are shown as ms.
     pub per_si: f64,
 }
 
 impl Unit {
-    /// Returns the unit of seconds, shown as ms.
-    pub fn milliseconds(what: &str) -> Self {
-        Self { title: format!("{what}, ms"), symbol: "ms".into(), per_si: 1e3 }
+    /// Returns the unit of a quantity in seconds that is shown in ms.
+    pub fn milliseconds(quantity: &str) -> Self {
+        Self { title: format!("{quantity}, ms"), symbol: "ms".into(), per_si: 1e3 }
     }
 
-    /// Returns the unit of bits per second, shown as MB/s.
-    pub fn megabytes_per_second(what: &str) -> Self {
-        Self { title: format!("{what}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
+    /// Returns the unit of a quantity in bits per second that is shown in MB/s.
+    pub fn megabytes_per_second(quantity: &str) -> Self {
+        Self { title: format!("{quantity}, MB/s"), symbol: "MB/s".into(), per_si: 1.0 / 8e6 }
     }
 
-    /// Returns a unit without another name than its symbol, for pages.
+    /// Returns a unit whose title is its symbol, for pages.
     pub fn symbol(symbol: &str, per_si: f64) -> Self {
         Self { title: symbol.to_owned(), symbol: symbol.to_owned().into(), per_si }
     }
 
-    /// Returns a value in SI units in words: `5.66 ms`. It has three digits, or as many as distinguish it from values that are `spread`
-    /// apart.
+    /// Returns a value in SI units as text: `5.66 ms`. The number has three significant digits. It has more decimals if values that are
+    /// `spread` apart would otherwise differ by less than two digits; 0 for no such values.
     pub fn words(&self, value: f64, spread: f64) -> String {
-        let finer = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
-        let number = fixed(value * self.per_si, decimals(value * self.per_si, 3).max(finer));
+        let spread_decimals = if spread > 0.0 { decimals(spread * self.per_si, 2) } else { 0 };
+        let number = fixed(value * self.per_si, decimals(value * self.per_si, 3).max(spread_decimals));
         if self.symbol.is_empty() { number } else { format!("{number} {}", self.symbol) }
     }
 
@@ -50,12 +50,12 @@ impl Unit {
     }
 }
 
-/// Places of the marks of an axis.
+/// Positions of the marks of an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Marks {
     /// Marks at round numbers, at most about this many.
     Round(usize),
-    /// Marks at these places.
+    /// Marks at these positions.
     At(Vec<Tick>),
     /// Marks at categories; their names may have several lines.
     Names(Vec<Tick>),
@@ -68,11 +68,11 @@ pub struct Axis {
     pub scale: Scale,
     /// Name of the quantity with the unit; files write it out.
     pub title: String,
-    /// Name of the unit; pages show only that, because a panel's title names the quantity.
+    /// Name of the unit. Pages show only the unit, because the title of the panel names the quantity.
     pub unit: Cow<'static, str>,
-    /// Places of its marks.
+    /// Positions of the marks.
     pub marks: Marks,
-    /// True if its marks go through the plot.
+    /// True if each mark is a line through the plot.
     pub has_grid: bool,
 }
 
@@ -95,7 +95,7 @@ impl Axis {
         Self { marks, ..self }
     }
 
-    /// Returns the same axis with labels that `label` makes of its round marks.
+    /// Returns the same axis with its round marks, each with the text that `label` returns for it.
     #[must_use]
     pub fn labelled(self, label: impl Fn(&Tick) -> String) -> Self {
         let ticks = self.ticks(MARKS).into_iter();
@@ -103,21 +103,21 @@ impl Axis {
         self.marked(Marks::At(ticks))
     }
 
-    /// Returns the marks if there is room for `room` of them.
-    pub fn ticks(&self, room: usize) -> Vec<Tick> {
+    /// Returns the marks. `max_round_marks` limits the number of round marks; marks at given positions are all returned.
+    pub fn ticks(&self, max_round_marks: usize) -> Vec<Tick> {
         match &self.marks {
-            Marks::Round(most) => self.scale.ticks((*most).min(room.max(1))),
+            Marks::Round(max_marks) => self.scale.ticks((*max_marks).min(max_round_marks.max(1))),
             Marks::At(ticks) | Marks::Names(ticks) => ticks.clone(),
         }
     }
 
-    /// Returns the name of its unit with the information that its marks alone do not show: the title on a page, which may be empty.
+    /// Returns the title on a page: the unit, followed by `logarithmic` if the scale is. It is empty for a linear axis without a unit.
     pub fn page_title(&self) -> String {
         let scale = if self.scale.is_logarithmic() { "logarithmic" } else { "" };
         [&*self.unit, scale].into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(", ")
     }
 
-    /// Returns its title with the information that its marks alone do not show.
+    /// Returns the title in a file, followed by `(log scale)` if the scale is logarithmic. It is empty for an axis without a title.
     pub fn full_title(&self) -> String {
         if self.scale.is_logarithmic() && !self.title.is_empty() {
             format!("{} (log scale)", self.title)

@@ -4,19 +4,19 @@ use super::axis::Axis;
 use super::item::{At, Item};
 use super::legend::Key;
 
-/// Strip at a plot, such as the distribution of a quantity of the plot. Positions are shares of the strip.
+/// Strip along one side of a plot, such as the distribution of one of the plot's quantities. Positions are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Strip {
     /// Items of the strip.
     pub items: Vec<Item>,
-    /// Height in a file, or the width if the strip is at the side of a plot, points.
+    /// Height in a file, points; the width of a strip at the right.
     pub size: f64,
 }
 
 /// Height of a plot in a file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Height {
-    /// The rest of the figure.
+    /// Equal share of the height that the other parts of the figure leave.
     Rest,
     /// Height in points.
     Points(f64),
@@ -31,42 +31,52 @@ pub struct Plot {
     pub y: Axis,
     /// Items of the plot, the lowest first.
     pub items: Vec<Item>,
-    /// Strip above, which shares the horizontal axis.
-    pub above: Option<Strip>,
-    /// Strip at the right, which shares the vertical axis.
-    pub beside: Option<Strip>,
-    /// Text above its right end, such as a count of values beyond its axes.
+    /// Strip above the plot. It shares the horizontal axis.
+    pub top_strip: Option<Strip>,
+    /// Strip at the right of the plot. It shares the vertical axis.
+    pub right_strip: Option<Strip>,
+    /// Text above the right end of the plot, such as a count of values beyond the axes.
     pub remark: Option<String>,
     /// Number of lines of text above the plot, such as labels of quantiles.
     pub lines_above: usize,
     /// Height in a file.
     pub height: Height,
-    /// Points left free at its right in a file, for text that reaches over its end.
-    pub free: f64,
+    /// Width that stays free at the right of the plot in a file, points, for text that extends beyond the plot.
+    pub free_right: f64,
 }
 
 impl Plot {
     /// Returns an empty plot.
     pub fn new(x: Axis, y: Axis) -> Self {
-        let (items, above, beside, remark) = (Vec::new(), None, None, None);
-        Self { x, y, items, above, beside, remark, lines_above: 0, height: Height::Rest, free: 0.0 }
+        let (items, top_strip, right_strip, remark) = (Vec::new(), None, None, None);
+        Self {
+            x,
+            y,
+            items,
+            top_strip,
+            right_strip,
+            remark,
+            lines_above: 0,
+            height: Height::Rest,
+            free_right: 0.0,
+        }
     }
 
-    /// Returns the position of two values, which are in the units of the axes.
+    /// Returns the position of a point. Its two values are in the units of the axes.
     pub fn at(&self, x: f64, y: f64) -> At {
-        At::new(self.x.scale.at(x), self.up(y))
+        At::new(self.x.scale.at(x), self.y_share(y))
     }
 
-    /// Returns the distance of a value of the vertical axis from the top, as a share.
-    pub fn up(&self, y: f64) -> f64 {
+    /// Returns the distance from the top of the plot to a value of the vertical axis, as a share of the height.
+    pub fn y_share(&self, y: f64) -> f64 {
         1.0 - self.y.scale.at(y)
     }
 }
 
-/// Lines of columns below the plots: a key to numbers.
+/// Table below the plots. It explains the numbers in the plots.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Table {
-    /// Titles of the columns behind the names.
+    /// Titles of the columns after the names. The column of names has no title.
     pub titles: Vec<String>,
     /// Name and cells of each line.
     pub lines: Vec<(String, Vec<String>)>,
@@ -77,18 +87,18 @@ pub struct Table {
 pub struct Figure {
     /// Title.
     pub title: String,
-    /// Entries for all that differs by colour, mark or dash.
+    /// Entries that explain the colours, marks and dashes.
     pub legend: Vec<Key>,
     /// Sentences for the figure's text file: how to read it, numbers of values, what is left out.
     pub notes: Vec<String>,
-    /// Plots from top to bottom. Without one the figure says that there are no values.
+    /// Plots from top to bottom. A figure without a plot says that there are no values.
     pub plots: Vec<Plot>,
-    /// Key to numbers in the plots.
+    /// Explanation of the numbers in the plots.
     pub table: Table,
 }
 
 impl Figure {
-    /// Returns the line above the figure: the title and the number of values.
+    /// Returns the line above the figure: the title and, if a note gives it, the number of values.
     pub fn caption(&self) -> String {
         let parts = self.notes.iter().flat_map(|note| note.split(" · "));
         match parts.into_iter().find(|part| part.starts_with("n = ")) {
@@ -102,8 +112,8 @@ impl Figure {
         let mut lines = vec![self.title.clone()];
         for plot in &self.plots {
             let axes = [plot.y.full_title(), plot.x.full_title()];
-            let named: Vec<String> = axes.into_iter().filter(|title| !title.is_empty()).collect();
-            lines.push(named.join(" against "));
+            let titles: Vec<String> = axes.into_iter().filter(|title| !title.is_empty()).collect();
+            lines.push(titles.join(" against "));
             lines.extend(plot.remark.clone());
         }
         lines.extend(self.legend.iter().map(|key| format!("Legend: {}", key.text)));

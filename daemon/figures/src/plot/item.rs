@@ -11,11 +11,11 @@ use crate::text;
 pub struct At {
     /// Share from the left.
     pub x: f64,
-    /// Share from above.
+    /// Share from the top.
     pub y: f64,
-    /// Points to the right; pixels of 1/96 inch on a page.
+    /// Offset to the right, points.
     pub dx: f64,
-    /// Points downwards.
+    /// Offset downwards, points.
     pub dy: f64,
 }
 
@@ -25,14 +25,14 @@ impl At {
         Self { x, y, dx: 0.0, dy: 0.0 }
     }
 
-    /// Returns the place at a distance of `dx` and `dy` points from this one, for a plot of any size.
+    /// Returns the place `dx` points to the right of this place and `dy` points below it, whatever the size of the plot.
     #[must_use]
-    pub fn aside(self, dx: f64, dy: f64) -> Self {
+    pub fn offset_by(self, dx: f64, dy: f64) -> Self {
         Self { dx: self.dx + dx, dy: self.dy + dy, ..self }
     }
 }
 
-/// Point of a text that lies at its place.
+/// Part of a text that lies at the text's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
     /// Beginning of the text.
@@ -59,37 +59,37 @@ impl Anchor {
 pub struct Label {
     /// Place of the text.
     pub at: At,
-    /// Offset from there to its baseline, in its type size: to the right and downwards.
+    /// Offset from the place to the baseline, to the right and downwards, as multiples of the type size.
     pub shift: (f64, f64),
-    /// Point of the text that lies at the place.
+    /// Part of the text that lies at the place.
     pub anchor: Anchor,
     /// The text.
     pub words: String,
     /// Look.
     pub style: TextStyle,
-    /// Minimum width of the picture at which a page shows it, rem; 0 for always, `None` for never.
-    pub from: Option<u16>,
-    /// Words before the text and the minimum width of the picture for both; only pages have them.
+    /// Minimum width of a picture in which a page shows the text, rem. A text with 0 is always shown, a text with `None` never.
+    pub min_width: Option<u16>,
+    /// Words before the text and the minimum width of a picture in which a page shows both. Files do not show these words.
     pub lead: Option<(String, Option<u16>)>,
 }
 
-/// Distance from a place down to the baseline of text whose capitals have their middle at the place.
+/// Distance from the middle of capital letters down to their baseline, as a share of the type size.
 const MIDDLE: f64 = 0.36;
 
 impl Label {
     /// Returns a text that begins at a place and is vertically centred on it.
     pub fn new(at: At, words: impl Into<String>, style: TextStyle) -> Self {
         let words = words.into();
-        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, from: Some(0), lead: None }
+        Self { at, shift: (0.0, MIDDLE), anchor: Anchor::Start, words, style, min_width: Some(0), lead: None }
     }
 
-    /// Returns the same text with another point of it at its place.
+    /// Returns the same text with another part at its place.
     #[must_use]
     pub fn anchored(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// Returns the same text moved from its place, in its type size, to the right and downwards to the baseline.
+    /// Returns the same text with another offset from the place to the baseline, as multiples of the type size.
     #[must_use]
     pub fn shifted(self, right: f64, down: f64) -> Self {
         Self { shift: (right, down), ..self }
@@ -101,18 +101,21 @@ impl Label {
         Self { lead: Some((words, Some(0))), ..self }
     }
 
-    /// Returns the same text, shown only in pictures in which it takes at most this share of the width. This applies to pages, and can be
-    /// repeated.
+    /// Returns the same text, which pages show only in pictures in which it takes at most this share of the width. If the method is called
+    /// several times, the smallest share applies.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
-        let more = |from: Option<u16>, words: &str| {
-            Some(from?.max(text::width_step(text::rem(words) / share.max(1e-9))?))
+        let raise = |min_width: Option<u16>, words: &str| {
+            Some(min_width?.max(text::width_step(text::rem(words) / share.max(1e-9))?))
         };
-        let lead = self.lead.map(|(lead, from)| (lead.clone(), more(from, &format!("{lead}{}", self.words))));
-        Self { from: more(self.from, &self.words), lead, ..self }
+        let lead = self.lead.map(|(lead, min_width)| {
+            let min_width = raise(min_width, &format!("{lead}{}", self.words));
+            (lead, min_width)
+        });
+        Self { min_width: raise(self.min_width, &self.words), lead, ..self }
     }
 
-    /// Returns its left end, top, right end and bottom in points from its place, for a type size.
+    /// Returns the left end, top, right end and bottom of the text for a type size in points, as distances from its place.
     pub fn extent(&self, size: f64) -> [f64; 4] {
         let wide = text::width(&self.words, size);
         let left = match self.anchor {
@@ -191,18 +194,18 @@ impl Item {
         Self::Mark { at, mark, radius, style }
     }
 
-    /// Returns upright lines at the ticks of a scale from left to right.
+    /// Returns upright lines at the ticks of a horizontal scale.
     pub fn grid(scale: &Scale) -> Vec<Self> {
         let line = |at: f64| Self::line(At::new(at, 0.0), At::new(at, 1.0), Style::grid());
         scale.ticks(MARKS).into_iter().map(|tick| line(tick.at)).collect()
     }
 
-    /// Returns an upright whisker between two places, with caps of `cap` points to each side. A cap is missing where the whisker leaves the
-    /// plot.
-    pub fn whisker([from, to]: [At; 2], caps: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
+    /// Returns an upright whisker between two places. `has_cap` says which of the two ends have a cap, which extends `cap` points to each
+    /// side. An end where the whisker leaves the plot should have none.
+    pub fn whisker([from, to]: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Self> {
         let mut items = vec![Self::line(from, to, style.clone())];
-        for (end, _) in [from, to].into_iter().zip(caps).filter(|(_, has)| *has) {
-            items.push(Self::line(end.aside(-cap, 0.0), end.aside(cap, 0.0), style.clone()));
+        for (end, _) in [from, to].into_iter().zip(has_cap).filter(|(_, has_cap)| *has_cap) {
+            items.push(Self::line(end.offset_by(-cap, 0.0), end.offset_by(cap, 0.0), style.clone()));
         }
         items
     }

@@ -5,9 +5,9 @@
 //!                                                                              └─ sheet::file ── SVG, PNG, PDF, text
 //! ```
 //!
-//! A kind of figure is one function that makes [`Plot`]s: it chooses the scales, and places [`Item`]s by them. Positions are
+//! A kind of figure is one function that makes [`Plot`]s. It chooses the scales and uses them to place [`Item`]s. Positions are
 //! shares from the left and from the top, not pixels or points ([`Plot::at`] computes them from values). Lengths that stay the
-//! same when the plot grows (marks, caps, distances of text) are given in points or in the type size, in addition to the share.
+//! same when the plot grows (marks, caps, distances of text) are given in points or as multiples of the type size.
 //! The look of an item is a [`Style`](crate::look::Style), which has a class for pages and literal attributes for files.
 //!
 //! ```
@@ -27,11 +27,15 @@
 //!
 //! # A figure of a page
 //!
-//! A kind that several pages have, or that files have too, is a value in `crate::drawing`; what depends on the types of one page, such as
-//! the waterfall of an iteration, is a function beside that page's view which returns [`Item`]s. [`page::plot`](crate::sheet::page::plot)
-//! draws axes at both sides, [`page::picture`](crate::sheet::page::picture) items alone (bars, sparklines, tracks), and
-//! [`page::axis`](crate::sheet::page::axis) the row of labels above bars. Text that must fit has [`Label::fits_within`], measured in the
-//! font itself. A line that may leave its plot is placed by [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside).
+//! A kind of figure that several pages or files show is a value in `crate::drawing`. A figure that depends on the types of one page, such as
+//! the waterfall of an iteration, is a function in the view of that page and returns [`Item`]s.
+//!
+//! - [`page::plot`](crate::sheet::page::plot) draws a plot with both axes.
+//! - [`page::picture`](crate::sheet::page::picture) draws items without axes: bars, sparklines, tracks.
+//! - [`page::axis`](crate::sheet::page::axis) draws the row of labels above bars.
+//!
+//! [`Label::fits_within`] hides a text where it would not fit; its width is measured in the embedded font.
+//! [`Scale::at_or_outside`](crate::scale::Scale::at_or_outside) places a line that may leave its plot.
 
 mod axis;
 mod figure;

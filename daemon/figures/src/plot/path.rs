@@ -1,22 +1,22 @@
 //! Lines and areas of many points.
 
-/// Step of a path; shares of the plot's width from the left and of its height from the top.
+/// Step of a path to a point. The point is given as a share of the plot's width from the left and of its height from the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Step {
-    /// Moves there without drawing.
+    /// Moves to the point without drawing.
     Move(f64, f64),
-    /// Draws a line to there.
+    /// Draws a line to the point.
     Line(f64, f64),
-    /// Draws a line back to the beginning of the piece.
+    /// Draws a line back to the point of the last [`Step::Move`].
     Close,
 }
 
-/// Course of a line or an outline.
+/// Line or outline of straight pieces.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path {
     /// Steps of the path.
     pub steps: Vec<Step>,
-    /// Distance by which all of it is moved to the right, points; pages ignore it.
+    /// Distance by which a file moves the whole path to the right, points. Pages ignore it.
     pub dx: f64,
 }
 
@@ -29,13 +29,14 @@ impl Path {
         self.steps.is_empty()
     }
 
-    /// Returns the path moved to the right by `dx` points.
+    /// Returns the same path, which a file moves to the right by `dx` points.
     #[must_use]
-    pub fn aside(self, dx: f64) -> Self {
+    pub fn offset_by(self, dx: f64) -> Self {
         Self { dx, ..self }
     }
 
-    /// Returns the same path without the points that would leave the plot when it is moved to the right by that share of its width.
+    /// Returns the same path without the points that would leave the plot if the path were moved to the right by this share of the plot's
+    /// width.
     #[must_use]
     pub fn within(mut self, share: f64) -> Self {
         let inside = |x: f64| (0.0..=1.0).contains(&(x + share));
@@ -49,30 +50,32 @@ impl Path {
         self
     }
 
-    fn of(steps: Vec<Step>) -> Self {
+    fn from_steps(steps: Vec<Step>) -> Self {
         Self { steps, dx: 0.0 }
     }
 
     /// Returns a line that stops at a missing value; a value without a neighbour becomes a dot.
     pub fn line(points: impl IntoIterator<Item = Option<Point>>) -> Self {
-        let (mut steps, mut open, mut alone) = (Vec::new(), false, None);
+        let (mut steps, mut in_piece, mut lone_point) = (Vec::new(), false, None);
         for point in points.into_iter().chain([None]) {
             match point {
                 Some((x, y)) => {
-                    steps.push(if open { Step::Line(x, y) } else { Step::Move(x, y) });
-                    alone = (!open).then_some((x, y));
-                    open = true;
+                    steps.push(if in_piece { Step::Line(x, y) } else { Step::Move(x, y) });
+                    lone_point = (!in_piece).then_some((x, y));
+                    in_piece = true;
                 }
                 None => {
-                    steps.extend(alone.take().map(|(x, y)| Step::Line(x, y)));
-                    open = false;
+                    // A line of length zero is visible as a dot, because strokes have round ends.
+                    steps.extend(lone_point.take().map(|(x, y)| Step::Line(x, y)));
+                    in_piece = false;
                 }
             }
         }
-        Self::of(steps)
+        Self::from_steps(steps)
     }
 
-    /// Returns the area between two lines, interrupted at missing values: left, upper, lower.
+    /// Returns the area between two lines, interrupted at missing values. A point is its share from the left, the upper share and the lower
+    /// share from the top.
     pub fn band(points: impl IntoIterator<Item = Option<(f64, f64, f64)>>) -> Self {
         let mut steps = Vec::new();
         let mut piece: Vec<(f64, f64, f64)> = Vec::new();
@@ -82,12 +85,12 @@ impl Path {
                 None => {
                     let upper = piece.iter().map(|(x, upper, _)| (*x, *upper));
                     let lower = piece.iter().rev().map(|(x, _, lower)| (*x, *lower));
-                    outline(&mut steps, upper.chain(lower));
+                    append_outline(&mut steps, upper.chain(lower));
                     piece.clear();
                 }
             }
         }
-        Self::of(steps)
+        Self::from_steps(steps)
     }
 
     /// Returns the area between a line and the lower end of the plot, interrupted at missing values.
@@ -98,48 +101,50 @@ impl Path {
     /// Returns an area with these corners.
     pub fn polygon(points: impl IntoIterator<Item = Point>) -> Self {
         let mut steps = Vec::new();
-        outline(&mut steps, points);
-        Self::of(steps)
+        append_outline(&mut steps, points);
+        Self::from_steps(steps)
     }
 
-    /// Returns rectangles between two corners each.
+    /// Returns rectangles, each between its left upper and its right lower corner.
     pub fn rects(corners: impl IntoIterator<Item = [Point; 2]>) -> Self {
         let mut steps = Vec::new();
         for [(left, top), (right, bottom)] in corners {
-            outline(&mut steps, [(left, top), (right, top), (right, bottom), (left, bottom)]);
+            append_outline(&mut steps, [(left, top), (right, top), (right, bottom), (left, bottom)]);
         }
-        Self::of(steps)
+        Self::from_steps(steps)
     }
 
     /// Returns dots: lines of length zero, which a stroke with round ends makes visible.
     pub fn dots(points: impl IntoIterator<Item = Point>) -> Self {
-        Self::of(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
+        Self::from_steps(points.into_iter().flat_map(|(x, y)| [Step::Move(x, y), Step::Line(x, y)]).collect())
     }
 
-    /// Returns upright strokes: left, upper end, lower end.
+    /// Returns upright strokes. A stroke is its share from the left, its upper end and its lower end.
     pub fn ticks(ticks: impl IntoIterator<Item = (f64, f64, f64)>) -> Self {
         let steps =
             ticks.into_iter().flat_map(|(x, upper, lower)| [Step::Move(x, upper), Step::Line(x, lower)]);
-        Self::of(steps.collect())
+        Self::from_steps(steps.collect())
     }
 
-    /// Returns upright error bars with caps of `cap` of the plot's width to each side: left, upper end, lower end.
+    /// Returns upright error bars with caps that extend `cap` of the plot's width to each side. An error bar is its share from the left, its
+    /// upper end and its lower end.
     pub fn whiskers(points: impl IntoIterator<Item = (f64, f64, f64)>, cap: f64) -> Self {
         let steps = points.into_iter().flat_map(|(x, upper, lower)| {
             let stroke = |from: Point, to: Point| [Step::Move(from.0, from.1), Step::Line(to.0, to.1)];
             let cap = |y: f64| stroke((x - cap, y), (x + cap, y));
             [stroke((x, upper), (x, lower)), cap(upper), cap(lower)].concat()
         });
-        Self::of(steps.collect())
+        Self::from_steps(steps.collect())
     }
 }
 
-fn outline(steps: &mut Vec<Step>, points: impl IntoIterator<Item = Point>) {
-    let begun = steps.len();
+/// Appends the steps of a closed outline.
+fn append_outline(steps: &mut Vec<Step>, points: impl IntoIterator<Item = Point>) {
+    let first_step = steps.len();
     for (x, y) in points {
-        steps.push(if steps.len() == begun { Step::Move(x, y) } else { Step::Line(x, y) });
+        steps.push(if steps.len() == first_step { Step::Move(x, y) } else { Step::Line(x, y) });
     }
-    if steps.len() > begun {
+    if steps.len() > first_step {
         steps.push(Step::Close);
     }
 }

@@ -12,19 +12,19 @@ pub use step::round_step;
 
 use peernet_statistics::number::{fixed, significant};
 
-/// Largest magnitude of an end of a scale, and the smallest that is not zero.
+/// Largest magnitude of an end of a scale, and the smallest magnitude that is not taken as zero.
 const MAX_MAGNITUDE: f64 = 1e150;
 const MIN_MAGNITUDE: f64 = 1e-150;
 /// Margin beyond the values of a scale from zero, as a share of their range.
 const MARGIN: f64 = 0.04;
-/// Room at both ends of a logarithmic scale of sizes, for the names of points: this power of the range.
-const ENDS: f64 = 0.06;
+/// Room at both ends of a logarithmic scale of sizes, for the names of points: a factor that is this power of the ratio of the ends.
+const SIZES_MARGIN: f64 = 0.06;
 /// Ratio of the largest to the smallest value above which a scale of sizes is logarithmic.
 const DECADE: f64 = 10.0;
-/// Distance of values beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
-const PAST: f64 = 0.05;
+/// Maximum distance of a value beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
+const MAX_OUTSIDE: f64 = 0.05;
 
-/// Spread of values along a scale.
+/// Distribution of the values along a scale.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Spread {
     Linear,
@@ -39,8 +39,9 @@ pub struct Scale {
     spread: Spread,
     /// Smallest distance between two ticks.
     min_tick_distance: f64,
-    /// Distance between two ticks of a scale that ends at ticks.
+    /// Distance between two ticks of a scale that was widened to ticks.
     step: Option<f64>,
+    /// True if labels above zero have a plus sign.
     signed: bool,
 }
 
@@ -86,9 +87,9 @@ impl Scale {
     pub fn of_sizes(values: impl Iterator<Item = f64>) -> Self {
         let (lo, hi) =
             values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)));
-        let room = (hi / lo).powf(ENDS);
-        let wide = Self::decades((lo, hi)).map(|_| Self::logarithmic((lo / room, hi * room)));
-        wide.unwrap_or_else(|| Self::up_to(hi * (1.0 + MARGIN / 2.0), 6))
+        let room = (hi / lo).powf(SIZES_MARGIN);
+        let logarithmic = Self::decades((lo, hi)).map(|_| Self::logarithmic((lo / room, hi * room)));
+        logarithmic.unwrap_or_else(|| Self::up_to(hi * (1.0 + MARGIN / 2.0), 6))
     }
 
     /// Returns a logarithmic scale if these values are above zero and span more than a decade.
@@ -142,14 +143,14 @@ impl Scale {
         self.at_or_outside(value).clamp(0.0, 1.0)
     }
 
-    /// Returns the position of a value. Values beyond the ends are placed slightly outside of them, for lines that leave their plot.
+    /// Returns the position of a value. Values beyond the ends are placed slightly outside of the ends, for lines that leave their plot.
     pub fn at_or_outside(&self, value: f64) -> f64 {
-        let place = match self.spread {
+        let position = match self.spread {
             _ if value.is_nan() => 0.0,
             Spread::Linear => (value - self.lo) / (self.hi - self.lo),
             Spread::Logarithmic => (value.max(MIN_MAGNITUDE) / self.lo).ln() / (self.hi / self.lo).ln(),
         };
-        place.clamp(-PAST, 1.0 + PAST)
+        position.clamp(-MAX_OUTSIDE, 1.0 + MAX_OUTSIDE)
     }
 
     /// Returns whether a value lies on the scale.
@@ -157,7 +158,7 @@ impl Scale {
         (self.lo..=self.hi).contains(&value)
     }
 
-    /// Returns the value at a share of the distance between two values.
+    /// Returns the value at a share of the distance between two values on the drawn axis.
     pub fn between(&self, from: f64, to: f64, share: f64) -> f64 {
         if self.is_logarithmic() && from > 0.0 {
             from * (to / from).powf(share)
@@ -168,15 +169,15 @@ impl Scale {
 
     /// Returns `steps + 1` values from end to end, evenly spaced on the drawn axis.
     pub fn along(&self, steps: u32) -> impl Iterator<Item = f64> + use<> {
-        let this = *self;
-        (0..=steps).map(move |step| this.between(this.lo, this.hi, f64::from(step) / f64::from(steps)))
+        let scale = *self;
+        (0..=steps).map(move |step| scale.between(scale.lo, scale.hi, f64::from(step) / f64::from(steps)))
     }
 
-    /// Returns the ticks, which are round numbers: about `max_ticks` or fewer, or up to twice as many on a logarithmic scale. A widened
-    /// scale has its own number of ticks.
+    /// Returns the ticks, which are round numbers. There are about `max_ticks` or fewer, and up to twice as many on a logarithmic scale. The
+    /// ticks of a widened scale do not depend on `max_ticks`.
     ///
-    /// A logarithmic scale has ticks at powers of ten. If these are fewer than three, 2 and 5 times the powers are added. If there are still
-    /// fewer than three, the ticks are evenly spaced.
+    /// A logarithmic scale has ticks at powers of ten. If it has fewer than three such ticks, 2 and 5 times the powers are added. If it still
+    /// has fewer than three, the ticks are evenly spaced.
     pub fn ticks(&self, max_ticks: usize) -> Vec<Tick> {
         match self.spread {
             Spread::Linear => self.evenly_spaced_ticks(max_ticks),
@@ -200,17 +201,19 @@ impl Scale {
 
     fn power_of_ten_ticks(&self, max_ticks: usize) -> Vec<Tick> {
         let decades = (self.lo.log10().floor() as i32)..=(self.hi.log10().ceil() as i32);
-        let marks = |steps: &'static [f64]| -> Vec<Tick> {
-            let all =
-                decades.clone().flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
-            let inside = all.filter(|value| self.has(*value));
+        let ticks_at = |factors: &'static [f64]| -> Vec<Tick> {
+            let values = decades
+                .clone()
+                .flat_map(|decade| factors.iter().map(move |factor| factor * 10_f64.powi(decade)));
+            let inside = values.filter(|value| self.has(*value));
             inside.map(|value| Tick { value, at: self.at(value), text: power_label(value) }).collect()
         };
-        let found = [marks(&[1.0]), marks(&[1.0, 2.0, 5.0])].into_iter().find(|marks| marks.len() >= 3);
-        let found = found.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));
+        let candidates = [ticks_at(&[1.0]), ticks_at(&[1.0, 2.0, 5.0])];
+        let ticks = candidates.into_iter().find(|ticks| ticks.len() >= 3);
+        let ticks = ticks.unwrap_or_else(|| self.evenly_spaced_ticks(max_ticks));
         // With many powers of ten, only every second, third, … power has a tick.
-        let step = found.len().div_ceil(2 * max_ticks.max(1)).max(1);
-        found.into_iter().step_by(step).collect()
+        let step = ticks.len().div_ceil(2 * max_ticks.max(1)).max(1);
+        ticks.into_iter().step_by(step).collect()
     }
 }
 

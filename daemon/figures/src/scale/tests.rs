@@ -72,7 +72,7 @@ fn widened_scale_ends_at_ticks() {
 }
 
 #[test]
-fn a_scale_up_to_a_value_ends_above_it() {
+fn scale_up_to_value_ends_above_value() {
     assert_eq!(texts(Scale::up_to(25.7, 6), 9), ["0", "5", "10", "15", "20", "25", "30"]);
     assert_eq!(texts(Scale::up_to(0.37, 5), 9), ["0", "0.1", "0.2", "0.3", "0.4"]);
     assert_eq!(texts(Scale::up_to(1_800.0, 4), 9), ["0", "500", "1,000", "1,500", "2,000"]);

@@ -14,16 +14,16 @@ use super::file;
 use crate::plot::Figure;
 use crate::text::{FAMILY, FONT};
 
-/// Pixels of a PNG to the inch.
+/// Pixels of a PNG per inch.
 pub const PIXELS_PER_INCH: f64 = 480.0;
-/// Units of an SVG to the inch (CSS, *Values and Units*, 6.2).
+/// Units of an SVG per inch (CSS, *Values and Units*, 6.2).
 const UNITS_PER_INCH: f32 = 96.0;
-/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk with the size of its pixels follows
+/// Bytes of a PNG's signature and header (W3C, *Portable Network Graphics*, 5.2 and 11.2.1). The chunk [`DENSITY_CHUNK`] is inserted after
 /// them.
-const HEADER: usize = 8 + 25;
-/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 to the metre, and the checksum. Without it, programs that typeset papers
-/// place a picture at the resolution of a screen.
-const DENSITY: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
+const HEADER_BYTES: usize = 8 + 25;
+/// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk, programs that
+/// typeset papers place a picture at the resolution of a screen.
+const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
 /// Endings of the names of a figure's files. The text has `-caption`, because tables have the same names.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
@@ -51,7 +51,7 @@ static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
     Arc::new(fonts)
 });
 
-/// Figure as paths and placed glyphs.
+/// Figure as paths and positioned glyphs, which can be drawn as pixels or PDF.
 pub struct Exported(usvg::Tree);
 
 /// Pixels, three bytes each, row by row.
@@ -68,7 +68,7 @@ impl Exported {
     /// Reads an SVG that [`file::svg`] made.
     ///
     /// # Errors
-    /// If it is no such SVG.
+    /// If the text is not a valid SVG.
     pub fn of(svg: &str) -> Result<Self, ExportError> {
         let options = usvg::Options {
             dpi: UNITS_PER_INCH,
@@ -90,7 +90,7 @@ impl Exported {
         let mut pixmap = Pixmap::new(width, height).ok_or(ExportError::Size(width, height))?;
         resvg::render(&self.0, Transform::from_scale(scale, scale), &mut pixmap.as_mut());
         let mut rgb = pixmap.take();
-        // The ground is opaque, so alpha can be dropped. In place, because the pixels are most of the memory.
+        // The background is opaque, so alpha can be dropped. This is done in place, because the pixels take most of the memory.
         let count = rgb.len() / 4;
         for pixel in 0..count {
             rgb.copy_within(4 * pixel..4 * pixel + 3, 3 * pixel);
@@ -99,7 +99,7 @@ impl Exported {
         Ok(Pixels { width, height, rgb })
     }
 
-    /// Makes a PNG with its resolution.
+    /// Returns the figure as a PNG that states its resolution.
     ///
     /// # Errors
     /// If the figure cannot be drawn.
@@ -113,18 +113,18 @@ impl Exported {
             height,
             ExtendedColorType::Rgb8,
         )?;
-        png.splice(HEADER..HEADER, DENSITY);
+        png.splice(HEADER_BYTES..HEADER_BYTES, DENSITY_CHUNK);
         Ok(png)
     }
 
-    /// Makes a PDF of one page that is as large as the figure, its text as text in a subset of the font.
+    /// Returns the figure as a PDF of one page, which is as large as the figure. Text stays text, in a subset of the embedded font.
     ///
     /// # Errors
     /// If the exporter fails.
     pub fn pdf(&self) -> Result<Vec<u8>, ExportError> {
         let page = PageOptions { dpi: UNITS_PER_INCH };
-        let made = svg2pdf::to_pdf(&self.0, ConversionOptions::default(), page);
-        made.map_err(|error| ExportError::Pdf(error.to_string()))
+        let converted = svg2pdf::to_pdf(&self.0, ConversionOptions::default(), page);
+        converted.map_err(|error| ExportError::Pdf(error.to_string()))
     }
 }
 
@@ -137,6 +137,7 @@ pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4],
     let svg = file::svg(figure);
     write_file(&files[1], svg.as_bytes())?;
     let exported = Exported::of(&svg).map_err(WriteError::at(&files[0]))?;
+    // A figure with many points is a long text, so the text is freed before the pixels are drawn.
     drop(svg);
     write_file(&files[0], &exported.png().map_err(WriteError::at(&files[0]))?)?;
     write_file(&files[2], &exported.pdf().map_err(WriteError::at(&files[2]))?)?;

@@ -1,62 +1,64 @@
-//! Sheet of a page: SVG that grows with its panel, looks given by classes.
+//! SVG for web pages: it grows with its panel, and the style sheet's classes give the colours.
 //!
 //! Plots are laid out in a grid of the style sheet (`.histogram`, `.joint`, …) with the classes `above`, `over`, `yaxis`, `plot`,
 //! `beside`, `xaxis` and `below`. The server does not know the width of a page, so text that might not fit has the class of its minimum
-//! width (`.fits.w8`, …), and the style sheet shows it only from that width on: a clipped figure would be a wrong figure.
+//! width (`.fits.w8`, …). The style sheet hides it below that width, because a clipped number would be a wrong number.
 
 mod draw;
 
-use draw::{items, label};
+use draw::{draw_items, draw_label};
 
 use crate::plot::{Anchor, At, Axis, Item, Key, Label, Plot, Swatch};
 use crate::scale::Tick;
 use crate::svg::{Em, Share, Tag, Writer};
 use crate::text::{rem, width_step};
 
-/// Distance from the top of a plot downwards to the baseline of a remark above it, and of a remark inside if labels are above; in the type
-/// size.
-const REMARK: [f64; 2] = [-0.4, 0.9];
-/// Distance from an end of a plot, as a share, below which a label would extend beyond a plot without room at its sides.
+/// Baseline of a remark below the top of a plot, as multiples of the type size: of a remark above the plot, and of a remark inside the plot,
+/// which is used if labels are above the plot.
+const REMARK_BASELINES: [f64; 2] = [-0.4, 0.9];
+/// A label that is nearer to an end of the axis than this share begins or ends there, so that it does not extend beyond the end.
 const END: f64 = 0.04;
 
-/// Draws a plot with its axes; `class` is its grid in the style sheet, `words` describe it for screen readers.
+/// Draws a plot with its axes. `class` is the plot's grid in the style sheet; `words` describe the plot for screen readers.
 pub fn plot(plot: &Plot, class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     svg.element(Tag::Div).set("class", class).set("role", "img").set("aria-label", words).open();
-    named(&mut svg, "above", &plot.y);
-    if let Some(strip) = &plot.above {
-        hidden(&mut svg, Tag::Svg, "over").open();
-        items(&mut svg, &strip.items);
+    write_axis_title(&mut svg, "above", &plot.y);
+    if let Some(strip) = &plot.top_strip {
+        aria_hidden_element(&mut svg, Tag::Svg, "over").open();
+        draw_items(&mut svg, &strip.items);
         svg.close();
     }
-    let (rows, columns) = (plot.y.ticks(usize::MAX), plot.x.ticks(usize::MAX));
-    side(&mut svg, "yaxis", &rows);
-    hidden(&mut svg, Tag::Svg, "plot").open();
-    for tick in rows.iter().filter(|_| plot.y.has_grid) {
+    let (y_ticks, x_ticks) = (plot.y.ticks(usize::MAX), plot.x.ticks(usize::MAX));
+    write_y_labels(&mut svg, "yaxis", &y_ticks);
+    aria_hidden_element(&mut svg, Tag::Svg, "plot").open();
+    for tick in y_ticks.iter().filter(|_| plot.y.has_grid) {
         line(&mut svg, "gridl", [0.0, 1.0], [1.0 - tick.at; 2]);
     }
-    for tick in columns.iter().filter(|_| plot.x.has_grid) {
+    for tick in x_ticks.iter().filter(|_| plot.x.has_grid) {
         line(&mut svg, "gridl", [tick.at; 2], [0.0, 1.0]);
     }
-    items(&mut svg, &plot.items);
+    draw_items(&mut svg, &plot.items);
     if let Some(remark) = &plot.remark {
-        let at = Label::new(At::new(1.0, 0.0), remark.clone(), crate::look::TextStyle::BEYOND);
-        label(&mut svg, &at.anchored(Anchor::End).shifted(0.0, REMARK[usize::from(plot.lines_above > 0)]));
+        let label = Label::new(At::new(1.0, 0.0), remark.clone(), crate::look::TextStyle::BEYOND);
+        let baseline = REMARK_BASELINES[usize::from(plot.lines_above > 0)];
+        draw_label(&mut svg, &label.anchored(Anchor::End).shifted(0.0, baseline));
     }
     svg.close();
-    if let Some(strip) = &plot.beside {
-        hidden(&mut svg, Tag::Svg, "beside").open();
-        items(&mut svg, &strip.items);
+    if let Some(strip) = &plot.right_strip {
+        aria_hidden_element(&mut svg, Tag::Svg, "beside").open();
+        draw_items(&mut svg, &strip.items);
         svg.close();
     }
-    row(&mut svg, "xaxis", &columns.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
-    named(&mut svg, "below", &plot.x);
+    let x_labels: Vec<_> = x_ticks.iter().map(|tick| (Anchor::Middle, tick)).collect();
+    write_x_labels(&mut svg, "xaxis", &x_labels);
+    write_axis_title(&mut svg, "below", &plot.x);
     svg.finish()
 }
 
-/// Draws items without axes in one picture, such as a bar or a sparkline. Without words it is hidden from screen readers, for pictures
-/// whose content is in the text beside them.
-pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
+/// Draws items without axes in one picture, such as a bar or a sparkline. `words` describe the picture for screen readers. If `words` are
+/// empty, the picture is hidden from screen readers, because the text beside the picture says the same.
+pub fn picture(items: &[Item], class: &str, words: &str) -> String {
     let mut svg = Writer::default();
     let picture = svg.element(Tag::Svg).set("class", class);
     if words.is_empty() {
@@ -64,25 +66,25 @@ pub fn picture(drawn: &[Item], class: &str, words: &str) -> String {
     } else {
         picture.set("role", "img").set("aria-label", words).open();
     }
-    items(&mut svg, drawn);
+    draw_items(&mut svg, items);
     svg.finish()
 }
 
 /// Draws labels in a column at the left side of a picture.
-pub fn rows(class: &str, ticks: &[Tick]) -> String {
+pub fn y_labels(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
-    side(&mut svg, class, ticks);
+    write_y_labels(&mut svg, class, ticks);
     svg.finish()
 }
 
-/// Draws labels in a row above bars or below a plot. If they would touch, every second one is shown.
+/// Draws labels in a row above bars or below a plot. If neighbours would touch, only every second label is shown, or every fourth and so on.
 pub fn axis(class: &str, ticks: &[Tick]) -> String {
     let mut svg = Writer::default();
-    row(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
+    write_x_labels(&mut svg, class, &ticks.iter().map(|tick| (Anchor::Middle, tick)).collect::<Vec<_>>());
     svg.finish()
 }
 
-/// Draws the same row for a picture that has no room at its sides: labels at its ends are inside.
+/// Draws the same row as [`axis`], for a picture that has no room at its sides. Labels at the ends stay inside the picture.
 pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
     let anchor = |tick: &Tick| match tick.at {
         left if left < END => Anchor::Start,
@@ -90,7 +92,7 @@ pub fn axis_within(class: &str, ticks: &[Tick]) -> String {
         _ => Anchor::Middle,
     };
     let mut svg = Writer::default();
-    row(&mut svg, class, &ticks.iter().map(|tick| (anchor(tick), tick)).collect::<Vec<_>>());
+    write_x_labels(&mut svg, class, &ticks.iter().map(|tick| (anchor(tick), tick)).collect::<Vec<_>>());
     svg.finish()
 }
 
@@ -110,7 +112,7 @@ pub fn legend(keys: &[Key], class: &str) -> String {
                 Item::mark(middle, *mark, 3.0, style.clone())
             }
         };
-        items(&mut svg, &[sample]);
+        draw_items(&mut svg, &[sample]);
         svg.close();
         svg.words(&key.text);
         svg.close();
@@ -119,24 +121,25 @@ pub fn legend(keys: &[Key], class: &str) -> String {
 }
 
 /// Writes the title of an axis.
-fn named(svg: &mut Writer, class: &str, axis: &Axis) {
+fn write_axis_title(svg: &mut Writer, class: &str, axis: &Axis) {
     let title = axis.page_title();
     if !title.is_empty() {
-        hidden(svg, Tag::Span, class).words(&title);
+        aria_hidden_element(svg, Tag::Span, class).words(&title);
     }
 }
 
-/// Writes labels at the left side of a picture.
-fn side(svg: &mut Writer, class: &str, ticks: &[Tick]) {
-    hidden(svg, Tag::Svg, class).open();
+/// Writes labels in a column at the left side of a picture.
+fn write_y_labels(svg: &mut Writer, class: &str, ticks: &[Tick]) {
+    aria_hidden_element(svg, Tag::Svg, class).open();
     for tick in ticks {
-        let row = svg.element(Tag::Text).set("x", Share(1.0)).set("y", Share(1.0 - tick.at));
-        row.set("dy", Em(0.36)).set("text-anchor", "end").words(&tick.text);
+        let text = svg.element(Tag::Text).set("x", Share(1.0)).set("y", Share(1.0 - tick.at));
+        text.set("dy", Em(0.36)).set("text-anchor", "end").words(&tick.text);
     }
     svg.close();
 }
 
-fn hidden<'a>(svg: &'a mut Writer, tag: Tag, class: &str) -> crate::svg::Attributes<'a> {
+/// Begins an element that screen readers skip, because `aria-label` of the whole plot describes the plot.
+fn aria_hidden_element<'a>(svg: &'a mut Writer, tag: Tag, class: &str) -> crate::svg::Attributes<'a> {
     svg.element(tag).set("class", class).set("aria-hidden", "true")
 }
 
@@ -145,26 +148,30 @@ fn line(svg: &mut Writer, class: &str, x: [f64; 2], y: [f64; 2]) {
     line.set("y1", Share(y[0])).set("y2", Share(y[1])).leaf();
 }
 
-/// Writes labels, each with the width from which on it is shown.
-fn row(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
-    let sides = |(anchor, tick): &(Anchor, &Tick)| match anchor {
+/// Writes labels in a row, each with the class of the minimum width at which it is shown.
+fn write_x_labels(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
+    // Width of a label to the left and to the right of its tick.
+    let side_widths = |(anchor, tick): &(Anchor, &Tick)| match anchor {
         Anchor::Start => [0.0, rem(&tick.text)],
         Anchor::Middle => [rem(&tick.text) / 2.0; 2],
         Anchor::End => [rem(&tick.text), 0.0],
     };
-    hidden(svg, Tag::Svg, &format!("axisrow {class}")).open();
-    for (index, this) in labels.iter().enumerate() {
-        // A label is hidden together with all others whose index is divisible by the same power of two.
+    aria_hidden_element(svg, Tag::Svg, &format!("axisrow {class}")).open();
+    for (index, label) in labels.iter().enumerate() {
+        // As the picture gets narrower, labels are hidden in steps: first those with an odd index, then those whose index is an odd multiple
+        // of 2, then of 4, and so on. The first label is always shown. The neighbours of a label when it is hidden are `stride` indexes away.
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
-        let before = index.checked_sub(stride).and_then(|other| labels.get(other));
-        let after = labels.get(index + stride);
-        let apart = [
-            before.map(|other| (this.1.at - other.1.at, sides(this)[0] + sides(other)[1])),
-            after.map(|other| (other.1.at - this.1.at, sides(this)[1] + sides(other)[0])),
+        let previous = index.checked_sub(stride).and_then(|other| labels.get(other));
+        let next = labels.get(index + stride);
+        // Distance to each neighbour, as a share of the picture, and the width that both labels need between their ticks.
+        let distances = [
+            previous.map(|other| (label.1.at - other.1.at, side_widths(label)[0] + side_widths(other)[1])),
+            next.map(|other| (other.1.at - label.1.at, side_widths(label)[1] + side_widths(other)[0])),
         ];
-        let needs = apart.into_iter().flatten().map(|(share, taken)| taken / share).fold(0.0, f64::max);
-        let Some(step) = width_step(needs) else { continue };
-        let (anchor, tick) = this;
+        let min_width =
+            distances.into_iter().flatten().map(|(share, width)| width / share).fold(0.0, f64::max);
+        let Some(step) = width_step(min_width) else { continue };
+        let (anchor, tick) = label;
         let text = svg.element(Tag::Text).set("class", format!("fits w{step}")).set("x", Share(tick.at));
         text.set("y", "70%").set("text-anchor", anchor.name()).words(&tick.text);
     }

@@ -2,52 +2,55 @@
 
 use super::width;
 
-/// Returns the text. If it is wider than `room`, its middle is replaced by `…`, because names often differ at their end.
+/// Returns the text. If the text is wider than `room`, its middle is replaced by `…`. The end is kept, because names often differ there.
 pub fn shorten(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
     }
     let chars: Vec<char> = text.chars().collect();
-    let cut = |count: usize| {
-        let tail = count * 2 / 5;
+    let keep_chars = |count: usize| {
+        let tail_len = count * 2 / 5;
         let part = |chars: &[char]| chars.iter().collect::<String>();
-        let (head, tail) = (part(&chars[..count - tail]), part(&chars[chars.len() - tail..]));
+        let (head, tail) = (part(&chars[..count - tail_len]), part(&chars[chars.len() - tail_len..]));
         format!("{}…{}", head.trim_end(), tail.trim_start())
     };
-    let fits = (0..chars.len()).rev().map(cut).find(|text| width(text, size) <= room);
-    fits.unwrap_or_else(|| "…".to_owned())
+    let longest_fitting = (0..chars.len()).rev().map(keep_chars).find(|text| width(text, size) <= room);
+    longest_fitting.unwrap_or_else(|| "…".to_owned())
 }
 
-/// Shortens names that are side by side, so that different names remain different. Names that would look alike lose the text that they
-/// share at their ends instead of their middle: `…_s_…` and `…_m_…`.
+/// Shortens names that are shown together, so that different names remain different. If names would look alike without their middle, their
+/// common beginning and end are replaced instead: `…_s_…` and `…_m_…`.
 pub fn shorten_distinctly(names: &[&str], size: f64, room: f64) -> Vec<String> {
     let short: Vec<String> = names.iter().map(|name| shorten(name, size, room)).collect();
-    let alike = |at: usize| -> Vec<&str> {
+    let look_alikes = |index: usize| -> Vec<&str> {
         let others =
-            names.iter().zip(&short).filter(|(name, text)| **text == short[at] && **name != names[at]);
+            names.iter().zip(&short).filter(|(name, text)| **text == short[index] && **name != names[index]);
         others.map(|(name, _)| *name).collect()
     };
-    let distinct = |(at, text): (usize, &String)| {
-        let others = alike(at);
-        if others.is_empty() { text.clone() } else { shorten(&difference(names[at], &others), size, room) }
+    let distinct = |(index, text): (usize, &String)| {
+        let others = look_alikes(index);
+        if others.is_empty() { text.clone() } else { shorten(&difference(names[index], &others), size, room) }
     };
     short.iter().enumerate().map(distinct).collect()
 }
 
-/// Returns the part of a name in which it differs from the others. The common beginning and end become `…`.
+/// Returns the part of a name that differs from the other names. The beginning and the end that all names share become `…`.
 fn difference(name: &str, others: &[&str]) -> String {
-    fn shared(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
+    fn common_len(a: impl Iterator<Item = char>, b: impl Iterator<Item = char>) -> usize {
         a.zip(b).take_while(|(a, b)| a == b).count()
     }
-    let head = others.iter().map(|other| shared(name.chars(), other.chars())).min().unwrap_or_default();
-    let tail = others.iter().map(|other| {
-        let left = name.chars().count().min(other.chars().count()) - head;
-        shared(name.chars().rev(), other.chars().rev()).min(left)
+    let head_len =
+        others.iter().map(|other| common_len(name.chars(), other.chars())).min().unwrap_or_default();
+    let tail_len = others.iter().map(|other| {
+        // The common end must not overlap the common beginning.
+        let max_len = name.chars().count().min(other.chars().count()) - head_len;
+        common_len(name.chars().rev(), other.chars().rev()).min(max_len)
     });
-    let tail = tail.min().unwrap_or_default();
-    let middle: String = name.chars().skip(head).take(name.chars().count() - head - tail).collect();
-    let end = |count: usize| if count > 0 { "…" } else { "" };
-    format!("{}{middle}{}", end(head), end(tail))
+    let tail_len = tail_len.min().unwrap_or_default();
+    let middle_len = name.chars().count() - head_len - tail_len;
+    let middle: String = name.chars().skip(head_len).take(middle_len).collect();
+    let ellipsis = |replaced_len: usize| if replaced_len > 0 { "…" } else { "" };
+    format!("{}{middle}{}", ellipsis(head_len), ellipsis(tail_len))
 }
 
 /// Breaks a text between words into lines that fit. A word that is wider than a line is shortened.
@@ -83,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn text_is_made_to_fit() {
+    fn long_text_is_shortened_or_wrapped() {
         assert_eq!(shorten("short", 50.0, 1000.0), "short");
         let cut = shorten(&"a long label ".repeat(20), 50.0, 300.0);
         assert!(cut.starts_with("a lo") && cut.contains('…') && width(&cut, 50.0) <= 300.0, "{cut}");

@@ -5,15 +5,15 @@ use std::sync::LazyLock;
 use peernet_sample::printable_line;
 use ttf_parser::Face;
 
-/// Family of the font; files that are opened elsewhere name substitutes after it.
+/// Family of the font. Files name substitutes after it, for programs that do not have the font.
 pub const FAMILY: &str = "Inter";
-/// Font of the dashboard in one weight, with the glyphs that figures use: `assets/instance.py`.
+/// Font of the dashboard in one weight, with the glyphs that figures use. `assets/instance.py` makes it.
 pub const FONT: &[u8] = include_bytes!("../../assets/inter.ttf");
 
 /// Advance of a character that the font lacks, as a share of the type size: about that of a wide letter.
 const UNKNOWN: f64 = 0.7;
 
-/// Advances of the font's characters up to the end of Latin-1, as shares of the type size; others are looked up.
+/// Advances of the characters of Latin-1, as shares of the type size. Other characters are looked up in the font each time.
 static ADVANCES: LazyLock<[f64; 0x100]> = LazyLock::new(|| {
     std::array::from_fn(|code| char::from_u32(code as u32).and_then(advance).unwrap_or(UNKNOWN))
 });
@@ -26,13 +26,12 @@ fn advance(character: char) -> Option<f64> {
     Some(f64::from(advance) / f64::from(face.units_per_em()))
 }
 
-/// Returns the width of one line of text in the unit of the type size. Kerning is left out, which makes text narrower by less
-/// than 1 %.
+/// Returns the width of one line of text in the unit of the type size. Kerning is ignored; it would make the text narrower by less than 1 %.
 pub fn width(text: &str, size: f64) -> f64 {
-    let of = |character: char| {
+    let cached_advance = |character: char| {
         ADVANCES.get(character as usize).copied().unwrap_or_else(|| advance(character).unwrap_or(UNKNOWN))
     };
-    printable_line(text).chars().map(of).sum::<f64>() * size
+    printable_line(text).chars().map(cached_advance).sum::<f64>() * size
 }
 
 /// Returns the first character of a text that the font has no glyph for.
@@ -45,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn widths_are_those_of_the_font() {
+    fn text_width_follows_advances_of_the_font() {
         assert!(width("iterations", 7.0) > width("iter", 7.0));
         assert!((width("HH", 10.0) - 2.0 * width("H", 10.0)).abs() < 1e-9);
         // Inter's H is 0.744 of the type size wide.

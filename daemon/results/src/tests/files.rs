@@ -69,10 +69,14 @@ fn written_rows_are_read_back() {
     assert_eq!((loaded.record.clone(), loaded.damage()), (record(), None));
     let by_file = ResultFolder::open(&folder.path().join("data.csv")).expect("readable");
     assert_eq!((by_file.rows, by_file.record), (loaded.rows, loaded.record));
-    let beside = folder.path().join("killed.csv");
-    std::fs::copy(folder.path().join("data.csv"), &beside).expect("writable");
-    let beside = ResultFolder::open(&beside).expect("readable").record;
-    assert_eq!((beside.format, beside.name.as_str()), (0, "killed"), "run.json tells of data.csv alone");
+    let other_file = folder.path().join("killed.csv");
+    std::fs::copy(folder.path().join("data.csv"), &other_file).expect("writable");
+    let other_file = ResultFolder::open(&other_file).expect("readable").record;
+    assert_eq!(
+        (other_file.format, other_file.name.as_str()),
+        (0, "killed"),
+        "run.json tells of data.csv alone"
+    );
 }
 
 #[test]
@@ -126,12 +130,12 @@ fn truncated_file_gives_complete_rows() {
     std::fs::write(&path, &text[..text.len() - 3]).expect("writable");
     let loaded = ResultFolder::open(folder.path()).expect("readable");
     assert_eq!(loaded.rows, kept(&rows(9)));
-    let told = loaded.damage().expect("one is missing");
-    assert_eq!(told.to_string(), "data.csv has 9 of the 10 iterations that run.json counts");
+    let damage = loaded.damage().expect("one is missing");
+    assert_eq!(damage.to_string(), "data.csv has 9 of the 10 iterations that run.json counts");
     let text = text.replace(",lost,", ",timeout,");
     std::fs::write(&path, &text).expect("writable");
-    let told = ResultFolder::open(folder.path()).expect("readable").damage();
-    assert_eq!(told, Some(RowsDamage::Outcomes));
+    let damage = ResultFolder::open(folder.path()).expect("readable").damage();
+    assert_eq!(damage, Some(RowsDamage::Outcomes));
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
     assert_eq!(ResultFolder::open(folder.path()).expect("readable").damage(), None, "nothing counts them");
 }
@@ -139,7 +143,7 @@ fn truncated_file_gives_complete_rows() {
 #[test]
 fn partial_results_are_marked() {
     let folder = tempfile::tempdir().expect("a folder");
-    let told = |limit: u64, reason: &str| {
+    let incompleteness = |limit: u64, reason: &str| {
         let pipeline = serde_json::json!({ "limit": { "total": limit } });
         let written = RunRecord { reason: reason.into(), pipeline, ..record() };
         let text = serde_json::to_vec(&written).expect("JSON");
@@ -147,22 +151,27 @@ fn partial_results_are_marked() {
         ResultFolder::open(folder.path()).expect("readable").incompleteness()
     };
     write(folder.path(), &rows(10));
-    assert_eq!(told(10, "finished"), None);
-    assert_eq!(told(10, "stopped"), None, "it had all that was ordered, three unseen");
-    assert_eq!(told(20, "").as_deref(), None, "nobody knows");
+    assert_eq!(incompleteness(10, "finished"), None);
+    assert_eq!(incompleteness(10, "stopped"), None, "it had all that was ordered, three unseen");
+    assert_eq!(incompleteness(20, "").as_deref(), None, "nobody knows");
     let interrupted = "the run was interrupted after 13 of 20 iterations";
-    assert_eq!(told(20, "stopped").as_deref(), Some(interrupted));
+    assert_eq!(incompleteness(20, "stopped").as_deref(), Some(interrupted));
     let gone = "the run broke off after 13 of 20 iterations: the cloud went";
-    assert_eq!(told(20, "the cloud went").as_deref(), Some(gone));
+    assert_eq!(incompleteness(20, "the cloud went").as_deref(), Some(gone));
 
     std::fs::remove_file(folder.path().join("run.json")).expect("it is there");
-    let lacking = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
-    assert!(lacking().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", lacking());
+    let current_incompleteness = || ResultFolder::open(folder.path()).expect("readable").incompleteness();
+    assert!(
+        current_incompleteness()
+            .is_some_and(|incompleteness| incompleteness.contains("in progress or was killed")),
+        "{:?}",
+        current_incompleteness()
+    );
     let alone = folder.path().join("run-7.csv");
     std::fs::copy(folder.path().join("data.csv"), &alone).expect("writable");
     assert_eq!(ResultFolder::open(&alone).expect("readable").incompleteness(), None, "it never had a record");
     std::fs::write(folder.path().join("data.csv"), "iteration,inference\n1,0.1\n").expect("writable");
-    assert_eq!(lacking(), None, "nor has a file of the published program");
+    assert_eq!(current_incompleteness(), None, "nor has a file of the published program");
 }
 
 #[test]
@@ -219,8 +228,9 @@ fn folder_is_locked_for_one_program() {
         let refused = ResultFolder::create(folder.path(), overwrite).expect_err("it is taken").to_string();
         assert!(refused.contains("another peernet is writing"), "{refused}");
     }
-    let beside = ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
-    assert_eq!(beside.path(), folder.path().join("run-2"));
+    let other_file =
+        ResultFolder::create(folder.path(), Overwrite::Subfolder).expect("there is another place");
+    assert_eq!(other_file.path(), folder.path().join("run-2"));
     assert_eq!(std::fs::read_dir(first.path()).expect("a folder").count(), 1, "a lock leaves nothing behind");
     drop(first);
     ResultFolder::create(folder.path(), Overwrite::Replace).expect("it is free again");

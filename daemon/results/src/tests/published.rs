@@ -43,7 +43,7 @@ fn published_file_without_record_is_read() {
 }
 
 #[test]
-fn value_of_stage_with_nested_nodes_is_its_duration() {
+fn stage_with_nested_nodes_has_its_own_duration() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = "iteration,sensing,upload,inference_val,inference_backbone,inference_head,download\n\
                 1,0.001,0.02,0.09,0.06,0.025,0.0005\n";

@@ -16,11 +16,11 @@ fn labels_outside_model_classes_are_reported() {
     let facts = vec![("Classes".to_owned(), "4: good, dented".to_owned())];
     let summary = Summary::from_rows(&kept(&rows)).with_record(&RunRecord { facts, ..RunRecord::default() });
     let (text, ok) = (text(&summary), summary.counts.ok);
-    let told = format!(
+    let sentence = format!(
         "Not scored: {ok} of {}, because the label is not a class of the model (classes: good, dented).",
         counted(ok, "iteration")
     );
-    assert!(text.contains(&told) && !text.contains("unknown-label"), "{text}");
+    assert!(text.contains(&sentence) && !text.contains("unknown-label"), "{text}");
 }
 
 #[test]
@@ -34,8 +34,8 @@ fn counts_are_sums_and_shares() {
     let text = text(&summary);
     let starts = summary.starts;
     assert!(starts.started > summary.counts.ok && starts.skipped == 2 * starts.started, "{starts:?}");
-    let told = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.total());
-    assert!(text.contains(&told) && !text.contains("skipped-starts"), "{text}");
+    let sentence = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.total());
+    assert!(text.contains(&sentence) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
     assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
     assert!(csv(&summary).contains("\nskipped-starts,"), "for programs");
@@ -53,8 +53,8 @@ fn missed_deadlines_are_share_of_all_iterations() {
     let record = RunRecord { deadline_s: Some(0.1), ..RunRecord::default() };
     let summary = Summary::from_rows(&kept(&rows)).with_record(&record);
     let text = text(&summary);
-    let told = format!("Deadline of 100 ms: missed by {missed} of {} iterations (", counted.len());
-    assert!(text.contains(&told) && !text.contains("deadline-missed"), "{text}");
+    let sentence = format!("Deadline of 100 ms: missed by {missed} of {} iterations (", counted.len());
+    assert!(text.contains(&sentence) && !text.contains("deadline-missed"), "{text}");
     let csv = csv(&summary);
     let line = csv.lines().find(|line| line.starts_with("deadline-missed,")).expect("for programs");
     let mean: f64 = line.split(',').nth(2).and_then(|cell| cell.parse().ok()).expect("a number");

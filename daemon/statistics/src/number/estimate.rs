@@ -6,13 +6,15 @@ use super::{decimals, fixed, has_nonzero_digit, join_ends, with_plus_sign};
 /// Largest number of decimals of an estimate: a picosecond.
 const MAX_DECIMALS: usize = 9;
 
-/// Estimate with its interval. Both end with the second significant digit of the interval's half width. Unlike a
-/// bound from clocks, an interval may be arbitrarily narrow.
+/// Estimate with its interval, in ms. Both are shown to the second significant digit of the interval's half width. Unlike
+/// bounds from clocks, the interval may be arbitrarily narrow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
     /// Estimated value, ms.
     value: f64,
+    /// Ends of the interval, ms.
     interval: (f64, f64),
+    /// Number of decimals of all numbers.
     decimals: usize,
 }
 
@@ -68,9 +70,14 @@ impl Estimate {
     /// is not shown as zero.
     fn format(&self, value: f64) -> String {
         let excludes_zero = self.interval.0 > 0.0 || self.interval.1 < 0.0;
-        let first = if excludes_zero && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
+        // Number of decimals up to the first significant digit.
+        let min_decimals = if excludes_zero && value != 0.0 { -value.abs().log10().floor() } else { 0.0 };
         let text = fixed(value, self.decimals);
-        if first > 0.0 && !has_nonzero_digit(&text) { fixed(value, first as usize) } else { text }
+        if min_decimals > 0.0 && !has_nonzero_digit(&text) {
+            fixed(value, min_decimals as usize)
+        } else {
+            text
+        }
     }
 }
 

@@ -17,7 +17,7 @@ const MIN_COLUMN_DECIMALS: usize = 2;
 /// Largest number of decimals in such a column.
 const MAX_COLUMN_DECIMALS: usize = 3;
 
-/// Returns the number of decimals of a value in ms without an interval: three significant digits, to the nanosecond.
+/// Returns the number of decimals of a value in ms without an interval: three significant digits, at most to the nanosecond.
 pub(super) fn default_decimals(ms: f64) -> usize {
     if ms.abs() < MIN_DISTINGUISHABLE_MS { 2 } else { decimals(ms, 3).min(MAX_DECIMALS) }
 }
@@ -57,8 +57,8 @@ pub fn difference_ms(seconds: f64) -> String {
 
 /// Formats mean and deviation, or value and margin, in ms: `16.2` and `1.1`.
 ///
-/// Both end with the second digit of the deviation, down to a tenth of a microsecond, or further if the value is
-/// shorter. Without a deviation the value has three digits.
+/// Both end with the second significant digit of the deviation, at most at a tenth of a microsecond, or later if the mean
+/// itself needs more decimals. Without a deviation the mean has three significant digits.
 pub fn mean_std_ms(mean: f64, std: Option<f64>) -> (String, Option<String>) {
     let std = std.filter(|std| std.is_finite());
     let decimals = match std {
@@ -78,8 +78,8 @@ pub fn mean_std(mean: f64, std: Option<f64>) -> String {
     }
 }
 
-/// Formats an interval of measured values in ms, to the second digit of its half width: `0.0418 – 0.0561`,
-/// `−1.54 to −1.35`. Equal ends give one number.
+/// Formats an interval of measured values in ms: `0.0418 – 0.0561`, `−1.54 to −1.35`. Both ends have as many decimals as
+/// half the width needs for two significant digits. Equal ends give one number.
 pub fn range_ms((lo, hi): (f64, f64)) -> String {
     if lo == hi {
         return milliseconds(lo);
@@ -88,8 +88,8 @@ pub fn range_ms((lo, hi): (f64, f64)) -> String {
     join_ends([lo, hi].map(|end| fixed(end * 1e3, decimals)))
 }
 
-/// Returns the number of decimals of a column in ms whose values have a known error: two, or three if the half width
-/// has its second digit there. All values of a stage have the same number, so that they can be compared.
+/// Returns the number of decimals of a column in ms whose values have a known error: three if the half width needs so many
+/// for two significant digits, otherwise two. All values of a column have the same number, so that they can be compared.
 pub fn column_decimals(half_width: Option<f64>) -> usize {
     match half_width {
         None => MIN_COLUMN_DECIMALS,
@@ -99,8 +99,8 @@ pub fn column_decimals(half_width: Option<f64>) -> usize {
     }
 }
 
-/// Formats a round trip in ms with three significant digits and at most two decimals; a short one to the microsecond:
-/// `1.30`, `0.018`.
+/// Formats a round trip in ms with three significant digits and at most two decimals: `1.30`. A short round trip is given to
+/// the microsecond: `0.018`.
 pub fn trip_ms(seconds: f64) -> String {
     let ms = seconds * 1e3;
     measured(ms, if ms.abs() < 0.095 { 3 } else { decimals(ms, 3).min(2) })

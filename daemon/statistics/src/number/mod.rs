@@ -33,10 +33,10 @@ pub const EXACT: &str = "exact";
 
 const MINUS: &str = "\u{2212}";
 
-/// Numbers of this magnitude or more are written with their power of ten.
-// So many digits are hard to read.
+/// Magnitude from which numbers are written with their power of ten.
+// More digits than these are hard to read.
 const EXPONENT_FROM: f64 = 1e12;
-/// Numbers below this magnitude are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
+/// Magnitude below which numbers are written with their power of ten if [`MAX_DECIMALS`] decimals were requested.
 const EXPONENT_BELOW: f64 = 1e-12;
 /// Largest number of decimals; more are cut off.
 const MAX_DECIMALS: usize = 17;
@@ -65,6 +65,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     format!("{sign}{}{point}{fraction}", group(whole))
 }
 
+/// Inserts commas between thousands.
 fn group(digits: &str) -> String {
     let mut grouped = String::with_capacity(digits.len() * 4 / 3);
     for (index, digit) in digits.chars().enumerate() {
@@ -82,20 +83,20 @@ pub fn count(value: u64) -> String {
 }
 
 /// Formats a count with its noun: `1 iteration`, `2,000 iterations`.
-pub fn counted(value: u64, what: &str) -> String {
-    format!("{} {what}{}", count(value), if value == 1 { "" } else { "s" })
+pub fn counted(value: u64, noun: &str) -> String {
+    format!("{} {noun}{}", count(value), if value == 1 { "" } else { "s" })
 }
 
 /// Returns the number of decimals that show this number of significant digits.
 pub fn decimals(value: f64, digits: usize) -> usize {
-    let after_first = digits.saturating_sub(1);
+    let digits_after_first = digits.saturating_sub(1);
     if value == 0.0 || !value.is_finite() {
-        return after_first;
+        return digits_after_first;
     }
-    // Rounded first, because rounding may carry into the next place: 0.09996 has three digits as 0.100.
-    let rounded = format!("{value:.after_first$e}");
+    // The value is rounded first, because rounding may carry into the next place: 0.09996 has three digits as 0.100.
+    let rounded = format!("{value:.digits_after_first$e}");
     let power: i32 = rounded.split_once('e').and_then(|(_, power)| power.parse().ok()).unwrap_or_default();
-    usize::try_from(after_first as i32 - power).unwrap_or_default()
+    usize::try_from(digits_after_first as i32 - power).unwrap_or_default()
 }
 
 /// Formats a number with three significant digits, however small it is: `0.00631`, `0.620`, `16.1`, `1,243`.
@@ -134,8 +135,8 @@ fn has_nonzero_digit(text: &str) -> bool {
     text.bytes().any(|digit| (b'1'..=b'9').contains(&digit))
 }
 
-/// Joins both ends of an interval by a dash, or by a word, because a dash before a minus sign is hard to read. Equal
-/// ends give one number.
+/// Joins both ends of an interval by a dash. If an end is negative, they are joined by a word, because a dash before a
+/// minus sign is hard to read. Equal ends give one number.
 fn join_ends([lo, hi]: [String; 2]) -> String {
     match (lo == hi, lo.starts_with(MINUS) || hi.starts_with(MINUS)) {
         (true, _) => lo,

@@ -2,15 +2,16 @@
 
 use super::Sketch;
 
-/// Largest number of bins; the lowest ones share a bin if there would be more.
+/// Maximum number of bins. If there would be more, the lowest bins are merged into one.
 pub(super) const MAX_BINS_PER_SIGN: usize = 2048;
 
+/// Ratio of the upper to the lower end of a bin.
 const GAMMA: f64 = (1.0 + Sketch::RELATIVE_ERROR) / (1.0 - Sketch::RELATIVE_ERROR);
 /// ln(γ) = 2 artanh(1 %), as a literal because logarithms cannot be computed in constants.
 const LN_GAMMA: f64 = 0.020_000_666_706_669_524;
 const PER_LN_GAMMA: f64 = 1.0 / LN_GAMMA;
 
-/// Keys of all numbers between [`Sketch::MIN_MAGNITUDE`] and the largest finite one, with a margin for rounding.
+/// Keys of all numbers between [`Sketch::MIN_MAGNITUDE`] and the largest finite number, with a margin for rounding.
 pub(super) const VALID_KEYS: std::ops::RangeInclusive<i32> = -1_200..=35_600;
 
 /// Returns the key of the bin of a finite magnitude.
@@ -61,11 +62,12 @@ impl Bins {
     pub(super) fn merge(&mut self, other: &Self) {
         let Some(highest) = other.highest_key() else { return };
         self.extend_range(other.first, highest);
-        let below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
-        let (collapsed, rest) = other.counts.split_at(below);
+        // Bins of the other sketch below the stored range are added to the lowest bin.
+        let bins_below = usize::try_from(self.first - other.first).unwrap_or(0).min(other.counts.len());
+        let (collapsed, rest) = other.counts.split_at(bins_below);
         self.counts[0] += collapsed.iter().sum::<u64>();
-        let at = usize::try_from(other.first - self.first).unwrap_or(0);
-        for (bin, count) in self.counts[at..].iter_mut().zip(rest) {
+        let offset = usize::try_from(other.first - self.first).unwrap_or(0);
+        for (bin, count) in self.counts[offset..].iter_mut().zip(rest) {
             *bin += count;
         }
         self.total += other.total;
@@ -77,15 +79,17 @@ impl Bins {
 
     /// Iterates over the bins that are not empty, lowest first.
     pub(super) fn iter(&self) -> impl DoubleEndedIterator<Item = (i32, u64)> + '_ {
-        let keyed = self.counts.iter().enumerate().map(|(index, count)| (self.first + index as i32, *count));
-        keyed.filter(|(_, count)| *count > 0)
+        let with_keys =
+            self.counts.iter().enumerate().map(|(index, count)| (self.first + index as i32, *count));
+        with_keys.filter(|(_, count)| *count > 0)
     }
 
     fn highest_key(&self) -> Option<i32> {
         Some(self.first + i32::try_from(self.counts.len()).ok()? - 1).filter(|_| !self.counts.is_empty())
     }
 
-    /// Extends the stored range to the keys `low..=high`, as far down as [`MAX_BINS_PER_SIGN`] bins reach from the highest key.
+    /// Extends the stored range to the keys `low..=high`. The range has at most [`MAX_BINS_PER_SIGN`] bins, counted down from the highest key;
+    /// lower bins are merged into its lowest bin.
     fn extend_range(&mut self, low: i32, high: i32) {
         let (lowest, highest) = match self.highest_key() {
             None => (low, high),
@@ -102,8 +106,8 @@ impl Bins {
             self.counts.resize(self.counts.len().max(1), 0);
             self.counts[0] += sum;
         } else if lowest < self.first {
-            let more = (self.first - lowest) as usize;
-            self.counts.splice(..0, std::iter::repeat_n(0, more));
+            let added = (self.first - lowest) as usize;
+            self.counts.splice(..0, std::iter::repeat_n(0, added));
             self.first = lowest;
         }
         self.counts.resize((highest - self.first) as usize + 1, 0);

@@ -11,12 +11,12 @@ use crate::Merge;
 
 /// Quantiles of numbers of any sign, with a relative error of at most 1 %.
 ///
-/// DDSketch (Masson, Rim and Lee, VLDB 2019): the bin of a number is its logarithm to the base γ = 1.01 / 0.99,
-/// rounded up; the bin's midpoint differs by at most 1 % from every number in it. Merging adds bins, in any order,
-/// without loss.
+/// This is a DDSketch (Masson, Rim and Lee, VLDB 2019). The key of a number's bin is the logarithm of the number to the
+/// base γ = 1.01 / 0.99, rounded up. The midpoint of a bin differs by at most 1 % from every number in the bin. Merging
+/// adds the counts of the bins; the order does not matter, and nothing is lost.
 ///
-/// Memory is bounded: at most [`Sketch::MAX_BINS`] bins per sign, which span a factor of 6 × 10¹⁷ between the largest
-/// number and the smallest one that is distinguished. Numbers closer to zero share a bin, so that the error of the
+/// Memory is bounded: each sign has at most [`Sketch::MAX_BINS`] bins. These span a factor of 6 × 10¹⁷ between the largest
+/// number and the smallest number that is distinguished. Numbers closer to zero share a bin, so that the error of the
 /// large quantiles stays bounded.
 ///
 /// ```
@@ -28,9 +28,11 @@ use crate::Merge;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sketch {
+    /// Bins of positive numbers.
     positive: Bins,
     /// Bins of the magnitudes of negative numbers.
     negative: Bins,
+    /// Number of zeros.
     zero: u64,
 }
 
@@ -75,14 +77,15 @@ impl Sketch {
     pub fn quantile(&self, q: f64) -> Option<f64> {
         let rank = q.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
         let (lower, upper) = (rank.floor() as u64, rank.ceil() as u64);
-        let mut seen = 0;
-        let mut below = None;
+        let mut cumulative_count = 0;
+        let mut lower_value = None;
         self.bins().find_map(|(value, count)| {
-            seen += count;
-            if seen > lower {
-                below.get_or_insert(value);
+            cumulative_count += count;
+            if cumulative_count > lower {
+                lower_value.get_or_insert(value);
             }
-            below.filter(|_| seen > upper).map(|below| below + (value - below) * rank.fract())
+            let reached = lower_value.filter(|_| cumulative_count > upper);
+            reached.map(|lower_value| lower_value + (value - lower_value) * rank.fract())
         })
     }
 
@@ -94,18 +97,18 @@ impl Sketch {
         negative.chain(zero).chain(positive)
     }
 
-    /// Returns the number of values below `x`, for drawing. Values within a bin count as evenly distributed, so that
-    /// the result may be a fraction.
+    /// Returns the number of values below `x`, for drawing. The values of a bin are taken as evenly distributed within the
+    /// bin, so that the result may be a fraction.
     pub fn count_below(&self, x: f64) -> f64 {
-        let part = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
+        let share_below = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {
             let (lower, upper) = bins::range(key);
-            count as f64 * part(-upper, -lower)
+            count as f64 * share_below(-upper, -lower)
         });
         let zero = if x > 0.0 { self.zero as f64 } else { 0.0 };
         let positive = self.positive.iter().map(|(key, count)| {
             let (lower, upper) = bins::range(key);
-            count as f64 * part(lower, upper)
+            count as f64 * share_below(lower, upper)
         });
         negative.sum::<f64>() + zero + positive.sum::<f64>()
     }

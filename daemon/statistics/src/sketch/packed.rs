@@ -1,7 +1,7 @@
 //! Packed form of a sketch: LEB128 numbers for the count of zeros, the negative bins and the positive bins.
 //!
-//! A list of bins is its length, the lowest key (zigzag), and for each bin its count and the distance to the next
-//! key.
+//! A list of bins begins with the number of bins. Each bin is a key and a count. The first key is encoded as it is (zigzag),
+//! each further key as its distance from the key before it.
 
 use super::Sketch;
 use super::bins::{Bins, MAX_BINS_PER_SIGN, VALID_KEYS};
@@ -15,7 +15,7 @@ pub enum PackedError {
     /// The sketch has more bins than permitted.
     #[error("the sketch has {0} bins, the limit is {max}", max = MAX_BINS_PER_SIGN)]
     TooManyBins(u64),
-    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is too far from the first one.
+    /// A bin is outside of the range of finite numbers, occurs twice, is empty, or is too far from the first bin.
     #[error("the sketch has an invalid bin")]
     InvalidBin,
     /// The counts add up to more than 2⁵³. Sums of such counts could overflow.
@@ -35,12 +35,12 @@ pub(super) fn pack(sketch: &Sketch) -> Vec<u8> {
 }
 
 pub(super) fn unpack(bytes: &[u8]) -> Result<Sketch, PackedError> {
-    let mut reader = Reader { bytes, at: 0 };
+    let mut reader = Reader { bytes, position: 0 };
     let zero = reader.take()?;
     let negative = reader.take_bins()?;
     let positive = reader.take_bins()?;
-    if reader.at < bytes.len() {
-        return Err(PackedError::Trailing(bytes.len() - reader.at));
+    if reader.position < bytes.len() {
+        return Err(PackedError::Trailing(bytes.len() - reader.position));
     }
     if zero.saturating_add(negative.count()).saturating_add(positive.count()) > crate::MAX_COUNT {
         return Err(PackedError::Overflow);
@@ -48,6 +48,7 @@ pub(super) fn unpack(bytes: &[u8]) -> Result<Sketch, PackedError> {
     Ok(Sketch { positive, negative, zero })
 }
 
+/// Appends a number in LEB128.
 fn put(out: &mut Vec<u8>, mut number: u64) {
     while number >= 0x80 {
         out.push(number as u8 | 0x80);
@@ -58,28 +59,30 @@ fn put(out: &mut Vec<u8>, mut number: u64) {
 
 fn put_bins(out: &mut Vec<u8>, bins: &Bins) {
     put(out, bins.iter().count() as u64);
-    let mut last = None;
+    let mut previous_key = None;
     for (key, count) in bins.iter() {
-        match last {
+        match previous_key {
             None => put(out, u64::from(((key << 1) ^ (key >> 31)).cast_unsigned())),
-            Some(last) => put(out, u64::from(key.abs_diff(last))),
+            Some(previous_key) => put(out, u64::from(key.abs_diff(previous_key))),
         }
         put(out, count);
-        last = Some(key);
+        previous_key = Some(key);
     }
 }
 
 struct Reader<'a> {
     bytes: &'a [u8],
-    at: usize,
+    /// Index of the next byte.
+    position: usize,
 }
 
 impl Reader<'_> {
+    /// Reads a number in LEB128.
     fn take(&mut self) -> Result<u64, PackedError> {
         let mut number = 0;
         for shift in (0..64).step_by(7) {
-            let byte = *self.bytes.get(self.at).ok_or(PackedError::Damaged(self.at))?;
-            self.at += 1;
+            let byte = *self.bytes.get(self.position).ok_or(PackedError::Damaged(self.position))?;
+            self.position += 1;
             let bits = u64::from(byte & 0x7f);
             if shift == 63 && bits > 1 {
                 break;
@@ -89,7 +92,7 @@ impl Reader<'_> {
                 return Ok(number);
             }
         }
-        Err(PackedError::Damaged(self.at))
+        Err(PackedError::Damaged(self.position))
     }
 
     fn take_bins(&mut self) -> Result<Bins, PackedError> {
@@ -108,15 +111,16 @@ impl Reader<'_> {
                 Some(_) => key.checked_add(number).ok_or(PackedError::InvalidBin)?,
             };
             let first = *first.get_or_insert(key);
-            let valid = i32::try_from(key).ok().filter(|key| VALID_KEYS.contains(key));
-            let valid =
-                valid.filter(|_| key - first < MAX_BINS_PER_SIGN as i64).ok_or(PackedError::InvalidBin)?;
+            let valid_key = i32::try_from(key).ok().filter(|key| VALID_KEYS.contains(key));
+            let valid_key = valid_key
+                .filter(|_| key - first < MAX_BINS_PER_SIGN as i64)
+                .ok_or(PackedError::InvalidBin)?;
             let count = self.take()?;
             if count == 0 {
                 return Err(PackedError::InvalidBin);
             }
             bins.count().checked_add(count).ok_or(PackedError::Overflow)?;
-            bins.add(valid, count);
+            bins.add(valid_key, count);
         }
         Ok(bins)
     }

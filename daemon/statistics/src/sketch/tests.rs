@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-fn of(values: &[f64]) -> Sketch {
+fn sketch_of(values: &[f64]) -> Sketch {
     let mut sketch = Sketch::default();
     values.iter().for_each(|value| sketch.record(*value));
     sketch
@@ -32,7 +32,7 @@ fn numbers() -> impl Strategy<Value = Vec<f64>> {
 proptest! {
     #[test]
     fn quantiles_are_within_one_percent(values in numbers()) {
-        let sketch = of(&values);
+        let sketch = sketch_of(&values);
         for q in [0.0, 0.1, 0.5, 0.9, 0.95, 0.99, 0.999, 1.0] {
             let seen = sketch.quantile(q).expect("not empty");
             let (truth, error) = exact(&values, q);
@@ -42,11 +42,11 @@ proptest! {
 
     #[test]
     fn merged_sketches_equal_sketch_of_all_numbers(a in numbers(), b in numbers()) {
-        let mut merged = of(&a);
-        merged.merge(&of(&b));
-        let mut other_way = of(&b);
-        other_way.merge(&of(&a));
-        prop_assert_eq!(&merged, &of(&[a, b].concat()));
+        let mut merged = sketch_of(&a);
+        merged.merge(&sketch_of(&b));
+        let mut other_way = sketch_of(&b);
+        other_way.merge(&sketch_of(&a));
+        prop_assert_eq!(&merged, &sketch_of(&[a, b].concat()));
         prop_assert_eq!(merged, other_way);
     }
 
@@ -56,16 +56,16 @@ proptest! {
     ) {
         let raise = |exponents: &[f64]| exponents.iter().map(|e| 10_f64.powf(*e)).collect::<Vec<_>>();
         let (a, b) = (raise(&a), raise(&b));
-        let mut merged = of(&a);
-        merged.merge(&of(&b));
-        prop_assert_eq!(&merged, &of(&[&a[..], &b[..]].concat()));
+        let mut merged = sketch_of(&a);
+        merged.merge(&sketch_of(&b));
+        prop_assert_eq!(&merged, &sketch_of(&[&a[..], &b[..]].concat()));
         prop_assert_eq!(merged.count(), (a.len() + b.len()) as u64);
         prop_assert!(merged.bins().count() <= Sketch::MAX_BINS);
     }
 
     #[test]
     fn compact_form_is_read_back(values in numbers()) {
-        let sketch = of(&values);
+        let sketch = sketch_of(&values);
         prop_assert_eq!(&Sketch::from_bytes(&sketch.to_bytes()).expect("reads back"), &sketch);
         let wire = rmp_serde::to_vec(&sketch).expect("serialises");
         prop_assert_eq!(&rmp_serde::from_slice::<Sketch>(&wire).expect("reads back"), &sketch);
@@ -73,7 +73,7 @@ proptest! {
 
     #[test]
     fn damaged_bytes_are_refused_or_are_another_sketch(values in numbers(), at: prop::sample::Index, bit in 0..8) {
-        let mut bytes = of(&values).to_bytes();
+        let mut bytes = sketch_of(&values).to_bytes();
         let at = at.index(bytes.len());
         bytes[at] ^= 1_u8 << bit;
         if let Ok(sketch) = Sketch::from_bytes(&bytes) {
@@ -89,7 +89,7 @@ proptest! {
 
     #[test]
     fn full_histogram_counts_all_numbers(values in numbers()) {
-        let sketch = of(&values);
+        let sketch = sketch_of(&values);
         let edges = [f64::MIN, -10.0, 0.0, 1e-3, 1.0, 1e3, f64::MAX];
         let bars = sketch.histogram(&edges);
         prop_assert_eq!(bars.len(), edges.len() - 1);
@@ -100,7 +100,7 @@ proptest! {
 
     #[test]
     fn fraction_below_is_right_within_one_percent(values in numbers(), x in 1e-3..1e3_f64) {
-        let share = of(&values).fraction_below(x).expect("not empty");
+        let share = sketch_of(&values).fraction_below(x).expect("not empty");
         let below = |x: f64| values.iter().filter(|value| **value < x).count() as f64 / values.len() as f64;
         prop_assert!(below(x * 0.979) - 1e-9 <= share && share <= below(x * 1.021) + 1e-9);
     }
@@ -108,7 +108,7 @@ proptest! {
 
 #[test]
 fn quantiles_of_few_numbers_equal_numpy() {
-    let sketch = of(&[10.0, 20.0, 40.0]);
+    let sketch = sketch_of(&[10.0, 20.0, 40.0]);
     for (q, numpy) in [(0.25, 15.0), (0.5, 20.0), (0.75, 30.0), (0.95, 38.0)] {
         let seen = sketch.quantile(q).expect("not empty");
         assert!((seen - numpy).abs() <= 0.01 * numpy, "q {q}: {seen}");
@@ -124,12 +124,12 @@ fn empty_sketch_has_no_quantile() {
 
 #[test]
 fn non_finite_numbers_are_ignored() {
-    assert_eq!(of(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY]), Sketch::default());
+    assert_eq!(sketch_of(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY]), Sketch::default());
 }
 
 #[test]
 fn very_small_numbers_share_one_bin() {
-    let sketch = of(&[1e-9, 1e-8, 1e300]);
+    let sketch = sketch_of(&[1e-9, 1e-8, 1e300]);
     assert_eq!(sketch.count(), 3);
     let top = sketch.quantile(1.0).expect("not empty");
     assert!((top / 1e300 - 1.0).abs() <= 0.0101);
@@ -138,7 +138,7 @@ fn very_small_numbers_share_one_bin() {
 #[test]
 fn typical_stage_is_stored_in_few_bytes() {
     let values: Vec<f64> = (0..10_000).map(|n| 0.002 * (1.0 + f64::from(n % 100) / 100.0)).collect();
-    let bytes = of(&values).to_bytes();
+    let bytes = sketch_of(&values).to_bytes();
     assert!(bytes.len() < 150, "{}", bytes.len());
 }
 

@@ -156,7 +156,7 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
         Some(LengthRow {
             name: it.one.name.clone(),
             plot: Picture::of_plot(&joint.plot(), "joint", &label),
-            is_counted: joint.is_counted(),
+            is_counted: joint.has_cells(),
             said: std::iter::once(summed)
                 .chain(slope)
                 .chain([amount(it, &known)])

@@ -1,4 +1,4 @@
-//! Judgement of the scores: some answers were scored as right or wrong and others were not.
+//! Judgement of the scores. It reports iterations whose answers were not scored as right or wrong.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -7,34 +7,36 @@ use super::{finding, iterations, percent, with_advice};
 use crate::accuracy::Accuracy;
 use crate::trust::{Finding, TrustInput};
 
-/// Returns a finding for each accuracy that is not of all iterations; accuracies that lack the same number share one.
+/// Returns a finding for each accuracy that does not cover all iterations. Accuracies that lack the same number of iterations share one
+/// finding.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let foreign = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
-    let lacking = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(foreign);
-    // Names, number of iterations without a score for another reason than their label, number of all.
+    let with_unknown_label = input.unknown_labels.as_ref().map_or(0, |unknown| unknown.count);
+    // Iterations with an unknown label have their own finding.
+    let unscored = |accuracy: &Accuracy| accuracy.unscored.saturating_sub(with_unknown_label);
+    // Names of accuracies, number of iterations without a score, number of all iterations.
     let mut partial: Vec<(Vec<&str>, u64, u64)> = Vec::new();
-    for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| lacking(accuracy) > 0) {
-        match partial.iter_mut().find(|(_, other, _)| *other == lacking(accuracy)) {
+    for (name, accuracy) in input.accuracy.iter().filter(|(_, accuracy)| unscored(accuracy) > 0) {
+        match partial.iter_mut().find(|(_, other, _)| *other == unscored(accuracy)) {
             Some((names, ..)) => names.push(name),
-            None => partial.push((vec![name], lacking(accuracy), accuracy.count + accuracy.unscored)),
+            None => partial.push((vec![name], unscored(accuracy), accuracy.count + accuracy.unscored)),
         }
     }
-    let sentence = |(names, lacking, all): (Vec<&str>, u64, u64)| {
+    let partial_finding = |(names, unscored, total): (Vec<&str>, u64, u64)| {
         let text = format!(
             "{} of {} ({}) have no valid score for {}: the accuracy covers only the others.",
-            fixed(lacking as f64, 0),
-            iterations(all),
-            percent(lacking as f64 / all as f64),
+            fixed(unscored as f64, 0),
+            iterations(total),
+            percent(unscored as f64 / total as f64),
             names.join(" and ")
         );
         let advice = "check that each sample has a label and each answer names a class, or report this with the accuracy";
         with_advice(finding("accuracy", Grade::Doubtful, text), advice)
     };
-    judge_unknown_labels(input).into_iter().chain(partial.into_iter().map(sentence)).collect()
+    judge_unknown_labels(input).into_iter().chain(partial.into_iter().map(partial_finding)).collect()
 }
 
-/// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, no accuracy is given, and
-/// the other figures are not affected.
+/// Returns the finding about iterations that cannot be scored because of their label. If no iteration was scored, the grade is not a doubt,
+/// because no accuracy is published and the other results are not affected.
 fn judge_unknown_labels(input: &TrustInput) -> Option<Finding> {
     let unknown = input.unknown_labels.as_ref()?;
     let grade = if input.accuracy.is_empty() { Grade::Unknown } else { Grade::Doubtful };
@@ -49,29 +51,29 @@ mod tests {
     use crate::accuracy::UnknownLabels;
     use crate::trust::Counts;
 
-    fn graded(unscored: [u64; 2], foreign: u64) -> Vec<(Grade, String)> {
-        let of =
+    fn grades_and_texts(unscored: [u64; 2], with_unknown_label: u64) -> Vec<(Grade, String)> {
+        let accuracy =
             |unscored: u64| Accuracy::from_counts(80, 100 - unscored, unscored).expect("there are answers");
-        let both = [("top-1", of(unscored[0])), ("top-5", of(unscored[1]))];
+        let both = [("top-1", accuracy(unscored[0])), ("top-5", accuracy(unscored[1]))];
         let input = TrustInput {
             counts: Counts { ok: 100, ..Counts::default() },
-            accuracy: both.map(|(name, of)| (name.to_owned(), of)).into(),
-            unknown_labels: UnknownLabels::new(foreign, &[]),
+            accuracy: both.map(|(name, accuracy)| (name.to_owned(), accuracy)).into(),
+            unknown_labels: UnknownLabels::new(with_unknown_label, &[]),
             ..TrustInput::default()
         };
-        findings(&input).into_iter().map(|sentence| (sentence.grade, sentence.text)).collect()
+        findings(&input).into_iter().map(|finding| (finding.grade, finding.text)).collect()
     }
 
-    fn told(unscored: [u64; 2]) -> Vec<String> {
-        graded(unscored, 0).into_iter().map(|(_, text)| text).collect()
+    fn texts(unscored: [u64; 2]) -> Vec<String> {
+        grades_and_texts(unscored, 0).into_iter().map(|(_, text)| text).collect()
     }
 
     #[test]
     fn unknown_labels_are_separate_finding() {
         let text =
             "Not scored: 3 of 100 iterations, because the label is not a class of the model.".to_owned();
-        assert_eq!(graded([3, 3], 3), [(Grade::Doubtful, text.clone())]);
-        let both = graded([5, 5], 3);
+        assert_eq!(grades_and_texts([3, 3], 3), [(Grade::Doubtful, text.clone())]);
+        let both = grades_and_texts([5, 5], 3);
         assert!(both.len() == 2 && both[0].1 == text && both[1].1.starts_with("2 of 100"), "{both:?}");
         let none = TrustInput { unknown_labels: UnknownLabels::new(7, &[]), ..TrustInput::default() };
         let findings = findings(&none);
@@ -80,10 +82,10 @@ mod tests {
 
     #[test]
     fn unscored_iterations_are_reported_once() {
-        assert_eq!(told([0, 0]), Vec::<String>::new());
+        assert_eq!(texts([0, 0]), Vec::<String>::new());
         let both = "3 of 100 iterations (3.0\u{202f}%) have no valid score for top-1 and top-5: the accuracy covers only the others.";
-        assert_eq!(told([3, 3]), [both]);
-        let apart = told([0, 12]);
+        assert_eq!(texts([3, 3]), [both]);
+        let apart = texts([0, 12]);
         assert!(
             apart.len() == 1 && apart[0].contains("12 of 100") && apart[0].contains("for top-5:"),
             "{apart:?}"

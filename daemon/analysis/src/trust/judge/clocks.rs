@@ -7,9 +7,9 @@ use peernet_stream::Grade;
 use super::{finding, percent, with_advice};
 use crate::trust::{Clocks, Finding, TrustInput};
 
-/// Share of bad delays from which the delays as a whole are not known.
+/// Share of unusable or limited delays from which the delays as a whole are graded like them.
 const MAJORITY_SHARE: f64 = 0.5;
-/// Share up to which a few bad delays do not change a median.
+/// Share of unusable or stale delays up to which they do not change a median.
 const NEGLIGIBLE_SHARE: f64 = 0.01;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
@@ -19,8 +19,8 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 fn judge_direction(clocks: &Clocks) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
-    let all: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
-    if all == 0 {
+    let total: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
+    if total == 0 {
         return None;
     }
     let share = |wanted: &[Verdict]| {
@@ -30,28 +30,28 @@ fn judge_direction(clocks: &Clocks) -> Option<Finding> {
             .filter(|(verdict, _)| wanted.contains(verdict))
             .map(|(_, count)| count)
             .sum();
-        count as f64 / all as f64
+        count as f64 / total as f64
     };
-    let each: Vec<String> = clocks
+    let verdict_shares: Vec<String> = clocks
         .verdicts
         .iter()
         .filter(|(_, count)| *count > 0)
-        .map(|(verdict, count)| format!("{verdict} {}", percent(*count as f64 / all as f64)))
+        .map(|(verdict, count)| format!("{verdict} {}", percent(*count as f64 / total as f64)))
         .collect();
-    let known = match (clocks.delay, clocks.half_width) {
+    let precision = match (clocks.delay, clocks.half_width) {
         (Some(delay), Some(0.0)) => {
             format!("the median of {}\u{202f}ms is exact: both ends read one clock", milliseconds(delay))
         }
-        (Some(delay), Some(half)) => {
+        (Some(delay), Some(half_width)) => {
             format!(
                 "the median of {}\u{202f}ms is known to {}\u{202f}ms",
                 milliseconds(delay),
-                bound_ms(half)
+                bound_ms(half_width)
             )
         }
         _ => "no delay has a value".to_owned(),
     };
-    let text = format!("Of the delays of `{stage}`, {}; {known}.", each.join(", "));
+    let text = format!("Of the delays of `{stage}`, {}; {precision}.", verdict_shares.join(", "));
     let unusable = share(&[Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent]);
     let (limited, stale) = (share(&[Verdict::Limited]), share(&[Verdict::Stale]));
     Some(match () {

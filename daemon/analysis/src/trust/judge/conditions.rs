@@ -1,5 +1,5 @@
-//! Judgement of the conditions of the hosts before the run: one sentence per host for all that are as they should be, one sentence for each
-//! other condition.
+//! Judgement of the conditions of the hosts before the run. Each host has one finding about all its good conditions, one about all its unknown
+//! conditions, and one about each doubtful or bad condition.
 
 use peernet_stream::{Condition, Grade};
 
@@ -16,23 +16,26 @@ pub(super) fn findings(conditions: &[Condition]) -> Vec<Finding> {
             hosts.push(&condition.host);
         }
     }
-    let mut all = Vec::new();
+    let mut findings = Vec::new();
     for host in hosts {
-        let of = |grade| conditions.iter().filter(move |known| known.host == host && known.grade == grade);
-        for condition in of(Grade::Bad).chain(of(Grade::Doubtful)) {
+        let with_grade = |grade| {
+            conditions.iter().filter(move |condition| condition.host == host && condition.grade == grade)
+        };
+        for condition in with_grade(Grade::Bad).chain(with_grade(Grade::Doubtful)) {
             let text = format!("On {host}, {}: {}.", condition.about, condition.found);
-            all.push(with_advice(
+            findings.push(with_advice(
                 finding(&condition.about, condition.grade, text),
                 condition.advice.as_str(),
             ));
         }
         for (grade, words) in [(Grade::Unknown, "not known"), (Grade::Good, "as it should be")] {
-            let listed: Vec<String> =
-                of(grade).map(|known| format!("{} ({})", known.about, known.found)).collect();
-            if !listed.is_empty() {
-                all.push(finding("hosts", grade, format!("On {host}, {words}: {}.", listed.join("; "))));
+            let texts: Vec<String> = with_grade(grade)
+                .map(|condition| format!("{} ({})", condition.about, condition.found))
+                .collect();
+            if !texts.is_empty() {
+                findings.push(finding("hosts", grade, format!("On {host}, {words}: {}.", texts.join("; "))));
             }
         }
     }
-    all
+    findings
 }

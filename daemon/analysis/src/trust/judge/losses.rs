@@ -1,4 +1,4 @@
-//! Judgement of missing measurements.
+//! Judgement of missing measurements: unanswered iterations, skipped starts, missing events and an early end.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
@@ -8,35 +8,35 @@ use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInpu
 
 /// Minimum number of values for a 95th percentile, everywhere in PEERNet.
 const MIN_ANSWERS: u64 = 60;
-/// Share of iterations without an answer, and of skipped starts, above which they are mentioned.
+/// Share of iterations without an answer, and of skipped starts, above which the finding is doubtful.
 const NOTABLE_SHARE: f64 = 0.001;
 /// Share of iterations without an answer, and of skipped starts, above which the latency of the answered iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
-/// Share of missing events from which the received events do not represent the missing events.
+/// Share of missing events from which the received events no longer represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;
-/// Share of the configured limit below which a run is too short to represent the whole run.
+/// Share of the configured limit below which a run is too short for its purpose.
 const MIN_REACHED_SHARE: f64 = 0.5;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let TrustInput { counts, missing, .. } = input;
-    let mut all = vec![judge_amount(counts)];
+    let mut findings = vec![judge_amount(counts)];
     if counts.measured() > 0 {
-        all.push(judge_unanswered(counts));
-        all.extend(judge_skipped_starts(&input.starts));
+        findings.push(judge_unanswered(counts));
+        findings.extend(judge_skipped_starts(&input.starts));
     }
-    all.push(judge_missing_events(counts, missing));
-    all.extend(judge_end(input));
+    findings.push(judge_missing_events(counts, missing));
+    findings.extend(judge_end(input));
     if input.has_clock_fault {
         let text = "Clock fault injection made the clock of a host wrong on purpose.";
-        all.push(with_advice(
+        findings.push(with_advice(
             finding("clock fault", Grade::Bad, text),
             "remove `[clock_fault]` from the configuration",
         ));
     }
-    all
+    findings
 }
 
-/// Returns the finding about a run that is shorter than ordered, or not finished; `None` if it is complete.
+/// Returns the finding about a run that is shorter than configured or not finished; `None` if the run is complete.
 fn judge_end(input: &TrustInput) -> Option<Finding> {
     if input.open {
         return Some(finding(
@@ -77,16 +77,15 @@ fn judge_amount(counts: &Counts) -> Finding {
     };
     match counts.ok {
         0 => {
-            let sentence = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
-            with_advice(
-                sentence,
-                "find the reasons on the run's page or in the column `reason` of `data.csv`",
-            )
+            let finding = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
+            with_advice(finding, "find the reasons on the run's page or in the column `reason` of `data.csv`")
         }
         few @ ..MIN_ANSWERS => {
-            let was = if few == 1 { "was" } else { "were" };
-            let text =
-                format!("Only {} {was} answered: too few for a 95th percentile; {warm_up}.", iterations(few));
+            let verb = if few == 1 { "was" } else { "were" };
+            let text = format!(
+                "Only {} {verb} answered: too few for a 95th percentile; {warm_up}.",
+                iterations(few)
+            );
             with_advice(
                 finding(about, Grade::Doubtful, text),
                 format!("measure at least {MIN_ANSWERS} iterations, better 1,000"),
@@ -98,12 +97,12 @@ fn judge_amount(counts: &Counts) -> Finding {
 
 fn judge_unanswered(counts: &Counts) -> Finding {
     let about = "losses";
-    let parts = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "timed out")];
-    let named = parts.iter().filter(|(count, _)| *count > 0);
-    let named: Vec<String> =
-        named.map(|(count, word)| format!("{} {word}", fixed(*count as f64, 0))).collect();
+    let outcomes = [(counts.failed, "failed"), (counts.lost, "lost"), (counts.timeout, "timed out")];
+    let occurred = outcomes.iter().filter(|(count, _)| *count > 0);
+    let outcome_texts: Vec<String> =
+        occurred.map(|(count, outcome)| format!("{} {outcome}", fixed(*count as f64, 0))).collect();
     let share = counts.unanswered() as f64 / counts.measured() as f64;
-    if named.is_empty() {
+    if outcome_texts.is_empty() {
         return finding(about, Grade::Good, "Every iteration had an answer.");
     }
     let text = format!(
@@ -111,7 +110,7 @@ fn judge_unanswered(counts: &Counts) -> Finding {
         fixed(counts.unanswered() as f64, 0),
         iterations(counts.measured()),
         percent(share),
-        named.join(", ")
+        outcome_texts.join(", ")
     );
     let advice = "the statistics cover only answered iterations, and unanswered ones are rarely fast: report their share \
                   beside the latency";
@@ -127,16 +126,16 @@ fn judge_unanswered(counts: &Counts) -> Finding {
 /// Returns the finding about the starts of an open loop; `None` for a closed loop.
 fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
-    let ordered = starts.hz.map(significant);
+    let configured_hz = starts.hz.map(significant);
     if starts.skipped == 0 {
-        let text =
-            ordered.map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
+        let text = configured_hz
+            .map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
         return text.map(|text| finding(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let made = starts.actual_hz.map(|made| format!(", {}\u{202f}Hz achieved", significant(made)));
-    let rates = ordered.map_or_else(String::new, |hz| {
-        format!(": {hz}\u{202f}Hz were configured{}", made.unwrap_or_default())
+    let achieved = starts.actual_hz.map(|hz| format!(", {}\u{202f}Hz achieved", significant(hz)));
+    let rates = configured_hz.map_or_else(String::new, |hz| {
+        format!(": {hz}\u{202f}Hz were configured{}", achieved.unwrap_or_default())
     });
     let text = format!(
         "{} of {} ({}) {} skipped because the pipeline could not keep up{rates}.",
@@ -162,24 +161,24 @@ fn judge_missing_events(counts: &Counts, missing: &[MissingEvents]) -> Finding {
         return finding(about, Grade::Good, "No event was dropped.");
     }
     let count: u64 = missing.iter().map(|gap| gap.count).sum();
-    let unknown = missing.iter().any(|gap| gap.count == 0);
+    let has_unknown_count = missing.iter().any(|gap| gap.count == 0);
     let mut reasons: Vec<&str> = Vec::new();
     for gap in missing {
         if !reasons.contains(&gap.reason.as_str()) {
             reasons.push(&gap.reason);
         }
     }
-    let number = match (count, unknown) {
+    let number = match (count, has_unknown_count) {
         (0, _) => "An unknown number of events".to_owned(),
         (1, false) => "1 event".to_owned(),
         (n, false) => format!("{} events", fixed(n as f64, 0)),
         (n, true) => format!("At least {} events", fixed(n as f64, 0)),
     };
-    let all = counts.measured() + counts.warm_up + count;
-    let share = count as f64 / all.max(1) as f64;
-    let shown = if unknown { String::new() } else { format!(" ({})", percent(share)) };
-    let text = format!("{number}{shown} never reached the store: {}.", reasons.join("; "));
+    let expected = counts.measured() + counts.warm_up + count;
+    let share = count as f64 / expected.max(1) as f64;
+    let share_text = if has_unknown_count { String::new() } else { format!(" ({})", percent(share)) };
+    let text = format!("{number}{share_text} never reached the store: {}.", reasons.join("; "));
     let advice = "events are dropped under load: check that the disk, the spool and the program keep up, and repeat the run";
-    let grade = if unknown || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
+    let grade = if has_unknown_count || share >= MAX_MISSING_SHARE { Grade::Bad } else { Grade::Doubtful };
     with_advice(finding(about, grade, text), advice)
 }

@@ -1,4 +1,4 @@
-//! Judgements of a run: one file per subject. Each returns findings, independently of the others.
+//! Judgements of a run, one file for each subject. Each judgement returns findings and does not depend on other judgements.
 
 mod accuracy;
 mod clocks;
@@ -17,14 +17,14 @@ pub(super) const END: &str = "end";
 
 /// Returns all findings, in the order of the judgements.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let mut all = Vec::new();
-    all.extend(losses::findings(input));
-    all.extend(time_series::findings(input));
-    all.extend(restarts::findings(input));
-    all.extend(clocks::findings(input));
-    all.extend(accuracy::findings(input));
-    all.extend(conditions::findings(&input.conditions));
-    all
+    let mut findings = Vec::new();
+    findings.extend(losses::findings(input));
+    findings.extend(time_series::findings(input));
+    findings.extend(restarts::findings(input));
+    findings.extend(clocks::findings(input));
+    findings.extend(accuracy::findings(input));
+    findings.extend(conditions::findings(&input.conditions));
+    findings
 }
 
 /// Returns a finding without advice.
@@ -32,11 +32,11 @@ fn finding(about: &str, grade: Grade, text: impl Into<String>) -> Finding {
     Finding { about: about.to_owned(), grade, text: text.into(), advice: String::new() }
 }
 
-fn with_advice(sentence: Finding, advice: impl Into<String>) -> Finding {
-    Finding { advice: advice.into(), ..sentence }
+fn with_advice(finding: Finding, advice: impl Into<String>) -> Finding {
+    Finding { advice: advice.into(), ..finding }
 }
 
-/// Formats a share as per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.
+/// Formats a share in per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.
 fn percent(share: f64) -> String {
     let value = share * 100.0;
     let decimals = match value.abs() {

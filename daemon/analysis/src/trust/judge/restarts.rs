@@ -1,4 +1,4 @@
-//! Judgement of restarts: successful iterations that waited for a process that had died before them.
+//! Judgement of restarts: answered iterations that waited for a process because it had died in an earlier iteration.
 
 use peernet_statistics::number::fixed;
 use peernet_stream::Grade;
@@ -6,16 +6,16 @@ use peernet_stream::Grade;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// Share of the time of all iterations from which restarts are doubtful; equal to the limit for outliers in the mean.
+/// Share of the time of all iterations from which restarts are doubtful. It is the same limit as for the contribution of outliers to the mean.
 const MAX_INFLUENCE: f64 = 0.05;
 /// Maximum number of iterations in the list of a finding.
 const MAX_NAMED: usize = 5;
 
 /// Returns one finding for each process that was restarted.
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
-    let all = input.total.as_ref().map_or(0.0, |total| total.mean * input.counts.ok as f64);
+    let total_seconds = input.total.as_ref().map_or(0.0, |total| total.mean * input.counts.ok as f64);
     let judge = |restarts: &Restarts| {
-        let share = if all > 0.0 { restarts.seconds / all } else { 0.0 };
+        let share = if total_seconds > 0.0 { restarts.seconds / total_seconds } else { 0.0 };
         let text = format!(
             "The {}'s process was restarted in {}{}. The wait for it was {} in all, {} of the time of all iterations.",
             restarts.owner,
@@ -37,10 +37,10 @@ fn list_of_numbers(numbers: &[u64]) -> String {
     if numbers.is_empty() {
         return String::new();
     }
-    let mut named: Vec<String> =
+    let mut texts: Vec<String> =
         numbers.iter().take(MAX_NAMED).map(|number| fixed(*number as f64, 0)).collect();
     if numbers.len() > MAX_NAMED {
-        named.push("…".to_owned());
+        texts.push("…".to_owned());
     }
-    format!(" (number{} {})", if numbers.len() == 1 { "" } else { "s" }, named.join(", "))
+    format!(" (number{} {})", if numbers.len() == 1 { "" } else { "s" }, texts.join(", "))
 }

@@ -1,4 +1,4 @@
-//! Judgement of a run's stability: trend, beginning, outliers, and time that no stage accounts for.
+//! Judgement of the total over time: trend, beginning, outliers, and time outside of all stages.
 
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
@@ -8,7 +8,7 @@ use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
-/// Change of the median between the halves, as a share of the first, from which a single number for the whole run is meaningless.
+/// Change of the median from the first half to the second, as a share of the first, from which one number for the whole run is meaningless.
 const STRONG_DRIFT: f64 = 0.2;
 /// Relative change below which both medians are printed as the same number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
@@ -29,13 +29,14 @@ const MIN_ITERATIONS: u64 = 100;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
-    let mut all = vec![judge_stationarity(total, &input.stages), judge_warm_up(total), judge_outliers(total)];
-    all.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
-    all.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
-    all
+    let mut findings =
+        vec![judge_stationarity(total, &input.stages), judge_warm_up(total), judge_outliers(total)];
+    findings.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
+    findings.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
+    findings
 }
 
-/// Returns the reason why a run is too short for a judgement of its series.
+/// Returns the reason why a run is too short to tell `whether` something is the case.
 ///
 /// A run with enough iterations can have too few time buckets. The dashboard's buckets last a second or longer. After the clock was set
 /// forward, a single bucket can contain the whole jump.
@@ -54,101 +55,108 @@ fn too_short_text(total: &TimeSeries, whether: &str) -> String {
 
 fn judge_stationarity(total: &TimeSeries, stages: &[(String, TimeSeries)]) -> Finding {
     let about = "stationarity";
-    let known = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
-    let Some((((first, second), share), chance)) = known else {
+    let statistics = total.halves.zip(total.change()).zip(chance_of_trend(&total.batches));
+    let Some((((first, second), change), chance)) = statistics else {
         return finding(about, Grade::Unknown, too_short_text(total, "the run drifted"));
     };
-    let size = share.abs();
-    let moved = format!(
+    let change_size = change.abs();
+    let change_text = format!(
         "The median of the second half is {} {} than the median of the first half ({} and {})",
-        percent(size),
-        if share < 0.0 { "lower" } else { "higher" },
+        percent(change_size),
+        if change < 0.0 { "lower" } else { "higher" },
         ms(second),
         ms(first)
     );
-    if size < MIN_VISIBLE_CHANGE {
+    if change_size < MIN_VISIBLE_CHANGE {
         let text = format!("The medians of both halves are the same, {}: it did not drift.", ms(first));
         return finding(about, Grade::Good, text);
     }
-    let odds = match chance {
+    let p_value = match chance {
         p if p < 0.001 => "p\u{202f}<\u{202f}0.001".to_owned(),
         p => format!("p\u{202f}=\u{202f}{}", significant(p)),
     };
     if !total.has_notable_change() {
-        let text = format!("{moved}, less than {}: it did not drift.", percent(MIN_NOTABLE_CHANGE));
+        let text = format!("{change_text}, less than {}: it did not drift.", percent(MIN_NOTABLE_CHANGE));
         return finding(about, Grade::Good, text);
     }
     if chance >= MAX_CHANCE {
-        return finding(about, Grade::Good, format!("{moved}, which is not more than chance ({odds})."));
+        return finding(
+            about,
+            Grade::Good,
+            format!("{change_text}, which is not more than chance ({p_value})."),
+        );
     }
-    let most = stages.iter().filter_map(|(name, course)| Some((name, course.halves?)));
-    let most = most.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
-    let most = most.map_or_else(String::new, |(name, (first, second))| {
+    let stage_halves = stages.iter().filter_map(|(name, stage)| Some((name, stage.halves?)));
+    let most_changed = stage_halves.max_by(|(_, a), (_, b)| (a.1 - a.0).abs().total_cmp(&(b.1 - b.0).abs()));
+    let stage_text = most_changed.map_or_else(String::new, |(name, (first, second))| {
         format!("; `{name}` changed most ({} to {})", ms(first), ms(second))
     });
-    let text = format!("{moved}, more than chance ({odds}){most}.");
+    let text = format!("{change_text}, more than chance ({p_value}){stage_text}.");
     let advice = "one figure for the whole run hides this: find out what changed (heat, load, network), or measure longer \
                   and after it has settled";
-    with_advice(finding(about, if size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text), advice)
+    with_advice(
+        finding(about, if change_size >= STRONG_DRIFT { Grade::Bad } else { Grade::Doubtful }, text),
+        advice,
+    )
 }
 
 fn judge_warm_up(total: &TimeSeries) -> Finding {
     let about = "warm-up";
-    let Some(begin) = total.beginning.filter(|begin| begin.blocks >= 4) else {
+    let Some(beginning) = total.beginning.filter(|beginning| beginning.blocks >= 4) else {
         return finding(about, Grade::Unknown, too_short_text(total, "the warm-up was long enough"));
     };
-    let share = relative_change(begin.rest, begin.median);
-    let compared = format!(
+    let excess = relative_change(beginning.rest, beginning.median);
+    let comparison = format!(
         "The first {} measured iterations took {} in the median, the rest {}",
-        begin.count,
-        ms(begin.median),
-        ms(begin.rest)
+        beginning.count,
+        ms(beginning.median),
+        ms(beginning.rest)
     );
     // If all blocks are alike, each block is the highest with the same probability. `share_as_high` is then the probability that the first
     // block is so high by chance.
-    if share > MAX_COLD_EXCESS && begin.share_as_high < MAX_CHANCE {
+    if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
-            "{compared}: {} more, and more than nearly all later groups of {}.",
-            percent(share),
-            counted(begin.count, "iteration")
+            "{comparison}: {} more, and more than nearly all later groups of {}.",
+            percent(excess),
+            counted(beginning.count, "iteration")
         );
         return with_advice(
             finding(about, Grade::Doubtful, text),
             "make the warm-up longer, so that it includes them",
         );
     }
-    if share > MAX_COLD_EXCESS {
-        let alike = (begin.share_as_high * begin.blocks as f64).round();
+    if excess > MAX_COLD_EXCESS {
+        let blocks_as_high = (beginning.share_as_high * beginning.blocks as f64).round();
         let text = format!(
-            "{compared}. Of {} later groups of {}, {} took as long or longer, so this is not more than chance: the \
+            "{comparison}. Of {} later groups of {}, {} took as long or longer, so this is not more than chance: the \
              warm-up was long enough.",
-            begin.blocks,
-            counted(begin.count, "iteration"),
-            fixed(alike, 0)
+            beginning.blocks,
+            counted(beginning.count, "iteration"),
+            fixed(blocks_as_high, 0)
         );
         return finding(about, Grade::Good, text);
     }
-    finding(about, Grade::Good, format!("{compared}: the warm-up was long enough."))
+    finding(about, Grade::Good, format!("{comparison}: the warm-up was long enough."))
 }
 
 fn judge_outliers(total: &TimeSeries) -> Finding {
     let about = "outliers";
-    let seen = &total.outliers;
-    if seen.count == 0 {
+    let outliers = &total.outliers;
+    if outliers.count == 0 {
         return finding(
             about,
             Grade::Good,
-            format!("No outliers: the slowest iteration took {}.", ms(seen.max)),
+            format!("No outliers: the slowest iteration took {}.", ms(outliers.max)),
         );
     }
-    let influence = if total.mean > 0.0 { seen.influence / total.mean } else { 0.0 };
+    let influence = if total.mean > 0.0 { outliers.influence / total.mean } else { 0.0 };
     let text = format!(
         "{} of the iterations took longer than {} (median plus 3.5 robust standard deviations); the slowest took {}, {} \
          times the median. They contribute {} of the mean.",
-        percent(seen.count as f64 / total.count as f64),
-        ms(seen.limit),
-        ms(seen.max),
-        fixed(if total.median > 0.0 { seen.max / total.median } else { 0.0 }, 1),
+        percent(outliers.count as f64 / total.count as f64),
+        ms(outliers.limit),
+        ms(outliers.max),
+        fixed(if total.median > 0.0 { outliers.max / total.median } else { 0.0 }, 1),
         percent(influence)
     );
     if influence < MAX_INFLUENCE {

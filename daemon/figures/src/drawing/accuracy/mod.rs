@@ -1,4 +1,4 @@
-//! Accuracy against latency.
+//! Figure of accuracy against latency.
 
 mod numbers;
 
@@ -19,13 +19,13 @@ const RIM: f64 = 0.4;
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// Difference of accuracies, as a share of the axis, below which horizontal whiskers overlap.
+/// Difference of accuracies, as a share of the axis, below which the horizontal whiskers of two points can overlap.
 const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Accuracy and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
-    /// Name of the configuration, for the key.
+    /// Name of the configuration, for the table.
     pub label: String,
     /// Number of correct answers.
     pub right: u64,
@@ -50,7 +50,7 @@ impl Score {
     }
 }
 
-/// Figure with a numbered point for each configuration, and a key to the numbers below.
+/// Figure with a numbered point for each configuration, and a table below that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
     /// Title of the figure.
@@ -71,6 +71,7 @@ struct Spot {
 }
 
 impl Accuracy {
+    /// Returns the scores that are drawn, each with its accuracy: low, share, high, in per cent.
     fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
         let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
         finite.filter_map(|score| Some((score, score.accuracy()?)))
@@ -84,15 +85,18 @@ impl Accuracy {
     /// Returns whether points have horizontal whiskers. If two whiskers would overlap, no point has one.
     fn has_whiskers(&self) -> bool {
         let Some((low, high)) = self.interval_range() else { return false };
-        let near = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;
-        let reach = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
-        let shown: Vec<((f64, f64), f64)> =
-            self.shown_scores().map(|(score, [_, share, _])| (reach(score), share)).collect();
-        let touch = |((from, to), share): &((f64, f64), f64), ((other, late), level): &((f64, f64), f64)| {
-            (share - level).abs() < near && from <= late && other <= to
+        let min_distance = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;
+        let latency_range = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
+        // Ends of each whisker and its accuracy.
+        let whiskers: Vec<((f64, f64), f64)> =
+            self.shown_scores().map(|(score, [_, share, _])| (latency_range(score), share)).collect();
+        let overlap = |((from_a, to_a), share_a): &((f64, f64), f64),
+                       ((from_b, to_b), share_b): &((f64, f64), f64)| {
+            (share_a - share_b).abs() < min_distance && from_a <= to_b && from_b <= to_a
         };
-        let alone = |(number, one)| shown[number + 1..].iter().all(|other| !touch(one, other));
-        shown.iter().enumerate().all(alone)
+        let overlaps_no_later =
+            |(index, whisker)| whiskers[index + 1..].iter().all(|other| !overlap(whisker, other));
+        whiskers.iter().enumerate().all(overlaps_no_later)
             && self.shown_scores().any(|(score, _)| score.p95_latency().is_some())
     }
 
@@ -104,15 +108,16 @@ impl Accuracy {
 
     fn axes(&self) -> Option<Plot> {
         let (low, high) = self.interval_range()?;
-        let late =
+        let right_end =
             |score: &Score| score.p95_latency().filter(|_| self.has_whiskers()).unwrap_or(score.median);
         let (fast, slow) = self
             .shown_scores()
-            .map(|(score, _)| (score.median * self.unit.per_si, late(score) * self.unit.per_si))
+            .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
-        // Points at 100 % are complete because the axis ends a little above 100, below the next mark.
-        let edge = (high - low).max(1.0) * 0.04;
-        let shares = Scale::linear(((low - AXIS_MARGIN).max(-edge), (high + AXIS_MARGIN).min(100.0 + edge)));
+        // The axis ends a little below 0 or above 100, so that points at these ends are complete. The next mark is not reached.
+        let margin = (high - low).max(1.0) * 0.04;
+        let shares =
+            Scale::linear(((low - AXIS_MARGIN).max(-margin), (high + AXIS_MARGIN).min(100.0 + margin)));
         let across = if slow > fast * LOGARITHMIC_RATIO {
             let room = (slow / fast).powf(0.08);
             Scale::logarithmic((fast / room, slow * room))
@@ -128,24 +133,24 @@ impl Accuracy {
         let has_whiskers = self.has_whiskers();
         let spot = |(score, [low, share, high]): (&Score, [f64; 3])| Spot {
             at: plot.at(score.median * self.unit.per_si, share),
-            interval: (plot.up(low), plot.up(high)),
+            interval: (plot.y_share(low), plot.y_share(high)),
             p95: score.p95_latency().filter(|_| has_whiskers).map(across),
         };
         self.shown_scores().map(spot).collect()
     }
 
-    /// Returns the key to the numbers.
+    /// Returns the table that explains the numbers of the points.
     fn table(&self) -> Table {
-        let has_late = self.shown_scores().any(|(score, _)| score.p95_latency().is_some());
+        let has_p95 = self.shown_scores().any(|(score, _)| score.p95_latency().is_some());
         let show = |value: f64| significant(value * self.unit.per_si);
-        let cells = |[accuracy, median, late]: [String; 3]| {
-            [accuracy, median].into_iter().chain(has_late.then_some(late)).collect::<Vec<_>>()
+        let cells = |[accuracy, median, p95]: [String; 3]| {
+            [accuracy, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
         let symbol = &self.unit.symbol;
         let titles = cells(["accuracy, %".to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
         let lines = self.shown_scores().map(|(score, [_, share, _])| {
-            let late = score.p95_latency().map_or_else(|| "—".to_owned(), show);
-            (score.label.clone(), cells([fixed(share, 1), show(score.median), late]))
+            let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
+            (score.label.clone(), cells([fixed(share, 1), show(score.median), p95]))
         });
         Table { titles, lines: lines.collect() }
     }
@@ -177,14 +182,15 @@ fn union((lo, hi): (f64, f64), (a, b): (f64, f64)) -> (f64, f64) {
 
 impl Spot {
     fn whiskers(&self) -> Vec<Item> {
-        let pen = Style::line("whisk2", INK.light.tint(0.55), 0.45);
+        let style = Style::line("whisk2", INK.light.tint(0.55), 0.45);
         let (bottom, top) = self.interval;
         let ends = [bottom, top].map(|y| At { y, ..self.at });
-        let mut items = Item::whisker(ends, [true; 2], CAP_HALF_WIDTH, &pen);
-        if let Some(late) = self.p95 {
-            let late = At { x: late, ..self.at };
-            items.push(Item::line(self.at, late, pen.clone()));
-            items.push(Item::line(late.aside(0.0, -CAP_HALF_WIDTH), late.aside(0.0, CAP_HALF_WIDTH), pen));
+        let mut items = Item::whisker(ends, [true; 2], CAP_HALF_WIDTH, &style);
+        if let Some(p95) = self.p95 {
+            let end = At { x: p95, ..self.at };
+            items.push(Item::line(self.at, end, style.clone()));
+            let cap = [-CAP_HALF_WIDTH, CAP_HALF_WIDTH].map(|dy| end.offset_by(0.0, dy));
+            items.push(Item::line(cap[0], cap[1], style));
         }
         items
     }

@@ -1,4 +1,4 @@
-//! Numbers of the points, each placed without overlap, with a thin line to its point if it is not next to it.
+//! Numbers of the points. Each number is placed without overlap, and a thin line leads to its point if the number is not next to the point.
 
 use super::{CAP_HALF_WIDTH, RADIUS, Spot};
 use crate::look::{INK_2, Style, TextStyle};
@@ -22,50 +22,52 @@ const EDGE_DISTANCE: f64 = 0.6;
 /// Left, top, right, bottom; points.
 type Rect = [f64; 4];
 
-/// Point with its whiskers in the file's coordinates, points.
+/// Point with its whiskers in the coordinates of the file, points.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Placed {
+struct FileSpot {
     at: (f64, f64),
+    /// Lower and upper end of the vertical whisker.
     interval: (f64, f64),
+    /// Right end of the horizontal whisker.
     p95: Option<f64>,
 }
 
-/// Lays the numbers out in a plot that has this area and this title above.
+/// Lays the numbers out in a plot with this area and this title above it.
 pub(super) fn items(area: &Area, spots: &[Spot], title: &str) -> Vec<Item> {
-    let placed: Vec<Placed> = spots.iter().map(|spot| Placed::of(spot, area)).collect();
-    let within = [
+    let file_spots: Vec<FileSpot> = spots.iter().map(|spot| FileSpot::of(spot, area)).collect();
+    let limits = [
         area.left + EDGE_DISTANCE,
         area.top - HEIGHT_ABOVE_PLOT,
         WIDTH - 2.0 * EDGE_DISTANCE,
         area.top + area.height - EDGE_DISTANCE,
     ];
-    let mut taken: Vec<Rect> = placed.iter().flat_map(Placed::boxes).collect();
-    taken.push([0.0, 0.0, 2.0 * MIN_DISTANCE + width(title, TEXT), area.top - 2.0]);
+    let mut occupied: Vec<Rect> = file_spots.iter().flat_map(FileSpot::boxes).collect();
+    occupied.push([0.0, 0.0, 2.0 * MIN_DISTANCE + width(title, TEXT), area.top - 2.0]);
     let share = |x: f64, y: f64| At::new((x - area.left) / area.width, (y - area.top) / area.height);
     let mut items = Vec::new();
-    for (index, spot) in placed.iter().enumerate() {
+    for (index, spot) in file_spots.iter().enumerate() {
         let number = (index + 1).to_string();
-        let places = spot.places(width(&number, SMALL), spot.side(&placed));
-        let is_astray = |place: &Rect| spot.is_farther(place, &placed);
-        let Some(place) = free(places, (within, &taken), is_astray) else { continue };
+        let places = spot.places(width(&number, SMALL), spot.free_side(&file_spots));
+        let is_ambiguous = |place: &Rect| spot.is_nearer_to_other(place, &file_spots);
+        let Some(place) = best_place(places, (limits, &occupied), is_ambiguous) else { continue };
         let middle = (f64::midpoint(place[0], place[2]), f64::midpoint(place[1], place[3]));
         let nearest = (
             spot.at.0.clamp(place[0] - EDGE_DISTANCE, place[2] + EDGE_DISTANCE),
             spot.at.1.clamp(place[1], place[3]),
         );
-        let apart = (nearest.0 - spot.at.0).abs().max((nearest.1 - spot.at.1).abs());
-        if apart > GAP + EDGE_DISTANCE {
-            let leader = Style::line("faint", INK_2.light, 0.3);
-            items.push(Item::line(share(spot.at.0, spot.at.1), share(nearest.0, nearest.1), leader));
+        let distance = (nearest.0 - spot.at.0).abs().max((nearest.1 - spot.at.1).abs());
+        if distance > GAP + EDGE_DISTANCE {
+            let line_style = Style::line("faint", INK_2.light, 0.3);
+            items.push(Item::line(share(spot.at.0, spot.at.1), share(nearest.0, nearest.1), line_style));
         }
         let label = Label::new(share(middle.0, middle.1), number, TextStyle::MARK);
         items.push(Item::Text(label.anchored(Anchor::Middle)));
-        taken.push([place[0] - MIN_DISTANCE, place[1], place[2] + MIN_DISTANCE, place[3]]);
+        occupied.push([place[0] - MIN_DISTANCE, place[1], place[2] + MIN_DISTANCE, place[3]]);
     }
     items
 }
 
-impl Placed {
+impl FileSpot {
     fn of(spot: &Spot, area: &Area) -> Self {
         let y = |share: f64| area.top + area.height * share;
         let p95 = spot.p95.map(|share| area.left + area.width * share);
@@ -82,64 +84,69 @@ impl Placed {
         ]
     }
 
-    /// Returns whether the area of a number is at least as near to another point as to this point, so that it would be read as the number of
-    /// the other point.
-    fn is_farther(&self, place: &Rect, all: &[Self]) -> bool {
-        let to =
-            |spot: &Self| spot.boxes().iter().map(|area| between(place, area)).fold(f64::INFINITY, f64::min);
-        let own = to(self);
-        all.iter().any(|other| !std::ptr::eq(other, self) && other.at != self.at && to(other) <= own)
+    /// Returns whether the area of this point's number is at least as near to another point. It would then be read as the number of the other
+    /// point.
+    fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
+        let distance_to =
+            |spot: &Self| spot.boxes().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);
+        let own = distance_to(self);
+        spots
+            .iter()
+            .any(|other| !std::ptr::eq(other, self) && other.at != self.at && distance_to(other) <= own)
     }
 
-    /// Returns the side with fewer neighbours: 1 to the right, −1 to the left.
-    fn side(&self, all: &[Self]) -> f64 {
-        let near = all.iter().filter(|other| {
-            let apart = (other.at.0 - self.at.0, other.at.1 - self.at.1);
-            apart.0.abs() < NEIGHBOUR_DISTANCE && apart.1.abs() < NEIGHBOUR_DISTANCE && apart.0 != 0.0
+    /// Returns the side with fewer neighbours: 1 for the right, −1 for the left.
+    fn free_side(&self, spots: &[Self]) -> f64 {
+        let neighbours = spots.iter().filter(|other| {
+            let distance = (other.at.0 - self.at.0, other.at.1 - self.at.1);
+            distance.0.abs() < NEIGHBOUR_DISTANCE
+                && distance.1.abs() < NEIGHBOUR_DISTANCE
+                && distance.0 != 0.0
         });
-        let right: f64 = near.map(|other| (other.at.0 - self.at.0).signum()).sum();
-        if right > 0.0 { -1.0 } else { 1.0 }
+        // Number of neighbours at the right minus the number at the left.
+        let right_excess: f64 = neighbours.map(|other| (other.at.0 - self.at.0).signum()).sum();
+        if right_excess > 0.0 { -1.0 } else { 1.0 }
     }
 
-    /// Returns the possible areas of the point's number, the best first. They are around the point; nearer areas are before farther areas, and
-    /// areas on the given side before areas on the other side.
-    fn places(&self, wide: f64, side: f64) -> impl Iterator<Item = Rect> {
-        let ((x, y), half) = (self.at, wide / 2.0);
+    /// Returns the possible areas of the point's number, the best first. The areas are in rings around the point. Nearer areas come before
+    /// farther areas, and areas on the given side before areas on the other side.
+    fn places(&self, width: f64, side: f64) -> impl Iterator<Item = Rect> {
+        let ((x, y), half_width) = (self.at, width / 2.0);
         let around = [(0, -1), (1, -1), (-1, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (0, 1)];
         (0..6).flat_map(move |ring| {
             let ring = f64::from(ring);
             around.map(|(across, down)| {
-                let (aside, below) =
-                    (GAP + half + ring * (wide + 1.2), GAP + HALF_HEIGHT + ring * 2.0 * HALF_HEIGHT);
-                let (middle, level) = (x + side * f64::from(across) * aside, y + f64::from(down) * below);
-                [middle - half, level - HALF_HEIGHT, middle + half, level + HALF_HEIGHT]
+                let dx = GAP + half_width + ring * (width + 1.2);
+                let dy = GAP + HALF_HEIGHT + ring * 2.0 * HALF_HEIGHT;
+                let (middle_x, middle_y) = (x + side * f64::from(across) * dx, y + f64::from(down) * dy);
+                [middle_x - half_width, middle_y - HALF_HEIGHT, middle_x + half_width, middle_y + HALF_HEIGHT]
             })
         })
     }
 }
 
 /// Returns the distance of two areas: the larger of the horizontal and the vertical distance.
-fn between(a: &Rect, b: &Rect) -> f64 {
+fn distance(a: &Rect, b: &Rect) -> f64 {
     let gap = |low: usize| (a[low] - b[low + 2]).max(b[low] - a[low + 2]).max(0.0);
     gap(0).max(gap(1))
 }
 
-/// Returns the first area on the plot that overlaps nothing and is near enough to the point, or otherwise the area with the smallest
-/// overlap.
-fn free(
+/// Returns the area within the limits that overlaps the occupied areas least. Of equal areas, an unambiguous area is better than an ambiguous
+/// area, and an earlier area better than a later area.
+fn best_place(
     places: impl Iterator<Item = Rect>,
-    (within, taken): (Rect, &[Rect]),
-    is_astray: impl Fn(&Rect) -> bool,
+    (limits, occupied): (Rect, &[Rect]),
+    is_ambiguous: impl Fn(&Rect) -> bool,
 ) -> Option<Rect> {
-    let shared = |a: &Rect, b: &Rect| {
-        let wide = (a[2].min(b[2]) - a[0].max(b[0])).max(0.0);
-        wide * (a[3].min(b[3]) - a[1].max(b[1])).max(0.0)
+    let overlap = |a: &Rect, b: &Rect| {
+        let width = (a[2].min(b[2]) - a[0].max(b[0])).max(0.0);
+        width * (a[3].min(b[3]) - a[1].max(b[1])).max(0.0)
     };
     let inside = places.filter(|place| {
-        place[0] >= within[0] && place[1] >= within[1] && place[2] <= within[2] && place[3] <= within[3]
+        place[0] >= limits[0] && place[1] >= limits[1] && place[2] <= limits[2] && place[3] <= limits[3]
     });
-    let cost = |place: &Rect| taken.iter().map(|other| shared(place, other)).sum::<f64>();
-    let ranked = inside.map(|place| (cost(&place), is_astray(&place), place));
+    let total_overlap = |place: &Rect| occupied.iter().map(|other| overlap(place, other)).sum::<f64>();
+    let ranked = inside.map(|place| (total_overlap(&place), is_ambiguous(&place), place));
     ranked.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1))).map(|(.., place)| place)
 }
 
@@ -149,18 +156,21 @@ mod tests {
 
     #[test]
     fn number_is_nearest_to_its_point() {
-        let spot =
-            |x: f64, reach: f64| Placed { at: (x, 75.0), interval: (75.0 + reach, 75.0 - reach), p95: None };
+        let spot = |x: f64, reach: f64| FileSpot {
+            at: (x, 75.0),
+            interval: (75.0 + reach, 75.0 - reach),
+            p95: None,
+        };
         let own = spot(75.0, 0.0);
-        let beside = spot(75.0 + 1.8 + CAP_HALF_WIDTH, 30.0);
-        let spots = [own, beside];
-        let taken: Vec<Rect> = spots.iter().flat_map(Placed::boxes).collect();
-        let places = || spots[0].places(3.0, spots[0].side(&spots));
-        let is_astray = |place: &Rect| spots[0].is_farther(place, &spots);
-        let page = ([0.0, 0.0, 150.0, 150.0], taken.as_slice());
-        let place = free(places(), page, is_astray).expect("there is room");
-        assert!(!is_astray(&place) && place[2] < 75.0 + 1.8, "{place:?}");
-        let nearest = free(places(), page, |_| false).expect("there is room");
-        assert!(is_astray(&nearest), "the place straight above is nearer to the whisker: {nearest:?}");
+        let neighbour = spot(75.0 + 1.8 + CAP_HALF_WIDTH, 30.0);
+        let spots = [own, neighbour];
+        let occupied: Vec<Rect> = spots.iter().flat_map(FileSpot::boxes).collect();
+        let places = || spots[0].places(3.0, spots[0].free_side(&spots));
+        let is_ambiguous = |place: &Rect| spots[0].is_nearer_to_other(place, &spots);
+        let limits_and_occupied = ([0.0, 0.0, 150.0, 150.0], occupied.as_slice());
+        let place = best_place(places(), limits_and_occupied, is_ambiguous).expect("there is room");
+        assert!(!is_ambiguous(&place) && place[2] < 75.0 + 1.8, "{place:?}");
+        let nearest = best_place(places(), limits_and_occupied, |_| false).expect("there is room");
+        assert!(is_ambiguous(&nearest), "the place straight above is nearer to the whisker: {nearest:?}");
     }
 }

@@ -5,11 +5,12 @@ use peernet_analysis::order::SortedValues;
 /// Minimum and maximum number of bins.
 const MIN_BINS: usize = 8;
 const MAX_BINS: usize = 60;
-/// Limits of the number of values that are cut off at one end: one in a hundred, at least three, but never more than one in eight.
+/// Maximum number of values that are cut off at one end: one in [`CUT_ONE_IN`]; of few values [`CUT_OF_FEW`], but never more than one in
+/// [`MAX_CUT_ONE_IN`].
 const CUT_ONE_IN: usize = 100;
 const CUT_OF_FEW: usize = 3;
 const MAX_CUT_ONE_IN: usize = 8;
-/// Minimum factor by which the values would widen the axis. Values that widen it less are not cut off.
+/// Minimum factor by which values that are cut off would widen the axis. Values that widen it less are shown.
 const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
 const FAR_FENCE: f64 = 3.0;
@@ -21,42 +22,46 @@ pub struct Bins {
     pub from: f64,
     /// Width of a bin.
     pub width: f64,
-    /// Number of values in each bin; a value on a border is in the upper bin, the largest value in the last bin.
+    /// Number of values in each bin. A value on the border of two bins is in the upper bin; the largest value is in the last bin.
     pub counts: Vec<u64>,
-    /// Number of values below the first and above the last bin.
+    /// Number of values below the first bin, and number of values above the last bin.
     pub beyond: (u64, u64),
 }
 
 impl Bins {
-    /// Returns bins of the width of Freedman and Diaconis (1981), twice the interquartile range over the cube root of the count, between 8
-    /// and 60 bins. The outliers of a tail that would compress the rest are outside of the bins. `None` without a finite value.
+    /// Returns between 8 and 60 bins with the width of Freedman and Diaconis (1981): twice the interquartile range, divided by the cube root of
+    /// the count. Equal values are in a single bin. Tails that would compress the rest are outside of the bins. `None` without a finite value.
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();
         let (lo, hi) = range(&finite)?;
         let n = finite.len() as f64;
-        let middle_half = finite.quantile(0.75)? - finite.quantile(0.25)?;
+        let interquartile_range = finite.quantile(0.75)? - finite.quantile(0.25)?;
         let count = if lo == hi {
             1
         } else {
-            let bins = (hi - lo) / (2.0 * middle_half / n.cbrt());
+            let bin_count = (hi - lo) / (2.0 * interquartile_range / n.cbrt());
             // If all but a few values are equal, the interquartile range gives no width.
-            if bins.is_finite() { (bins.ceil() as usize).clamp(MIN_BINS, MAX_BINS) } else { MAX_BINS }
+            if bin_count.is_finite() {
+                (bin_count.ceil() as usize).clamp(MIN_BINS, MAX_BINS)
+            } else {
+                MAX_BINS
+            }
         };
         let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
         let from = if lo == hi { lo - width / 2.0 } else { lo };
-        let mut this = Self { from, width, counts: vec![0; count], beyond: (0, 0) };
+        let mut bins = Self { from, width, counts: vec![0; count], beyond: (0, 0) };
         for value in finite.values() {
             if *value < lo {
-                this.beyond.0 += 1;
+                bins.beyond.0 += 1;
             } else if *value > hi {
-                this.beyond.1 += 1;
+                bins.beyond.1 += 1;
             } else {
                 let bin = ((value - from) / width) as usize;
-                this.counts[bin.min(count - 1)] += 1;
+                bins.counts[bin.min(count - 1)] += 1;
             }
         }
-        Some(this)
+        Some(bins)
     }
 
     /// Returns the upper end of the last bin.
@@ -64,12 +69,12 @@ impl Bins {
         self.from + self.width * self.counts.len() as f64
     }
 
-    /// Returns the lower end of a bin, which is the upper end of the bin before it.
+    /// Returns the lower end of the bin with this index. It is the upper end of the previous bin.
     pub fn edge(&self, number: usize) -> f64 {
         self.from + self.width * number as f64
     }
 
-    /// Returns the two ends of a bin.
+    /// Returns the two ends of the bin with this index.
     pub fn bin(&self, number: usize) -> (f64, f64) {
         (self.edge(number), self.edge(number + 1))
     }
@@ -85,17 +90,17 @@ impl Bins {
 /// A value is in such a tail if both conditions hold:
 ///
 /// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
-/// - It is beyond the range of the other values by more than half the width of that range. The other values are all but 1 % at each end (with
-///   fewer than 400 values all but three, with fewer than 24 all but one in eight).
+/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are those without 1 % at each
+///   end (without three at each end of fewer than 400 values, without one in eight at each end of fewer than 24 values).
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);
-    let most = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
+    let max_cut = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
     // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
-    let (low, high) = (values[most], values[values.len() - 1 - most]);
+    let (low, high) = (values[max_cut], values[values.len() - 1 - max_cut]);
     let width = high - low;
     // If all but a few values are equal, there is no width to compare with.
-    if most == 0 || width <= 0.0 || !width.is_finite() {
+    if max_cut == 0 || width <= 0.0 || !width.is_finite() {
         return Some((lo, hi));
     }
     let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);

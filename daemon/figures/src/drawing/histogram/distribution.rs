@@ -1,4 +1,4 @@
-//! Counted values as bars, with lines at quantiles.
+//! Histogram of counted values, with lines at quantiles.
 
 use super::count;
 use crate::look::{Stage, Style, TextStyle};
@@ -10,13 +10,14 @@ use crate::text::width;
 const SINGLE_BAR_WIDTH: f64 = 0.1;
 /// Minimum width and height of a bar in a file, points: one iteration in ten thousand is visible.
 const MIN_BAR_SIZE: (f64, f64) = (0.4, 0.45);
-/// Distance from a line to its label and between labels, in their type size.
+/// Distance from the line of a quantile to its label and between labels, as a multiple of the type size.
 const LABEL_GAP: f64 = 0.3;
-/// Distance between two lines of labels, and of the lowest from the plot, in their type size.
+/// Distance between two lines of labels, as a multiple of the type size.
 const LINE_DISTANCE: f64 = 1.3;
+/// Distance from the plot to the lowest line of labels, as a multiple of the type size.
 const FIRST_LINE_DISTANCE: f64 = 0.4;
 
-/// What the bars of a distribution show.
+/// Meaning of the bars of a distribution.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum View {
     /// Samples in each bin.
@@ -26,16 +27,16 @@ pub enum View {
     Cumulative,
 }
 
-/// Distribution with known counts, such as those of a sketch or of [`Bins`](super::Bins); the same for pages and files.
+/// Distribution with the number of samples in each bin, for pages and files. The counts are those of a sketch or of [`Bins`](super::Bins).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
     /// Edges of the bins, SI units: one more than there are counts.
     pub edges: Vec<f64>,
     /// Samples in each bin.
     pub counts: Vec<u64>,
-    /// Samples below the first bin and above the last.
+    /// Number of samples below the first bin, and number of samples above the last bin.
     pub beyond: (u64, u64),
-    /// Name and value of the quantiles that have a line: `median`, `p95`, `p99`.
+    /// Name and value, in SI units, of the quantiles that have a line: `median`, `p95`, `p99`.
     pub quantiles: Vec<(&'static str, f64)>,
     /// Quantity and unit.
     pub unit: Unit,
@@ -45,7 +46,7 @@ pub struct Distribution {
     pub view: View,
     /// True for a logarithmic scale of counts.
     pub is_logarithmic: bool,
-    /// Width of the plot in the type size of its labels, at the narrowest.
+    /// Minimum width of the plot, as a multiple of the type size of its labels.
     pub ems: f64,
 }
 
@@ -54,9 +55,9 @@ impl Distribution {
     pub fn plot(&self) -> Plot {
         let mut plot = Plot::new(self.value_axis(), self.count_axis().with_grid());
         plot.items = self.bars(&plot);
-        let (lines, rows) = self.marks(&plot);
-        plot.items.extend(lines);
-        plot.lines_above = rows;
+        let (quantile_items, label_lines) = self.quantile_items(&plot);
+        plot.items.extend(quantile_items);
+        plot.lines_above = label_lines;
         plot.remark = self.remark();
         plot
     }
@@ -66,7 +67,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. If all values are equal, a single bar is in the middle and does not fill the plot.
+    /// Returns the axis of values. A distribution with a single bin has it in the middle, where it does not fill the plot.
     fn value_axis(&self) -> Axis {
         let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;
@@ -96,14 +97,14 @@ impl Distribution {
 
     /// Returns the height of each bar, in the unit of the vertical axis.
     fn heights(&self) -> Vec<f64> {
-        let all = self.counts.iter().sum::<u64>() + self.beyond.0 + self.beyond.1;
-        let running = self.counts.iter().scan(self.beyond.0, |sum, count| {
+        let total = self.counts.iter().sum::<u64>() + self.beyond.0 + self.beyond.1;
+        let cumulative_percents = self.counts.iter().scan(self.beyond.0, |sum, count| {
             *sum += count;
-            Some(*sum as f64 / all.max(1) as f64 * 100.0)
+            Some(*sum as f64 / total.max(1) as f64 * 100.0)
         });
         match self.view {
             View::Counts => self.counts.iter().map(|count| *count as f64).collect(),
-            View::Cumulative => running.collect(),
+            View::Cumulative => cumulative_percents.collect(),
         }
     }
 
@@ -114,7 +115,7 @@ impl Distribution {
             let (mut from, mut to) =
                 (plot.at(edges[0] * self.unit.per_si, low), plot.at(edges[1] * self.unit.per_si, height));
             if self.counts.len() == 1 {
-                // A single value is drawn with the same width whether it is zero or not.
+                // The width of a single bin depends on the value, so its bar has a fixed width.
                 (from.x, to.x) = (0.5 - SINGLE_BAR_WIDTH / 2.0, 0.5 + SINGLE_BAR_WIDTH / 2.0);
             }
             Item::Rect { from, to, least: MIN_BAR_SIZE, style: style.clone() }
@@ -123,42 +124,44 @@ impl Distribution {
     }
 
     /// Returns the lines of quantiles with their labels above the plot, and the number of lines of text that the labels need.
-    fn marks(&self, plot: &Plot) -> (Vec<Item>, usize) {
+    fn quantile_items(&self, plot: &Plot) -> (Vec<Item>, usize) {
         let (from, to) = self.value_range();
-        // A single value has no spread.
+        // A single bin means equal values, which have no spread.
         let spread = if self.counts.len() == 1 { 0.0 } else { to - from };
-        let mut ends: Vec<(usize, f64)> = Vec::new();
+        // Line and right end of each label that has a position.
+        let mut label_ends: Vec<(usize, f64)> = Vec::new();
         let mut placed = Vec::new();
         for (name, value) in self.quantiles.iter().filter(|(_, value)| (from..=to).contains(value)) {
             let x = plot.x.scale.at(value * self.unit.per_si);
             let words = format!("{name} {}", self.unit.words(*value, spread));
-            let wide = (width(&words, 1.0) + 3.0 * LABEL_GAP) / self.ems;
+            let label_width = (width(&words, 1.0) + 3.0 * LABEL_GAP) / self.ems;
+            // The label of the median is at the left of its line if there is room, the other labels are at the right.
             let anchor = match *name {
-                "median" if x > wide => Anchor::End,
-                _ if x + wide > 1.0 => Anchor::End,
+                "median" if x > label_width => Anchor::End,
+                _ if x + label_width > 1.0 => Anchor::End,
                 _ => Anchor::Start,
             };
-            let left = if anchor == Anchor::End { x - wide } else { x };
-            // A label that would overlap one before it moves to the next line.
-            let row = (0..).find(|row| !ends.iter().any(|(known, end)| known == row && left < *end));
+            let left = if anchor == Anchor::End { x - label_width } else { x };
+            // A label that would overlap an earlier label moves to the next line.
+            let row = (0..).find(|row| !label_ends.iter().any(|(other, end)| other == row && left < *end));
             let row = row.unwrap_or_default();
-            ends.push((row, left + wide));
+            label_ends.push((row, left + label_width));
             placed.push((*name, x, words, anchor, row));
         }
         let mut items = Vec::new();
         for (name, x, words, anchor, row) in placed {
-            let aside = if anchor == Anchor::End { -LABEL_GAP } else { LABEL_GAP };
+            let gap = if anchor == Anchor::End { -LABEL_GAP } else { LABEL_GAP };
             let (bottom, top) = (At::new(x, 1.0), At::new(x, 0.0));
             items.push(Item::line(bottom, top, Style::rim()));
             items.push(Item::line(bottom, top, Style::quantile(name)));
             let label = Label::new(top, words, TextStyle::MARK).anchored(anchor);
-            items.push(Item::Text(label.shifted(aside, -FIRST_LINE_DISTANCE - LINE_DISTANCE * row as f64)));
+            items.push(Item::Text(label.shifted(gap, -FIRST_LINE_DISTANCE - LINE_DISTANCE * row as f64)));
         }
-        let rows = ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
+        let rows = label_ends.iter().map(|(row, _)| row + 1).max().unwrap_or_default();
         (items, rows)
     }
 
-    /// Counts of values outside: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`.
+    /// Returns the numbers of values outside of the bins: `← 3 below 1.2 ms · 12 beyond 23.2 ms →`. `None` if there are none.
     fn remark(&self) -> Option<String> {
         let ((below, above), (from, to)) = (self.beyond, self.value_range());
         let below = (below > 0).then(|| format!("← {} below {}", count(below), self.unit.words(from, 0.0)));

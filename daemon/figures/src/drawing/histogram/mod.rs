@@ -1,4 +1,4 @@
-//! Distribution of one quantity.
+//! Histogram of one quantity.
 
 mod bins;
 mod distribution;
@@ -14,7 +14,7 @@ use crate::look::stage;
 use crate::plot::{Figure, Unit};
 use peernet_analysis::order::SortedValues;
 
-/// Width of a plot in a file, in the type size of its labels.
+/// Width of a plot in a file, as a multiple of the type size of its labels.
 const WIDTH_EM: f64 = 31.0;
 
 /// Histogram with its median and its 95th and 99th percentiles.

@@ -2,7 +2,7 @@
 
 use peernet_analysis::order::SortedValues;
 
-/// Evaluation points in each width of the kernel, so that no peak lies between two points.
+/// Number of evaluation points per width of the kernel, so that no peak lies between two points.
 const POINTS_PER_WIDTH: f64 = 4.0;
 /// Minimum number of evaluation points.
 const MIN_POINTS: usize = 24;
@@ -13,9 +13,9 @@ const CELLS: usize = MAX_POINTS;
 
 /// Returns evaluation points between `lo` and `hi` with the density there, relative to the highest density.
 ///
-/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). The
-/// number n counts the finite values in the range; s and IQR are those of all values. The result is empty if there is no such width (fewer
-/// than two values, all values equal, or one of them infinite) or the range is empty.
+/// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Here n is
+/// the number of finite values in the range, and s and IQR are those of all values. The result is empty if the range is empty or if the values
+/// have no such width: if they are fewer than two, if all are equal, or if one is infinite.
 pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));
     let n = finite().count() as f64;
@@ -26,7 +26,7 @@ pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, 
     // A kernel that is narrower than a cell would fall between the cells.
     let width = width.max(cell);
     let steps = ((POINTS_PER_WIDTH * (hi - lo) / width).ceil() as usize).clamp(MIN_POINTS, MAX_POINTS);
-    let at = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
+    let evaluation_point = |step: usize| lo + (hi - lo) * step as f64 / steps as f64;
     let density_at = |point: f64| -> f64 {
         let contributions =
             cells.iter().enumerate().filter(|(_, count)| **count > 0).map(|(number, count)| {
@@ -35,9 +35,9 @@ pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, 
             });
         contributions.sum()
     };
-    let heights: Vec<f64> = (0..=steps).map(|step| density_at(at(step))).collect();
+    let heights: Vec<f64> = (0..=steps).map(|step| density_at(evaluation_point(step))).collect();
     let highest = heights.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    heights.into_iter().enumerate().map(|(step, height)| (at(step), height / highest)).collect()
+    heights.into_iter().enumerate().map(|(step, height)| (evaluation_point(step), height / highest)).collect()
 }
 
 /// Returns the width of the kernel; `None` if the values have no spread.

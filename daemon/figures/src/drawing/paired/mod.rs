@@ -29,7 +29,7 @@ const MARGIN_ABOVE: f64 = 0.12;
 const COUNT_DISTANCE: f64 = 9.5;
 /// Maximum number of values that are drawn as points. More values are drawn as a shape.
 const MAX_POINTS: usize = 60;
-/// Points up to this factor above the shown range are drawn, too: there is room for them below the text at the top.
+/// Points up to this multiple of the end of the shown range are drawn too, because there is room for them below the text at the top.
 const ROOM_FOR_POINTS: f64 = 1.05;
 /// Minimum ratio of the largest to the smallest median of a logarithmic axis.
 const LOGARITHMIC_RATIO: f64 = 30.0;
@@ -105,20 +105,20 @@ impl Paired {
     fn has_room_for_counts(&self) -> bool {
         let sides = self.groups.iter().map(|group| group.values.len()).max().unwrap_or(1);
         let room = PLOT_WIDTH * 0.9 / (self.groups.len() * sides).max(1) as f64 - 1.8;
-        let all = self.groups.iter().flat_map(|group| &group.values);
-        all.into_iter().all(|values| width(&count_text(values), SMALL) <= room)
+        let mut distributions = self.groups.iter().flat_map(|group| &group.values);
+        distributions.all(|values| width(&count_text(values), SMALL) <= room)
     }
 
     /// Returns the range of the axis. It contains every distribution without the tails that would leave little space for the rest.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let ends = |values: &SortedValues| {
             let (lo, hi) = range(values)?;
-            // Single points above zero are all shown, even if they are far below the others.
+            // If values are drawn as points, all points above zero are shown, even if one is far below the others.
             let smallest = values.values().first().copied().filter(|smallest| *smallest > 0.0);
             Some((smallest.filter(|_| values.len() <= MAX_POINTS).unwrap_or(lo), hi))
         };
-        let all = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
-        all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
+        let ranges = self.groups.iter().flat_map(|group| &group.values).filter_map(ends);
+        ranges.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())
     }
 
     /// Returns whether the axis is logarithmic, because most values would lie at the lower end of a linear axis.
@@ -130,7 +130,8 @@ impl Paired {
             && ends.is_some_and(|(lo, hi)| *hi >= LOGARITHMIC_RATIO * lo)
     }
 
-    /// Returns the largest value that is drawn: of points, the largest that fits the axis; of a shape, the end without its tail.
+    /// Returns the largest value that is drawn. Of values that are drawn as points, it is the largest that fits the axis. Of values that are
+    /// drawn as a shape, it is the largest that is not in the tail.
     fn highest_shown(&self, values: &SortedValues) -> Option<f64> {
         let (_, hi) = range(values)?;
         if values.len() > MAX_POINTS {
@@ -153,6 +154,7 @@ impl Paired {
         lowest.map_or(0, count)
     }
 
+    /// Returns the items of one distribution around `middle`; `half` is half of its maximum width. Both are shares of the plot's width.
     fn distribution_items(
         &self,
         plot: &Plot,
@@ -161,7 +163,7 @@ impl Paired {
         (middle, half): (f64, f64),
     ) -> Vec<Item> {
         let look = series(side);
-        let y = |value: f64| plot.up(value * self.unit.per_si);
+        let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let Some((lo, hi)) = range(values) else { return Vec::new() };
         let highest = self.highest_shown(values);
         let shape =
@@ -180,8 +182,8 @@ impl Paired {
                 |value: &&f64| **value >= lowest && highest.is_some_and(|highest| **value <= highest);
             for (number, value) in values.values().iter().filter(is_shown).enumerate() {
                 // Points are spread to the sides by the golden ratio, so that each is visible and the figure is reproducible.
-                let aside = (number as f64 * 0.618_034).fract() - 0.5;
-                let at = At::new(middle + aside * half, y(*value));
+                let offset = (number as f64 * 0.618_034).fract() - 0.5;
+                let at = At::new(middle + offset * half, y(*value));
                 items.push(Item::mark(at, look.mark, RADIUS, look.shape()));
             }
         }
@@ -191,8 +193,8 @@ impl Paired {
             let bar = |grow: f64, style: Style| {
                 let (from, to) = (At::new(middle, y(high)), At::new(middle, y(low)));
                 Item::rect(
-                    from.aside(-BAR_HALF_WIDTH - grow, -grow),
-                    to.aside(BAR_HALF_WIDTH + grow, grow),
+                    from.offset_by(-BAR_HALF_WIDTH - grow, -grow),
+                    to.offset_by(BAR_HALF_WIDTH + grow, grow),
                     style,
                 )
             };
@@ -207,7 +209,7 @@ impl Paired {
         let above = self.count_above(values);
         if let Some(highest) = highest.filter(|_| above > 0) {
             // The label must not touch the highest point.
-            let at = At::new(middle, y(highest)).aside(0.0, -3.0);
+            let at = At::new(middle, y(highest)).offset_by(0.0, -3.0);
             let label = Label::new(at, format!("+{}", fixed(above as f64, 0)), TextStyle::BEYOND);
             items.push(Item::Text(label.anchored(Anchor::Middle).shifted(0.0, 0.0)));
         }
@@ -276,7 +278,7 @@ impl Paired {
                     self.distribution_items(&plot, values, side, (middle, (lane * 0.4).min(MAX_HALF_WIDTH)));
                 plot.items.extend(items);
                 if !counts.is_empty() && !values.is_empty() {
-                    let at = At::new(middle, 1.0).aside(0.0, COUNT_DISTANCE);
+                    let at = At::new(middle, 1.0).offset_by(0.0, COUNT_DISTANCE);
                     let label = Label::new(at, count_text(values), TextStyle::AXIS).anchored(Anchor::Middle);
                     plot.items.push(Item::Text(label.shifted(0.0, 0.0)));
                 }

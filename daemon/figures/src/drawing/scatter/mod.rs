@@ -1,12 +1,12 @@
-//! Points of several series with their names, error bars and lines through them. Pages have it.
+//! Points of several series with their names and error bars, and lines through the points. Only pages have this kind.
 
 mod names;
 
 use crate::look::{Mark, Stage, Style};
 use crate::plot::{At, Axis, Item, Key, Path, Plot, Swatch};
-use names::{Named, labels};
+use names::{NamedPoint, labels};
 
-/// Points of a line that is drawn: on a logarithmic axis a straight line is a curve.
+/// Number of pieces of a drawn line, because a straight line is a curve on a logarithmic axis.
 const STEPS: u32 = 64;
 /// Radius of a point, points.
 const RADIUS: f64 = 3.75;
@@ -18,7 +18,7 @@ pub struct Scatter {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
-    /// Series, the lowest first.
+    /// Series. Each is drawn over those before it.
     pub series: Vec<ScatterSeries>,
 }
 
@@ -31,7 +31,7 @@ pub struct ScatterSeries {
     pub stage: Stage,
     /// Points of the series.
     pub points: Vec<ScatterPoint>,
-    /// Straight lines through them.
+    /// Straight lines through the points.
     pub lines: Vec<ScatterLine>,
 }
 
@@ -42,9 +42,9 @@ pub struct ScatterPoint {
     pub x: f64,
     /// Value upwards.
     pub y: f64,
-    /// Lower and upper end of its error bar.
+    /// Lower and upper end of the point's error bar.
     pub ends: Option<(f64, f64)>,
-    /// Label beside the point; none if empty.
+    /// Label beside the point; a point with an empty name has none.
     pub name: String,
 }
 
@@ -71,8 +71,9 @@ pub struct ScatterLine {
 impl Scatter {
     /// Returns the entries of the legend.
     pub fn legend(&self) -> Vec<Key> {
-        let key =
-            |one: &ScatterSeries| Key::new(Swatch::Mark(Mark::Disc, one.stage.mark()), one.name.clone());
+        let key = |series: &ScatterSeries| {
+            Key::new(Swatch::Mark(Mark::Disc, series.stage.mark()), series.name.clone())
+        };
         self.series.iter().map(key).collect()
     }
 
@@ -80,35 +81,37 @@ impl Scatter {
     pub fn plot(&self) -> Plot {
         let mut plot = Plot::new(self.x.clone(), self.y.clone().with_grid());
         // Values beyond the end of the axis leave the plot.
-        let place = |plot: &Plot, x: f64, y: f64| (plot.x.scale.at(x), 1.0 - plot.y.scale.at_or_outside(y));
-        let mut drawn: Vec<(f64, f64)> = Vec::new();
-        let mut points = Vec::new();
-        let mut named = Vec::new();
-        for one in &self.series {
-            let look = one.stage;
-            for line in &one.lines {
+        let position =
+            |plot: &Plot, x: f64, y: f64| (plot.x.scale.at(x), 1.0 - plot.y.scale.at_or_outside(y));
+        // Points of the drawn lines and error bars, which names should avoid.
+        let mut line_points: Vec<(f64, f64)> = Vec::new();
+        let mut point_items = Vec::new();
+        let mut named_points = Vec::new();
+        for series in &self.series {
+            let look = series.stage;
+            for line in &series.lines {
                 let steps = (0..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
-                let across = steps.map(|step| plot.x.scale.between(line.from, line.to, step));
-                let course: Vec<_> =
-                    across.map(|x| place(&plot, x, line.intercept + line.slope * x)).collect();
-                drawn.extend(&course);
-                let path = Path::line(course.into_iter().map(Some));
+                let xs = steps.map(|step| plot.x.scale.between(line.from, line.to, step));
+                let positions: Vec<_> =
+                    xs.map(|x| position(&plot, x, line.intercept + line.slope * x)).collect();
+                line_points.extend(&positions);
+                let path = Path::line(positions.into_iter().map(Some));
                 plot.items.push(Item::path(path, look.line(0.75).with("fit")));
             }
-            for (index, point) in one.points.iter().enumerate() {
-                let (x, y) = place(&plot, point.x, point.y);
+            for (index, point) in series.points.iter().enumerate() {
+                let (x, y) = position(&plot, point.x, point.y);
                 if let Some((low, high)) = point.ends {
-                    let [low, high] = [low, high].map(|value| place(&plot, point.x, value).1);
-                    let step = |step: u32| low + (high - low) * f64::from(step) / f64::from(STEPS);
-                    drawn.extend((0..=STEPS).map(|number| (x, step(number))));
-                    points.push(Item::line(At::new(x, high), At::new(x, low), Style::of_page("whisk")));
+                    let [low, high] = [low, high].map(|value| position(&plot, point.x, value).1);
+                    let y_at = |step: u32| low + (high - low) * f64::from(step) / f64::from(STEPS);
+                    line_points.extend((0..=STEPS).map(|step| (x, y_at(step))));
+                    point_items.push(Item::line(At::new(x, high), At::new(x, low), Style::of_page("whisk")));
                 }
-                points.push(Item::mark(At::new(x, y), Mark::Disc, RADIUS, look.mark().with("cut")));
-                named.push(Named { at: (x, y), number: index, name: &point.name });
+                point_items.push(Item::mark(At::new(x, y), Mark::Disc, RADIUS, look.mark().with("cut")));
+                named_points.push(NamedPoint { at: (x, y), number: index, name: &point.name });
             }
         }
-        plot.items.extend(points);
-        plot.items.extend(labels(&named, &drawn).into_iter().map(Item::Text));
+        plot.items.extend(point_items);
+        plot.items.extend(labels(&named_points, &line_points).into_iter().map(Item::Text));
         plot
     }
 }

@@ -51,7 +51,7 @@ fn long_tail_is_counted_instead_of_drawn() {
 }
 
 #[test]
-fn empty_single_equal_and_non_finite_values_give_a_valid_figure() {
+fn unusual_values_give_valid_figure() {
     let cases: [Vec<f64>; 6] = [
         vec![],
         vec![17.5],
@@ -71,7 +71,7 @@ fn empty_single_equal_and_non_finite_values_give_a_valid_figure() {
 }
 
 #[test]
-fn values_that_are_all_zero_have_a_bar() {
+fn zero_values_have_bar() {
     let fill = colour("upload");
     let widths = [0.0, 3.0].map(|value| {
         let svg = histogram(millis([value; 30])).svg();

@@ -48,15 +48,15 @@ fn values_beyond_axis_are_counted_per_curve() {
     let one = cumulative(vec![late(9e4)]);
     assert!(texts(&one.svg()).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&one.svg()));
     let two = cumulative(vec![late(9e4), late(8e4)]);
-    let told = "beyond the axis: 1 of configuration 0, 1 of configuration 1";
-    assert!(two.words().contains(told), "{}", two.words());
+    let note = "beyond the axis: 1 of configuration 0, 1 of configuration 1";
+    assert!(two.words().contains(note), "{}", two.words());
     let apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
     assert!(has(&apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&apart.svg()));
     assert_on_paper(&apart.svg());
 }
 
 #[test]
-fn empty_single_and_non_finite_curves_give_a_valid_figure() {
+fn unusual_curves_give_valid_figure() {
     for values in [vec![], vec![7.0], vec![0.0; 30], vec![-2.0, 1.0], vec![f64::NAN, 3.0, f64::INFINITY]] {
         let figure = cumulative(vec![millis(values.clone()), millis([])]);
         assert_on_paper(&figure.svg());

@@ -85,7 +85,7 @@ macro_rules! draw {
     };
 }
 
-draw!(Accuracy, Course, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked);
+draw!(Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries);
 
 fn millis(values: impl IntoIterator<Item = f64>) -> SortedValues {
     values.into_iter().map(|value| value / 1e3).collect()
@@ -173,7 +173,7 @@ fn names_cannot_break_a_file() {
 fn font_has_all_characters_of_figures() {
     for source in [
         include_str!("../accuracy/mod.rs"),
-        include_str!("../course/mod.rs"),
+        include_str!("../time_series/mod.rs"),
         include_str!("../cumulative.rs"),
         include_str!("../histogram/distribution.rs"),
         include_str!("../lengths.rs"),

@@ -2,12 +2,12 @@
 
 use super::*;
 
-fn course(total: Vec<(f64, f64)>) -> Course {
+fn time_series(total: Vec<(f64, f64)>) -> TimeSeries {
     let half = total.iter().map(|(at, value)| (*at, value / 2.0)).collect();
-    Course {
+    TimeSeries {
         title: "Latency over time".to_owned(),
         x: "Time since the start, s".to_owned(),
-        is_counted: false,
+        x_is_iteration: false,
         unit: Unit::milliseconds("Latency"),
         total: Line { name: "total".to_owned(), values: total },
         stages: vec![Line { name: "upload".to_owned(), values: half }],
@@ -20,7 +20,7 @@ fn course(total: Vec<(f64, f64)>) -> Course {
 
 #[test]
 fn warm_up_episodes_and_losses_are_marked() {
-    let figure = course((0..100).map(|i| (f64::from(i), 0.05 + f64::from(i % 3) * 1e-3)).collect());
+    let figure = time_series((0..100).map(|i| (f64::from(i), 0.05 + f64::from(i % 3) * 1e-3)).collect());
     let svg = figure.svg();
     for text in ["total (band: range)", "upload", "warm-up", "no answer (3)", "new episode", "Latency, ms"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
@@ -35,9 +35,9 @@ fn warm_up_episodes_and_losses_are_marked() {
 }
 
 #[test]
-fn figure_of_100000_iterations_is_a_small_file() {
+fn figure_of_100000_iterations_is_small_file() {
     let late = |i: u32| if i == 77_777 { 0.5 } else { 0.05 + f64::from(i % 97) * 1e-4 };
-    let figure = course((0..100_000).map(|i| (f64::from(i) * 1e-2, late(i))).collect());
+    let figure = time_series((0..100_000).map(|i| (f64::from(i) * 1e-2, late(i))).collect());
     let svg = figure.svg();
     assert!(svg.len() < 100_000, "{}", svg.len());
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&svg));
@@ -47,12 +47,12 @@ fn figure_of_100000_iterations_is_a_small_file() {
 #[test]
 fn single_stall_does_not_hide_the_run() {
     let stalled = |at: u32, value: f64| (f64::from(at) / 10.0, if at == 300 { 12.0 } else { value });
-    let figure = Course {
+    let figure = TimeSeries {
         stages: vec![Line {
             name: "inference".to_owned(),
             values: (0..600).map(|at| stalled(at, 5e-3)).collect(),
         }],
-        ..course((0..600).map(|at| stalled(at, 6e-3 + f64::from(at % 7) * 1e-5)).collect())
+        ..time_series((0..600).map(|at| stalled(at, 6e-3 + f64::from(at % 7) * 1e-5)).collect())
     };
     let svg = figure.svg();
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6.")), "{:?}", texts(&svg));
@@ -62,8 +62,12 @@ fn single_stall_does_not_hide_the_run() {
 fn lines_stop_where_nothing_was_measured() {
     let with_gap = |i: u32| f64::from(i) + if i < 500 { 0.0 } else { 3000.0 };
     let lines = |total: Vec<(f64, f64)>| {
-        let figure =
-            Course { stages: Vec::new(), episodes: Vec::new(), unanswered: Vec::new(), ..course(total) };
+        let figure = TimeSeries {
+            stages: Vec::new(),
+            episodes: Vec::new(),
+            unanswered: Vec::new(),
+            ..time_series(total)
+        };
         Elements::of(&figure.svg(), "path").with("fill-opacity", "0.25").0[0]["d"].matches('Z').count()
     };
     assert_eq!(lines((0..1000).map(|i| (f64::from(i), 0.05)).collect()), 1);
@@ -72,21 +76,23 @@ fn lines_stop_where_nothing_was_measured() {
 }
 
 #[test]
-fn empty_single_and_negative_runs_give_a_valid_figure() {
+fn unusual_runs_give_valid_figure() {
     for values in
         [vec![], vec![(1.0, 0.05)], vec![(1.0, 0.05); 9], vec![(0.0, f64::NAN), (1.0, -0.02), (2.0, 0.0)]]
     {
-        let figure = Course {
+        let figure = TimeSeries {
             warm_up: Vec::new(),
             episodes: Vec::new(),
             unanswered: Vec::new(),
-            ..course(values.clone())
+            ..time_series(values.clone())
         };
         let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
         assert_on_paper(&svg);
     }
-    let many =
-        Course { episodes: (0..500).map(f64::from).collect(), ..course(vec![(0.0, 0.1), (500.0, 0.1)]) };
+    let many = TimeSeries {
+        episodes: (0..500).map(f64::from).collect(),
+        ..time_series(vec![(0.0, 0.1), (500.0, 0.1)])
+    };
     assert!(!has(&many.svg(), "new episode"), "borders alone would be seen");
 }

@@ -24,7 +24,7 @@ fn page_distribution_has_bars_and_lines() {
 }
 
 #[test]
-fn lengths_and_scaling_are_drawn_on_a_page() {
+fn lengths_and_scaling_are_drawn_on_page() {
     let points = (0..3000).map(|i| (f64::from(i % 83), f64::from(i % 83) * 2e-3)).collect();
     let unit = Unit { title: "Tokens".to_owned(), symbol: "".into(), per_si: 1.0 };
     let (title, notes, stage) = (String::new(), Vec::new(), "inference".to_owned());
@@ -58,7 +58,7 @@ fn lengths_and_scaling_are_drawn_on_a_page() {
 }
 
 #[test]
-fn values_of_a_stack_are_labelled_if_they_fit() {
+fn stack_values_are_labelled_if_they_fit() {
     let scale = Scale::linear((0.0, 40.0)).widened(6);
     let stack = Stack { parts: vec![("sensing", 3.0), ("encode", 0.02), ("upload", 9.0)], scale };
     let mut items = stack.items((0.15, 0.85), Direction::Level);

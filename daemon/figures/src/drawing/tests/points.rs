@@ -114,7 +114,7 @@ fn overlapping_whiskers_are_omitted() {
 fn numbers_of_coinciding_points_do_not_overlap() {
     let figure = accuracy((0..9).map(|_| score("x", 100, 100, 0.02)).collect());
     let svg = figure.svg();
-    let of = |attribute: &str| {
+    let coordinates = |attribute: &str| {
         let texts = svg.split("<text ").skip(1).filter(|text| {
             let words = text.split('>').nth(1).and_then(|text| text.split('<').next()).unwrap_or_default();
             words.trim().parse::<u32>().is_ok_and(|number| (1..=9).contains(&number))
@@ -123,7 +123,7 @@ fn numbers_of_coinciding_points_do_not_overlap() {
             |text: &str| text.split(&format!("{attribute}=\"")).nth(1)?.split('"').next()?.parse().ok();
         texts.filter_map(value).collect::<Vec<f64>>()
     };
-    let places: Vec<(f64, f64)> = of("x").into_iter().zip(of("y")).take(9).collect();
+    let places: Vec<(f64, f64)> = coordinates("x").into_iter().zip(coordinates("y")).take(9).collect();
     assert_eq!(places.len(), 9, "{svg}");
     for (number, (x, y)) in places.iter().enumerate() {
         let far = |(a, b): &(f64, f64)| (a - x).abs() >= 3.0 || (b - y).abs() >= 6.0;
@@ -190,7 +190,7 @@ mod scatter {
     }
 
     #[test]
-    fn sizes_of_several_powers_of_ten_are_equally_far_apart() {
+    fn powers_of_ten_are_equally_far_apart() {
         let line = ScatterLine { intercept: 1.0, slope: 0.001, from: 1.0, to: 1_000.0 };
         let html = html(&[(1.0, 1.0), (31.622_776, 2.0), (1_000.0, 3.0)], vec![line]);
         let x = across(&html);

@@ -43,8 +43,9 @@ fn axis_ticks_are_measured_edge_counts() {
 
 #[test]
 fn curves_differ_by_mark_and_line() {
-    let of = |factor: f64| [1, 2, 3].map(|edges| point(edges, factor * edges as f64, Some(0.9))).to_vec();
-    let figure = sharing(vec![("s", of(0.01)), ("m", of(0.02)), ("l", of(0.03)), ("xl", of(0.04))]);
+    let curve = |factor: f64| [1, 2, 3].map(|edges| point(edges, factor * edges as f64, Some(0.9))).to_vec();
+    let figure =
+        sharing(vec![("s", curve(0.01)), ("m", curve(0.02)), ("l", curve(0.03)), ("xl", curve(0.04))]);
     let svg = figure.svg();
     assert!(["s", "m", "l", "xl"].iter().all(|name| has(&svg, name)), "{:?}", texts(&svg));
     let dashes: BTreeSet<String> = Elements::of(&svg, "path")
@@ -58,7 +59,7 @@ fn curves_differ_by_mark_and_line() {
 }
 
 #[test]
-fn missing_and_extreme_points_give_a_valid_figure() {
+fn missing_and_extreme_points_give_valid_figure() {
     let unjudged =
         |edges, median| SharingPoint { p95: None, each: vec![median], ..point(edges, median, None) };
     let cases = [

@@ -41,15 +41,15 @@ fn a_box_lies_where_its_quantiles_are() {
     let (from, wide) = (number("<rect", " x=\""), number("<rect", " width=\""));
     let [low, high] = [" x1=\"", " x2=\""].map(|end| number("class=\"whisk2\"", end));
     let median = number("class=\"halo\"", " x1=\"");
-    for (known, expected) in [(low, 6.0), (from, 26.0), (median, 51.0), (from + wide, 76.0), (high, 96.0)] {
-        assert!((known - expected).abs() < 0.011 * expected, "{known} {expected} {html}");
+    for (summary, expected) in [(low, 6.0), (from, 26.0), (median, 51.0), (from + wide, 76.0), (high, 96.0)] {
+        assert!((summary - expected).abs() < 0.011 * expected, "{summary} {expected} {html}");
     }
     assert!((number("<circle", " cx=\"") - 51.0).abs() < 1e-9, "{html}");
     assert!(five.words().starts_with("median 5"), "{}", five.words());
 }
 
 #[test]
-fn few_samples_have_no_whiskers_and_none_no_box() {
+fn few_samples_have_box_without_whiskers() {
     let few = Quartiles::of(&seconds((1..=59).map(f64::from))).expect("samples");
     assert_eq!((few.tails, few.count), (None, 59));
     assert!(Quartiles::of(&seconds((1..=60).map(f64::from))).expect("samples").tails.is_some());
@@ -57,7 +57,7 @@ fn few_samples_have_no_whiskers_and_none_no_box() {
 }
 
 #[test]
-fn histograms_share_their_axis_and_each_fills_its_height() {
+fn histograms_share_axis_and_fill_their_height() {
     let all = [seconds((0..200).map(|n| 10.0 + f64::from(n) / 200.0)), seconds([14.0; 50])];
     let axis = milliseconds(&all).expect("samples");
     let bars = all.each_ref().map(|one| rects(&axis.histogram(one, &stage("total"), None), "bin f-total"));
@@ -67,10 +67,10 @@ fn histograms_share_their_axis_and_each_fills_its_height() {
 }
 
 #[test]
-fn a_straggler_is_counted_and_does_not_stretch_the_axis() {
-    let known = seconds((0..1_000).map(|n| if n == 0 { 1_000.0 } else { 10.0 + f64::from(n) / 100.0 }));
-    let axis = milliseconds([&known]).expect("samples");
-    assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&known)), "{axis:?}");
+fn straggler_is_counted_and_does_not_stretch_axis() {
+    let summary = seconds((0..1_000).map(|n| if n == 0 { 1_000.0 } else { 10.0 + f64::from(n) / 100.0 }));
+    let axis = milliseconds([&summary]).expect("samples");
+    assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&summary)), "{axis:?}");
     assert_eq!(milliseconds([&Summary::default()]), None);
     let equal = seconds([14.0; 10]);
     let axis = milliseconds([&equal]).expect("samples");
@@ -78,14 +78,14 @@ fn a_straggler_is_counted_and_does_not_stretch_the_axis() {
 }
 
 #[test]
-fn runs_that_are_a_decade_apart_lie_on_a_logarithmic_axis() {
+fn runs_a_decade_apart_have_logarithmic_axis() {
     let all = [seconds((1..100).map(f64::from)), seconds((500..600).map(f64::from))];
     let axis = milliseconds(&all).expect("samples");
     assert!(axis.scale.is_logarithmic() && axis.axis().page_title() == "ms, logarithmic", "{axis:?}");
 }
 
 #[test]
-fn the_interval_of_a_median_is_a_band() {
+fn interval_of_median_is_drawn_as_band() {
     let rates = summary((80..120).map(|n| f64::from(n) * 1e6));
     let axis = BinnedAxis::around([&rates].into_iter(), Unit::symbol("MB/s", 1.0 / 8e6)).expect("samples");
     assert_eq!((axis.axis().page_title().as_str(), axis.scale.ticks(5)[0].text.as_str()), ("MB/s", "10"));
@@ -105,29 +105,29 @@ fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
     let across = BinnedAxis::from_zero([&x].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
     let up = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
     let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&up, &y), line };
-    (joint.plot(), joint.is_counted(), up.beyond(&y))
+    (joint.plot(), joint.has_cells(), up.beyond(&y))
 }
 
 #[test]
-fn points_lie_where_their_values_are_and_distributions_beside_them() {
-    let (plot, is_counted, _) = joint(&talk(300), Some((0.05, 1e-3)));
+fn joint_plot_has_points_and_both_distributions() {
+    let (plot, has_cells, _) = joint(&talk(300), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
     let dots = html.split("class=\"dots d-inference\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let dots = dots.expect("dots");
     // 50 of 400 tokens and 100 of 450 ms.
-    assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !is_counted, "{dots}");
+    assert!(dots.starts_with("M125 800L") && dots.matches('M').count() == 300 && !has_cells, "{dots}");
     assert!(html.contains("<path class=\"fit\"") && !html.contains("class=\"halo\""), "{html}");
-    for strip in [plot.above, plot.beside] {
+    for strip in [plot.top_strip, plot.right_strip] {
         let bars = rects(&strip.expect("a strip").items, "bin f-total");
         assert!(bars.len() > 40 && bars.iter().all(|bar| bar[3] <= 1.0), "{bars:?}");
     }
 }
 
 #[test]
-fn many_points_are_cells_and_stragglers_are_counted() {
-    let (plot, is_counted, _) = joint(&talk(500), Some((0.05, 1e-3)));
+fn many_points_become_cells_and_stragglers_are_counted() {
+    let (plot, has_cells, _) = joint(&talk(500), Some((0.05, 1e-3)));
     let html = page::plot(&plot, "joint", "A");
-    assert!(is_counted && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
+    assert!(has_cells && html.contains("fill-opacity") && html.contains("class=\"halo\""), "{html}");
     let mut points = talk(300);
     points.push((60.0, 30.0));
     let (plot, _, beyond) = joint(&points, None);
@@ -150,7 +150,7 @@ fn negative_lengths_have_places_of_their_own() {
 }
 
 #[test]
-fn axes_begin_at_zero_but_where_that_would_squeeze_or_needs_a_logarithm() {
+fn axis_begins_at_zero_unless_squeezed_or_logarithmic() {
     let begins = |values: &[f64]| {
         let axis =
             BinnedAxis::from_zero([&summary(values.iter().copied())].into_iter(), Unit::symbol("B", 1.0));
@@ -184,7 +184,7 @@ fn heights(of: &Distribution) -> Vec<f64> {
 }
 
 #[test]
-fn labels_of_quantiles_do_not_meet_on_a_phone() {
+fn quantile_labels_do_not_overlap_in_narrow_plot() {
     let places = |p50, p95, p99| {
         let close =
             Distribution { quantiles: vec![("median", p50), ("p95", p95), ("p99", p99)], ..distribution() };
@@ -200,7 +200,7 @@ fn labels_of_quantiles_do_not_meet_on_a_phone() {
 }
 
 #[test]
-fn counts_are_whole_and_a_running_sum_rises_to_what_the_bins_hold() {
+fn cumulative_bars_rise_to_share_within_bins() {
     let few = Distribution { counts: vec![1, 0, 0], beyond: (0, 0), ..distribution() };
     let labels: Vec<String> = few.plot().y.ticks(9).into_iter().map(|tick| tick.text).collect();
     assert_eq!(labels, ["0", "1"]);

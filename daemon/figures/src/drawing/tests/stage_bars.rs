@@ -15,11 +15,11 @@ fn html(bar: &StageBar<'_>) -> String {
 
 /// Returns the ends of the level lines of a class that are not caps.
 fn lines(bar: &StageBar<'_>, class: &str) -> Vec<[f64; 2]> {
-    let of = |item: Item| match item {
+    let level_line = |item: Item| match item {
         Item::Line { from, to, style } if style.class == class && from.x != to.x => Some([from.x, to.x]),
         _ => None,
     };
-    bar.items().into_iter().filter_map(of).collect()
+    bar.items().into_iter().filter_map(level_line).collect()
 }
 
 fn close(a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
@@ -29,12 +29,12 @@ fn close(a: &[[f64; 2]], b: &[[f64; 2]]) -> bool {
 
 /// Returns the smallest width of a picture at which each value is shown.
 fn widths(bar: &StageBar<'_>) -> Vec<Option<u16>> {
-    let text = |item: Item| if let Item::Text(label) = item { Some(label.from) } else { None };
+    let text = |item: Item| if let Item::Text(label) = item { Some(label.min_width) } else { None };
     bar.items().into_iter().filter_map(text).collect()
 }
 
 #[test]
-fn a_stage_holds_its_value_and_its_name_where_the_bar_is_wide_enough_for_them() {
+fn stage_shows_value_and_name_where_they_fit() {
     let parts = [part("sensing", 2.0), part("preprocessing", 2.6), part("inference", 13.1)];
     let bar = html(&StageBar::new(&parts, Scale::up_to(30.0, 6)));
     assert!(bar.contains("<tspan class=\"fits w12\">inference </tspan>13.1<"), "{bar}");
@@ -47,7 +47,7 @@ fn a_stage_holds_its_value_and_its_name_where_the_bar_is_wide_enough_for_them() 
 }
 
 #[test]
-fn whiskers_begin_where_the_bar_ends_and_never_run_backwards() {
+fn whiskers_begin_at_end_of_bar() {
     let parts = [part("upload", 20.0)];
     let with = |quantiles| StageBar { quantiles, ..StageBar::new(&parts, Scale::up_to(30.0, 6)) };
     let both = with([Some(0.024), Some(0.027)]);
@@ -59,7 +59,7 @@ fn whiskers_begin_where_the_bar_ends_and_never_run_backwards() {
 }
 
 #[test]
-fn clock_bounds_are_drawn_where_a_direction_meets_the_other_host() {
+fn clock_bounds_are_drawn_at_boundary_to_other_host() {
     let bounded = |name: &str, milliseconds, bound: f64| StagePart {
         bound: Some(bound / 1e3),
         ..part(name, milliseconds)
@@ -93,7 +93,7 @@ fn a_whole_bar_fills_its_panel() {
 }
 
 #[test]
-fn a_meter_shows_a_little_and_keeps_too_much_inside() {
+fn meter_shows_small_shares_and_clamps_large_ones() {
     let width = |share| match meter(share).0.last() {
         Some(Item::Rect { to, .. }) => to.x,
         other => panic!("{other:?}"),

@@ -33,7 +33,7 @@ fn paths(items: &[Item]) -> Vec<(&str, &Path)> {
 }
 
 fn path<'a>(items: &'a [Item], class: &str) -> Option<&'a Path> {
-    paths(items).into_iter().find(|(known, _)| *known == class).map(|(_, path)| path)
+    paths(items).into_iter().find(|(stages, _)| *stages == class).map(|(_, path)| path)
 }
 
 fn pieces(path: &Path) -> usize {
@@ -54,7 +54,7 @@ fn a_line_stops_where_nothing_was_measured() {
 }
 
 #[test]
-fn a_single_bucket_is_as_wide_as_it_lasted() {
+fn single_bucket_is_as_wide_as_its_duration() {
     let ends = |run: &StagesOverTime| {
         let plot = drawn(run);
         let median = path(&plot.items, "median").expect("a line").clone();
@@ -72,20 +72,20 @@ fn a_single_bucket_is_as_wide_as_it_lasted() {
 }
 
 #[test]
-fn the_axis_ends_above_the_largest_quantile_and_counts_what_is_beyond() {
-    let mut known = run(vec![bucket(0.0, 0.010), bucket(1.0, 0.012), bucket(2.0, 0.500)]);
-    known.buckets.iter_mut().for_each(|bucket| (bucket.median, bucket.p95) = (0.01, Some(0.02)));
-    assert_eq!((axes(&known).beyond(&known), axes(&known).unit()), (1, "seconds"));
+fn axis_ends_above_largest_quantile_and_counts_rest() {
+    let mut stages = run(vec![bucket(0.0, 0.010), bucket(1.0, 0.012), bucket(2.0, 0.500)]);
+    stages.buckets.iter_mut().for_each(|bucket| (bucket.median, bucket.p95) = (0.01, Some(0.02)));
+    assert_eq!((axes(&stages).beyond(&stages), axes(&stages).unit()), (1, "seconds"));
     let top = |run: &StagesOverTime| drawn(run).y.scale.ends().1;
-    assert!((top(&known) - 21.0).abs() < 1e-9);
-    let plot = drawn(&known);
+    assert!((top(&stages) - 21.0).abs() < 1e-9);
+    let plot = drawn(&stages);
     let area = path(&plot.items, "f-inference").expect("an area");
     let leaves = area.steps.iter().any(|step| matches!(step, Step::Line(_, y) if *y < 0.0));
     assert!(leaves, "cut off by the sheet: {area:?}");
     // Without a quantile of any bucket, that of the run.
-    known.buckets.iter_mut().for_each(|bucket| bucket.p95 = None);
-    known.p95 = Some(0.03);
-    assert!((top(&known) - 31.5).abs() < 1e-9);
+    stages.buckets.iter_mut().for_each(|bucket| bucket.p95 = None);
+    stages.p95 = Some(0.03);
+    assert!((top(&stages) - 31.5).abs() < 1e-9);
 }
 
 #[test]
@@ -100,11 +100,11 @@ fn weeks_and_nothing_have_axes_too() {
 }
 
 #[test]
-fn marks_that_would_lie_on_one_another_are_one() {
-    let mut known = run(vec![bucket(0.0, 0.01)]);
-    (known.unanswered, known.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
-    let plot = drawn(&known);
-    let rail = plot.above.as_ref().expect("a rail");
+fn overlapping_marks_are_merged() {
+    let mut stages = run(vec![bucket(0.0, 0.01)]);
+    (stages.unanswered, stages.borders) = (vec![5.0, 1.0, 1.01, 1.02], vec![2.5, 5.0]);
+    let plot = drawn(&stages);
+    let rail = plot.top_strip.as_ref().expect("a rail");
     assert_eq!(path(&rail.items, "lost").map(pieces), Some(2));
     let borders = path(&plot.items, "border").expect("borders");
     assert_eq!(

@@ -39,11 +39,15 @@ fn extreme_numbers_give_valid_figures_of_all_kinds() {
 fn implausibly_large_values_are_excluded_and_noted() {
     let some = odd(1e308, 51);
     let drawn = series::drawings(&some.record, &some.rows).expect("most can be drawn");
-    let Shown::Course(course) = &drawn[0].shown else { panic!("{drawn:?}") };
-    assert_eq!(course.total.values.len(), 49);
-    assert!(course.notes.contains(&"not drawn, beyond ±10¹⁸: 10 numbers".to_owned()), "{:?}", course.notes);
+    let AnyFigure::TimeSeries(time_series) = &drawn[0].figure else { panic!("{drawn:?}") };
+    assert_eq!(time_series.total.values.len(), 49);
+    assert!(
+        time_series.notes.contains(&"not drawn, beyond ±10¹⁸: 10 numbers".to_owned()),
+        "{:?}",
+        time_series.notes
+    );
     let drawn = payload::drawings(std::slice::from_ref(&some)).expect("the others can be drawn");
-    let Shown::Scaling(scaling) = &drawn[0].shown else { panic!("{drawn:?}") };
+    let AnyFigure::Scaling(scaling) = &drawn[0].figure else { panic!("{drawn:?}") };
     assert!(scaling.notes.iter().any(|note| note.contains("±10¹⁸")), "{:?}", scaling.notes);
     let all = odd(1e308, 1);
     let refused = histograms::drawings(&all, Some("upload")).expect_err("there is none");

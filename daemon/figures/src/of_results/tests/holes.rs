@@ -7,7 +7,7 @@ use peernet_analysis::Passage;
 
 #[test]
 fn accuracy_figure_notes_unknown_labels() {
-    let foreign = |from: u64| {
+    let run_with_labels = |from: u64| {
         let mut run = Loaded { record: placed("s", "local", 1.0).record, ..run_with_total(20.0) };
         run.rows.change(|row| {
             if row.iteration > from && row.outcome == Outcome::Ok {
@@ -20,10 +20,10 @@ fn accuracy_figure_notes_unknown_labels() {
         run
     };
     let why = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
-    let drawings = accuracy::drawings(&[foreign(90)]).expect("some are scored");
-    let Shown::Accuracy(figure) = &drawings[0].shown else { panic!("points") };
+    let drawings = accuracy::drawings(&[run_with_labels(90)]).expect("some are scored");
+    let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
-    let none = accuracy::drawings(&[foreign(0)]).expect_err("nothing is scored");
+    let none = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
     assert!(
         none.to_string().ends_with(&format!("has a top-1; 94 iterations cannot have one, {why}")),
         "{none}"
@@ -51,26 +51,26 @@ fn unknown_delays_do_not_shorten_bars() {
         }
     });
     let drawings = stacked::drawings(&[run, failed()]).expect("there is something");
-    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert_eq!(figure.stages, ["sensing", "upload"]);
     let shown: Vec<f64> = figure.bars[0].means.iter().map(|mean| (mean * 1e6).round()).collect();
     assert_eq!((figure.bars.len(), shown), (1, vec![1_000.0, 10_000.0]));
     assert!((figure.bars[0].total - 11e-3).abs() < 1e-9, "{figure:?}");
-    assert_eq!(drawings[0].missing, ["left out: 1 configuration without an iteration that counts"]);
-    let told = [
+    assert_eq!(drawings[0].missing, ["left out: 1 configuration without a counted iteration"]);
+    let expected_notes = [
         "n = 99 · left out: 10 warm-up, 16 without an answer",
         "left out of the means: unknown delays, 50 of upload",
-        "left out: 1 configuration without an iteration that counts",
+        "left out: 1 configuration without a counted iteration",
     ];
-    assert_eq!(figure.notes[1..], told);
+    assert_eq!(figure.notes[1..], expected_notes);
 }
 
 #[test]
-fn delays_below_zero_are_called_what_they_are() {
+fn negative_delays_are_noted() {
     let run = run(105, |number| vec![("sensing", -1.0), ("upload", if number > 100 { -1.0 } else { 1.0 })]);
     let notes = |column: &str| {
         let drawings = histograms::drawings(&run, Some(column)).expect("there are values");
-        let Shown::Histogram(figure) = &drawings[0].shown else { panic!("bars") };
+        let AnyFigure::Histogram(figure) = &drawings[0].figure else { panic!("bars") };
         figure.notes[1..].to_vec()
     };
     assert_eq!(notes("upload"), ["below zero, by the clocks' error: 5"]);

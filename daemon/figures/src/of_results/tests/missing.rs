@@ -27,8 +27,9 @@ fn omitted_direction_is_noted_with_sizes() {
         ]
     });
     let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
-    let told = "payload-latency: not drawn: upload, 106 kB to 157 kB: the largest must be twice the smallest";
-    assert_eq!(drawn.missing, [told], "once for both figures");
+    let expected_note =
+        "payload-latency: not drawn: upload, 106 kB to 157 kB: the largest must be twice the smallest";
+    assert_eq!(drawn.missing, [expected_note], "once for both figures");
     let words = std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
     assert!(words.contains("not drawn: upload"), "{words}");
 }
@@ -46,12 +47,12 @@ fn unknown_delays_and_negative_sizes_are_counted() {
     });
     let drawings = payload::drawings(&[run]).expect("sizes differ");
     for drawing in &drawings {
-        let Shown::Scaling(figure) = &drawing.shown else { panic!("points") };
-        for told in [
+        let AnyFigure::Scaling(figure) = &drawing.figure else { panic!("points") };
+        for expected_note in [
             "left out: 5 messages of upload without a known delay",
             "not drawn: 1 size of upload whose median delay is not above zero",
         ] {
-            assert!(figure.notes.iter().any(|note| note == told), "{:?}", figure.notes);
+            assert!(figure.notes.iter().any(|note| note == expected_note), "{:?}", figure.notes);
         }
     }
 }
@@ -63,8 +64,8 @@ fn link_without_figure_is_noted_in_first() {
     other.record.edge = HostRecord { name: "arm".to_owned(), ..HostRecord::default() };
     let drawings = payload::drawings(&[varied(60), other]).expect("one varies");
     assert_eq!(drawings.len(), 2);
-    let told = "not drawn: upload, 500 B: the largest must be twice the smallest · arm";
-    assert_eq!(drawings[0].missing, [told]);
+    let expected_note = "not drawn: upload, 500 B: the largest must be twice the smallest · arm";
+    assert_eq!(drawings[0].missing, [expected_note]);
 }
 
 #[test]
@@ -73,10 +74,10 @@ fn run_without_column_is_noted_in_pairs() {
     without.rows.change(|row| row.values.retain(|(name, _)| name != "inference"));
     let runs = [placed("s", "remote", 4.0), placed("s", "local", 20.0), placed("m", "local", 9.0), without];
     let drawings = paired::drawings(&runs, None).expect("a pair");
-    let told = ["left out, at one placement only: m", "left out: 1 run without inference"];
-    assert_eq!(drawings[0].missing, told);
-    let Shown::Paired(figure) = &drawings[0].shown else { panic!("pairs") };
-    assert_eq!(figure.notes[1..], told);
+    let expected_notes = ["left out, at one placement only: m", "left out: 1 run without inference"];
+    assert_eq!(drawings[0].missing, expected_notes);
+    let AnyFigure::Paired(figure) = &drawings[0].figure else { panic!("pairs") };
+    assert_eq!(figure.notes[1..], expected_notes);
 }
 
 #[test]
@@ -87,8 +88,8 @@ fn stages_without_a_line_are_named() {
         [long, short].concat()
     });
     let drawings = series::drawings(&run.record, &run.rows).expect("there is a total");
-    let Shown::Course(course) = &drawings[0].shown else { panic!("a course") };
-    assert_eq!(course.notes[1..], ["shorter stages, not drawn: encode, queue"]);
+    let AnyFigure::TimeSeries(time_series) = &drawings[0].figure else { panic!("a time series") };
+    assert_eq!(time_series.notes[1..], ["shorter stages, not drawn: encode, queue"]);
 }
 
 #[test]
@@ -96,7 +97,7 @@ fn bars_of_few_iterations_show_counts() {
     let mut few = placed("s", "local", 20.0);
     few.rows.change(|row| row.warm_up = row.iteration > 10);
     let drawings = stacked::drawings(&[few, placed("s", "remote", 4.0)]).expect("bars");
-    let Shown::Stacked(figure) = &drawings[0].shown else { panic!("bars") };
+    let AnyFigure::Stacked(figure) = &drawings[0].figure else { panic!("bars") };
     assert!(figure.notes[1].starts_with("n = 53 (9 to 44 each) · "), "{:?}", figure.notes);
 }
 
@@ -109,7 +110,8 @@ fn undetermined_rate_is_not_given() {
         vec![("upload-bytes", bytes), ("upload", delay)]
     });
     let drawings = payload::drawings(&[noisy]).expect("sizes differ");
-    let [Shown::Scaling(latency), Shown::Scaling(throughput)] = [&drawings[0].shown, &drawings[1].shown]
+    let [AnyFigure::Scaling(latency), AnyFigure::Scaling(throughput)] =
+        [&drawings[0].figure, &drawings[1].figure]
     else {
         panic!("fits")
     };
@@ -121,7 +123,7 @@ fn undetermined_rate_is_not_given() {
 }
 
 #[test]
-fn edges_that_measured_at_different_times_have_no_figure() {
+fn edges_at_different_times_have_no_figure() {
     let mut apart = [shared("s", 2, 0, 20.0), shared("s", 2, 1, 20.0)];
     apart[1].rows.change(|row| row.at += 1e6);
     assert!(
@@ -130,7 +132,7 @@ fn edges_that_measured_at_different_times_have_no_figure() {
     );
     let met = [shared("m", 2, 0, 20.0), shared("m", 2, 1, 20.0)];
     let drawings = users::drawings(&[apart, met].concat()).expect("some did");
-    let Shown::Sharing(figure) = &drawings[0].shown else { panic!("curves") };
+    let AnyFigure::Sharing(figure) = &drawings[0].figure else { panic!("curves") };
     let missing = "left out, because the edges measured at different times: s with 2 edges";
     assert_eq!(
         (figure.notes[2].as_str(), drawings[0].missing.as_slice()),

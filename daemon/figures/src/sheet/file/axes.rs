@@ -1,7 +1,7 @@
 //! Axes of a plot.
 
 use super::draw::{line, text};
-use super::places::{Area, lines, row_size, rows};
+use super::places::{Area, x_label_lines, y_label_size, y_ticks};
 use super::{EDGE, GAP, LINE, SMALL, TEXT, WIDTH};
 use crate::look::{INK, INK_2, Style};
 use crate::plot::{Anchor, Axis, Marks, Plot};
@@ -19,7 +19,7 @@ const TITLE: f64 = 5.5;
 
 /// Draws the lines that go through the plot.
 pub(super) fn draw_grid(svg: &mut Writer, plot: &Plot, area: &Area) {
-    for tick in rows(plot, area.height).iter().filter(|_| plot.y.has_grid) {
+    for tick in y_ticks(plot, area.height).iter().filter(|_| plot.y.has_grid) {
         let y = area.bottom() - area.height * tick.at;
         line(svg, [(area.left, y), (area.right(), y)], &Style::grid());
     }
@@ -29,23 +29,24 @@ pub(super) fn draw_grid(svg: &mut Writer, plot: &Plot, area: &Area) {
     }
 }
 
-/// Draws labels, titles and the line below the plot.
+/// Draws the labels and titles of both axes, the remark, and the horizontal axis line.
 pub(super) fn draw(svg: &mut Writer, plot: &Plot, area: &Area) {
-    draw_rows(svg, plot, area);
-    draw_columns(svg, plot, area);
-    let strip = plot.above.as_ref().map_or(0.0, |strip| area.top - area.above(strip.size).top);
-    let base = area.top - strip - plot.lines_above as f64 * (SMALL + 1.5) - TITLE;
+    draw_y_labels(svg, plot, area);
+    draw_x_axis(svg, plot, area);
+    let strip_height = plot.top_strip.as_ref().map_or(0.0, |strip| area.top - area.top_strip(strip.size).top);
+    let baseline = area.top - strip_height - plot.lines_above as f64 * (SMALL + 1.5) - TITLE;
     let remark = plot.remark.as_deref().unwrap_or_default();
-    let end = area.right() + plot.beside.as_ref().map_or(0.0, |strip| strip.size + super::STRIP_GAP);
+    let right = area.right() + plot.right_strip.as_ref().map_or(0.0, |strip| strip.size + super::STRIP_GAP);
     if !remark.is_empty() {
-        text(svg, remark, (end, base), (SMALL, INK_2.light, Anchor::End));
+        text(svg, remark, (right, baseline), (SMALL, INK_2.light, Anchor::End));
     }
     let room = WIDTH - 2.0 * EDGE - if remark.is_empty() { 0.0 } else { width(remark, SMALL) + 3.0 * GAP };
-    text(svg, &shorten(&title(&plot.y, room), TEXT, room), (EDGE, base), (TEXT, INK_2.light, Anchor::Start));
+    let title = shorten(&y_title(&plot.y, room), TEXT, room);
+    text(svg, &title, (EDGE, baseline), (TEXT, INK_2.light, Anchor::Start));
 }
 
-/// Returns the title. If there is space, it has the information that the marks do not show.
-fn title(axis: &Axis, room: f64) -> String {
+/// Returns the full title of the vertical axis. If that is too wide, the note on a logarithmic scale is shortened.
+fn y_title(axis: &Axis, room: f64) -> String {
     let full = axis.full_title();
     if width(&full, TEXT) > room && axis.scale.is_logarithmic() {
         format!("{} (log)", axis.title)
@@ -54,54 +55,55 @@ fn title(axis: &Axis, room: f64) -> String {
     }
 }
 
-fn draw_rows(svg: &mut Writer, plot: &Plot, area: &Area) {
-    let (ticks, size) = (rows(plot, area.height), row_size(plot));
-    let is_named = matches!(plot.y.marks, Marks::Names(_));
-    let names: Vec<&str> = ticks.iter().map(|tick| tick.text.as_str()).collect();
+fn draw_y_labels(svg: &mut Writer, plot: &Plot, area: &Area) {
+    let (ticks, size) = (y_ticks(plot, area.height), y_label_size(plot));
+    let has_names = matches!(plot.y.marks, Marks::Names(_));
+    let labels: Vec<&str> = ticks.iter().map(|tick| tick.text.as_str()).collect();
     let room = area.left - EDGE - GAP;
-    let names = if is_named {
-        shorten_distinctly(&names, size, room + 0.1)
+    let labels = if has_names {
+        shorten_distinctly(&labels, size, room + 0.1)
     } else {
-        names.into_iter().map(str::to_owned).collect()
+        labels.into_iter().map(str::to_owned).collect()
     };
-    for (tick, name) in ticks.iter().zip(names) {
-        let base = area.bottom() - area.height * tick.at + MIDDLE * size;
-        if is_named {
-            text(svg, &name, (EDGE, base), (size, INK.light, Anchor::Start));
+    for (tick, label) in ticks.iter().zip(labels) {
+        let baseline = area.bottom() - area.height * tick.at + MIDDLE * size;
+        if has_names {
+            text(svg, &label, (EDGE, baseline), (size, INK.light, Anchor::Start));
         } else {
-            text(svg, &name, (area.left - GAP, base), (size, INK_2.light, Anchor::End));
+            text(svg, &label, (area.left - GAP, baseline), (size, INK_2.light, Anchor::End));
         }
     }
 }
 
-fn draw_columns(svg: &mut Writer, plot: &Plot, area: &Area) {
+/// Draws the horizontal axis: its line, marks, labels and title.
+fn draw_x_axis(svg: &mut Writer, plot: &Plot, area: &Area) {
     let bottom = area.bottom();
     let ticks = plot.x.ticks(usize::MAX);
-    let is_named = matches!(plot.x.marks, Marks::Names(_));
+    let has_names = matches!(plot.x.marks, Marks::Names(_));
     line(svg, [(area.left, bottom), (area.right(), bottom)], &Style::rail());
-    for tick in ticks.iter().filter(|_| !is_named) {
+    for tick in ticks.iter().filter(|_| !has_names) {
         let x = area.left + area.width * tick.at;
         line(svg, [(x, bottom), (x, bottom + MARK)], &Style::rail());
     }
-    let mut taken = 0.0;
+    let mut end_of_labels = 0.0;
     for tick in ticks.iter().filter(|tick| !tick.text.is_empty()) {
-        let half = tick.text.lines().map(|line| width(line, TEXT)).fold(0.0, f64::max) / 2.0;
-        // A label at the end stays on the paper, and labels do not overlap.
-        let x = (area.left + area.width * tick.at).min(WIDTH - 1.5 - half);
-        if x - half < taken {
+        let half_width = tick.text.lines().map(|line| width(line, TEXT)).fold(0.0, f64::max) / 2.0;
+        // A label at the right end is moved so that it stays on the sheet. A label that would overlap the previous label is left out.
+        let x = (area.left + area.width * tick.at).min(WIDTH - 1.5 - half_width);
+        if x - half_width < end_of_labels {
             continue;
         }
-        taken = x + half + GAP;
-        for (number, words) in tick.text.lines().enumerate() {
-            let colour = if is_named { INK.light } else { INK_2.light };
-            let base = bottom + LABEL + LINE * number as f64;
-            text(svg, words, (x, base), (TEXT, colour, Anchor::Middle));
+        end_of_labels = x + half_width + GAP;
+        for (index, words) in tick.text.lines().enumerate() {
+            let colour = if has_names { INK.light } else { INK_2.light };
+            let baseline = bottom + LABEL + LINE * index as f64;
+            text(svg, words, (x, baseline), (TEXT, colour, Anchor::Middle));
         }
     }
     if !plot.x.title.is_empty() {
-        let labels = if ticks.is_empty() { 0 } else { lines(plot) };
-        let base = bottom + LABEL + LINE * labels as f64;
+        let label_lines = if ticks.is_empty() { 0 } else { x_label_lines(plot) };
+        let baseline = bottom + LABEL + LINE * label_lines as f64;
         let middle = area.left + area.width / 2.0;
-        text(svg, &plot.x.full_title(), (middle, base), (TEXT, INK_2.light, Anchor::Middle));
+        text(svg, &plot.x.full_title(), (middle, baseline), (TEXT, INK_2.light, Anchor::Middle));
     }
 }

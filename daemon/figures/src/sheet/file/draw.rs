@@ -1,26 +1,26 @@
-//! Items as elements with literal attributes.
+//! Draws the items of a plot as SVG elements of a file, with literal attributes.
 
 use super::SMALL;
 use super::places::Area;
 use crate::look::{Mark, Rgb, Stroke, Style, WHITE, lines};
 use crate::plot::{Anchor, At, Item, Label, Path, Step};
-use crate::svg::{Attributes, Tag, Writer, number};
+use crate::svg::{Attributes, Tag, Writer, append_number};
 
 /// Width of the lines of a hatch, points.
 const HATCH: f64 = 0.45;
-/// Width of the rim about text, points.
+/// Width of the rim around text, points.
 const RIM: f64 = 1.6;
 
-/// Draws items one over the other.
-pub(super) fn items(svg: &mut Writer, all: &[Item], area: &Area) {
-    for item in all {
+/// Draws items, each over those before it.
+pub(super) fn items(svg: &mut Writer, items: &[Item], area: &Area) {
+    for item in items {
         match item {
             Item::Rect { from, to, least, style } => {
-                rect(svg, at_least([area.point(*from), area.point(*to)], *least), style);
+                rect(svg, with_min_size([area.point(*from), area.point(*to)], *least), style);
             }
             Item::Line { from, to, style } => line(svg, [area.point(*from), area.point(*to)], style),
             Item::Path { path, style } if !path.is_empty() => {
-                let shape = styled(svg.element(Tag::Path), style).set("d", course(path, area));
+                let shape = styled(svg.element(Tag::Path), style).set("d", path_data(path, area));
                 shape.set("stroke-linejoin", "round").set("stroke-linecap", "round").leaf();
             }
             Item::Path { .. } => {}
@@ -30,32 +30,34 @@ pub(super) fn items(svg: &mut Writer, all: &[Item], area: &Area) {
     }
 }
 
-/// Returns a rectangle, left upper corner first, that is widened to the right and upwards.
-fn at_least([a, b]: [(f64, f64); 2], least: (f64, f64)) -> [(f64, f64); 2] {
+/// Returns the left upper and the right lower corner of a rectangle. A rectangle below this minimum width and height is extended to the right
+/// and upwards.
+fn with_min_size([a, b]: [(f64, f64); 2], (min_width, min_height): (f64, f64)) -> [(f64, f64); 2] {
     let (left, right) = (a.0.min(b.0), a.0.max(b.0));
     let (top, bottom) = (a.1.min(b.1), a.1.max(b.1));
-    [(left, top.min(bottom - least.1)), (right.max(left + least.0), bottom)]
+    [(left, top.min(bottom - min_height)), (right.max(left + min_width), bottom)]
 }
 
 /// Draws a rectangle with its hatch.
 pub(super) fn rect(svg: &mut Writer, corners: [(f64, f64); 2], style: &Style) {
     let [(left, top), (right, bottom)] = corners;
-    let ground = styled(svg.element(Tag::Rect), style).set("x", left).set("y", top);
-    ground.set("width", right - left).set("height", bottom - top).leaf();
+    let background = styled(svg.element(Tag::Rect), style).set("x", left).set("y", top);
+    background.set("width", right - left).set("height", bottom - top).leaf();
     if let Some((hatch, colour)) = style.fill.and_then(|fill| fill.hatch) {
         let strokes = lines(corners, hatch);
         if !strokes.is_empty() {
-            let course: String = strokes.into_iter().map(|line| stroke_course(&line)).collect();
-            let over = svg.element(Tag::Path).set("d", course).set("fill", "none");
-            over.set("stroke", colour).set("stroke-width", HATCH).leaf();
+            let path_data: String = strokes.into_iter().map(|line| line_data(&line)).collect();
+            let hatch_lines = svg.element(Tag::Path).set("d", path_data).set("fill", "none");
+            hatch_lines.set("stroke", colour).set("stroke-width", HATCH).leaf();
         }
     }
 }
 
-fn stroke_course(line: &[(f64, f64); 2]) -> String {
+/// Returns the attribute `d` of a path that is a straight line.
+fn line_data(line: &[(f64, f64); 2]) -> String {
     let mut out = String::new();
-    put(&mut out, 'M', line[0]);
-    put(&mut out, 'L', line[1]);
+    append_command(&mut out, 'M', line[0]);
+    append_command(&mut out, 'L', line[1]);
     out
 }
 
@@ -85,7 +87,7 @@ fn draw_label(svg: &mut Writer, label: &Label, area: &Area) {
     anchored(text, label.anchor).words(&label.words);
 }
 
-/// Writes a line of text whose baseline begins, has its middle or ends at a point.
+/// Writes a line of text. The start, the middle or the end of its baseline lies at a point.
 pub(super) fn text(
     svg: &mut Writer,
     words: &str,
@@ -97,7 +99,7 @@ pub(super) fn text(
 }
 
 fn anchored(text: Attributes<'_>, anchor: Anchor) -> Attributes<'_> {
-    text.some("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
+    text.set_optional("text-anchor", (anchor != Anchor::Start).then_some(anchor.name()))
 }
 
 /// Adds fill and stroke of a shape.
@@ -105,35 +107,37 @@ fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let element = match style.fill {
         Some(fill) => {
             let opacity = (fill.opacity < 1.0).then_some(fill.opacity);
-            element.set("fill", fill.colour).some("fill-opacity", opacity)
+            element.set("fill", fill.colour).set_optional("fill-opacity", opacity)
         }
         None => element.set("fill", "none"),
     };
     match style.stroke {
         Some(Stroke { colour, width, dash }) => {
             let dash = dash.map(|(dash, gap)| format!("{dash} {gap}"));
-            element.set("stroke", colour).set("stroke-width", width).some("stroke-dasharray", dash)
+            element.set("stroke", colour).set("stroke-width", width).set_optional("stroke-dasharray", dash)
         }
         None => element,
     }
 }
 
-fn course(path: &Path, area: &Area) -> String {
+/// Returns the attribute `d` of a path.
+fn path_data(path: &Path, area: &Area) -> String {
     let mut out = String::with_capacity(path.steps.len() * 12);
-    let point = |x: f64, y: f64| area.point(At::new(x, y).aside(path.dx, 0.0));
+    let point = |x: f64, y: f64| area.point(At::new(x, y).offset_by(path.dx, 0.0));
     for step in &path.steps {
         match step {
-            Step::Move(x, y) => put(&mut out, 'M', point(*x, *y)),
-            Step::Line(x, y) => put(&mut out, 'L', point(*x, *y)),
+            Step::Move(x, y) => append_command(&mut out, 'M', point(*x, *y)),
+            Step::Line(x, y) => append_command(&mut out, 'L', point(*x, *y)),
             Step::Close => out.push('Z'),
         }
     }
     out
 }
 
-fn put(out: &mut String, command: char, (x, y): (f64, f64)) {
+/// Appends a command of the attribute `d` with its point.
+fn append_command(out: &mut String, command: char, (x, y): (f64, f64)) {
     out.push(command);
-    number(out, x, 2);
+    append_number(out, x, 2);
     out.push(' ');
-    number(out, y, 2);
+    append_number(out, y, 2);
 }

@@ -10,23 +10,23 @@ use crate::text::{shorten, width};
 /// Room above the first line, points.
 const ABOVE: f64 = 3.0;
 /// Distance from the top of a line to its baseline, points.
-const BASE: f64 = 7.5;
-/// Width of a sample.
+const BASELINE: f64 = 7.5;
+/// Width of a sample, points.
 const SAMPLE: f64 = 13.5;
-/// Width of the sample of a line with long dashes, which has a gap on each side of its mark.
-const LONG: f64 = 22.0;
-/// Distance from a sample to its words, and half of the distance to the next sample.
+/// Width of the sample of a line with long dashes, points. It is wider, so that a gap is visible on each side of the mark.
+const LONG_SAMPLE: f64 = 22.0;
+/// Distance from a sample to its words, and half of the distance from the words to the next sample, points.
 const GAP: f64 = 3.0;
-/// Half the height of an area's sample.
-const HALF: f64 = 3.0;
-/// Radius of a mark's sample.
+/// Half the height of the sample of an area, points.
+const HALF_HEIGHT: f64 = 3.0;
+/// Radius of the sample of a mark, points.
 const RADIUS: f64 = 1.8;
 
 fn sample_width(swatch: &Swatch) -> f64 {
-    if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG } else { SAMPLE }
+    if matches!(swatch, Swatch::Curve(_, Mark::Diamond, _)) { LONG_SAMPLE } else { SAMPLE }
 }
 
-/// Returns the positions of the entries: points from the left, and the number of the line.
+/// Returns the position of each entry: points from the left, and the index of its line.
 fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     let (mut x, mut line) = (EDGE, 0);
     let place = |key: &Key| {
@@ -41,34 +41,35 @@ fn places(legend: &[Key]) -> Vec<(f64, usize)> {
     legend.iter().map(place).collect()
 }
 
-fn lines(legend: &[Key]) -> usize {
+/// Returns the number of lines that the legend needs.
+fn line_count(legend: &[Key]) -> usize {
     places(legend).last().map_or(0, |(_, line)| line + 1)
 }
 
 /// Returns the height of the header above the first plot, points.
 pub(super) fn height(figure: &Figure) -> f64 {
-    let caption = usize::from(!figure.title.is_empty());
-    ABOVE + LINE * (caption + lines(&figure.legend)) as f64 + 1.5
+    let caption_lines = usize::from(!figure.title.is_empty());
+    ABOVE + LINE * (caption_lines + line_count(&figure.legend)) as f64 + 1.5
 }
 
-/// Returns the caption; without the number of values if both do not fit.
+/// Returns the caption. If the title and the number of values do not fit, returns the shortened title.
 fn caption(figure: &Figure) -> String {
-    let (room, whole) = (WIDTH - 2.0 * EDGE, figure.caption());
-    if width(&whole, TEXT) <= room { whole } else { shorten(&figure.title, TEXT, room) }
+    let (room, caption) = (WIDTH - 2.0 * EDGE, figure.caption());
+    if width(&caption, TEXT) <= room { caption } else { shorten(&figure.title, TEXT, room) }
 }
 
 pub(super) fn draw(svg: &mut Writer, figure: &Figure) {
     let mut top = ABOVE;
     if !figure.title.is_empty() {
-        text(svg, &caption(figure), (EDGE, top + BASE), (TEXT, INK.light, Anchor::Start));
+        text(svg, &caption(figure), (EDGE, top + BASELINE), (TEXT, INK.light, Anchor::Start));
         top += LINE;
     }
     for (key, (x, line)) in figure.legend.iter().zip(places(&figure.legend)) {
         let top = top + LINE * line as f64;
         draw_sample(svg, &key.swatch, (x, top + LINE / 2.0));
-        let from = x + sample_width(&key.swatch) + GAP;
-        let words = shorten(&key.text, TEXT, WIDTH - from - EDGE / 2.0);
-        text(svg, &words, (from, top + BASE), (TEXT, INK.light, Anchor::Start));
+        let text_x = x + sample_width(&key.swatch) + GAP;
+        let words = shorten(&key.text, TEXT, WIDTH - text_x - EDGE / 2.0);
+        text(svg, &words, (text_x, top + BASELINE), (TEXT, INK.light, Anchor::Start));
     }
 }
 
@@ -76,20 +77,20 @@ fn draw_sample(svg: &mut Writer, swatch: &Swatch, (x, y): (f64, f64)) {
     let wide = sample_width(swatch);
     let (ends, middle) = ([(x, y), (x + wide, y)], (x + wide / 2.0, y));
     match swatch {
-        Swatch::Area(style) => rect(svg, [(x, y - HALF), (x + wide, y + HALF)], style),
+        Swatch::Area(style) => rect(svg, [(x, y - HALF_HEIGHT), (x + wide, y + HALF_HEIGHT)], style),
         Swatch::Line(style) => line(svg, ends, style),
         Swatch::Mark(mark, style) => point(svg, middle, (*mark, RADIUS), style),
-        Swatch::Curve(course, mark, style) => {
-            curve(svg, ends, course);
-            point(svg, middle, (*mark, RADIUS), style);
+        Swatch::Curve(line_style, mark, mark_style) => {
+            curve(svg, ends, line_style);
+            point(svg, middle, (*mark, RADIUS), mark_style);
         }
     }
 }
 
-/// Draws a line, or the area around a shape's mark.
+/// Draws a line, or an area if the style has a fill.
 fn curve(svg: &mut Writer, [from, to]: [(f64, f64); 2], style: &Style) {
     if style.fill.is_some() {
-        rect(svg, [(from.0, from.1 - HALF), (to.0, to.1 + HALF)], style);
+        rect(svg, [(from.0, from.1 - HALF_HEIGHT), (to.0, to.1 + HALF_HEIGHT)], style);
     } else {
         line(svg, [from, to], style);
     }

@@ -1,7 +1,7 @@
-//! Sheet of a file: a picture as wide as a column, in points, with literal attributes.
+//! SVG for files: a picture as wide as a column of a paper, with lengths in points and literal attributes.
 //!
-//! It has one line of caption, the legend, the plots from top to bottom and a table as key to numbers. All other text is in the file beside
-//! it ([`Figure::words`]).
+//! The picture has one line of caption, the legend, the plots from top to bottom, and a table that explains the numbers in the plots. All
+//! other text is in the text file of the figure ([`Figure::words`]).
 
 mod axes;
 mod draw;
@@ -20,7 +20,7 @@ use crate::text::FAMILY;
 
 /// Width of a column, points: 3.5 inches.
 pub const WIDTH: f64 = 252.0;
-/// Height of a figure that does not need more, points.
+/// Standard height of a figure, points.
 pub const HEIGHT: f64 = 189.0;
 /// Size of captions, legends and axes, points.
 pub const TEXT: f64 = 7.5;
@@ -33,38 +33,38 @@ const EDGE: f64 = 5.0;
 const GAP: f64 = 2.7;
 /// Distance between two lines of text, points.
 const LINE: f64 = 10.0;
-/// Distance between a plot and a strip at it, points.
+/// Distance between a plot and its strip, points.
 const STRIP_GAP: f64 = 2.0;
-const PER_INCH: f64 = 72.0;
+const POINTS_PER_INCH: f64 = 72.0;
 
 /// Draws a figure.
 pub fn svg(figure: &Figure) -> String {
     let places = places::Places::of(figure);
     let mut svg = Writer::default();
-    let (wide, high) = (WIDTH, places.height);
-    let inches = |points: f64| format!("{}in", points / PER_INCH);
+    let (width, height) = (WIDTH, places.height);
+    let inches = |points: f64| format!("{}in", points / POINTS_PER_INCH);
     let root = svg.element(Tag::Svg).set("xmlns", "http://www.w3.org/2000/svg");
-    let root = root.set("width", inches(wide)).set("height", inches(high));
-    // If the font is missing, substitutes are as wide as the one that the layout was made with, or narrower.
-    let root = root.set("viewBox", format!("0 0 {wide} {high}"));
+    let root = root.set("width", inches(width)).set("height", inches(height));
+    let root = root.set("viewBox", format!("0 0 {width} {height}"));
+    // A program without the font uses one of the substitutes. They are at most as wide as the font of the layout.
     root.set("font-family", format!("{FAMILY}, Helvetica, Arial, sans-serif")).open();
-    svg.element(Tag::Rect).set("width", wide).set("height", high).set("fill", WHITE).leaf();
+    svg.element(Tag::Rect).set("width", width).set("height", height).set("fill", WHITE).leaf();
     header::draw(&mut svg, figure);
     for (plot, area) in figure.plots.iter().zip(&places.plots) {
         axes::draw_grid(&mut svg, plot, area);
         draw::items(&mut svg, &plot.items, area);
         axes::draw(&mut svg, plot, area);
-        if let Some(strip) = &plot.above {
-            draw::items(&mut svg, &strip.items, &area.above(strip.size));
+        if let Some(strip) = &plot.top_strip {
+            draw::items(&mut svg, &strip.items, &area.top_strip(strip.size));
         }
-        if let Some(strip) = &plot.beside {
-            draw::items(&mut svg, &strip.items, &area.beside(strip.size));
+        if let Some(strip) = &plot.right_strip {
+            draw::items(&mut svg, &strip.items, &area.right_strip(strip.size));
         }
     }
     if figure.plots.is_empty() {
-        let middle = (wide / 2.0, (header::height(figure) + high) / 2.0);
+        let middle = (width / 2.0, (header::height(figure) + height) / 2.0);
         draw::text(&mut svg, "no values", middle, (TEXT, INK_2.light, Anchor::Middle));
     }
-    table::draw(&mut svg, &figure.table, high - table::height(&figure.table));
+    table::draw(&mut svg, &figure.table, height - table::height(&figure.table));
     svg.finish()
 }

@@ -1,4 +1,4 @@
-//! Table below the plots: the meaning of the numbers in them.
+//! Table below the plots, which explains the numbers in the plots.
 
 use super::draw::text;
 use super::{EDGE, SMALL, WIDTH};
@@ -9,8 +9,9 @@ use crate::text::{shorten_distinctly, width};
 
 /// Distance between two lines, points.
 const LINE: f64 = 9.0;
-/// Distance from the edge to the names, and between two columns.
+/// Width of the column of numbers, points.
 const NUMBER: f64 = 11.0;
+/// Distance between two columns, points.
 const GAP: f64 = 6.5;
 
 /// Returns the height of the table, points.
@@ -24,28 +25,28 @@ pub(super) fn draw(svg: &mut Writer, table: &Table, top: f64) {
         return;
     }
     let columns = table.titles.len();
-    let cells = |column: usize| {
+    let column_width = |column: usize| {
         let cells = table.lines.iter().filter_map(move |(_, cells)| cells.get(column));
         cells.chain(table.titles.get(column)).map(|cell| width(cell, SMALL)).fold(0.0, f64::max)
     };
-    // Right ends of the columns, from the last to the first.
+    // Right ends of the columns. They are computed from the last column to the first.
     let mut ends = vec![WIDTH - EDGE; columns];
     for column in (0..columns.saturating_sub(1)).rev() {
-        ends[column] = ends[column + 1] - cells(column + 1) - GAP;
+        ends[column] = ends[column + 1] - column_width(column + 1) - GAP;
     }
-    let first = ends.first().map_or(WIDTH - EDGE, |end| end - cells(0) - GAP);
+    let end_of_names = ends.first().map_or(WIDTH - EDGE, |end| end - column_width(0) - GAP);
     let names: Vec<&str> = table.lines.iter().map(|(name, _)| name.as_str()).collect();
-    let names = shorten_distinctly(&names, SMALL, first - EDGE - NUMBER);
-    let base = |line: usize| top + LINE * (line as f64 + 0.75);
+    let names = shorten_distinctly(&names, SMALL, end_of_names - EDGE - NUMBER);
+    let baseline = |line: usize| top + LINE * (line as f64 + 0.75);
     for (title, end) in table.titles.iter().zip(&ends) {
-        text(svg, title, (*end, base(0)), (SMALL, INK_2.light, Anchor::End));
+        text(svg, title, (*end, baseline(0)), (SMALL, INK_2.light, Anchor::End));
     }
-    for (number, (name, (_, cells))) in names.iter().zip(&table.lines).enumerate() {
-        let base = base(number + 1);
-        text(svg, &(number + 1).to_string(), (EDGE + NUMBER - 3.5, base), (SMALL, INK.light, Anchor::End));
-        text(svg, name, (EDGE + NUMBER, base), (SMALL, INK.light, Anchor::Start));
+    for (number, (name, (_, cells))) in (1..).zip(names.iter().zip(&table.lines)) {
+        let baseline = baseline(number);
+        text(svg, &number.to_string(), (EDGE + NUMBER - 3.5, baseline), (SMALL, INK.light, Anchor::End));
+        text(svg, name, (EDGE + NUMBER, baseline), (SMALL, INK.light, Anchor::Start));
         for (cell, end) in cells.iter().zip(&ends) {
-            text(svg, cell, (*end, base), (SMALL, INK.light, Anchor::End));
+            text(svg, cell, (*end, baseline), (SMALL, INK.light, Anchor::End));
         }
     }
 }

@@ -14,7 +14,7 @@ fn figure() -> Figure {
     plot.items.push(Item::path(Path::line([Some((0.0, 0.5)), Some((1.0, 0.25))]), series(1).line(0.75)));
     plot.items.push(Item::mark(plot.at(5.0, 10.0), Mark::Triangle, 2.0, Style::ink()));
     plot.items.push(Item::Text(Label::new(plot.at(5.0, 10.0), "<5>", TextStyle::MARK)));
-    plot.above = Some(Strip {
+    plot.top_strip = Some(Strip {
         items: vec![Item::rect(Default::default(), Default::default(), Style::total())],
         size: 9.0,
     });
@@ -63,7 +63,7 @@ fn text_has_at_least_seven_points() {
 fn plots_are_below_each_other_on_the_sheet() {
     let mut figure = figure();
     let mut lower = figure.plots[0].clone();
-    (lower.height, lower.above) = (Height::Points(30.0), None);
+    (lower.height, lower.top_strip) = (Height::Points(30.0), None);
     figure.plots.push(lower);
     let areas = areas(&figure);
     assert_eq!(areas[0].left, areas[1].left, "both begin at the same position");

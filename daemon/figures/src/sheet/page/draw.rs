@@ -1,42 +1,43 @@
-//! Items as elements.
+//! Draws the items of a plot as SVG elements of a page.
 
 use crate::look::{Mark, Style};
 use crate::plot::{At, Item, Label, Path, Step};
-use crate::svg::{Attributes, Em, Share, Tag, Writer, number};
+use crate::svg::{Attributes, Em, Share, Tag, Writer, append_number};
 
-/// Length of both sides of the sheet of paths, which is stretched over its plot.
-const SHEET: f64 = 1_000.0;
-/// Pixels of a point.
-const PER_POINT: f64 = 96.0 / 72.0;
+/// Width and height of the `viewBox` of paths.
+const VIEW_BOX: f64 = 1_000.0;
+/// Pixels per point.
+const PIXELS_PER_POINT: f64 = 96.0 / 72.0;
 
-/// Draws items one over the other; paths that follow upon one another share a sheet.
-pub(super) fn items(svg: &mut Writer, all: &[Item]) {
+/// Draws items, each over those before it. Consecutive paths share one nested `<svg>`.
+pub(super) fn draw_items(svg: &mut Writer, items: &[Item]) {
     let is_path = |item: &Item| matches!(item, Item::Path { .. });
-    for run in all.chunk_by(|a, b| is_path(a) && is_path(b)) {
-        if is_path(&run[0]) {
-            stretched(svg, run);
+    for consecutive in items.chunk_by(|a, b| is_path(a) && is_path(b)) {
+        if is_path(&consecutive[0]) {
+            draw_paths(svg, consecutive);
         } else {
-            item(svg, &run[0]);
+            draw_item(svg, &consecutive[0]);
         }
     }
 }
 
-/// Draws paths on a sheet that is stretched over the plot.
-fn stretched(svg: &mut Writer, paths: &[Item]) {
-    let sheet =
+/// Draws paths in a nested `<svg>` whose `viewBox` is stretched over the plot, because the attribute `d` cannot contain percentages.
+fn draw_paths(svg: &mut Writer, paths: &[Item]) {
+    let nested =
         svg.element(Tag::Svg).set("class", "sheet").set("width", Share(1.0)).set("height", Share(1.0));
-    sheet.set("viewBox", "0 0 1000 1000").set("preserveAspectRatio", "none").open();
+    nested.set("viewBox", "0 0 1000 1000").set("preserveAspectRatio", "none").open();
     for path in paths {
         if let Item::Path { path, style } = path
             && !path.is_empty()
         {
-            styled(svg.element(Tag::Path), style).set("d", course(path)).leaf();
+            styled(svg.element(Tag::Path), style).set("d", path_data(path)).leaf();
         }
     }
     svg.close();
 }
 
-fn course(path: &Path) -> String {
+/// Returns the attribute `d` of a path.
+fn path_data(path: &Path) -> String {
     let mut out = String::with_capacity(path.steps.len() * 12);
     for step in &path.steps {
         let (command, x, y) = match step {
@@ -48,14 +49,14 @@ fn course(path: &Path) -> String {
             }
         };
         out.push(command);
-        number(&mut out, x * SHEET, 1);
+        append_number(&mut out, x * VIEW_BOX, 1);
         out.push(' ');
-        number(&mut out, y * SHEET, 1);
+        append_number(&mut out, y * VIEW_BOX, 1);
     }
     out
 }
 
-fn item(svg: &mut Writer, item: &Item) {
+fn draw_item(svg: &mut Writer, item: &Item) {
     match item {
         Item::Rect { from, to, style, .. } => {
             let (x, y) = (from.x.min(to.x), from.y.min(to.y));
@@ -64,22 +65,26 @@ fn item(svg: &mut Writer, item: &Item) {
                 .set("height", Share((to.y - from.y).abs()))
                 .leaf();
         }
-        Item::Line { from, to, style } => line(svg, [*from, *to], style),
-        Item::Path { .. } => stretched(svg, std::slice::from_ref(item)),
-        Item::Mark { at, mark, radius, style } => point(svg, *at, (*mark, radius * PER_POINT), style),
-        Item::Text(text) => label(svg, text),
+        Item::Line { from, to, style } => draw_line(svg, [*from, *to], style),
+        Item::Path { .. } => draw_paths(svg, std::slice::from_ref(item)),
+        Item::Mark { at, mark, radius, style } => {
+            draw_mark(svg, *at, (*mark, radius * PIXELS_PER_POINT), style);
+        }
+        Item::Text(label) => draw_label(svg, label),
     }
 }
 
-/// Opens a picture at a place, in which lengths are pixels; items beyond its ends are visible.
+/// Opens a nested `<svg>` whose origin is at a place, given as shares. Lengths in the nested `<svg>` are pixels, and items beyond its ends
+/// are visible.
 fn open_at(svg: &mut Writer, x: f64, y: f64) {
     svg.element(Tag::Svg).set("class", "at").set("x", Share(x)).set("y", Share(y)).open();
 }
 
-/// Draws a line. If its ends are at distances from their places, it gets a nested picture at the first place.
-fn line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
-    let is_aside = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
-    if !is_aside {
+/// Draws a line. A line with an end that has an offset in points (`dx`, `dy`) is drawn in a nested `<svg>`, because one attribute cannot add
+/// a share and an offset. Offsets along an upright or a level line, and all offsets of a slanted line, are ignored.
+fn draw_line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
+    let has_offset = [from, to].iter().any(|at| at.dx != 0.0 || at.dy != 0.0);
+    if !has_offset {
         let line = styled(svg.element(Tag::Line), style).set("x1", Share(from.x)).set("x2", Share(to.x));
         line.set("y1", Share(from.y)).set("y2", Share(to.y)).leaf();
         return;
@@ -88,12 +93,12 @@ fn line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     open_at(svg, if upright { from.x } else { 0.0 }, if level { from.y } else { 0.0 });
     let mut line = styled(svg.element(Tag::Line), style);
     line = if upright {
-        line.set("x1", from.dx * PER_POINT).set("x2", to.dx * PER_POINT)
+        line.set("x1", from.dx * PIXELS_PER_POINT).set("x2", to.dx * PIXELS_PER_POINT)
     } else {
         line.set("x1", Share(from.x)).set("x2", Share(to.x))
     };
     line = if level {
-        line.set("y1", from.dy * PER_POINT).set("y2", to.dy * PER_POINT)
+        line.set("y1", from.dy * PIXELS_PER_POINT).set("y2", to.dy * PIXELS_PER_POINT)
     } else {
         line.set("y1", Share(from.y)).set("y2", Share(to.y))
     };
@@ -101,14 +106,14 @@ fn line(svg: &mut Writer, [from, to]: [At; 2], style: &Style) {
     svg.close();
 }
 
-fn point(svg: &mut Writer, at: At, (mark, radius): (Mark, f64), style: &Style) {
-    let is_aside = at.dx != 0.0 || at.dy != 0.0;
-    if mark == Mark::Disc && !is_aside {
+fn draw_mark(svg: &mut Writer, at: At, (mark, radius): (Mark, f64), style: &Style) {
+    let has_offset = at.dx != 0.0 || at.dy != 0.0;
+    if mark == Mark::Disc && !has_offset {
         let disc = styled(svg.element(Tag::Circle), style).set("cx", Share(at.x)).set("cy", Share(at.y));
         return disc.set("r", radius).leaf();
     }
     open_at(svg, at.x, at.y);
-    let (dx, dy) = (at.dx * PER_POINT, at.dy * PER_POINT);
+    let (dx, dy) = (at.dx * PIXELS_PER_POINT, at.dy * PIXELS_PER_POINT);
     if mark == Mark::Disc {
         styled(svg.element(Tag::Circle), style).set("cx", dx).set("cy", dy).set("r", radius).leaf();
     } else {
@@ -118,36 +123,37 @@ fn point(svg: &mut Writer, at: At, (mark, radius): (Mark, f64), style: &Style) {
     svg.close();
 }
 
-/// Draws a text unless it fits in no picture.
-pub(super) fn label(svg: &mut Writer, label: &Label) {
-    let Some(from) = label.from else { return };
-    let is_aside = label.at.dx != 0.0 || label.at.dy != 0.0;
-    let fits = |from: u16| if from > 0 { format!("fits w{from}") } else { String::new() };
-    let class = [label.style.class.to_owned(), fits(from)];
-    let class = class.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
-    if is_aside {
+/// Draws a label. A label whose minimum width is `None` fits in no picture and is left out.
+pub(super) fn draw_label(svg: &mut Writer, label: &Label) {
+    let Some(min_width) = label.min_width else { return };
+    let has_offset = label.at.dx != 0.0 || label.at.dy != 0.0;
+    let width_class =
+        |min_width: u16| if min_width > 0 { format!("fits w{min_width}") } else { String::new() };
+    let classes = [label.style.class.to_owned(), width_class(min_width)];
+    let class = classes.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ");
+    if has_offset {
         open_at(svg, label.at.x, label.at.y);
     }
-    let mut text = svg.element(Tag::Text).some("class", (!class.is_empty()).then_some(class));
-    text = if is_aside {
-        text.set("x", label.at.dx * PER_POINT).set("y", label.at.dy * PER_POINT)
+    let mut text = svg.element(Tag::Text).set_optional("class", (!class.is_empty()).then_some(class));
+    text = if has_offset {
+        text.set("x", label.at.dx * PIXELS_PER_POINT).set("y", label.at.dy * PIXELS_PER_POINT)
     } else {
         text.set("x", Share(label.at.x)).set("y", Share(label.at.y))
     };
-    text = text.some("dx", (label.shift.0 != 0.0).then_some(Em(label.shift.0)));
+    text = text.set_optional("dx", (label.shift.0 != 0.0).then_some(Em(label.shift.0)));
     text.set("dy", Em(label.shift.1)).set("text-anchor", label.anchor.name()).open();
-    if let Some((lead, Some(from))) = &label.lead {
-        svg.element(Tag::Tspan).set("class", fits(*from)).words(lead);
+    if let Some((lead, Some(min_width))) = &label.lead {
+        svg.element(Tag::Tspan).set("class", width_class(*min_width)).words(lead);
     }
     svg.words(&label.words);
     svg.close();
-    if is_aside {
+    if has_offset {
         svg.close();
     }
 }
 
-/// Adds its class, and the attributes that represent a number.
+/// Adds the class of a style and, if it is below 1, the opacity of its fill. The opacity represents a number, so no class can give it.
 fn styled<'a>(element: Attributes<'a>, style: &Style) -> Attributes<'a> {
     let opacity = style.fill.map(|fill| fill.opacity).filter(|opacity| *opacity < 1.0);
-    element.set("class", &*style.class).some("fill-opacity", opacity)
+    element.set("class", &*style.class).set_optional("fill-opacity", opacity)
 }

@@ -13,14 +13,14 @@ fn tick(at: f64, text: &str) -> Tick {
 fn shown_at(html: &str, width: u16) -> Vec<&str> {
     let labels = html.split("<text class=\"fits w").skip(1);
     let shown = labels.filter(|label| {
-        let from: u16 = label.split('"').next().and_then(|from| from.parse().ok()).expect("a width");
-        from <= width
+        let min_width: u16 = label.split('"').next().and_then(|text| text.parse().ok()).expect("a width");
+        min_width <= width
     });
     shown.filter_map(|label| label.split('>').nth(1)?.split('<').next()).collect()
 }
 
 #[test]
-fn labels_leave_before_they_touch() {
+fn labels_are_hidden_before_they_touch() {
     let ticks: Vec<Tick> = (1..=4).map(|n| tick(f64::from(n) * 0.2, &format!("{n}00,000"))).collect();
     let html = axis("xaxis", &ticks);
     assert_eq!(shown_at(&html, 18), ["100,000", "200,000", "300,000", "400,000"]);
@@ -40,8 +40,8 @@ fn page_has_classes_and_shares_without_colours() {
     plot.items.push(Item::path(Path::line([Some((0.0, 0.5)), Some((1.0, 0.25))]), Style::halo()));
     plot.items.push(Item::mark(plot.at(5.0, 10.0), Mark::Triangle, 3.0, Style::ink()));
     plot.items.push(Item::line(
-        plot.at(5.0, 10.0).aside(3.0, 0.0),
-        plot.at(5.0, 100.0).aside(3.0, 0.0),
+        plot.at(5.0, 10.0).offset_by(3.0, 0.0),
+        plot.at(5.0, 100.0).offset_by(3.0, 0.0),
         Style::whisker(),
     ));
     plot.items.push(Item::Text(Label::new(plot.at(5.0, 10.0), "<5>", TextStyle::MARK).shifted(0.7, 0.36)));
@@ -65,11 +65,11 @@ fn page_has_classes_and_shares_without_colours() {
 
 #[test]
 fn text_appears_at_width_where_it_fits() {
-    let from = |share: f64, words: &str| {
-        Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).fits_within(share).from
+    let min_width = |share: f64, words: &str| {
+        Label::new(At::new(0.5, 0.5), words, TextStyle::ON_PALE).fits_within(share).min_width
     };
-    assert_eq!((from(0.2, "2.6"), from(0.001, "2.6")), (Some(8), None));
-    assert!(from(0.075, "2.6") > from(0.2, "2.6"));
+    assert_eq!((min_width(0.2, "2.6"), min_width(0.001, "2.6")), (Some(8), None));
+    assert!(min_width(0.075, "2.6") > min_width(0.2, "2.6"));
     let hidden = Label::new(At::new(0.5, 0.5), "2.6", TextStyle::ON_PALE).fits_within(0.001);
     assert!(!picture(&[Item::Text(hidden)], "stages", "").contains("2.6"));
 }

@@ -21,31 +21,31 @@ const CROSS_HALF_WIDTH: f64 = 1.7;
 const RADIUS: f64 = 1.7;
 /// Maximum number of marks on a line.
 const MAX_MARKS: usize = 7;
-/// Number of different positions of marks, so that the marks of neighbouring lines do not overlap.
+/// Number of different positions of marks. Lines have their marks at different positions, so that the marks do not overlap.
 const SHIFTED_LINES: usize = 4;
-/// Minimum distance between two values, in columns, from which a line is broken.
+/// Maximum distance between two values, in columns, that a line always bridges. It is interrupted at longer gaps.
 const MIN_GAP_COLUMNS: f64 = 12.0;
 /// Maximum number of borders between episodes. More borders would hide everything else, so none is drawn.
 const MAX_BORDERS: usize = 30;
 /// Minimum width of a period of warm-up, points.
 const MIN_WARM_UP_WIDTH: f64 = 0.6;
 
-/// Latencies over time. SI units; times are those of the horizontal axis.
+/// Latencies of a run over time. Latencies are in seconds, times in the unit of the horizontal axis.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Course {
+pub struct TimeSeries {
     /// Title of the figure.
     pub title: String,
     /// Title of the horizontal axis: `Time since the start, s`, `Iteration`.
     pub x: String,
-    /// `true` if the horizontal axis shows iteration numbers instead of times.
-    pub is_counted: bool,
+    /// True if the horizontal axis shows the numbers of iterations instead of times.
+    pub x_is_iteration: bool,
     /// Unit of the vertical axis.
     pub unit: Unit,
     /// The total, shown as the median and the range of each column.
     pub total: Line,
     /// Stages, shown as medians.
     pub stages: Vec<Line>,
-    /// Periods of warm-up, from and to.
+    /// Periods of warm-up, each with its beginning and end.
     pub warm_up: Vec<(f64, f64)>,
     /// Start times of all episodes except the first.
     pub episodes: Vec<f64>,
@@ -58,13 +58,13 @@ pub struct Course {
 /// Line of a quantity over time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// The stage, or `total`.
+    /// Name of the stage, or `total`.
     pub name: String,
     /// Time and value.
     pub values: Vec<(f64, f64)>,
 }
 
-impl Course {
+impl TimeSeries {
     fn times(&self) -> Option<(f64, f64)> {
         let lines = self.stages.iter().chain([&self.total]);
         let times = lines
@@ -75,6 +75,7 @@ impl Course {
         })
     }
 
+    /// Returns the range of latencies that is shown: all latencies of the total and the stages except outliers.
     fn shown_range(&self) -> Option<(f64, f64)> {
         let line_range = |line: &Line| {
             range(
@@ -133,7 +134,7 @@ impl Course {
 
     fn plot(&self, times: (f64, f64), shown: (f64, f64)) -> Plot {
         let x = Scale::linear(times);
-        let x = Axis::new(if self.is_counted { x.whole() } else { x }, self.x.clone(), "");
+        let x = Axis::new(if self.x_is_iteration { x.whole() } else { x }, self.x.clone(), "");
         let up = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
         let mut plot = Plot::new(x, self.unit.axis(up).with_grid());
         let mut items = self.background_items(&plot);
@@ -142,7 +143,7 @@ impl Course {
             items.extend(self.line_items(&plot, line, Some(number)));
         }
         plot.items = items;
-        plot.above = self.rail(&plot);
+        plot.top_strip = self.rail(&plot);
         plot.remark = self.remark(up.ends().1);
         plot
     }
@@ -166,12 +167,12 @@ impl Course {
     fn line_items(&self, plot: &Plot, line: &Line, number: Option<usize>) -> Vec<Item> {
         let columns = columns(&line.values, plot.x.scale.ends(), MAX_COLUMNS);
         let x = |column: &Column| (column.number as f64 + 0.5) / MAX_COLUMNS as f64;
-        let y = |value: f64| plot.up(value * self.unit.per_si);
+        let y = |value: f64| plot.y_share(value * self.unit.per_si);
         let steps: SortedValues =
             columns.windows(2).map(|pair| (pair[1].number - pair[0].number) as f64).collect();
-        // If there are few values, their columns are far apart without a gap. The limit therefore grows with the median step.
-        let gap = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
-        let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= gap);
+        // The columns of few values are far apart even without a gap in time. The limit therefore grows with the median distance.
+        let max_step = (4.0 * steps.median().unwrap_or_default()).max(MIN_GAP_COLUMNS);
+        let pieces = || columns.chunk_by(|a, b| (b.number - a.number) as f64 <= max_step);
         let medians = pieces()
             .flat_map(|piece| piece.iter().map(|column| Some((x(column), y(column.median)))).chain([None]));
         let medians = Path::line(medians);
@@ -222,7 +223,7 @@ impl Course {
         Some(Strip { items, size: RAIL_HEIGHT })
     }
 
-    /// Returns the number of totals above the plot: `12 beyond 90 ms`.
+    /// Returns the number of totals above the end of the axis: `12 beyond 90 ms`. `None` if there are none.
     fn remark(&self, end: f64) -> Option<String> {
         let max_shown = end / self.unit.per_si;
         let beyond = self.total.values.iter().filter(|(_, value)| *value > max_shown).count();
@@ -231,6 +232,7 @@ impl Course {
     }
 }
 
+/// Returns the mark of the stage with this index.
 fn mark(number: usize) -> Mark {
     Mark::ALL[number % Mark::ALL.len()]
 }

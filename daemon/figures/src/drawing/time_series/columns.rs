@@ -12,20 +12,21 @@ pub(super) struct Column {
     pub(super) max: f64,
 }
 
-/// Returns the columns that have values, from left to right. `from` and `to` are the ends of all columns together; values that are NaN or
-/// lie outside are left out.
+/// Returns the columns that have values, from left to right. `values` are times and values. The columns divide the time between `from` and `to`
+/// evenly. A value that is not finite or whose time lies outside is left out.
 pub(super) fn columns(values: &[(f64, f64)], (from, to): (f64, f64), count: usize) -> Vec<Column> {
     let inside = |(at, value): &&(f64, f64)| value.is_finite() && (from..=to).contains(at);
-    let place = |at: f64| (((at - from) / (to - from) * count as f64) as usize).min(count.saturating_sub(1));
-    let mut placed: Vec<(usize, f64)> =
-        values.iter().filter(inside).map(|(at, value)| (place(*at), *value)).collect();
-    placed.sort_by_key(|(number, _)| *number);
+    let column_index =
+        |at: f64| (((at - from) / (to - from) * count as f64) as usize).min(count.saturating_sub(1));
+    let mut values_by_column: Vec<(usize, f64)> =
+        values.iter().filter(inside).map(|(at, value)| (column_index(*at), *value)).collect();
+    values_by_column.sort_by_key(|(number, _)| *number);
     let column = |group: &[(usize, f64)]| {
         let values: SortedValues = group.iter().map(|(_, value)| *value).collect();
         let (min, max) = (*values.values().first()?, *values.values().last()?);
         Some(Column { number: group[0].0, min, median: values.median()?, max })
     };
-    placed.chunk_by(|a, b| a.0 == b.0).filter_map(column).collect()
+    values_by_column.chunk_by(|a, b| a.0 == b.0).filter_map(column).collect()
 }
 
 #[cfg(test)]

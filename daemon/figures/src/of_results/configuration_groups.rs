@@ -5,14 +5,14 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
 /// Runs by configuration; repeats of one configuration are pooled.
-pub(super) struct Configured<'a> {
+pub(super) struct ConfigurationGroups<'a> {
     /// Names of the labels that distinguish the configurations.
     pub(super) axes: Vec<String>,
     /// Label and runs of each configuration.
     pub(super) groups: Vec<(String, Vec<&'a Loaded>)>,
 }
 
-impl<'a> Configured<'a> {
+impl<'a> ConfigurationGroups<'a> {
     pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
         let Configurations { axes, labels } = Configurations::from_runs(runs);
         let mut groups: Vec<(String, Vec<&Loaded>)> = Vec::new();
@@ -28,7 +28,7 @@ impl<'a> Configured<'a> {
     }
 }
 
-/// Returns the value of an axis as it reads without the axis' name: `no resize` instead of `no`, `edges 4` instead of `4`.
+/// Returns the value of an axis as a text that is clear without the name of the axis: `no resize` instead of `no`, `edges 4` instead of `4`.
 fn readable_value(axis: &str, value: &str) -> String {
     match value {
         "yes" | "true" | "on" => axis.to_owned(),
@@ -38,7 +38,7 @@ fn readable_value(axis: &str, value: &str) -> String {
     }
 }
 
-/// Returns the rows of these runs that count.
+/// Returns the counted rows of these runs: neither warm-up nor without an answer.
 pub(super) fn counted_rows<'a>(runs: &[&'a Loaded]) -> impl Iterator<Item = RowRef<'a>> {
     runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted())
 }
@@ -48,9 +48,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clear_value_omits_axis_name() {
-        let read = |axis, value| readable_value(axis, value);
-        assert_eq!([read("resize", "no"), read("resize", "yes")], ["no resize", "resize"]);
-        assert_eq!([read("edges", "4"), read("network", "LAN")], ["edges 4", "LAN"]);
+    fn axis_name_is_added_to_unclear_values_only() {
+        let text = |axis, value| readable_value(axis, value);
+        assert_eq!([text("resize", "no"), text("resize", "yes")], ["no resize", "resize"]);
+        assert_eq!([text("edges", "4"), text("network", "LAN")], ["edges 4", "LAN"]);
     }
 }

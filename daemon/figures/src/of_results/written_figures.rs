@@ -1,0 +1,80 @@
+//! Figures with the names of their files, and writing them.
+
+use std::path::{Path, PathBuf};
+
+use crate::drawing::{
+    Accuracy, Cumulative, Histogram, Lengths, Paired, Scaling, Sharing, Stacked, TimeSeries,
+};
+use crate::plot::Figure;
+use crate::sheet::export;
+use peernet_analysis::WriteError;
+
+/// Figure with the common beginning of the names of its files.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Drawing {
+    /// Names of the files without their endings.
+    pub(super) stem: String,
+    pub(super) figure: AnyFigure,
+    /// Notes on runs, directions or configurations that are not in the figure.
+    pub(super) missing: Vec<String>,
+}
+
+/// Figures that were written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct WrittenFigures {
+    /// The files, four for each figure: PNG, SVG, PDF and its text.
+    pub files: Vec<PathBuf>,
+    /// Notes on runs, directions or configurations that are in no figure, with the reasons: `stacked: left out: …`.
+    pub missing: Vec<String>,
+}
+
+/// Figure of any kind.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum AnyFigure {
+    Histogram(Histogram),
+    TimeSeries(TimeSeries),
+    Cumulative(Cumulative),
+    Lengths(Lengths),
+    Stacked(Stacked),
+    Paired(Paired),
+    Scaling(Scaling),
+    Accuracy(Accuracy),
+    Sharing(Sharing),
+}
+
+impl Drawing {
+    pub(super) fn new(stem: impl Into<String>, figure: AnyFigure) -> Self {
+        Self { stem: stem.into(), figure, missing: Vec::new() }
+    }
+
+    /// Returns the same drawing with notes on what is left out of the figure.
+    pub(super) fn with_left_out(self, missing: Vec<String>) -> Self {
+        Self { missing, ..self }
+    }
+
+    fn lay_out(&self) -> Figure {
+        match &self.figure {
+            AnyFigure::Histogram(figure) => figure.figure(),
+            AnyFigure::TimeSeries(figure) => figure.figure(),
+            AnyFigure::Cumulative(figure) => figure.figure(),
+            AnyFigure::Lengths(figure) => figure.figure(),
+            AnyFigure::Stacked(figure) => figure.figure(),
+            AnyFigure::Paired(figure) => figure.figure(),
+            AnyFigure::Scaling(figure) => figure.figure(),
+            AnyFigure::Accuracy(figure) => figure.figure(),
+            AnyFigure::Sharing(figure) => figure.figure(),
+        }
+    }
+}
+
+pub(super) fn write(drawings: &[Drawing], folder: &Path) -> Result<WrittenFigures, WriteError> {
+    if !drawings.is_empty() {
+        std::fs::create_dir_all(folder).map_err(WriteError::at(folder))?;
+    }
+    let mut written = WrittenFigures::default();
+    for drawing in drawings {
+        written.files.extend(export::write(&drawing.lay_out(), folder, &drawing.stem)?);
+        written.missing.extend(drawing.missing.iter().map(|missing| format!("{}: {missing}", drawing.stem)));
+    }
+    Ok(written)
+}
