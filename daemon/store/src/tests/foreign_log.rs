@@ -121,7 +121,7 @@ async fn log_of_idle_aggregator_identifies_its_database() {
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
     test_store.writer = open(&test_store.path).await;
-    test_store.writer.keep_clocks(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
+    test_store.writer.store_clock_readings(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
     let (_folder, path) = killed(&test_store);
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));

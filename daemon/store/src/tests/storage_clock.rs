@@ -25,7 +25,7 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     for seconds in (1..=100).step_by(3) {
-        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.store_clock_readings(after(seconds), &mut pending).await.expect("stores");
     }
     let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
@@ -36,16 +36,20 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     // Only the wall clock moves.
     let month = Span::from_seconds(30 * 86_400);
     for wall in [after(101).wall + month, after(101).wall - month] {
-        test_store.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
+        test_store
+            .writer
+            .store_clock_readings(Stamp { wall, ..after(101) }, &mut pending)
+            .await
+            .expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 101);
     // The aggregator did not store for a day.
-    test_store.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(after(86_400), &mut pending).await.expect("stores");
     assert_eq!(test_store.count(ELAPSED_S).await, 161);
     // Another process, on a machine that booted later: the clock continues with its first transaction.
     test_store.writer = open(&test_store.path).await;
     for seconds in [0, 40] {
-        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.store_clock_readings(after(seconds), &mut pending).await.expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 201);
 }
@@ -54,16 +58,16 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
 async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(after(1), &mut pending).await.expect("stores");
     test_store
         .writer
-        .keep_clocks(Stamp { wall: after(2).wall + Span::from_seconds(9), ..after(2) }, &mut pending)
+        .store_clock_readings(Stamp { wall: after(2).wall + Span::from_seconds(9), ..after(2) }, &mut pending)
         .await
         .expect("stores");
     assert_eq!(incidents(&test_store).await, []);
     test_store
         .writer
-        .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
+        .store_clock_readings(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
         .await
         .expect("stores");
     let stored = incidents(&test_store).await;
@@ -76,7 +80,7 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
     let config = RetentionConfig::default();
     test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
     let mut pending = PendingIncidents::new(STAMP);
-    test_store.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(STAMP, &mut pending).await.expect("stores");
     let stored = incidents(&test_store).await;
     assert_eq!(stored.len(), 2);
     assert!(stored.iter().any(|step| step.text.contains("3600.0 s less")), "{stored:?}");
@@ -89,10 +93,10 @@ async fn incident_waits_until_database_is_writable() {
     let mut other = test_store.other().await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
     pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect_err("locked");
+    test_store.writer.store_clock_readings(after(1), &mut pending).await.expect_err("locked");
     other.close().await.expect("unlocks");
-    test_store.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
-    test_store.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(after(2), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(after(3), &mut pending).await.expect("stores");
     let stored = incidents(&test_store).await;
     assert_eq!(
         stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
@@ -114,7 +118,7 @@ async fn newest_ten_thousand_aggregator_incidents_stay() {
     .await
     .expect("inserts");
     pending.add(AggregatorIncidentKind::Storage, NOW, "new".to_owned());
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(after(1), &mut pending).await.expect("stores");
     assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NULL").await, 10_000);
     assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NOT NULL").await, 1);
     assert_eq!(incidents(&test_store).await[0].text, "new");
@@ -134,7 +138,7 @@ async fn data_is_deleted_after_its_period_of_running_time() {
             // The wall clock runs a thousand times as fast.
             let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..after(60 * minute) };
             while test_store.writer.retain(stamp).await.expect("steps") == Step::More {}
-            test_store.writer.keep_clocks(stamp, &mut pending).await.expect("stores");
+            test_store.writer.store_clock_readings(stamp, &mut pending).await.expect("stores");
         }
     };
     look(&mut test_store, 1..24 * 60).await;
