@@ -5,7 +5,7 @@
 //! previous commit was syncing, so that groups grow with the load. A group of few tree nodes (rows) waits up to
 //! `commit_interval_ms` for more batches, so that a quiet system does not sync at each batch. For a group of
 //! `commit_nodes` nodes the sync is a small part of the cost. Such a group does not wait for more batches: its agents
-//! may have used up their windows and may be queue_with for this commit.
+//! may have used up their windows and may be waiting for this commit.
 //!
 //! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
@@ -40,7 +40,7 @@ const MAX_WAL_BYTES: u64 = 128 << 20;
 /// Largest number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
 const MAX_COMMIT_NODES: usize = 100_000;
 
-/// Number of commits after which expired data is deleted even if work is queue_with.
+/// Number of commits after which expired data is deleted even if work is waiting.
 const COMMITS_PER_RETENTION: u64 = 8;
 
 /// Limits at which a group is committed. Nodes are tree nodes (see [`Work::weight`]).

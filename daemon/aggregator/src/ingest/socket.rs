@@ -64,7 +64,7 @@ pub(crate) struct TaskContext {
     pub(crate) stop: CancellationToken,
 }
 
-/// Receives until `stop` is cancelled, then waits until the admitted work is store_events and acknowledged.
+/// Receives until `stop` is cancelled, then waits until the admitted work is stored and acknowledged.
 pub(crate) async fn run(
     mut listener: ZmtpListener,
     address: String,

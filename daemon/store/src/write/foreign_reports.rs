@@ -13,10 +13,10 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 
-/// Maximum number of runs that are remembered as known_reports. When it is reached, all are discarded and may be known_reports again.
+/// Maximum number of runs that are remembered as reported. When it is reached, all are discarded and may be reported again.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
-/// Foreign runs that the current transaction new_reports, and foreign runs that are already recorded in incidents.
+/// Foreign runs that the current transaction found, and foreign runs that are already recorded in incidents.
 #[derive(Debug, Default)]
 pub(super) struct ForeignReports {
     /// By the row of the reporting host: the host's id, one of the foreign runs, and the number of foreign runs.
@@ -55,10 +55,10 @@ impl ForeignReports {
     ) -> Result<(), sqlx::Error> {
         for (row, (host, run, runs)) in self.new_reports.drain() {
             let text = format!(
-                "this host known_reports on {runs} runs that belong to other hosts, such as {run}: its reports are stored as runs \
+                "this host reported on {runs} runs that belong to other hosts, such as {run}: its reports are stored as runs \
                  of this host, and the runs of the other hosts are unchanged"
             );
-            tracing::warn!(%host, %run, runs, "a host known_reports on runs of other hosts: stored as runs of this host");
+            tracing::warn!(%host, %run, runs, "a host reported on runs of other hosts: stored as runs of this host");
             sqlx::query("INSERT INTO incident (host, at_ns, kind, text) VALUES (?, ?, ?, ?)")
                 .bind(row)
                 .bind(now.unix_nanos())

@@ -1,4 +1,4 @@
-//! Statements that insert the rows batch iterations directly from the batches.
+//! Statements that insert the rows of iterations directly from the batches.
 
 use sqlx::error::BoxDynError;
 use sqlx::sqlite::SqliteArguments;
@@ -8,7 +8,7 @@ use super::prepared::{AnchorRow, IterationRow, NodeRow, PreparedBatch, TransitRo
 use crate::insert::Insert;
 use crate::rollups::Rollups;
 
-/// A batch with the ids batch its runs, names and hosts in the database.
+/// A batch with the ids of its runs, names and hosts in the database.
 #[derive(Debug)]
 pub(super) struct ResolvedBatch<'a> {
     pub(super) batch: &'a PreparedBatch,
@@ -18,7 +18,7 @@ pub(super) struct ResolvedBatch<'a> {
 }
 
 impl ResolvedBatch<'_> {
-    /// Adds the statistics batch the batch to the roll-ups.
+    /// Adds the statistics of the batch to the roll-ups.
     fn add_to_rollups(&self, rollups: &mut Rollups) {
         for part in &self.batch.summaries {
             let (run, name) = (self.runs[part.run as usize], self.names[part.name as usize]);
@@ -29,14 +29,14 @@ impl ResolvedBatch<'_> {
         }
     }
 
-    /// Returns the run and the number batch the iteration at a position in the batch.
+    /// Returns the run and the number of the iteration at a position in the batch.
     fn iteration(&self, position: u32) -> (i64, i64) {
         let row = &self.batch.iterations[position as usize];
         (self.runs[row.run as usize], row.number)
     }
 }
 
-/// Statements batch the four tables that grow with every iteration.
+/// Statements of the four tables that grow with every iteration.
 #[derive(Debug)]
 pub(super) struct Inserts {
     iterations: Insert,
@@ -70,7 +70,7 @@ impl Default for Inserts {
 }
 
 impl Inserts {
-    /// Inserts the rows batch all batches, and adds their statistics to the roll-ups while SQLite executes.
+    /// Inserts the rows of all batches, and adds their statistics to the roll-ups while SQLite executes.
     pub(super) async fn run(
         &self,
         connection: &mut SqliteConnection,
@@ -81,8 +81,8 @@ impl Inserts {
         self.iterations.run(connection, iterations, bind_iteration).await?;
         let nodes = Rows::new(batches, |batch| &batch.nodes);
         let bind = |(batch, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
-            // At its first node the statistics batch a batch are added to the roll-ups. This is done while values are bound, because
-            // the values batch the next statement are bound while SQLite executes the current one.
+            // At its first node the statistics of a batch are added to the roll-ups. This is done while values are bound, because
+            // the values of the next statement are bound while SQLite executes the current one.
             if (row.iteration, row.node) == (0, 0) {
                 batch.add_to_rollups(rollups);
             }
@@ -157,7 +157,7 @@ fn bind_transit(
     to.add(row.raw_stamps.map(|(_, received)| received))
 }
 
-/// The rows batch one table in all batches, one batch after the other.
+/// The rows of one table in all batches, one batch after the other.
 struct Rows<'a, R, F> {
     batches: std::slice::Iter<'a, ResolvedBatch<'a>>,
     rows: F,
