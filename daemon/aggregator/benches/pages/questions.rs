@@ -7,9 +7,9 @@ use peernet_logger::{Name, stage};
 use peernet_store::{IncidentFilter, IterationFilter, RunFilter, Store, StoreError};
 
 /// Number of measurements per query.
-const TIMES: usize = 20;
-/// Sizes that the pages request: points of a run's series, points of a link's series, buckets of a run's course, bins
-/// of a histogram, and number of the slowest iterations.
+const REPEATS: usize = 20;
+/// Sizes that the pages request: points of a run's series, points of a link's series, buckets of a run over time, bins of a
+/// histogram, and number of the slowest iterations.
 const POINTS: usize = 240;
 const CLOCK_POINTS: u32 = 360;
 const BUCKETS: usize = 120;
@@ -17,12 +17,12 @@ const BINS: usize = 48;
 const SLOWEST: u32 = 40;
 /// Rows of the run page's table of iterations without an answer.
 const UNANSWERED: u32 = 8;
-/// Limits of the comparison page: runs chosen one by one, runs of an experiment, runs whose course is drawn, and points
-/// of each course.
-const CHOSEN: u32 = 12;
-const OF_EXPERIMENT: u32 = 200;
-const COURSES: usize = 24;
-const COURSE_POINTS: usize = 100;
+/// Limits of the comparison page: runs chosen one by one, runs of an experiment, runs that are drawn over time, and points
+/// of each drawn run.
+const CHOSEN_RUNS: u32 = 12;
+const EXPERIMENT_RUNS: u32 = 200;
+const MAX_TIME_SERIES: usize = 24;
+const TIME_SERIES_POINTS: usize = 100;
 /// Number of iterations whose answer size is drawn against the latency.
 const PAIRS: u32 = 750;
 
@@ -45,13 +45,14 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
     let link = links.first().expect("there is a link");
     let key = &link.key();
     let slowest = store.slowest_iterations(number, 1_000).await.expect("answers");
-    let ranked = slowest.last().expect("there are some").number;
+    let slow_number = slowest.last().expect("there are some").number;
     let [total, upload] = [stage::TOTAL, stage::UPLOAD];
-    let chosen = store.runs(&RunFilter { limit: CHOSEN, ..RunFilter::default() }).await.expect("answers");
+    let chosen =
+        store.runs(&RunFilter { limit: CHOSEN_RUNS, ..RunFilter::default() }).await.expect("answers");
     let experiments = store.experiments(1).await.expect("answers");
     let experiment = experiments.first().expect("there is an experiment").id.clone();
     let stages = stage::ORDER;
-    let of_difference: Vec<Name> =
+    let difference_stages: Vec<Name> =
         [stage::TOTAL, stage::STAGES_TOTAL].into_iter().chain(stages.clone()).collect();
     let (bytes, inference) = (stage::DOWNLOAD_BYTES, stage::INFERENCE);
     let lengths = [bytes.as_str(), inference.as_str()];
@@ -60,9 +61,9 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
     let (first, end_of_list) = (page(0, false), page(last.saturating_sub(100), false));
     let later_lost = page(last / 2, true);
     let unanswered = IterationFilter { limit: UNANSWERED, ..page(0, true) };
-    let all = RunFilter::default();
+    let all_runs = RunFilter::default();
     let incidents = IncidentFilter::newest(100);
-    let of_host = RunFilter {
+    let runs_of_host = RunFilter {
         host: Some(host),
         pipeline: Some("line".parse().expect("a name")),
         ..RunFilter::default()
@@ -95,7 +96,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         time("compare page, two runs", clock, async || {
             for number in [number, number] {
                 store.run(number).await?;
-                store.stage_means(number, &of_difference, BUCKETS).await?;
+                store.stage_means(number, &difference_stages, BUCKETS).await?;
                 over_time(store, number).await?;
                 store.value_pairs(number, lengths, PAIRS).await?;
             }
@@ -112,9 +113,9 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         })
         .await,
         time("compare page, experiment", clock, async || {
-            let runs = store.runs_of_experiment(&experiment, OF_EXPERIMENT).await?;
+            let runs = store.runs_of_experiment(&experiment, EXPERIMENT_RUNS).await?;
             let numbers: Vec<i64> = runs.iter().map(|run| run.number).collect();
-            for number in numbers.iter().take(COURSES) {
+            for number in numbers.iter().take(MAX_TIME_SERIES) {
                 over_time(store, *number).await?;
             }
             store.statistics(&numbers).await
@@ -138,10 +139,10 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
         time("forty slowest", clock, || store.slowest_iterations(number, SLOWEST)).await,
         time("thousand slowest", clock, || store.slowest_iterations(number, 1_000)).await,
         time("one iteration", clock, || store.iteration(number, last / 2)).await,
-        time("one of the slowest", clock, || store.iteration(number, ranked)).await,
+        time("one of the slowest", clock, || store.iteration(number, slow_number)).await,
         time("hosts", clock, || store.hosts()).await,
-        time("runs", clock, || store.runs(&all)).await,
-        time("runs of a pipeline", clock, || store.runs(&of_host)).await,
+        time("runs", clock, || store.runs(&all_runs)).await,
+        time("runs of a pipeline", clock, || store.runs(&runs_of_host)).await,
         time("incidents", clock, || store.incidents(&incidents)).await,
         time("links", clock, || store.links()).await,
         time("a link's hour", clock, || {
@@ -156,25 +157,25 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
 async fn over_time(store: &Store, run: i64) -> Result<(), StoreError> {
     let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
     tokio::try_join!(
-        store.series(run, &names[..1], COURSE_POINTS),
-        store.stage_means(run, &names, COURSE_POINTS),
+        store.series(run, &names[..1], TIME_SERIES_POINTS),
+        store.stage_means(run, &names, TIME_SERIES_POINTS),
         store.episodes(run),
     )
     .map(drop)
 }
 
-/// Measures one query `TIMES` times.
+/// Measures one query `REPEATS` times.
 async fn time<T, F: Future<Output = Result<T, StoreError>>>(
     question: &'static str,
     clock: &SharedClock,
-    ask: impl Fn() -> F,
+    run_query: impl Fn() -> F,
 ) -> ResponseTimes {
-    let mut took = Vec::with_capacity(TIMES);
-    for _ in 0..TIMES {
-        let began = clock.mono();
-        ask().await.unwrap_or_else(|error| panic!("{question}: {error}"));
-        took.push((clock.mono() - began).seconds() * 1e3);
+    let mut durations_ms = Vec::with_capacity(REPEATS);
+    for _ in 0..REPEATS {
+        let started_at = clock.mono();
+        run_query().await.unwrap_or_else(|error| panic!("{question}: {error}"));
+        durations_ms.push((clock.mono() - started_at).seconds() * 1e3);
     }
-    took.sort_by(f64::total_cmp);
-    ResponseTimes { question, median_ms: took[TIMES / 2], max_ms: took[TIMES - 1] }
+    durations_ms.sort_by(f64::total_cmp);
+    ResponseTimes { question, median_ms: durations_ms[REPEATS / 2], max_ms: durations_ms[REPEATS - 1] }
 }
