@@ -57,7 +57,7 @@ pub(crate) async fn measure(store: &Store, clock: &SharedClock) -> Vec<ResponseT
     let (bytes, inference) = (stage::DOWNLOAD_BYTES, stage::INFERENCE);
     let lengths = [bytes.as_str(), inference.as_str()];
     let names = [stage::TOTAL, stage::SENSING, stage::UPLOAD, stage::INFERENCE, stage::DOWNLOAD];
-    let page = |after: u64, unsuccessful: bool| IterationFilter { after, limit: 100, unsuccessful };
+    let page = |after: u64, without_answer: bool| IterationFilter { after, limit: 100, without_answer };
     let (first, end_of_list) = (page(0, false), page(last.saturating_sub(100), false));
     let later_lost = page(last / 2, true);
     let unanswered = IterationFilter { limit: UNANSWERED, ..page(0, true) };
