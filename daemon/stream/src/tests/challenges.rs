@@ -122,12 +122,20 @@ proptest! {
                     let ToAgent::Challenge { aggregator, nonce, .. } = &challenge else { unreachable!() };
                     let code = key.prove(nonce, &hello_of_host, aggregator);
                     let own_challenge = open_challenges.get(&connection).cloned();
-                    if let Some((challenged_host, ToAgent::Challenge { nonce: pending_nonce, .. })) = &own_challenge && (*challenged_host, pending_nonce) == (host, nonce) {
+                    if let Some((challenged_host, ToAgent::Challenge { nonce: pending_nonce, .. })) = &own_challenge
+                        && (*challenged_host, pending_nonce) == (host, nonce)
+                    {
                         open_challenges.remove(&connection);
                     }
-                    let is_expected_valid = uses_right_secret && challenged == host && own_challenge == Some((host, challenge.clone()));
-                    let proven = end.check_proof(&connection, Proof { host: hello_of_host.host.id, nonce: *nonce, code, secret: None }, Some(&secret(host)));
-                    prop_assert_eq!(matches!(&proven, ProofResult::Valid { hello, .. } if hello.host.id == hello_of_host.host.id), is_expected_valid);
+                    let is_expected_valid =
+                        uses_right_secret && challenged == host && own_challenge == Some((host, challenge.clone()));
+                    let proof = Proof { host: hello_of_host.host.id, nonce: *nonce, code, secret: None };
+                    let proven = end.check_proof(&connection, proof, Some(&secret(host)));
+                    let is_valid = matches!(
+                        &proven,
+                        ProofResult::Valid { hello, .. } if hello.host.id == hello_of_host.host.id
+                    );
+                    prop_assert_eq!(is_valid, is_expected_valid);
                 }
                 _ => {
                     end.forget(&connection);

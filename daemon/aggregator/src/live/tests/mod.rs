@@ -133,7 +133,8 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
     fn windows_match_exact_statistics(
-        totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90), elapsed_share in 0.0_f64..0.99,
+        totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90),
+        elapsed_share in 0.0_f64..0.99,
     ) {
         let mut testbed = Testbed::new();
         for (at, totals) in totals.iter().enumerate() {
