@@ -85,8 +85,8 @@ impl Aggregator {
         let (socket, address) = socket::listen(&config).await?;
         tracing::info!(%address, database = %config.database.display(), "the aggregator listens");
 
-        let forget = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
-        let mut tracker = LiveTracker::new(name.clone(), address.clone(), forget);
+        let host_timeout = Span::from_seconds(i64::try_from(config.forget_hosts_after_s).unwrap_or(i64::MAX));
+        let mut tracker = LiveTracker::new(name.clone(), address.clone(), host_timeout);
         // The live state starts with what is stored, so that counts and run numbers are right from the first update on.
         for (host, run, number) in runs {
             tracker.apply(LiveEvent::Run(host, run, number), clock.stamp());
@@ -94,16 +94,16 @@ impl Aggregator {
         for (host, stored) in hosts {
             tracker.apply(LiveEvent::Stored(host, stored, None), clock.stamp());
         }
-        let (queue, waiting) = ingest::queue();
+        let (queue, queued_items) = ingest::queue();
         let grouping = committing::Grouping::new(&config);
         // While one group is committed, the next is prepared.
-        let (prepared, work) = preparing::channel(2 * grouping.max_nodes);
+        let (prepared_work_in, prepared_work) = preparing::channel(2 * grouping.max_nodes);
         let (requests_in, requests) = mpsc::channel(WRITER_REQUEST_CAPACITY);
         let (live_events_in, live_events) = mpsc::channel(LIVE_EVENT_CAPACITY);
-        let (stored_in, stored) = mpsc::channel(STORE_EVENT_CAPACITY);
+        let (store_events_in, store_events) = mpsc::channel(STORE_EVENT_CAPACITY);
         let (snapshots, live) = watch::channel(tracker.shared_snapshot(clock.stamp()));
-        let (written_in, closed_database) = oneshot::channel();
-        let (ready_in, readiness) = watch::channel(Readiness::Ready);
+        let (closed_database_in, closed_database) = oneshot::channel();
+        let (readiness_in, readiness) = watch::channel(Readiness::Ready);
         // A batch that does not fit into the queue has to be sent again, which costs more than waiting; so
         // the window never exceeds the queue's capacity.
         let (budget_bytes, max_window) = (ingest::CAPACITY_BYTES as u64, ingest::MAX_WINDOW);
@@ -146,13 +146,13 @@ impl Aggregator {
         });
         running.spawn_thread("preparing", {
             let runtime = Handle::current();
-            move || preparing::run(&runtime, waiting, &prepared)
+            move || preparing::run(&runtime, queued_items, &prepared_work_in)
         });
         let context = committing::TaskContext {
-            queue: work,
+            queue: prepared_work,
             requests,
-            stored: stored_in,
-            readiness: ready_in,
+            store_events: store_events_in,
+            readiness: readiness_in,
             snapshots: running.handle.live(),
             clock: Arc::clone(&clock),
             integrity: integrity.clone(),
@@ -163,10 +163,10 @@ impl Aggregator {
         running.spawn("writer", async move {
             let database = Box::pin(committing::run(database, context, grouping, reopening)).await;
             // Without a caller of `join` the connection is dropped.
-            let _unjoined = written_in.send(database);
+            let _unjoined = closed_database_in.send(database);
             Ok(())
         });
-        let context = socket::TaskContext { stored, live_events: live_events_in, clock, stop };
+        let context = socket::TaskContext { store_events, live_events: live_events_in, clock, stop };
         running.spawn("ingest", socket::run(socket, address, session, context));
         Ok(running)
     }
@@ -187,9 +187,9 @@ impl Aggregator {
     /// # Errors
     /// If the database cannot be written now.
     pub async fn pin(&self, run: i64, pinned: bool) -> Result<bool, StoreError> {
-        let (answer, answered) = oneshot::channel();
-        match self.requests.send(WriterRequest::Pin(run, pinned, answer)).await {
-            Ok(()) => answered.await.unwrap_or_else(|_| Err(StoreError::writer_stopped())),
+        let (answer_in, answer) = oneshot::channel();
+        match self.requests.send(WriterRequest::Pin(run, pinned, answer_in)).await {
+            Ok(()) => answer.await.unwrap_or_else(|_| Err(StoreError::writer_stopped())),
             Err(_) => Err(StoreError::writer_stopped()),
         }
     }
@@ -202,10 +202,10 @@ impl Aggregator {
     /// Returns the size of the database's file and of its -wal file together, bytes; `None` if there is no database
     /// file.
     pub fn database_bytes(&self) -> Option<u64> {
-        let mut log = self.database.as_os_str().to_owned();
-        log.push("-wal");
-        let main = std::fs::metadata(&self.database).ok()?.len();
-        Some(main + std::fs::metadata(log).map_or(0, |log| log.len()))
+        let mut wal_path = self.database.as_os_str().to_owned();
+        wal_path.push("-wal");
+        let main_bytes = std::fs::metadata(&self.database).ok()?.len();
+        Some(main_bytes + std::fs::metadata(wal_path).map_or(0, |wal| wal.len()))
     }
 
     /// Returns the numbers of connections of the agents' port that were rejected or closed, by reason.
@@ -251,14 +251,14 @@ impl RunningAggregator {
     /// # Errors
     /// If a task died or ended although `stop` was not cancelled; the other tasks are stopped then.
     pub async fn join(mut self) -> Result<(), Failure> {
-        let mut first = Ok(());
+        let mut result = Ok(());
         while let Some(ended) = self.tasks.join_next_with_id().await {
             let failure = match ended {
                 Ok((_, Err(failure))) => Some(failure),
                 Ok((id, Ok(()))) => {
                     // `self.stop` is a child token: when it is cancelled, the tasks may not have noticed yet, but their
                     // end is expected.
-                    let is_unexpected = !self.stop.is_cancelled() && first.is_ok();
+                    let is_unexpected = !self.stop.is_cancelled() && result.is_ok();
                     is_unexpected.then(|| Failure::TaskEnded(self.name(id)))
                 }
                 Err(error) => {
@@ -266,13 +266,13 @@ impl RunningAggregator {
                 }
             };
             // Only the first failure is reported: the others follow from it.
-            if let (Some(failure), Ok(())) = (failure, &first) {
-                first = Err(failure);
+            if let (Some(failure), Ok(())) = (failure, &result) {
+                result = Err(failure);
                 self.stop.cancel();
             }
         }
         self.close().await;
-        first
+        result
     }
 
     /// Closes the database. The writing connection is closed last: only the last connection checkpoints the -wal file,

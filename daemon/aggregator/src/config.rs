@@ -29,8 +29,8 @@ pub struct AggregatorConfig {
     pub database: PathBuf,
     /// Longest time that a batch waits for others before the commit, 1 to 10,000 ms.
     pub commit_interval_ms: u64,
-    /// Number of nodes at which a commit starts without waiting, 1 to 1,000,000: with so large a commit the sync is a
-    /// small part of the cost. Other batches that are ready join the commit.
+    /// Number of tree nodes (rows) at which a commit starts without waiting, 1 to 1,000,000. The sync is a small part of
+    /// the cost of such a large commit. Other batches that are ready join the commit.
     pub commit_nodes: usize,
     /// Number of connections that readers share, 1 to 64.
     pub readers: u32,
@@ -92,8 +92,8 @@ impl AggregatorConfig {
     /// Returns the problems that are found without starting.
     pub(crate) fn problems(&self) -> Vec<Problem> {
         let mut problems = Vec::new();
-        let mut check = |key, wrong: Option<String>| {
-            problems.extend(wrong.map(|message| Problem { key, message }));
+        let mut check = |key, message: Option<String>| {
+            problems.extend(message.map(|message| Problem { key, message }));
         };
         check("listen", address_problem(&self.listen));
         check("hello_timeout_ms", range_problem(self.hello_timeout_ms, 10, 24 * 3600 * 1000));
@@ -105,8 +105,8 @@ impl AggregatorConfig {
         check("question_limit_ms", range_problem(self.question_limit_ms, 100, 600_000));
         check("forget_hosts_after_s", range_problem(self.forget_hosts_after_s, 1, u64::from(u32::MAX)));
         check("max_hosts", range_problem(self.max_hosts as u64, 1, 65_536));
-        let retention = self.retention.problems().into_iter();
-        problems.extend(retention.map(|(key, message)| Problem { key, message }));
+        let retention_problems = self.retention.problems().into_iter();
+        problems.extend(retention_problems.map(|(key, message)| Problem { key, message }));
         problems
     }
 }
@@ -138,21 +138,23 @@ fn database_problem(path: &Path) -> Option<String> {
     if path.is_dir() {
         return Some(format!("{} is a folder; name a file in it", path.display()));
     }
-    let here = Path::new(".");
-    let folders =
-        path.ancestors().skip(1).map(|folder| if folder.as_os_str().is_empty() { here } else { folder });
-    let folder = folders.into_iter().find(|folder| folder.exists()).unwrap_or(here);
+    let current_folder = Path::new(".");
+    let folders = path
+        .ancestors()
+        .skip(1)
+        .map(|folder| if folder.as_os_str().is_empty() { current_folder } else { folder });
+    let folder = folders.into_iter().find(|folder| folder.exists()).unwrap_or(current_folder);
     // SQLite creates files beside the database, so the folder has to be writable, too.
     let (write, enter) = (rustix::fs::Access::WRITE_OK, rustix::fs::Access::EXEC_OK);
     let file = path.exists().then_some((path, write));
-    let denied = [(folder, write | enter)].into_iter().chain(file).find_map(|(path, access)| {
+    let access_problem = [(folder, write | enter)].into_iter().chain(file).find_map(|(path, access)| {
         let error = rustix::fs::access(path, access).err()?;
         Some(format!("cannot write to {}: {error}; choose another file or change its owner", path.display()))
     });
-    let not_a_folder =
+    let folder_problem =
         || (!folder.is_dir()).then(|| format!("{} is not a folder; choose another path", folder.display()));
     // The more specific problem comes first.
-    not_a_folder().or(denied)
+    folder_problem().or(access_problem)
 }
 
 #[cfg(test)]
@@ -187,9 +189,9 @@ mod tests {
 
     #[test]
     fn unknown_keys_are_refused() {
-        let known: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listen": "tcp://127.0.0.1:1"}"#);
-        assert!(known.is_ok());
-        let unknown: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listn": "x"}"#);
-        assert!(unknown.is_err());
+        let valid: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listen": "tcp://127.0.0.1:1"}"#);
+        assert!(valid.is_ok());
+        let misspelt: Result<AggregatorConfig, _> = serde_json::from_str(r#"{"listn": "x"}"#);
+        assert!(misspelt.is_err());
     }
 }

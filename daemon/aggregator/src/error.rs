@@ -50,7 +50,7 @@ pub enum Failure {
     /// The socket was closed.
     #[error("cannot receive on {address}: its socket was closed")]
     Socket {
-        /// Address that it listened on.
+        /// Address that the socket listened on.
         address: String,
     },
 }

@@ -1,13 +1,13 @@
-//! The aggregator: receives the event streams of all agents, stores their durable lane in SQLite, and computes the live
-//! state from their live lane alone.
+//! The aggregator: receives the event streams of all agents. It stores the durable lane (batches of events) in SQLite,
+//! and computes the live state from the live lane (live updates) alone.
 //!
-//! There are four tasks. Each is the only owner of its state, so that none waits for a lock of another:
+//! There are four tasks. Each is the only owner of its state, so that no task waits for a lock of another task:
 //!
 //! ```text
 //! agents ── ingest: socket and session, who may send ─── preparing: batches to rows ── writer: one transaction a group
 //!              │  ▲                                                                    │
 //!              │  └───────────────────────────────── acknowledgements ─────────────────┤
-//!              └─ live lane ── live state ◄──────── what is stored now ──────────────┘
+//!              └─ live lane ── live state ◄──────── stored counts ───────────────────┘
 //! ```
 //!
 //! The live state has constant memory per host and does not depend on the database, so it stays current while the

@@ -50,7 +50,7 @@ pub struct Totals {
     pub refused: RefusedFrames,
 }
 
-/// Numbers of frames that belong to no known host, since the aggregator's start.
+/// Numbers of frames from no known host, since the aggregator's start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RefusedFrames {
     /// Frames that cannot be decoded.
@@ -216,9 +216,9 @@ pub struct PercentilePoint {
 
 /// Figures of the last seconds of the edge's wall clock.
 ///
-/// Covers the given number of complete seconds and the incomplete one, so that a figure is neither late nor computed
-/// from a few milliseconds. Rates refer to the time really covered: since the pipeline's first second if that is within
-/// the window.
+/// Covers the given number of complete seconds and the incomplete second, so that a figure is current and not computed
+/// from a few milliseconds only. Rates refer to the time really covered: the time since the pipeline's first second if
+/// that second is within the window.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Window {
     /// Number of complete seconds: 1, 10 or 60.
@@ -236,8 +236,8 @@ pub struct Window {
     pub miss_rate: Option<f64>,
     /// Figures by node name in SI units: the stages in order, totals, throughputs, sizes, then user-defined names.
     ///
-    /// Throughputs are statistics over single iterations: their mean is not the data rate of the window, which
-    /// [`transfers`] has.
+    /// Throughputs are statistics over single iterations. Their mean is not the data rate of the window, which is in
+    /// [`transfers`].
     ///
     /// [`transfers`]: Window::transfers
     pub values: Vec<(Name, QuantityStatistics)>,
@@ -267,7 +267,7 @@ pub struct LiveSecond {
 impl Window {
     /// Returns the figures of a node name.
     pub fn value(&self, name: &str) -> Option<&QuantityStatistics> {
-        self.values.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
+        self.values.iter().find(|(other, _)| other == name).map(|(_, statistics)| statistics)
     }
 }
 

@@ -19,13 +19,13 @@ const CACHE: &str = "-65536";
 
 /// Number of pages in the log (WAL) before they are checkpointed into the file: 64 MiB of them.
 ///
-/// A commit of 100,000 nodes from a thousand agents changes some thousand pages, most of them again in the next commit. With
-/// SQLite's default of 1,000 every commit would checkpoint, sync the file once more, and take a third to three quarters longer
+/// A commit of 100,000 nodes from a thousand agents changes some thousand pages; the next commit changes most of them again. With
+/// SQLite's default of 1,000 pages every commit would checkpoint, sync the file once more, and take a third to three quarters longer
 /// (1,000 interleaved runs, a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
-/// Size in bytes to which the log's file is truncated when it is restarted after a reader kept it growing. It is the usual size:
-/// 16,000 pages with their frames' headers.
+/// Size in bytes to which SQLite truncates the log's file when it begins to write the log from its start again. A reader may have
+/// made the file grow. This is the usual size: 16,000 pages with their frames' headers.
 const LOG_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
@@ -58,10 +58,11 @@ pub(crate) async fn open_existing(path: &Path) -> Result<SqliteConnection, OpenE
     prepare(path, write_options(path).create_if_missing(false)).await
 }
 
+/// Connects, checks that the file is an aggregator's database and can be written, and runs missing migrations.
 async fn prepare(path: &Path, options: SqliteConnectOptions) -> Result<SqliteConnection, OpenError> {
     let cannot_open = |source| OpenError::cannot_open(path, source);
     let mut connection = options.connect().await.map_err(cannot_open)?;
-    // A read-only file opens without an error and fails at the first batch: find out now.
+    // A read-only file can be opened without an error, and the first batch would fail. This transaction fails already now.
     sqlx::raw_sql("BEGIN IMMEDIATE; ROLLBACK").execute(&mut connection).await.map_err(cannot_open)?;
     let kind = FileKind::detect(&mut connection).await.map_err(cannot_open)?;
     if let (true, Some(what)) = (kind != FileKind::Empty, kind.other_kind()) {

@@ -38,7 +38,7 @@ impl From<io::Error> for Cause {
 }
 
 impl DatabaseError {
-    // No `From`: it would name the library in the public interface.
+    // This is no implementation of `From`, because that would name the SQL library in the public interface.
     pub(crate) fn new(cause: impl Into<Cause>) -> Self {
         Self(cause.into())
     }
@@ -52,8 +52,8 @@ impl DatabaseError {
     /// succeed later.
     pub fn is_transient(&self) -> bool {
         /// Primary result codes: BUSY, LOCKED, FULL.
-        const PASSING: [i32; 3] = [5, 6, 13];
-        self.statement().and_then(primary_code).is_some_and(|code| PASSING.contains(&code))
+        const TRANSIENT: [i32; 3] = [5, 6, 13];
+        self.statement().and_then(primary_code).is_some_and(|code| TRANSIENT.contains(&code))
     }
 
     fn statement(&self) -> Option<&sqlx::Error> {

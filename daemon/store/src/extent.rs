@@ -22,20 +22,21 @@ impl Extent {
     pub(crate) fn without(self, mut others: Vec<Self>) -> Vec<Self> {
         others.sort_unstable_by_key(|other| other.first);
         let mut remaining = Vec::new();
-        let mut from = self.first;
+        // First number that is not examined yet.
+        let mut next = self.first;
         for Self { first, last } in others {
             if first > self.last {
                 break;
             }
-            if first > from {
-                remaining.push(Self { first: from, last: first - 1 });
+            if first > next {
+                remaining.push(Self { first: next, last: first - 1 });
             }
             if last >= self.last {
                 return remaining;
             }
-            from = from.max(last + 1);
+            next = next.max(last + 1);
         }
-        remaining.push(Self { first: from, last: self.last });
+        remaining.push(Self { first: next, last: self.last });
         remaining
     }
 }
@@ -54,14 +55,14 @@ mod tests {
         ) {
             let range = |(first, length)| Extent { first, last: first + length };
             let (whole, others) = (range((first, length)), others.into_iter().map(range).collect::<Vec<_>>());
-            let holds = |extent: &Extent, number: i64| (extent.first..=extent.last).contains(&number);
-            let left = whole.without(others.clone());
+            let contains = |extent: &Extent, number: i64| (extent.first..=extent.last).contains(&number);
+            let remaining = whole.without(others.clone());
             for number in -40..80 {
-                let expected = holds(&whole, number) && !others.iter().any(|other| holds(other, number));
-                prop_assert_eq!(left.iter().any(|part| holds(part, number)), expected);
+                let expected = contains(&whole, number) && !others.iter().any(|other| contains(other, number));
+                prop_assert_eq!(remaining.iter().any(|part| contains(part, number)), expected);
             }
-            prop_assert!(left.iter().all(|part| part.first <= part.last));
-            prop_assert!(left.windows(2).all(|pair| pair[0].last < pair[1].first));
+            prop_assert!(remaining.iter().all(|part| part.first <= part.last));
+            prop_assert!(remaining.windows(2).all(|pair| pair[0].last < pair[1].first));
         }
     }
 

@@ -37,15 +37,15 @@ impl QuantityStatistics {
     /// Returns the statistics of a summary; `None` if it has no values.
     pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
-        let from = |needed, q| (moments.count >= needed).then(|| summary.quantile(q)).flatten();
+        let quantile = |min_count, q| (moments.count >= min_count).then(|| summary.quantile(q)).flatten();
         Some(Self {
             count: moments.count,
             mean: moments.mean,
             std: moments.std(),
             min: moments.min,
-            p50: from(1, 0.5)?,
-            p95: from(MIN_P95_SAMPLES, 0.95),
-            p99: from(MIN_P99_SAMPLES, 0.99),
+            p50: quantile(1, 0.5)?,
+            p95: quantile(MIN_P95_SAMPLES, 0.95),
+            p99: quantile(MIN_P99_SAMPLES, 0.99),
             max: moments.max,
         })
     }
@@ -65,7 +65,7 @@ pub struct DelayAccuracy {
 /// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
 /// throughputs, sizes, and users' names in alphabetical order.
 pub fn rank(name: &str) -> (usize, &str) {
-    const AFTER: [Name; 9] = [
+    const NAMES_AFTER_STAGES: [Name; 9] = [
         stage::TOTAL,
         stage::STAGES_TOTAL,
         stage::UNATTRIBUTED,
@@ -76,14 +76,16 @@ pub fn rank(name: &str) -> (usize, &str) {
         stage::UPLOAD_LOGGER_BYTES,
         stage::DOWNLOAD_LOGGER_BYTES,
     ];
-    // The two parts of `sensing` follow it, as children do in a tree.
-    let standard = || stage::ORDER.iter().chain(&AFTER).position(|known| known == name).map(|at| 3 * at);
-    let child = match name {
+    // The first stage is `sensing`. Its two parts follow it, as children do in a tree, so that the positions of the standard names
+    // are multiples of three.
+    let standard_names = || stage::ORDER.iter().chain(&NAMES_AFTER_STAGES);
+    let standard_position = || standard_names().position(|standard| standard == name).map(|index| 3 * index);
+    let sensing_part = match name {
         "capture" => Some(1),
         "transform" => Some(2),
         _ => None,
     };
-    (child.or_else(standard).unwrap_or(usize::MAX), name)
+    (sensing_part.or_else(standard_position).unwrap_or(usize::MAX), name)
 }
 
 #[cfg(test)]
@@ -94,18 +96,18 @@ mod tests {
     fn quantiles_need_enough_samples() {
         let mut summary = Summary::default();
         assert_eq!(QuantityStatistics::from_summary(&summary), None);
-        let figures_at = |summary: &mut Summary, count: u64| {
+        let statistics_at = |summary: &mut Summary, count: u64| {
             while summary.count() < count {
                 summary.record(0.001);
             }
             QuantityStatistics::from_summary(summary).expect("has samples")
         };
-        let one = figures_at(&mut summary, 1);
+        let one = statistics_at(&mut summary, 1);
         assert_eq!((one.p50, one.std, one.p95), (0.001, None, None));
-        assert_eq!(figures_at(&mut summary, 59).p95, None);
-        assert!(figures_at(&mut summary, 60).p95.is_some());
-        assert_eq!(figures_at(&mut summary, 299).p99, None);
-        assert!(figures_at(&mut summary, 300).p99.is_some());
+        assert_eq!(statistics_at(&mut summary, 59).p95, None);
+        assert!(statistics_at(&mut summary, 60).p95.is_some());
+        assert_eq!(statistics_at(&mut summary, 299).p99, None);
+        assert!(statistics_at(&mut summary, 300).p99.is_some());
     }
 
     #[test]

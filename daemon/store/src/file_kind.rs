@@ -26,12 +26,13 @@ impl FileKind {
     /// # Errors
     /// If it cannot be read.
     pub(crate) async fn detect(connection: &mut SqliteConnection) -> Result<Self, sqlx::Error> {
-        let (all, database, spool): (i64, i64, i64) = sqlx::query_as(TABLES).fetch_one(connection).await?;
-        Ok(match (all, database, spool) {
+        let (all_tables, database_tables, spool_tables): (i64, i64, i64) =
+            sqlx::query_as(TABLES).fetch_one(connection).await?;
+        Ok(match (all_tables, database_tables, spool_tables) {
             (0, ..) => Self::Empty,
             (_, 3, _) => Self::Database,
             // A spool of an earlier version has fewer tables.
-            (3..=5, _, spool) if spool == all => Self::Spool,
+            (3..=5, _, spool_tables) if spool_tables == all_tables => Self::Spool,
             _ => Self::Other,
         })
     }

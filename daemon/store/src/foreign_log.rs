@@ -1,7 +1,7 @@
 //! Detection of a log (`-wal`) that belongs to another database file.
 //!
 //! SQLite applies any log that lies beside the file. If a backup replaces a database, SQLite would apply the old file's log to
-//! the backup: the backup would be damaged, and the log lost. Therefore each file has a random number in the header field that
+//! the backup: the backup would be damaged, and the log lost. Therefore each file has a random id in the header field that
 //! SQLite leaves to programs (`user_version`). <https://www.sqlite.org/fileformat2.html#the_write_ahead_log>
 
 use std::ffi::OsString;
@@ -15,11 +15,13 @@ use uuid::Uuid;
 
 use super::integrity::pages::be32;
 
-/// Offset of the number within page 1, and so within the file.
-const ID_AT: usize = 60;
+/// Offset of the id within page 1, which is also the offset within the file.
+const ID_OFFSET: usize = 60;
 /// First word of a log. Its lowest bit gives the byte order of the checksum's words.
 const MAGIC: u32 = 0x377f_0682;
+/// Size of the log's header, bytes.
 const LOG_HEADER: usize = 32;
+/// Size of the header of a frame, bytes. A frame holds one page.
 const FRAME_HEADER: usize = 24;
 
 /// The log at the path belongs to another file, which was at the database's path before.
@@ -30,9 +32,9 @@ const FRAME_HEADER: usize = 24;
 )]
 pub struct ForeignLog(pub(crate) PathBuf);
 
-/// Gives the file a number if it has none.
+/// Gives the file an id if it has none.
 ///
-/// Always writes page 1, so that the log contains the number: commits that change other pages only, such as those of an
+/// Always writes page 1, so that the log contains the id. Commits that change only other pages, such as the commits of an
 /// aggregator without agents, would not write page 1.
 pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
@@ -41,9 +43,9 @@ pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), s
     Ok(())
 }
 
-/// Gives a copied file without a log a new number. No connection may have it open.
+/// Gives a copied file without a log a new id. No connection may have the file open.
 pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
-    file.write_all_at(&random_id().to_be_bytes(), ID_AT as u64)
+    file.write_all_at(&random_id().to_be_bytes(), ID_OFFSET as u64)
 }
 
 fn random_id() -> i32 {
@@ -52,8 +54,8 @@ fn random_id() -> i32 {
 
 /// Refuses the log beside a database if it belongs to another file. Has to be called before SQLite opens the file.
 ///
-/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file without a
-/// number, of an earlier version, is not checked. Read errors are left to SQLite to report.
+/// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file of an earlier
+/// version has no id and is not checked. Read errors are only logged here; SQLite reports them when it opens the file.
 pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), ForeignLog> {
     let mut log = fs::canonicalize(database).map_or_else(|_| database.into(), OsString::from);
     log.push("-wal");
@@ -75,15 +77,15 @@ pub(crate) fn refuse_foreign_log_at(database: &Path) -> Result<(), ForeignLog> {
     File::open(database).map_or(Ok(()), |file| refuse_foreign_log(database, &file))
 }
 
-/// Returns the number of a database; `None` if the file is no database or has no number.
+/// Returns the id of a database; `None` if the file is no database or has no id.
 fn read_id(file: &File) -> io::Result<Option<u32>> {
     let mut header = [0; 100];
     let is_database = read_whole(file, &mut header, 0)? && header.starts_with(b"SQLite format 3\0");
-    Ok(Some(be32(&header, ID_AT)).filter(|id| is_database && *id != 0))
+    Ok(Some(be32(&header, ID_OFFSET)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether the log, as far as SQLite would apply it, has page 1 with the number of another database, and never
-/// with the number of this one.
+/// Returns whether the log belongs to another database. Of the part of the log that SQLite would apply, the copies of page 1 are
+/// examined: at least one has the id of another database, and none has the id of this database.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
@@ -94,29 +96,31 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         return Ok(false);
     }
     let (magic, page_bytes) = (be32(&header, 0), be32(&header, 8) as usize);
-    let mut sum = Checksum { big_endian: magic & 1 == 1, words: (0, 0) };
-    sum.add(&header[..24]);
+    let mut checksum = Checksum { big_endian: magic & 1 == 1, words: (0, 0) };
+    checksum.add(&header[..24]);
     let is_log = magic & !1 == MAGIC && page_bytes.is_power_of_two() && (512..=65_536).contains(&page_bytes);
-    if !is_log || !sum.equals_stored(&header[24..]) {
+    if !is_log || !checksum.equals_stored(&header[24..]) {
         return Ok(false);
     }
-    let (mut frame, mut at, mut foreign) = (vec![0; FRAME_HEADER + page_bytes], LOG_HEADER as u64, false);
-    while read_whole(&log, &mut frame, at)? {
+    let (mut frame, mut offset) = (vec![0; FRAME_HEADER + page_bytes], LOG_HEADER as u64);
+    let mut has_other_id = false;
+    while read_whole(&log, &mut frame, offset)? {
         let (head, page) = frame.split_at(FRAME_HEADER);
-        sum.add(&head[..8]);
-        sum.add(page);
+        checksum.add(&head[..8]);
+        checksum.add(page);
         // The frames after this one are older than the start of the log, or were not written completely. SQLite stops here, too.
-        if head[8..16] != header[16..24] || !sum.equals_stored(&head[16..]) {
+        if head[8..16] != header[16..24] || !checksum.equals_stored(&head[16..]) {
             break;
         }
-        match be32(page, ID_AT) {
+        match be32(page, ID_OFFSET) {
+            // Only page 1 has the id, and a file of an earlier version has none.
             id if be32(head, 0) != 1 || id == 0 => {}
             id if id == database_id => return Ok(false),
-            _ => foreign = true,
+            _ => has_other_id = true,
         }
-        at += frame.len() as u64;
+        offset += frame.len() as u64;
     }
-    Ok(foreign)
+    Ok(has_other_id)
 }
 
 /// SQLite's checksum over the log up to a frame.
@@ -129,11 +133,11 @@ impl Checksum {
     fn add(&mut self, bytes: &[u8]) {
         let (mut first, mut second) = self.words;
         for pair in bytes.chunks_exact(8) {
-            let (one, other) = (be32(pair, 0), be32(pair, 4));
-            let (one, other) =
-                if self.big_endian { (one, other) } else { (one.swap_bytes(), other.swap_bytes()) };
-            first = first.wrapping_add(one).wrapping_add(second);
-            second = second.wrapping_add(other).wrapping_add(first);
+            let (even, odd) = (be32(pair, 0), be32(pair, 4));
+            let (even, odd) =
+                if self.big_endian { (even, odd) } else { (even.swap_bytes(), odd.swap_bytes()) };
+            first = first.wrapping_add(even).wrapping_add(second);
+            second = second.wrapping_add(odd).wrapping_add(first);
         }
         self.words = (first, second);
     }
@@ -144,8 +148,8 @@ impl Checksum {
 }
 
 /// Fills `bytes` from the file; returns `false` if the file is too short.
-fn read_whole(file: &File, bytes: &mut [u8], at: u64) -> io::Result<bool> {
-    match file.read_exact_at(bytes, at) {
+fn read_whole(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<bool> {
+    match file.read_exact_at(bytes, offset) {
         Err(error) if error.kind() == ErrorKind::UnexpectedEof => Ok(false),
         read => read.map(|()| true),
     }

@@ -8,8 +8,8 @@ use crate::types::AggregatorIncidentKind;
 
 /// Maximum number of stored incidents of the aggregator: at one per hour they cover more than a year.
 const MAX_STORED: i64 = 10_000;
-/// Number of incidents that may wait while the database cannot be written. Later incidents are dropped: the first incidents are the
-/// most useful.
+/// Number of incidents that may wait while the database cannot be written. Later incidents are dropped, because the first ones are
+/// the most useful.
 const MAX_PENDING: usize = 64;
 
 const INSERT: &str = "INSERT INTO incident (host, at_ns, kind, text) VALUES (NULL, ?1, ?2, ?3)";
@@ -24,8 +24,8 @@ pub(crate) async fn record(
     at: WallTime,
     text: &str,
 ) -> Result<i64, sqlx::Error> {
-    let inserted = sqlx::query(INSERT).bind(at.unix_nanos()).bind(kind.name()).bind(text);
-    let id = inserted.execute(&mut *connection).await?.last_insert_rowid();
+    let query = sqlx::query(INSERT).bind(at.unix_nanos()).bind(kind.name()).bind(text);
+    let id = query.execute(&mut *connection).await?.last_insert_rowid();
     sqlx::query(DELETE_OLDEST).bind(MAX_STORED).execute(connection).await?;
     Ok(id)
 }
@@ -73,7 +73,7 @@ impl PendingIncidents {
         self.waiting.is_empty()
     }
 
-    /// Stores all of them within a transaction. [`Self::clear`] has to follow its commit.
+    /// Stores all pending incidents within a transaction. [`Self::clear`] has to be called after the commit.
     pub(super) async fn store(&self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         for PendingIncident { kind, at, text } in &self.waiting {
             record(connection, *kind, *at, text).await?;
@@ -81,7 +81,7 @@ impl PendingIncidents {
         Ok(())
     }
 
-    /// Removes all of them after their transaction was committed.
+    /// Removes all pending incidents after their transaction was committed.
     pub(super) fn clear(&mut self) {
         self.waiting.clear();
     }

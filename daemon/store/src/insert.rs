@@ -49,13 +49,13 @@ impl Insert {
             Ok(Some((&self.statements[size], arguments)))
         };
         Box::pin(async move {
-            let mut ready = next()?;
-            while let Some((statement, arguments)) = ready {
+            let mut current = next()?;
+            while let Some((statement, arguments)) = current {
                 let query = sqlx::query_with(AssertSqlSafe(Arc::clone(statement)), arguments);
                 let (executed, following) =
                     tokio::join!(biased; query.execute(&mut *connection), async { next() });
                 executed?;
-                ready = following?;
+                current = following?;
             }
             Ok(())
         })
@@ -76,10 +76,10 @@ mod tests {
             .await
             .expect("makes");
         let insert = Insert::new("INSERT INTO t", 2, "");
-        let mut next = 0_i64;
+        let mut inserted = 0_i64;
         for count in [0, 1, 3, 5, 31, 1023, 1024, 1025, 2500] {
-            let rows: Vec<i64> = (next..next + count).collect();
-            next += count;
+            let rows: Vec<i64> = (inserted..inserted + count).collect();
+            inserted += count;
             insert
                 .run(&mut connection, &rows, |row, arguments| {
                     arguments.add(*row)?;
@@ -93,6 +93,6 @@ mod tests {
                 .fetch_one(&mut connection)
                 .await
                 .expect("reads");
-        assert_eq!((count, wrong), (next, 0));
+        assert_eq!((count, wrong), (inserted, 0));
     }
 }

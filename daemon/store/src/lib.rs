@@ -74,7 +74,7 @@ pub struct Store {
 }
 
 impl Store {
-    /// Creates a store that answers over these connections.
+    /// Creates a store that queries over these connections.
     pub fn new(readers: Readers) -> Self {
         Self { readers }
     }
@@ -123,7 +123,8 @@ impl Store {
         read::statistics::stage_buckets(&self.readers, run, stages, max_buckets).await
     }
 
-    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`], in a tenth of its time.
+    /// Returns counts and means over the time of a run, in the buckets of [`Store::stage_buckets`]. Takes a tenth of the time of
+    /// `stage_buckets`.
     pub async fn stage_means(
         &self,
         run: i64,
@@ -180,7 +181,7 @@ impl Store {
 
     /// Returns the values of two node names in at most `max_pairs` iterations, evenly spread over the stored iterations.
     ///
-    /// The value of a standard name is the sum of its nodes below the root; that of a user's name is its first node, as in
+    /// The value of a standard name is the sum of its nodes below the root; the value of a user's name is its first node, as in
     /// `data.csv`. Only a few iterations of a long run are read.
     pub async fn value_pairs(
         &self,
@@ -201,8 +202,8 @@ impl Store {
         read::iterations::iteration(&self.readers, run, number).await
     }
 
-    /// Returns the next iterations after a number, as the agent sent them, by ascending number, together with the last number
-    /// that was examined. `None` after the last iteration.
+    /// Returns the next iterations after a number, as the agent sent them, by ascending number. The first part of the result is the
+    /// last number that was examined, the argument of the next call. Returns `None` after the last iteration.
     pub async fn full_iterations(
         &self,
         run: &RunSummary,
@@ -211,8 +212,8 @@ impl Store {
         read::whole::full_iterations(&self.readers, run, after).await
     }
 
-    /// Returns the first iteration of each shape of tree among the next few thousand iterations, with the argument and the result
-    /// of [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
+    /// Returns the first iteration of each shape of tree among the next few thousand iterations. Arguments and result are those of
+    /// [`Store::full_iterations`]. These iterations have all columns that a table of the run needs.
     pub async fn iterations_by_shape(
         &self,
         run: &RunSummary,
@@ -250,10 +251,10 @@ impl Store {
 
     /// Returns the assumptions behind the one-way delays of a link's newest window, or `None` for an unknown link.
     pub async fn link_assumptions(&self, link: &LinkKey) -> Result<Option<DelayAssumptions>, StoreError> {
-        read::clocks::of_link(&self.readers, link).await
+        read::clocks::link_assumptions(&self.readers, link).await
     }
 
-    /// Judges the one-way delays of a run again, with the exchanges that were stored after them. Writes nothing.
+    /// Judges the one-way delays of a run again, with the exchanges that were stored after the delays. Writes nothing.
     pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }

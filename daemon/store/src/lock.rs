@@ -29,11 +29,11 @@ pub enum LockError {
 
 /// Lock of a database for writing: a lock on the file itself, which is released when this value is dropped or the process ends.
 ///
-/// A file has one lock under all its names (link, hard link, another mount).
+/// A file has one lock under all its names (symbolic link, hard link, another mount).
 //
-// It is a lock of flock(2), because SQLite uses locks of fcntl(2). The two kinds are independent: when SQLite closes another
-// descriptor of the file, this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that
-// SQLite holds with fcntl in this process. So it is closed after SQLite's last connection.
+// The lock is made with flock(2), because SQLite makes its locks with fcntl(2). When SQLite closes another descriptor of the file,
+// this lock stays. The reverse does not hold: closing *this* descriptor would release the locks that SQLite holds with fcntl in this
+// process. So this descriptor is closed after SQLite's last connection.
 #[derive(Debug)]
 pub struct DatabaseLock {
     file: Arc<File>,
@@ -79,24 +79,24 @@ impl DatabaseLock {
     }
 
     /// Returns whether a path leads to the locked file.
-    pub(crate) fn is_of(&self, path: &Path) -> io::Result<bool> {
+    pub(crate) fn is_lock_of(&self, path: &Path) -> io::Result<bool> {
         let identity = |file: Metadata| (file.dev(), file.ino());
         Ok(identity(self.file.metadata()?) == identity(std::fs::metadata(path)?))
     }
 }
 
-/// Returns the process that holds the lock of a file, by the kernel's list of locks: lines such as
-/// `1: FLOCK  ADVISORY  WRITE 1234 fe:00:5678 0 EOF` with the process, the device and the inode.
+/// Returns the process that holds the lock of a file, from the kernel's list of locks. A line of the list is
+/// `1: FLOCK  ADVISORY  WRITE 1234 fe:00:5678 0 EOF`, with the process, the device and the inode.
 fn holder(file: &Metadata) -> Option<u32> {
     let (device, inode) = (file.dev(), file.ino());
-    let place = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
-    // The kernel gives out the list in parts: a line is missing if locks before it are released between two parts.
+    let file_id = format!("{:02x}:{:02x}:{inode}", rustix::fs::major(device), rustix::fs::minor(device));
+    // The kernel returns the list in parts. A line is missing if locks before that line are released between two parts.
     (0..5).find_map(|_| {
         let locks = std::fs::read_to_string("/proc/locks").ok()?;
         locks.lines().find_map(|line| {
             let mut words = line.split_whitespace().skip(1);
-            let (kind, process, at) = (words.next()?, words.nth(2)?, words.next()?);
-            (kind == "FLOCK" && at == place).then(|| process.parse().ok()).flatten()
+            let (kind, process, locked_file) = (words.next()?, words.nth(2)?, words.next()?);
+            (kind == "FLOCK" && locked_file == file_id).then(|| process.parse().ok()).flatten()
         })
     })
 }
@@ -119,18 +119,18 @@ mod tests {
         std::fs::hard_link(&path, &hard_link).expect("a hard link");
         for name in [&link, &hard_link] {
             assert!(matches!(DatabaseLock::take(name), Err(LockError::Taken { .. })));
-            assert!(first.is_of(name).expect("it is there"));
+            assert!(first.is_lock_of(name).expect("the file exists"));
         }
 
         drop(first);
-        let second = DatabaseLock::take(&hard_link).expect("it was let go");
+        let second = DatabaseLock::take(&hard_link).expect("the lock was released");
         let other = folder.path().join("other.sqlite");
         DatabaseLock::take(&other).expect("nobody has the other");
-        assert!(!second.is_of(&other).expect("it is there"));
+        assert!(!second.is_lock_of(&other).expect("the file exists"));
     }
 
     #[test]
-    fn missing_folder_is_named() {
+    fn error_names_missing_folder() {
         let folder = tempfile::tempdir().expect("a folder");
         let refused = DatabaseLock::take(&folder.path().join("no/peernet.sqlite")).expect_err("no folder");
         assert!(refused.to_string().contains("no/peernet.sqlite"), "{refused}");

@@ -1,7 +1,8 @@
 //! Opening of the database for writing, at the start and after the file was moved, replaced or unmounted.
 //!
-//! Reopening is one mechanism for read-only descriptors and for moved, replaced and unmounted files, because it assumes
-//! nothing about the contents of the file. It takes the same steps as the start, but never accepts an empty or missing file.
+//! Reopening assumes nothing about the contents of the file. It therefore works in the same way for a descriptor that became
+//! read-only, and for a file that was moved, replaced or unmounted. It takes the same steps as the start, but never accepts an
+//! empty or missing file.
 
 use std::path::{Path, PathBuf};
 
@@ -21,7 +22,7 @@ use crate::error::OpenError;
 use crate::retention_config::RetentionConfig;
 use crate::stored::StoredCounts;
 
-/// Number of newest runs that are read at the opening: agents may still be executing them.
+/// Number of newest runs that are read at the opening, because agents may still be executing them.
 const RUNS: u32 = 1_000;
 /// Number of hosts whose stored counts are read at the opening.
 const HOSTS: u32 = 4_096;
@@ -39,11 +40,11 @@ pub struct OpenDatabase {
 /// Contents of a database at its opening, from which ingest and the live state start.
 #[derive(Debug)]
 pub struct StoredState {
-    /// Position up to which each stream is stored.
+    /// The stored streams, with the position up to which each is stored.
     pub streams: Streams,
     /// The newest runs with their numbers.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Open runs whose start is not stored, but iterations are.
+    /// Open runs that have stored iterations but no stored start.
     pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Counts of each host's stored data.
     pub hosts: Vec<(HostId, StoredCounts)>,
@@ -79,12 +80,12 @@ impl OpenDatabase {
         integrity: &Integrity,
     ) -> Result<(Self, StoredState), OpenError> {
         let lock = DatabaseLock::take(path)?;
-        Self::with(lock, path, retention, integrity).await
+        Self::open_locked(lock, path, retention, integrity).await
     }
 
     /// Opens the file that is now at the path of a database that was in use: the same file or another one.
     ///
-    /// An empty file is refused: it would hide that the right one is missing.
+    /// An empty file is refused, because it would hide that the right file is missing.
     pub async fn reopen(
         path: &Path,
         retention: RetentionConfig,
@@ -107,9 +108,10 @@ impl OpenDatabase {
         if let Some(log) = former.leftover_log() {
             return Err(ReopenError::ForeignLog(ForeignLog(log)));
         }
-        let (mut database, state) = Self::with(lock, path, retention, integrity).await?;
+        let (mut database, state) = Self::open_locked(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
-            // A connection that is only dropped keeps the file, and so the lock and the file system, for some time.
+            // A connection that is only dropped keeps the file open for some time, and thereby the lock, and a file system that could
+            // not be unmounted.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
                 tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");
@@ -119,7 +121,8 @@ impl OpenDatabase {
         Ok((database, state))
     }
 
-    async fn with(
+    /// Opens a database whose lock is held, and reads its state.
+    async fn open_locked(
         lock: DatabaseLock,
         path: &Path,
         retention: RetentionConfig,
@@ -128,7 +131,7 @@ impl OpenDatabase {
         let cannot_open = |source| OpenError::cannot_open(path, source);
         integrity.load_record().map_err(|error| cannot_open(error.into()))?;
         refuse_foreign_log(path, &lock.file())?;
-        // Taking the lock has created the file; if it has gone since then, it must not be created again.
+        // Taking the lock has created the file. If the file was removed since then, it must not be created again.
         let mut connection =
             database::open_existing(path).await.map_err(|error| error.with_file(&lock.file()))?;
         let runs = read_newest_runs(&mut connection, RUNS).await.map_err(cannot_open)?;
@@ -137,7 +140,7 @@ impl OpenDatabase {
         let hosts = read_host_counts(&mut connection, HOSTS).await.map_err(cannot_open)?;
         let writer = Writer::new(path.to_owned(), connection, retention).await.map_err(cannot_open)?;
         // The locked file could have been replaced before SQLite opened it.
-        if !lock.is_of(path).map_err(|error| cannot_open(error.into()))? {
+        if !lock.is_lock_of(path).map_err(|error| cannot_open(error.into()))? {
             let moved = CommitError::Moved(path.to_owned()).to_string();
             return Err(cannot_open(std::io::Error::other(moved).into()));
         }
@@ -147,8 +150,8 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints its log into it
-    /// and removes the log. Returns which files they were.
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the log into the file
+    /// and removes the log. Returns the identities of the files, for reopening.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;

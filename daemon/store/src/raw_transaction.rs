@@ -1,7 +1,7 @@
-//! Transactions of a connection that stays open, even where SQLite undoes them.
+//! Transactions on a connection that stays usable even if SQLite rolls a transaction back by itself.
 //!
-//! SQLite undoes a transaction by itself when the disk is full, for example. sqlx's `Transaction` still considers it open and
-//! cannot begin another one on this connection, so these statements are sent directly.
+//! SQLite rolls a transaction back by itself when the disk is full, for example. sqlx's `Transaction` still considers the
+//! transaction open and cannot begin another one on this connection, so these statements are sent directly.
 
 use sqlx::SqliteConnection;
 
@@ -17,7 +17,7 @@ pub(crate) async fn commit(connection: &mut SqliteConnection) -> Result<(), sqlx
 
 /// Rolls back a transaction if there is one.
 pub(crate) async fn roll_back(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-    /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite undid it by itself.
+    /// SQLITE_ERROR: there is no transaction. It did not begin, or SQLite rolled it back by itself.
     const NO_TRANSACTION: &str = "1";
     match sqlx::query("ROLLBACK").execute(connection).await {
         Err(error)

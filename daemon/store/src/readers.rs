@@ -36,7 +36,7 @@ impl Readers {
     /// Creates at most `connections` connections to the file, which is opened at the first query.
     ///
     /// `limit` bounds each statement, from the moment it gets the connection until its last row was read. Damage that a statement
-    /// meets is noted in `integrity`.
+    /// encounters is recorded in `integrity`.
     pub fn open(
         path: &Path,
         connections: u32,
@@ -49,17 +49,18 @@ impl Readers {
             .read_only(true)
             .busy_timeout(BUSY_TIMEOUT)
             .disable_statement_logging();
-        let within = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
-        let deadline = Deadline { limit: within, clock };
-        let again = deadline.clone();
+        let limit_span = Span::from_nanos(i64::try_from(limit.as_nanos()).unwrap_or(i64::MAX));
+        // The deadline is set when a connection is opened, and again whenever the pool gives it out.
+        let deadline = Deadline { limit: limit_span, clock };
+        let renewed_deadline = deadline.clone();
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
             .acquire_timeout(ACQUIRE_TIMEOUT)
             .test_before_acquire(false)
             .after_connect(move |connection, _| deadline.clone().set(connection))
             .before_acquire(move |connection, _| {
-                let set = again.clone().set(connection);
-                Box::pin(async move { set.await.map(|()| true) })
+                let setting = renewed_deadline.clone().set(connection);
+                Box::pin(async move { setting.await.map(|()| true) })
             })
             .connect_lazy_with(options);
         Self { pool: Arc::new(RwLock::new(pool)), limit, integrity }
@@ -82,7 +83,7 @@ impl Readers {
         *pool = pool.options().clone().connect_lazy_with(options);
     }
 
-    /// Returns a function that turns a failed statement into an error that names what was asked for.
+    /// Returns a function that turns the error of a statement into an error that names the requested data (`what`).
     pub(super) fn failed(&self, what: &'static str) -> impl Fn(sqlx::Error) -> StoreError + Copy + use<'_> {
         let Self { limit, integrity, .. } = self;
         let limit = *limit;
@@ -94,7 +95,7 @@ impl Readers {
             }
             error => {
                 let source = DatabaseError::new(error);
-                integrity.note(&source);
+                integrity.record_if_damage(&source);
                 match integrity.refusal().filter(|_| source.is_damage()) {
                     Some(refusal) => StoreError::Damaged { what, refusal },
                     None => StoreError::Database { what, source },
@@ -104,7 +105,7 @@ impl Readers {
     }
 }
 
-/// Deadline of the statement for which a connection is given out.
+/// Time limit of the statement for which the pool gives out a connection.
 #[derive(Clone)]
 struct Deadline {
     limit: Span,
@@ -115,8 +116,8 @@ impl Deadline {
     fn set(self, connection: &mut SqliteConnection) -> BoxFuture<'_, Result<(), sqlx::Error>> {
         Box::pin(async move {
             let Self { limit, clock } = self;
-            let begin = clock.mono();
-            let is_within_limit = move || clock.mono() - begin < limit;
+            let start = clock.mono();
+            let is_within_limit = move || clock.mono() - start < limit;
             connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, is_within_limit);
             Ok(())
         })

@@ -10,12 +10,12 @@ const MIN_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.
 ///
-/// Ages count from when something was stored, in time during which an aggregator ran and stored into the database: no wall
-/// clock makes data old. Pinned runs are exempt.
+/// The age of data is the time since it was stored, without the time in which no aggregator ran or stored into the database. Wall
+/// clocks do not matter. Pinned runs are exempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RetentionConfig {
-    /// Iterations with their trees of nodes, days; 0 keeps them without limit, as for all of these.
+    /// Iterations with their trees of nodes, days. For this and the other periods, 0 means no limit.
     pub nodes_days: u32,
     /// Statistics per second.
     pub seconds_days: u32,
@@ -23,7 +23,7 @@ pub struct RetentionConfig {
     pub ten_seconds_days: u32,
     /// Statistics per minute.
     pub minutes_days: u32,
-    /// Statistics per hour. Those of whole runs are never deleted.
+    /// Statistics per hour. Statistics of whole runs are never deleted.
     pub hours_days: u32,
     /// Samples of the relation between two hosts' clocks, one per second.
     pub clock_samples_days: u32,
@@ -47,7 +47,7 @@ impl Default for RetentionConfig {
 }
 
 impl RetentionConfig {
-    /// Returns invalid settings: the key and what is wrong with it.
+    /// Returns the invalid settings: the key of each and a description of the problem.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
         let mut problems = Vec::new();
         let widths = [
@@ -56,22 +56,22 @@ impl RetentionConfig {
             ("retention.minutes_days", self.minutes_days),
             ("retention.hours_days", self.hours_days),
         ];
-        let others = [
+        let other_periods = [
             ("retention.nodes_days", self.nodes_days),
             ("retention.clock_samples_days", self.clock_samples_days),
         ];
-        for (key, days) in widths.into_iter().chain(others) {
+        for (key, days) in widths.into_iter().chain(other_periods) {
             if days > MAX_DAYS {
                 problems.push((key, format!("{days} is outside 0 to {MAX_DAYS}; 0 means no limit")));
             }
         }
-        for [(finer, days), (coarser, at_least)] in widths.array_windows() {
-            if period_s(*days).unwrap_or(i64::MAX) > period_s(*at_least).unwrap_or(i64::MAX) {
+        for [(finer, finer_days), (coarser, coarser_days)] in widths.array_windows() {
+            if period_s(*finer_days).unwrap_or(i64::MAX) > period_s(*coarser_days).unwrap_or(i64::MAX) {
                 let finer = finer.trim_start_matches("retention.");
-                let wrong = format!(
+                let message = format!(
                     "must not be shorter than {finer}: pages over a long time are made from the coarser statistics"
                 );
-                problems.push((coarser, wrong));
+                problems.push((coarser, message));
             }
         }
         let limit = self.size_limit_bytes;

@@ -1,18 +1,19 @@
-//! The storage clock: the time during which an aggregator ran and stored into a database.
+//! The storage clock: it counts the time during which an aggregator ran and stored into a database.
 //!
-//! Its reading is stored in the database and advances with the monotonic clock alone, so that no wall clock can make data old.
+//! Its reading is stored in the database. It advances with the monotonic clock alone, so that a wrong wall clock cannot make data
+//! appear old.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use sqlx::SqliteConnection;
 
-/// Longest advance for a time without a transaction: time in which the process was stopped or the database refused to store does
-/// not count.
+/// Longest advance between two transactions. Longer times do not count, because the process was stopped, or the database refused to
+/// store.
 const LONGEST_ADVANCE: Span = Span::from_seconds(60);
 /// Longest time between two stored readings. After `kill -9` the stored reading is behind by at most this time.
-const STORE_EVERY: Span = Span::from_seconds(30);
+const STORE_INTERVAL: Span = Span::from_seconds(30);
 
 const READ: &str = "SELECT elapsed_ns FROM storage_clock";
-/// ?1 time since the last advance, ?2 the wall clock. Creates the row in a file that lost it.
+/// Advances the stored reading: ?1 time since the last advance, ?2 the wall clock. Creates the row if it is missing.
 const ADVANCE: &str = "INSERT INTO storage_clock (id, elapsed_ns, wall_ns) VALUES (1, ?1, ?2) \
      ON CONFLICT (id) DO UPDATE SET elapsed_ns = elapsed_ns + excluded.elapsed_ns, wall_ns = excluded.wall_ns \
      RETURNING elapsed_ns";
@@ -20,12 +21,13 @@ const ADVANCE: &str = "INSERT INTO storage_clock (id, elapsed_ns, wall_ns) VALUE
 /// The part of the reading that is not yet in the database.
 #[derive(Debug, Default)]
 pub(crate) struct StorageClock {
-    /// Time up to which the stored reading is complete. `None` before the first transaction: no earlier time counts.
-    advanced: Option<MonoTime>,
+    /// Time of the last transaction, up to which the stored reading is complete. `None` before the first transaction of this process;
+    /// time before it does not count.
+    advanced_at: Option<MonoTime>,
 }
 
 impl StorageClock {
-    /// Returns its reading now.
+    /// Returns the current reading.
     pub(crate) async fn read(
         &self,
         connection: &mut SqliteConnection,
@@ -35,32 +37,33 @@ impl StorageClock {
         Ok(Span::from_nanos(stored.unwrap_or(0)) + self.elapsed(now))
     }
 
-    /// Advances it within a transaction and returns its reading. [`Self::committed`] has to follow the commit.
+    /// Advances the stored reading within a transaction and returns it. [`Self::record_commit`] has to be called after the commit.
     pub(crate) async fn advance(
         &self,
         connection: &mut SqliteConnection,
         now: Stamp,
     ) -> Result<Span, sqlx::Error> {
-        let advanced = sqlx::query_scalar(ADVANCE)
+        let reading = sqlx::query_scalar(ADVANCE)
             .bind(self.elapsed(now.mono).nanos())
             .bind(now.wall.unix_nanos())
             .fetch_one(connection)
             .await?;
-        Ok(Span::from_nanos(advanced))
+        Ok(Span::from_nanos(reading))
     }
 
-    /// Records that the transaction that advanced it was committed.
-    pub(crate) fn committed(&mut self, now: MonoTime) {
-        self.advanced = self.advanced.max(Some(now));
+    /// Records that the transaction that advanced the stored reading was committed.
+    pub(crate) fn record_commit(&mut self, now: MonoTime) {
+        self.advanced_at = self.advanced_at.max(Some(now));
     }
 
-    /// Returns whether the reading has to be stored although nothing else is to be stored.
+    /// Returns whether the reading has to be stored now, even if nothing else is to be stored.
     pub(crate) fn is_due(&self, now: MonoTime) -> bool {
-        self.advanced.is_none_or(|advanced| now - advanced >= STORE_EVERY)
+        self.advanced_at.is_none_or(|advanced_at| now - advanced_at >= STORE_INTERVAL)
     }
 
+    /// Returns the time since the last transaction, limited to `LONGEST_ADVANCE`.
     fn elapsed(&self, now: MonoTime) -> Span {
-        let elapsed = self.advanced.map_or(Span::ZERO, |advanced| now - advanced);
+        let elapsed = self.advanced_at.map_or(Span::ZERO, |advanced_at| now - advanced_at);
         elapsed.clamp(Span::ZERO, LONGEST_ADVANCE)
     }
 }

@@ -11,7 +11,7 @@ pub struct ClockPoint {
     pub at: WallTime,
     /// Number of the window; changes when a clock was stepped.
     pub window: u64,
-    /// Cloud minus edge with its bounds; `None` while unknown. In a bucket, the widest bounds.
+    /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. In a bucket, the offset with the widest bounds.
     pub offset: Option<Offset>,
     /// Counts of probes.
     pub probes: ProbeCounts,
@@ -23,9 +23,9 @@ pub struct ClockPoint {
     pub down: Option<DelaySecond>,
     /// The related clocks.
     pub clocks: RelatedClocks,
-    /// Lowest and highest rate between them that the exchanges allow, parts per million; in a bucket, the newest.
+    /// Lowest and highest rate between the related clocks that the exchanges allow, parts per million. In a bucket, the newest rates.
     pub proven_skew_ppm: Option<(f64, f64)>,
-    /// Age of the oldest exchange that counts, if beyond the configured window; in a bucket, the greatest.
+    /// Age of the oldest exchange that is used, if it is older than the configured window. In a bucket, the greatest age.
     pub grown_window: Option<Span>,
 }
 

@@ -1,4 +1,4 @@
-//! Types of the store's answers: plain data in SI units.
+//! Types of the results of the store's queries: plain data in SI units.
 
 mod episodes;
 mod experiment;
@@ -46,23 +46,23 @@ impl Default for RunFilter {
 /// A run in a list.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunSummary {
-    /// The small number that people use: shown as `#412`, never used twice.
+    /// The small number that people use; it is shown as `#412` and never used twice.
     pub number: i64,
-    /// The id that its agent gave it.
+    /// The id that the agent gave the run.
     pub id: RunId,
     /// The edge host.
     pub host: HostId,
     /// The edge host's name.
     pub host_name: Slug,
-    /// The pipeline's name; `unknown` when the run's beginning never reached the store.
+    /// The pipeline's name; `unknown` when the run's start never reached the store.
     pub pipeline: Slug,
     /// Placement: where the run computed, with the peer's name.
     pub placement: Placement,
-    /// Time of its start on the edge's wall clock.
+    /// Start of the run on the edge's wall clock.
     pub started: WallTime,
-    /// Time of its end; `None` while it is running, or when its end never reached the store.
+    /// End of the run on the edge's wall clock; `None` while it is running, or when its end never reached the store.
     pub ended: Option<WallTime>,
-    /// Reason of its end.
+    /// Reason of the run's end.
     pub reason: Option<EndReason>,
     /// Start of the newest stored iteration on the edge's wall clock.
     pub last_iteration: Option<WallTime>,
@@ -70,7 +70,7 @@ pub struct RunSummary {
     pub counts: OutcomeCounts,
     /// Iterations of the warm-up: stored, but excluded from statistics.
     pub warm_up: u64,
-    /// Skipped starts of an open loop before its iterations of any outcome; without the warm-up.
+    /// Number of starts that an open loop skipped, without the warm-up.
     pub skipped_starts: u64,
     /// Longest allowed duration of an iteration in seconds; `None` without a deadline.
     pub deadline_s: Option<f64>,
@@ -78,17 +78,17 @@ pub struct RunSummary {
     pub misses: Option<Misses>,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<QuantityStatistics>,
-    /// `true` if the clock of one of its hosts was made wrong on purpose.
+    /// `true` if a clock fault was injected on one of the run's hosts.
     pub has_clock_fault: bool,
-    /// `true` if retention keeps it whole at any age.
+    /// `true` if the run is pinned, so that retention deletes none of its data.
     pub pinned: bool,
-    /// Last of the numbers whose iterations were deleted because of their age or the size limit; 0 when none were deleted.
+    /// Number of the last iteration that was deleted because of its age or the size limit; 0 if none was deleted.
     pub nodes_from: u64,
-    /// Its place in an experiment, if it belongs to one.
+    /// Position of the run in an experiment, if it belongs to one.
     pub experiment: Option<ExperimentPlace>,
 }
 
-/// A run with everything that the store knows of it.
+/// A run with all values that the store has of it, except for statistics and iterations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunDetail {
     /// The run as it appears in a list.
@@ -107,7 +107,7 @@ pub struct RunDetail {
 }
 
 impl From<RunSummary> for RunDetail {
-    /// Makes a run from the facts of a list only.
+    /// Makes a run from the values in a list alone.
     fn from(summary: RunSummary) -> Self {
         Self {
             summary,
@@ -123,9 +123,9 @@ impl From<RunSummary> for RunDetail {
 /// Events that never reached the store.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct GapRow {
-    /// Time at which the first was dropped, on the host's wall clock.
+    /// Time at which the first event was dropped, on the host's wall clock.
     pub from: WallTime,
-    /// Time at which the last was dropped.
+    /// Time at which the last event was dropped, on the host's wall clock.
     pub to: WallTime,
     /// Number of missing events; 0 when unknown.
     pub count: u64,
@@ -135,14 +135,15 @@ pub struct GapRow {
 
 /// Distribution of one node name over a run, in bins of equal width.
 ///
-/// It is made from a sketch whose bins are 2 % wide. The count of each is spread evenly over the bins that it overlaps.
+/// It is made from a sketch whose bins are 2 % wide. The count of each bin of the sketch is spread evenly over the bins of the
+/// histogram that the bin overlaps.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Histogram {
     /// The node's name.
     pub stage: Name,
     /// Unit of the edges.
     pub unit: String,
-    /// Edges of the bins, one more than `counts`, rising.
+    /// Edges of the bins in ascending order, one more than `counts`.
     pub edges: Vec<f64>,
     /// Samples per bin.
     pub counts: Vec<u64>,
@@ -157,7 +158,7 @@ pub struct Histogram {
 pub struct Series {
     /// Width of a bucket, seconds.
     pub bucket_s: u32,
-    /// One entry per name that has samples, in the order asked for.
+    /// One entry per name that has samples, in the requested order.
     pub stages: Vec<StageSeries>,
     /// Missing events, oldest first.
     pub gaps: Vec<GapRow>,
@@ -215,13 +216,13 @@ pub struct IterationRow {
     pub episode: u32,
     /// Step within the episode, from 0.
     pub step: u32,
-    /// `true` if it belongs to the warm-up and is excluded from statistics.
+    /// `true` if the iteration belongs to the warm-up and is excluded from statistics.
     pub warm_up: bool,
     /// `ok`, `failed`, `lost` or `timeout`.
     pub outcome: String,
-    /// Reason for which it failed or was lost.
+    /// Reason for which the iteration has no answer.
     pub reason: Option<String>,
-    /// Time of its start on the edge's wall clock.
+    /// Start of the iteration on the edge's wall clock.
     pub started: WallTime,
     /// Seconds from the intended start to the end.
     pub total: Option<f64>,
@@ -235,8 +236,8 @@ pub struct IterationRow {
     /// Seconds of the total outside of all stages, as the agent measured them; `None` if the agent did not
     /// record them.
     pub unattributed: Option<f64>,
-    /// Seconds of `upload` and `download` together if they are not known separately: the total less the other stages and
-    /// `unattributed`. `None` if both are known, or if nothing was sent.
+    /// Seconds of `upload` and `download` together if they are not known separately: the total minus the other stages and
+    /// `unattributed`. `None` if each is known, or if nothing was sent.
     pub both_ways: Option<f64>,
     /// The judged one-way delays, in the order of the tree.
     pub delays: Vec<DelayRow>,
@@ -249,15 +250,16 @@ pub struct DelayRow {
     pub stage: Name,
     /// The estimate; `None` when it is not known.
     pub value: Option<f64>,
-    /// Bounds that contain the truth; `None` when nothing is known.
+    /// Bounds that contain the true delay; `None` when nothing is known.
     pub bounds: Option<(f64, f64)>,
-    /// The receiver's stamp less the sender's, both on wall clocks; may be negative.
+    /// The receiver's stamp minus the sender's stamp, both on wall clocks; may be negative.
     pub raw: f64,
     /// Source of the correction.
     pub source: DelaySource,
     /// Trust in the estimate.
     pub verdict: Verdict,
-    /// Assumptions behind its bounds; `None` if no clock sample of its time is stored, or if both ends are on one clock.
+    /// Assumptions behind the bounds; `None` if no clock sample of the time of the delay is stored, or if sender and receiver read one
+    /// clock.
     pub assumptions: Option<DelayAssumptions>,
 }
 
@@ -268,7 +270,7 @@ pub struct DelayAssumptions {
     pub clocks: RelatedClocks,
     /// Highest drift between the two clocks, parts per million; `None` if not reported.
     pub max_drift_ppm: Option<f64>,
-    /// Highest change of that rate, parts per million per second; `None` if nothing was assumed.
+    /// Highest change of the drift, parts per million per second; `None` if nothing was assumed.
     pub max_drift_change_ppm_per_s: Option<f64>,
     /// `true` if claims of time daemons might narrow the interval; `None` if not reported (releases before 0.3).
     pub claims_trusted: Option<bool>,
@@ -296,30 +298,30 @@ pub struct IterationDetail {
     pub row: IterationRow,
     /// The tree as the agent sent it.
     pub tree: Tree,
-    /// Names of the hosts of the tree's anchors, in their order; `None` for a host that never reported here and is not the
-    /// run's server.
+    /// Names of the hosts of the tree's anchors, in the order of the anchors; `None` for a host that never reported here and is not
+    /// the run's server.
     pub hosts: Vec<Option<Slug>>,
-    /// Place among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for iterations
+    /// Rank among the slowest successful iterations of the run, from 1; `None` beyond the 1,000 slowest, and for iterations
     /// that are excluded from statistics.
     pub rank: Option<u64>,
-    /// Number of the stored iteration before.
+    /// Number of the previous stored iteration.
     pub previous: Option<u64>,
-    /// Number of the stored iteration after.
+    /// Number of the next stored iteration.
     pub next: Option<u64>,
-    /// The successful iteration one place slower; `None` without a `rank`.
+    /// Number of the next slower successful iteration; `None` without a `rank`.
     pub slower: Option<u64>,
-    /// The successful iteration one place faster; `None` without a `rank`.
+    /// Number of the next faster successful iteration; `None` without a `rank`.
     pub faster: Option<u64>,
     /// Figures of the run per node name, for comparison; in the order of tables.
     pub run_figures: Vec<(Name, QuantityStatistics)>,
 }
 
-/// Which incidents to list, newest first.
+/// Selection of the incidents to list, newest first.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct IncidentFilter {
     /// Maximum number of incidents, 1 to 1,000.
     pub limit: u32,
-    /// Only incidents before this one: the id of the last of the page before.
+    /// Only incidents before the incident with this id, which is the last incident of the previous page.
     pub before: Option<i64>,
     /// Only incidents of this kind.
     pub kind: Option<String>,
@@ -334,7 +336,7 @@ impl IncidentFilter {
     }
 }
 
-/// Something that happened in addition to the measurements.
+/// An event that is not a measurement, such as a lost connection or a step of a clock.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IncidentRow {
     /// Number in the order of arrival, for paging.
@@ -385,15 +387,15 @@ impl AggregatorIncidentKind {
 pub struct HostRow {
     /// Random identifier of the host; stays the same when the host is renamed.
     pub id: HostId,
-    /// Its latest name.
+    /// Latest name of the host.
     pub name: Slug,
-    /// Its latest description of itself.
+    /// Latest description that the host sent of itself.
     pub description: HostDescription,
-    /// Time of its first message, on the aggregator's wall clock.
+    /// Time of the host's first message, on the aggregator's wall clock.
     pub first_seen: WallTime,
-    /// Time of its last hello or stored event, on the aggregator's wall clock.
+    /// Time of the host's last hello or stored event, on the aggregator's wall clock.
     pub last_seen: WallTime,
-    /// Counts of its stored data.
+    /// Counts of the host's stored data.
     pub stored: StoredCounts,
 }
 
@@ -413,17 +415,17 @@ pub struct LinkKey {
 pub struct LinkRow {
     /// The edge.
     pub edge: HostId,
-    /// Its name.
+    /// Name of the edge.
     pub edge_name: Slug,
     /// The cloud.
     pub cloud: HostId,
-    /// Its name.
+    /// Name of the cloud.
     pub cloud_name: Slug,
     /// The network.
     pub network: NetworkName,
     /// Time of the first stored sample, on the edge's wall clock.
     pub first: WallTime,
-    /// Time of the last stored sample.
+    /// Time of the last stored sample, on the edge's wall clock.
     pub last: WallTime,
 }
 
@@ -439,12 +441,12 @@ impl LinkRow {
 pub struct ClockSeries {
     /// Width of a bucket, seconds; 1 means samples as stored.
     pub bucket_s: u32,
-    /// Oldest first; buckets without samples are absent.
+    /// The buckets, oldest first; buckets without samples are absent.
     pub points: Vec<ClockPoint>,
 }
 
-/// The one-way delays of a run as they were judged while it ran, and as all exchanges judge them, including later exchanges.
-/// The recorded stamps stay unchanged.
+/// The one-way delays of a run: as they were judged during the run, and as they are judged from all exchanges, including exchanges
+/// after the delays. The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Recomputed {
     /// The number of the run.
@@ -460,7 +462,7 @@ pub struct Recomputed {
     pub stages: Vec<RecomputedStage>,
 }
 
-/// One direction, before and after. Successful iterations only, without the warm-up.
+/// The delays of one direction, as first judged and as judged again. Only successful iterations without the warm-up are included.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RecomputedStage {
     /// The node's name.
@@ -471,12 +473,12 @@ pub struct RecomputedStage {
     pub after: Judgement,
 }
 
-/// Delays and how well they are known.
+/// Statistics of delays and of their accuracy.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Judgement {
     /// Figures of the delays that have a value, seconds.
     pub delay: Option<QuantityStatistics>,
-    /// Figures of half the width of their bounds, seconds.
+    /// Figures of half the width of the delays' bounds, seconds.
     pub half_width: Option<QuantityStatistics>,
     /// Number of delays per verdict.
     pub verdicts: Vec<(Verdict, u64)>,

@@ -1,9 +1,8 @@
-//! Detection of steps of the aggregator's wall clock. No I/O: the readings of the clocks are arguments.
+//! Detection of steps of the aggregator's wall clock. Free of I/O: the readings of the clocks are arguments.
 
 use peernet_clock::{Span, Stamp, WallTime};
 
-/// Smallest step that is reported. Smaller steps are left to the time daemon: nothing is deleted because of them, and pages
-/// show seconds.
+/// Smallest step that is reported. Smaller steps do not matter: no data is deleted because of them, and pages show whole seconds.
 const MIN_STEP: Span = Span::from_seconds(10);
 
 /// Comparison of the wall clock with the monotonic clock.
@@ -69,13 +68,13 @@ mod tests {
     #[test]
     fn step_is_reported_once_with_amount_and_direction() {
         let mut watch = WallClockWatch::new(stamp(1_000, 0));
-        // However long ago the last look was, both clocks advanced alike.
+        // Both clocks advanced by the same time, although the last check was long ago.
         assert_eq!(watch.check_step(stamp(9_000_009, 9_000_000 - 1_000)), None);
         let month = 30 * 86_400;
-        let forward = watch.check_step(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("told");
+        let forward = watch.check_step(stamp(9_000_010 + month, 9_000_001 - 1_000)).expect("a step");
         assert!(forward.contains("set forward by 30.0 days"), "{forward}");
         assert_eq!(watch.check_step(stamp(9_000_011 + month, 9_000_002 - 1_000)), None);
-        let back = watch.check_step(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("told");
+        let back = watch.check_step(stamp(9_000_012 - 60, 9_000_003 - 1_000)).expect("a step");
         assert!(back.contains("set back by 30.0 days"), "{back}");
     }
 
@@ -83,7 +82,7 @@ mod tests {
     fn start_before_stored_time_is_reported() {
         assert_eq!(WallClockWatch::compare(stamp(1_000, 0), stamp(1_009, 0).wall), None);
         assert_eq!(WallClockWatch::compare(stamp(9_000_000, 0), stamp(1_000, 0).wall), None);
-        let odd = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("told");
-        assert!(odd.contains("3.0 h less"), "{odd}");
+        let text = WallClockWatch::compare(stamp(1_000, 0), stamp(1_000 + 10_800, 0).wall).expect("a step");
+        assert!(text.contains("3.0 h less"), "{text}");
     }
 }

@@ -7,13 +7,13 @@ use sha2::{Digest, Sha256};
 
 /// SHA-256 over the chain of the previous batch, the number of events and their bytes, truncated to 128 bits.
 ///
-/// Two spools that were one and diverged (a copied machine, a restored disk) have batches with the same stream and
-/// number but with different chains. The comparison of one chain therefore detects a divergence at any earlier batch.
+/// If a spool was copied (a copied machine, a restored disk) and both copies continue, their batches have the same stream
+/// and numbers but different chains. The comparison of one chain therefore detects a difference at any earlier batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Chain(#[serde(with = "serde_bytes")] [u8; 16]);
 
 impl Chain {
-    /// Chain before the first batch.
+    /// Chain that precedes the first batch.
     pub const START: Self = Self([0; 16]);
 
     /// Returns the chain of the next batch, which has `events` events with the wire form `body`.

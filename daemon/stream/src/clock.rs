@@ -12,10 +12,10 @@ use super::{Connection, EstimateBasis, NetworkName};
 use crate::limits::{MAX_NETWORKS, MAX_PIPELINES};
 use peernet_logger::{HostId, Slug};
 
-/// State of a link in one second: the relation between a clock of the edge and one of the cloud, and the delays of data
-/// over one network.
+/// State of a link in one second: the relation between a clock of the edge and a clock of the cloud, and the delays of
+/// data over one network.
 ///
-/// It is stored, so that the delays of a past run can be computed again with later exchanges.
+/// Samples are stored, so that the delays of a past run can be computed again with later exchanges.
 ///
 /// The relation belongs to the pair of hosts. If two hosts use several networks in a second, the sample of each network
 /// has the same window, exchanges, offset and probes, but its own delays.
@@ -30,7 +30,7 @@ pub struct ClockSample {
     /// Random number of the relation, which changes when either clock is stepped. Exchanges of different windows cannot
     /// be combined.
     pub window: u64,
-    /// Limit of drift that the bounds rest on, parts per million.
+    /// Limit of drift with which the bounds are computed, parts per million.
     pub max_drift_ppm: f64,
     /// Exchange of this second with the lowest upper bound of the offset; `None` without exchanges.
     pub upper: Option<Exchange>,
@@ -42,17 +42,17 @@ pub struct ClockSample {
     pub probes: ProbeCounts,
     /// Numbers of all accepted and refused exchanges so far.
     pub exchanges: ExchangeCounts,
-    /// Round trips of this second's probes; `None` if none was answered.
+    /// Round trips of this second's probes; `None` if no probe was answered.
     pub round_trip: Option<RoundTrip>,
-    /// Delays of data from edge to cloud that were judged in this second; `None` without any.
+    /// Delays of data from edge to cloud that were judged in this second; `None` if no delay was judged.
     pub up: Option<DelaySecond>,
-    /// Delays of data from cloud to edge.
+    /// Delays of data from cloud to edge that were judged in this second.
     pub down: Option<DelaySecond>,
     /// Network of the link. Its serialised form is omitted if it is `zmq-tcp` and no later field follows.
     #[serde(default)]
     pub network: NetworkName,
-    /// Assumptions that the bounds rest on; `None` in samples of releases before 0.3, which related wall clocks. Since
-    /// version 7 of the event stream.
+    /// Assumptions with which the bounds are computed; `None` in samples of releases before 0.3, which related wall
+    /// clocks. Since version 7 of the event stream.
     #[serde(default)]
     pub basis: Option<EstimateBasis>,
 }
@@ -99,9 +99,9 @@ impl Serialize for ClockSample {
 pub struct DelaySecond {
     /// Number of delays that were judged.
     pub count: u32,
-    /// Median of the delays that have a value, with the bounds of that delay; `None` if none has a value.
+    /// Median of the delays that have a value, with the bounds of the median delay; `None` if no delay has a value.
     pub median: Option<DelayPoint>,
-    /// Worst verdict that applies to at least a twentieth of them.
+    /// Worst verdict that applies to at least a twentieth of the judged delays.
     pub verdict: Verdict,
 }
 
@@ -202,8 +202,8 @@ impl Serialize for LinkLive {
     }
 }
 
-/// Current state of a STAMP reflector that an edge's configuration names for a cloud. Its clock need not be the
-/// cloud's, so that no delay of data rests on it.
+/// Current state of a STAMP reflector that an edge's configuration names for a cloud. The reflector's clock may differ from
+/// the cloud's clock. No delay of data is therefore computed with it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReflectorLive {
     /// Configured address: `udp://host:port`.
@@ -212,7 +212,7 @@ pub struct ReflectorLive {
     pub probing: Probing,
     /// Numbers of probes since the link was opened.
     pub probes: ProbeCounts,
-    /// Round trips of the newest hundred answers; `None` before the first.
+    /// Round trips of the newest hundred answers; `None` before the first answer.
     pub round_trip: Option<RoundTrip>,
     /// Wall clock of the reflector minus the edge's wall clock; `None` if it is unknown.
     pub offset: Option<Offset>,
@@ -238,7 +238,7 @@ pub enum Probing {
         /// Origin of the stamps: `kernel, send and receive`, `kernel, receive only`, or `program`.
         stamps: String,
     },
-    /// Probes are sent, but none was answered recently: they are blocked, or the reflector does not run.
+    /// Probes are sent, but no probe was answered recently: the probes are blocked, or the reflector does not run.
     Unanswered {
         /// Destination: `udp://host:port`.
         address: String,
@@ -254,7 +254,7 @@ pub enum Probing {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HostClock {
     /// Error bounds that the host's time daemon or its kernel claims; `None` if the clock is not synchronised or
-    /// nothing claims any.
+    /// neither claims any bounds.
     pub discipline: Option<Discipline>,
     /// Description for people, such as `chrony, stratum 2, to 10.0.0.1`, `kernel, synchronised`, `not synchronised`.
     pub text: String,

@@ -1,8 +1,8 @@
 //! Facts of a run about the hosts whose clocks have injected faults.
 
-/// Name of the fact about the edge; the name of that about a cloud begins with it.
+/// Name of the fact about the edge. The name of the fact about a cloud begins with it.
 const NAME: &str = "Clock fault";
-/// The same in versions before 0.3.0, whose runs are still stored.
+/// Name of the fact in versions before 0.3.0, whose runs are still stored.
 const FORMER_NAME: &str = "Rehearsal";
 
 /// Host of a run whose clock has injected faults.
@@ -45,8 +45,8 @@ mod tests {
         }
         assert_eq!(FaultyHost::of_fact("Rehearsal"), Some(FaultyHost::Edge));
         assert_eq!(FaultyHost::of_fact("Rehearsal of gpu-1"), Some(FaultyHost::Cloud("gpu-1")));
-        for other in ["Rehearsals", "Clock faults", "Clock", "Sensor", ""] {
-            assert_eq!(FaultyHost::of_fact(other), None, "{other}");
+        for name in ["Rehearsals", "Clock faults", "Clock", "Sensor", ""] {
+            assert_eq!(FaultyHost::of_fact(name), None, "{name}");
         }
     }
 }

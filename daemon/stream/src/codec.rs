@@ -1,17 +1,18 @@
 //! Encoding of the event stream's messages and batches: MessagePack with one message per frame, and frames of batches.
 //!
-//! A batch's frame begins with a byte that no MessagePack value begins with, so that the two cannot be confused.
+//! A batch's frame begins with a byte that no MessagePack value begins with, so that batches and messages cannot be
+//! confused.
 //! Numbers are big-endian:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 1 | `0xC1`, which MessagePack never uses |
-//! | 1 | form of the body: 0 as it is, 1 compressed with Zstandard |
+//! | 1 | form of the body: 0 not compressed, 1 compressed with Zstandard |
 //! | 16, 16 | host, stream |
-//! | 8, 8 | process that sends it, number |
-//! | 16, 16 | chain of the batch before, chain of this one |
-//! | 8 | events in all batches of the spool before this one |
-//! | 4, 4 | events, bytes of the body when it is not compressed |
+//! | 8, 8 | process that sends the batch, number of the batch |
+//! | 16, 16 | chain of the previous batch, chain of this batch |
+//! | 8 | number of events in all batches of the spool before this batch |
+//! | 4, 4 | number of events, number of bytes of the body before compression |
 //! | rest | the body: wire forms of the events, one after the other |
 //!
 //! A batch's frame that takes long on its link is sent in [parts](encode_part). Other messages can be
@@ -29,8 +30,8 @@ use peernet_logger::HostId;
 pub(super) use self::parts::PART_HEAD_BYTES;
 pub use self::parts::{Part, decode_part, encode_part};
 
-/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; one tree of the
-/// largest size fits.
+/// Longest message that is read, and longest body of a batch, bytes. Usual batches are far shorter; an event with a tree of
+/// the largest size fits.
 pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 
 /// Number of bytes of a batch's frame before its body.
@@ -52,7 +53,7 @@ const PART: u8 = 2;
 /// message.
 const COMPRESSED: u8 = 3;
 
-/// Fastest of the usual levels of Zstandard. Events shrink to about a third with it; level 3 gains little more.
+/// Fastest of the usual levels of Zstandard. It compresses events to about a third; level 3 compresses little more.
 const ZSTD_LEVEL: i32 = 1;
 
 /// Largest capacity that is reserved at once for events, because the number in the head comes from an untrusted peer.
@@ -102,10 +103,10 @@ pub fn encode_compressed(message: &impl Message) -> Vec<u8> {
 
 /// Decompresses the message in a frame that [`encode_compressed`] made.
 fn decompress_message(frame: &[u8]) -> Result<Vec<u8>, CodecError> {
-    let read = frame
+    let parts = frame
         .split_first_chunk()
         .map(|(length, compressed)| (u32::from_be_bytes(*length) as usize, compressed));
-    let Some((length, compressed)) = read else {
+    let Some((length, compressed)) = parts else {
         return Err(CodecError::Malformed("a compressed message without a length".into()));
     };
     if length > MAX_MESSAGE_BYTES {
@@ -129,18 +130,18 @@ pub fn decode<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
         return Err(CodecError::TooLong(frame.len()));
     }
     if let Some(compressed) = frame.strip_prefix(&[BATCH, COMPRESSED]) {
-        return read(&decompress_message(compressed)?);
+        return decode_plain(&decompress_message(compressed)?);
     }
-    read(frame)
+    decode_plain(frame)
 }
 
-fn read<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
+fn decode_plain<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
     let mut reader = rmp_serde::Deserializer::new(frame);
     reader.set_max_depth(MAX_NESTING);
     let message = M::deserialize(&mut reader).map_err(|error| malformed_error(&error))?;
     match reader.get_ref().len() {
         0 => Ok(message),
-        more => Err(CodecError::Trailing(more)),
+        remaining => Err(CodecError::Trailing(remaining)),
     }
 }
 
@@ -148,11 +149,11 @@ fn read<M: Message>(frame: &[u8]) -> Result<M, CodecError> {
 /// shorter.
 pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     let compressed = compress.then(|| zstd::bulk::compress(body, ZSTD_LEVEL).ok()).flatten();
-    let (form, sent) = match &compressed {
+    let (form, sent_body) = match &compressed {
         Some(compressed) if compressed.len() < body.len() => (ZSTD, compressed.as_slice()),
         _ => (PLAIN, body),
     };
-    let mut frame = Vec::with_capacity(BATCH_HEAD_BYTES + sent.len());
+    let mut frame = Vec::with_capacity(BATCH_HEAD_BYTES + sent_body.len());
     frame.extend([BATCH, form]);
     frame.extend(head.host.as_bytes());
     frame.extend(head.stream.as_bytes());
@@ -164,7 +165,7 @@ pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     frame.extend(head.events.to_be_bytes());
     // A reader refuses a body that is longer than a u32 can state.
     frame.extend(u32::try_from(body.len()).unwrap_or(u32::MAX).to_be_bytes());
-    frame.extend(sent);
+    frame.extend(sent_body);
     frame
 }
 

@@ -35,7 +35,7 @@ pub struct NetworkInterface {
     /// `ethernet`, `wireless`, `loopback`, `tunnel`, or `type N` with a hardware type of Linux (`ARPHRD_*`); `None` if
     /// the system does not state it.
     pub kind: Option<String>,
-    /// Largest packet that it sends without fragmentation (maximum transmission unit), bytes.
+    /// Largest packet that the interface sends without fragmentation (maximum transmission unit), bytes.
     pub mtu_bytes: Option<u32>,
 }
 
@@ -50,8 +50,8 @@ pub struct ConnectionStatistics {
     pub malformed_messages: u64,
     /// Answers that arrived after the request had timed out.
     pub late_messages: u64,
-    /// On the edge, requests that will never be answered, because they or their answers were lost or the connection
-    /// ended. On the cloud, answers that could not be handed to the network.
+    /// On the edge: requests that will never be answered, because they or their answers were lost or the connection
+    /// ended. On the cloud: answers that could not be handed to the network.
     pub lost_messages: u64,
     /// Round trip of the transport's own packets; `None` if the transport does not measure it.
     pub round_trip: Option<TransportRoundTrip>,
@@ -66,7 +66,7 @@ pub struct DirectionStatistics {
     pub messages: u64,
     /// Number of datagrams with data (for TCP, of segments with data), including retransmissions.
     pub datagrams: Option<u64>,
-    /// Number of datagrams that were sent and did not arrive, or arrived too late to tell.
+    /// Number of datagrams that were sent and did not arrive, or arrived too late to be recognised.
     pub lost: Option<u64>,
     /// Number of datagrams that arrived more than once.
     pub duplicated: Option<u64>,

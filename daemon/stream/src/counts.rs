@@ -33,15 +33,15 @@ pub struct SubmittedEvents {
     pub last: Option<WallTime>,
 }
 
-/// Events that a process counted when each of them was submitted. The counts are in shared memory, which outlives the
-/// process.
+/// Numbers of events that were submitted to a process, counted at the time of submission. The counts are in shared memory,
+/// which outlives the process.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CountedEvents {
     /// Number of all events.
     pub total: u64,
     /// Time of the last event.
     pub last: WallTime,
-    /// Last batches that were sent without being in the spool.
+    /// The last batches that were sent without being in the spool.
     pub sent: Vec<SentUnspooled>,
     /// Counts of the active runs.
     pub runs: Vec<CountedRun>,
@@ -87,7 +87,7 @@ pub struct CountedRun {
 }
 
 impl RunCounts {
-    /// Adds events. If a run has no separate count because there are too many runs, its events count among all.
+    /// Adds events. If there are too many runs for a separate count of `run`, the events are added to the total only.
     pub fn add(&mut self, run: Option<RunId>, events: u64) {
         self.total += events;
         let Some(run) = run else { return };
@@ -103,7 +103,7 @@ impl RunCounts {
 }
 
 impl SubmittedEvents {
-    /// Returns the counts that the spool records.
+    /// Returns these events as events that the spool accounts for.
     pub fn settled(&self) -> SettledEvents {
         let mut events = self.batched.clone();
         events.total += self.dropped.total;
@@ -113,15 +113,16 @@ impl SubmittedEvents {
         SettledEvents { events, batched: self.batched.total, last: self.last }
     }
 
-    /// Counts the events of batches that are not in `kept` as dropped.
-    pub(super) fn give_up(&mut self, kept: &RunCounts) {
-        let batched = std::mem::replace(&mut self.batched, kept.clone());
-        self.dropped.total += batched.total.saturating_sub(kept.total);
+    /// Counts the batched events that are not in `retained` as dropped.
+    pub(super) fn give_up(&mut self, retained: &RunCounts) {
+        let batched = std::mem::replace(&mut self.batched, retained.clone());
+        self.dropped.total += batched.total.saturating_sub(retained.total);
         for (run, events) in batched.runs {
-            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(kept.events_of(run));
+            *self.dropped.runs.entry(run).or_default() += events.saturating_sub(retained.events_of(run));
         }
     }
 
+    /// Removes the separate counts of a run; its events stay in the totals.
     pub(super) fn forget(&mut self, run: RunId) {
         self.batched.runs.remove(&run);
         self.dropped.runs.remove(&run);
@@ -129,9 +130,9 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `known` is the number of events that are not in the spool but that were stored or
-    /// reported; their runs are unknown.
-    pub(super) fn gaps(&self, settled: &SettledEvents, known: u64, lost: u64) -> Vec<Gap> {
+    /// Returns the gaps for `lost` events. `accounted` is the number of events that are not in the spool but were stored by
+    /// the aggregator or reported as lost; their runs are unknown.
+    pub(super) fn gaps(&self, settled: &SettledEvents, accounted: u64, lost: u64) -> Vec<Gap> {
         let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {
             let from = settled.last.unwrap_or(to).min(to);
@@ -139,8 +140,10 @@ impl CountedEvents {
         };
         let mut gaps = Vec::new();
         for CountedRun { run, pipeline, events, last } in &self.runs {
-            let count =
-                events.saturating_sub(settled.events.events_of(*run)).saturating_sub(known).min(unassigned);
+            let count = events
+                .saturating_sub(settled.events.events_of(*run))
+                .saturating_sub(accounted)
+                .min(unassigned);
             unassigned -= count;
             gaps.push(gap(pipeline.clone(), Some(*run), count, *last));
         }

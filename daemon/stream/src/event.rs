@@ -1,4 +1,4 @@
-//! Events of the durable lane.
+//! Events that an agent sends over the durable lane to be stored.
 
 use std::fmt;
 
@@ -47,7 +47,7 @@ impl Event {
             Self::RunEnded(end) => Claim { run: Some(end.run), reporter: None },
             Self::Iteration(iteration) => {
                 // The tree may contain other hosts: the edge reports the cloud's part.
-                let edge = iteration.tree.anchors().first().map(|edge| edge.host);
+                let edge = iteration.tree.anchors().first().map(|anchor| anchor.host);
                 Claim { run: Some(iteration.run), reporter: edge }
             }
             Self::Incident(incident) => Claim { run: incident.run, reporter: None },
@@ -121,8 +121,8 @@ pub enum Outcome {
     Failed(String),
     /// The answer will never arrive, because the connection ended; the text gives details.
     Lost(String),
-    /// The answer did not arrive in time; the text names what was waited for, how long, and what to do. Empty from agents
-    /// before 0.3.0.
+    /// The answer did not arrive in time; the text states what was waited for, how long, and what to do. Agents before 0.3.0
+    /// send no text.
     Timeout(String),
 }
 
@@ -244,7 +244,7 @@ impl fmt::Display for IncidentKind {
     }
 }
 
-/// Events that were dropped because a queue was full: measuring never waits for storing.
+/// Events that were dropped, for example because a queue was full: measuring never waits for storing.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
     /// Pipeline whose events are missing; `None` for incidents.

@@ -10,8 +10,8 @@ pub struct ExperimentPlace {
     pub name: String,
     /// Random id of the execution of the experiment, which all its runs share.
     pub id: String,
-    /// Difference between this configuration and the others: pairs of an axis' name and the value's label, in the order
-    /// of the file.
+    /// Difference between this configuration and the other configurations: pairs of an axis' name and the value's label, in
+    /// the order of the file.
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.
     pub repeat: u32,
@@ -36,11 +36,11 @@ pub struct Condition {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Grade {
-    /// As recommended.
+    /// The finding is as recommended.
     Good,
-    /// Unknown, without a sign of a problem.
+    /// The effect is unknown; there is no sign of a problem.
     Unknown,
-    /// A caveat for the results.
+    /// The results may be affected.
     Doubtful,
     /// The results are not valid for their purpose.
     Bad,

@@ -9,8 +9,8 @@ use crate::{Chain, HostDescription, Release, VersionRange};
 /// Versions of the event stream that an aggregator of this release supports.
 pub const STREAM_VERSIONS: VersionRange = VersionRange::new(5, 7, Release(0, 1, 0));
 
-/// Versions that an agent of this release supports. Its events may contain raw stamps, which version 7 added, and
-/// events are encoded before it is known to which aggregator they are sent.
+/// Versions that an agent of this release supports. No older version is supported: events may contain raw stamps, which
+/// version 7 added, and they are encoded before their aggregator is known.
 pub const AGENT_STREAM_VERSIONS: VersionRange = VersionRange::new(7, 7, Release(0, 3, 0));
 
 /// The only version that PEERNet 0.1.0 supports.
@@ -23,8 +23,7 @@ random_id! {
 
 /// First message of an agent, which describes its host and its stream.
 ///
-/// It is sent before a version is chosen, so that its form never changes: fields of later versions go into the
-/// extension.
+/// It is sent before a version is chosen. Its form therefore never changes: fields of later versions are in the extension.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Hello {
     /// Oldest version of the event stream that the agent supports.
@@ -33,15 +32,15 @@ pub struct Hello {
     pub host: HostDescription,
     /// Stream that the batches belong to.
     pub stream: StreamId,
-    /// Stream that this one continues, if the agent had to leave one. No batch is missing between the two.
+    /// Stream that the agent left and that this stream continues, if any. No batch is missing between the two streams.
     pub previous: Option<StreamId>,
     /// Number of the first batch that ever existed in the stream.
     pub first: u64,
-    /// Number of the oldest batch that the agent still holds; one more than the newest if it holds none.
+    /// Number of the oldest batch that the agent still holds; if it holds none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before `oldest`.
     pub before: Chain,
-    /// Number of events in all batches of the spool before `oldest`, from which the aggregator computes how many it
+    /// Number of events in all batches of the spool before `oldest`. The aggregator computes from it how many events it
     /// lacks.
     pub events_before_oldest: u64,
     /// Number of events in all batches of the spool before `first`, in earlier streams; `None` if it is unknown.
@@ -68,23 +67,23 @@ impl Hello {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
 pub struct HelloExtension {
-    /// Newest version of the event stream that the agent supports; `None` if it is the oldest.
+    /// Newest version of the event stream that the agent supports; `None` if it supports one version only.
     pub newest: Option<u16>,
-    /// First release that supports the oldest version.
+    /// First release that supports the oldest version of the range.
     pub since: Option<Release>,
 }
 
 impl HelloExtension {
-    /// Returns the extension for an agent that supports these versions.
+    /// Returns the extension for an agent that supports these versions; `None` if none is needed.
     pub fn from_versions(versions: &VersionRange) -> Option<Self> {
-        // PEERNet 0.1.0 cannot read a hello with an extension, so that it is omitted for version 5 alone.
-        let is_first = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
-        (!is_first).then_some(Self { newest: versions.newest, since: versions.since })
+        // PEERNet 0.1.0 cannot read a hello with an extension. An agent that supports only version 5 therefore omits it.
+        let is_first_only = (versions.oldest(), versions.newest()) == (FIRST_VERSION, FIRST_VERSION);
+        (!is_first_only).then_some(Self { newest: versions.newest, since: versions.since })
     }
 }
 
 impl Serialize for HelloExtension {
-    /// Writes a map, while other structures of the event stream are arrays.
+    /// Writes a map. The other structures of the event stream are arrays.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(2))?;
         map.serialize_entry("newest", &self.newest)?;

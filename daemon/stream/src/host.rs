@@ -12,7 +12,7 @@ pub struct HostDescription {
     pub id: HostId,
     /// Name for people, unique among the agents of one aggregator.
     pub name: Slug,
-    /// Clocks that the host's stamps are of.
+    /// Clocks from which the host takes its stamps.
     pub clock: ClockIdentity,
     /// Version of the agent.
     pub version: String,

@@ -9,13 +9,12 @@
 //! whatever the transport loses, repeats or reorders, and whichever end restarts. It requires that the aggregator
 //! stores a batch and its stream's mark in one transaction.
 //!
-//! There are two exceptions. If a spool was copied, the events in both copies may be stored twice, in two streams. If a
-//! spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in either
-//! case.
+//! There are two exceptions. If a spool was copied, events that are in both copies may be stored twice, in two streams. If
+//! a spool was restored from an old copy, the events in that copy may be stored twice, too. No event is lost in either case.
 //!
 //! Events that did not fit into the spool are counted, and a gap is sent in their place.
 //!
-//! The guarantee rests on the following:
+//! The guarantee is achieved by the following means:
 //!
 //! - *Missing events* are counted as a difference. The head of each batch states the number of events in all batches
 //!   before it. The stream's row in the database stores this number, and a hello states it for the oldest batch that

@@ -1,4 +1,5 @@
-//! Messages of the live lane. Each contains a state and not a change, so that a lost update has no lasting effect.
+//! Messages of the live lane. Each update contains the state itself and not a change of it, so that a lost update has no
+//! lasting effect.
 
 use peernet_clock::WallTime;
 use peernet_statistics::Summary;
@@ -36,14 +37,14 @@ pub struct PipelineLive {
     pub pipeline: Slug,
     /// Current activity.
     pub state: PipelineState,
-    /// Current or last run; `None` before the first.
+    /// Current or last run; `None` before the first run.
     pub run: Option<RunId>,
     /// Placement of the computation.
     pub placement: Placement,
     /// Configured load as text: `closed`, `5 Hz`.
     pub load: String,
-    /// Seconds that changed since the last update, newest first. Each is complete so far: a receiver replaces its copy
-    /// of that second.
+    /// Seconds that changed since the last update, newest first. Each contains all iterations of the second so far: a
+    /// receiver replaces its copy of the second.
     pub seconds: Vec<Second>,
 }
 
@@ -146,8 +147,8 @@ pub struct Second {
     pub at: i64,
     /// Iterations by outcome, without warm-up.
     pub counts: OutcomeCounts,
-    /// Summaries by node name in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A throughput's
-    /// summary is over the throughputs of single iterations. Only successful iterations count, without warm-up.
+    /// Summaries by name of the node in SI units: the stages, `total`, `unattributed`, throughputs and sizes. A throughput's
+    /// summary is over the throughputs of single iterations. Failed iterations and warm-up are not included.
     pub values: Vec<(Name, Summary)>,
     /// Half-widths of the clock bounds of `upload` and `download` in seconds.
     pub bounds: Vec<(Name, Summary)>,
@@ -179,7 +180,7 @@ pub struct Accounting {
     pub sent: u64,
     /// Number of events that were acknowledged as stored.
     pub stored: u64,
-    /// Number of events that wait on the agent, in memory or in the spool.
+    /// Number of events that the agent holds, in memory or in the spool.
     pub waiting: u64,
     /// Number of events that were dropped because no space was left, or lost when the agent was killed. Gaps report them.
     pub dropped: u64,
@@ -191,12 +192,12 @@ pub struct Accounting {
     pub spool_limit_bytes: u64,
     /// Bytes of events in memory that are not in the spool yet.
     pub memory_bytes: u64,
-    /// Time of the oldest waiting event on the agent's wall clock. The difference from the present is the storage lag.
+    /// Time of the oldest waiting event on the agent's wall clock; its age is the storage lag.
     pub oldest: Option<WallTime>,
-    /// `true` if batches are compressed, because that is configured or because they wait for acknowledgements of a slow
-    /// link or a slow store.
+    /// `true` if batches are compressed: because compression is configured, or because batches wait for acknowledgements
+    /// over a slow link or from a slow store.
     pub compressed: bool,
-    /// Error of the spool that prevents writing or reading it. Events wait in memory meanwhile.
+    /// Error that prevents writing or reading the spool. Events wait in memory meanwhile.
     pub trouble: Option<String>,
 }
 

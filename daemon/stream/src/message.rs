@@ -15,7 +15,7 @@ pub fn batch_weight(body_bytes: usize) -> u64 {
     body_bytes.max(1_024) as u64
 }
 
-/// Messages from the agent to the aggregator. The host id is in the message, never in the transport's routing id.
+/// Messages from the agent to the aggregator. The message itself contains the host id; the transport's routing id does not.
 ///
 /// Batches of the durable lane are frames of another kind ([`super::codec::encode_batch`]): their hash is checked before
 /// they are decoded. A batch that is long for its link is sent in parts ([`super::codec::encode_part`]), so that live
@@ -60,7 +60,7 @@ pub enum ToAgent {
     Challenge {
         /// Name of the aggregator's host.
         aggregator: Slug,
-        /// Stream of the hello that this answers.
+        /// Stream of the hello that this message answers.
         stream: StreamId,
         /// Random number that the proof must cover.
         nonce: Nonce,
@@ -76,19 +76,19 @@ pub enum ToAgent {
     Welcome {
         /// Name of the aggregator's host.
         aggregator: Slug,
-        /// Stream of the hello that this answers.
+        /// Stream of the hello that this message answers.
         stream: StreamId,
         /// All batches of the stream up to this number are stored; `first - 1` if none is.
         stored: u64,
         /// Chain of that batch; `None` if it is unknown, because no batch is stored.
         chain: Option<Chain>,
-        /// Process that sent that batch ([`Hello::process`]); `None` if it is unknown.
+        /// Process that sent the last stored batch ([`Hello::process`]); `None` if it is unknown.
         process: Option<u64>,
         /// Window of batches in flight, see [`ToAgent::Ack`].
         window: u32,
     },
-    /// The hello was refused; the agent reports the reason and tries again later. It is sent even if the ends have no
-    /// version in common, so that its form never changes.
+    /// The hello was refused; the agent reports the reason and tries again later. The message is sent even if the ends
+    /// have no version in common. Its form therefore never changes.
     Refused {
         /// Error and advice for the user.
         reason: String,
@@ -117,8 +117,8 @@ pub enum ToAgent {
         /// Number from the request.
         bytes: u64,
     },
-    /// A message came from a host without a session (the aggregator was restarted), or a batch does not follow the one
-    /// before it. The agent must send a hello.
+    /// A message came from a host without a session (for example because the aggregator was restarted), or the chain of a
+    /// batch does not continue the previous batch. The agent must send a hello.
     Unknown,
 }
 
@@ -133,13 +133,13 @@ pub struct BatchHead {
     pub process: u64,
     /// Number of the batch, contiguous from the stream's first.
     pub number: u64,
-    /// Chain of the batch before it.
+    /// Chain of the previous batch.
     pub before: Chain,
     /// Chain of this batch.
     pub chain: Chain,
     /// Number of events in the batch.
     pub events: u32,
-    /// Number of events in all batches of the spool before it.
+    /// Number of events in all batches of the spool before this batch.
     pub events_before: u64,
 }
 

@@ -55,8 +55,8 @@ mod tests {
     #[test]
     fn unnamed_network_is_zmq_tcp() {
         assert_eq!(NetworkName::default().to_string(), "zmq-tcp");
-        let other: NetworkName = "zmq-udp".parse().expect("a name");
-        assert!(NetworkName::default().is_default() && !other.is_default());
+        let zmq_udp: NetworkName = "zmq-udp".parse().expect("a name");
+        assert!(NetworkName::default().is_default() && !zmq_udp.is_default());
         assert!("zmq udp".parse::<NetworkName>().is_err());
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! The aggregator answers a hello with a challenge, and the agent answers that with a proof: HMAC-SHA-256 (RFC 2104)
 //! with its secret as the key, over the challenge's nonce and the claims of the hello. A hello by itself changes
-//! nothing. The secret is sent only if the aggregator asks for it, because it has none of that host (trust on first
-//! use). Until the event stream is encrypted, whoever can read the network at that moment can read the secret.
+//! nothing. The secret is sent only if the aggregator asks for it, because the aggregator has no secret of that host
+//! (trust on first use). Until the event stream is encrypted, whoever can read the network at that moment can read the secret.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,7 +15,7 @@ use sha2::Sha256;
 use super::Hello;
 use peernet_logger::Slug;
 
-/// Domain separator: keeps these codes apart from other uses of the same secret.
+/// Domain separator: a code for another purpose that is computed with the same secret is no valid proof.
 const DOMAIN: &[u8] = b"peernet event stream: proof of a host secret\0";
 
 /// Number of bytes of a secret, of a nonce and of a proof.
@@ -32,7 +32,7 @@ pub struct HostSecret(#[serde(with = "serde_bytes")] [u8; BYTES]);
 #[error("a host secret is written as {} hexadecimal digits", 2 * BYTES)]
 pub struct InvalidSecret;
 
-/// Random number that is used once, so that a recorded proof is worthless later.
+/// Random number that is used once, so that a recorded proof cannot be used again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Nonce(#[serde(with = "serde_bytes")] [u8; BYTES]);
@@ -157,23 +157,23 @@ mod tests {
     use peernet_logger::HostId;
 
     #[test]
-    fn proof_holds_for_its_own_claim_only() {
+    fn proof_is_valid_for_its_own_claim_only() {
         let (secret, nonce) = (HostSecret::random(), Nonce::random());
         let hello = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
         let aggregator: Slug = "base".parse().expect("a name");
         let proof = secret.prove(&nonce, &hello, &aggregator);
-        let holds = |secret: &HostSecret, nonce: &Nonce, hello: &Hello, name: &str| {
+        let is_valid = |secret: &HostSecret, nonce: &Nonce, hello: &Hello, name: &str| {
             secret.verify(&proof, nonce, hello, &name.parse().expect("a name"))
         };
-        assert!(holds(&secret, &nonce, &hello, "base"));
-        assert!(!holds(&HostSecret::random(), &nonce, &hello, "base"));
-        assert!(!holds(&secret, &Nonce::random(), &hello, "base"));
-        assert!(!holds(&secret, &nonce, &hello, "other"));
-        assert!(!holds(&secret, &nonce, &Hello { process: 2, ..hello.clone() }, "base"));
-        assert!(!holds(&secret, &nonce, &Hello { stream: StreamId::random(), ..hello.clone() }, "base"));
+        assert!(is_valid(&secret, &nonce, &hello, "base"));
+        assert!(!is_valid(&HostSecret::random(), &nonce, &hello, "base"));
+        assert!(!is_valid(&secret, &Nonce::random(), &hello, "base"));
+        assert!(!is_valid(&secret, &nonce, &hello, "other"));
+        assert!(!is_valid(&secret, &nonce, &Hello { process: 2, ..hello.clone() }, "base"));
+        assert!(!is_valid(&secret, &nonce, &Hello { stream: StreamId::random(), ..hello.clone() }, "base"));
         let mut other = hello;
         other.host.id = HostId::random();
-        assert!(!holds(&secret, &nonce, &other, "base"));
+        assert!(!is_valid(&secret, &nonce, &other, "base"));
     }
 
     #[test]

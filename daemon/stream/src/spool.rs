@@ -8,7 +8,7 @@ use crate::totals::{NewestSentBatch, Totals};
 use crate::{Chain, Gap, StreamId, UnresolvedBatches};
 
 /// Largest number of gaps of earlier processes that are kept separately.
-const MOST_UNREPORTED: usize = 64;
+const MAX_UNREPORTED: usize = 64;
 
 /// A number of events and their bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -76,9 +76,9 @@ pub struct SpoolState {
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
-    /// Number of events in all batches before that; `None` if it is unknown.
+    /// Number of events in all batches before the stream's first batch; `None` if it is unknown.
     pub events_before_first: Option<u64>,
-    /// Number of the oldest batch held; one more than the newest if none is held.
+    /// Number of the oldest batch in the spool; if the spool contains none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
     pub before: Chain,
@@ -86,17 +86,17 @@ pub struct SpoolState {
     pub newest: (u64, Chain),
     /// Time of the first event of the oldest batch.
     pub since: Option<WallTime>,
-    /// Number of events and bytes held.
+    /// Number of events and bytes in the spool.
     pub waiting_usage: Usage,
     /// Totals up to the newest batch.
     pub totals: Totals,
-    /// Batches that processes may have sent from this spool. Processes may be missing from the list; one that is
-    /// missing is treated as a process of a copy of the spool.
+    /// Newest batch that each process may have sent from this spool. A process that is not listed is assumed to have sent
+    /// from a copy of the spool.
     pub newest_sent: Vec<NewestSentBatch>,
-    /// Gaps of earlier processes that are not reported yet: dropped events, and events lost with the process.
+    /// Gaps of earlier processes that are not reported yet: events that were dropped, or lost when a process was killed.
     pub unreported: Vec<Gap>,
-    /// The last batches of an earlier process of which only the aggregator knows whether they are stored. No loss is
-    /// reported before that is known.
+    /// The last batches of an earlier process, if only the aggregator knows whether they are stored. No loss is reported
+    /// until this is known.
     pub unresolved: Option<UnresolvedBatches>,
 }
 
@@ -122,12 +122,12 @@ impl SpoolState {
 }
 
 impl SpoolState {
-    /// Records the losses of an earlier process, which counted events when they were submitted. The spool accounts for
-    /// `settled`; the other events were lost with that process. Returns the number of lost events; `None` if the
-    /// process sent batches that are not in the spool, so that only the aggregator knows which events are lost
-    /// ([`Self::unresolved`]).
+    /// Records the losses of an earlier process. `counted` are the events that were submitted to that process; `settled`
+    /// are those events that are in the spool or counted as dropped. The other events were lost when the process was
+    /// killed. Returns the number of lost events; `None` if the process sent batches that are not in the spool, so that
+    /// only the aggregator knows which events are lost ([`Self::unresolved`]).
     ///
-    /// The number is exact. The losses of a run that was not counted separately are reported in a gap without a run.
+    /// The total is exact. The losses of a run that was not counted separately are reported in a gap without a run.
     pub fn lose_tail(&mut self, counted: CountedEvents, settled: SettledEvents) -> Option<u64> {
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
@@ -135,26 +135,26 @@ impl SpoolState {
         }
         let lost = counted.total.saturating_sub(settled.events.total);
         for gap in counted.gaps(&settled, 0, lost) {
-            self.lose(gap);
+            self.add_loss(gap);
         }
         self.totals.produced += lost;
         self.totals.dropped += lost;
         Some(lost)
     }
 
-    fn lose(&mut self, lost: Gap) {
-        let same = |gap: &&mut Gap| {
+    fn add_loss(&mut self, lost: Gap) {
+        let is_same = |gap: &&mut Gap| {
             (&gap.pipeline, gap.run, &gap.reason) == (&lost.pipeline, lost.run, &lost.reason)
         };
         let merge = |gap: &mut Gap| {
             gap.count += lost.count;
             (gap.from, gap.to) = (gap.from.min(lost.from), gap.to.max(lost.to));
         };
-        if let Some(gap) = self.unreported.iter_mut().find(same) {
+        if let Some(gap) = self.unreported.iter_mut().find(is_same) {
             return merge(gap);
         }
-        let full = self.unreported.len() >= MOST_UNREPORTED;
-        match self.unreported.last_mut().filter(|_| full) {
+        let is_full = self.unreported.len() >= MAX_UNREPORTED;
+        match self.unreported.last_mut().filter(|_| is_full) {
             Some(gap) => {
                 // The merged gap covers several runs.
                 (gap.pipeline, gap.run) = (None, None);
@@ -226,7 +226,7 @@ mod tests {
             let run = RunId::random();
             state.lose_tail(counted(3, &[(run, 3)]), SettledEvents::default());
         }
-        assert_eq!(state.unreported.len(), MOST_UNREPORTED);
+        assert_eq!(state.unreported.len(), MAX_UNREPORTED);
         assert_eq!(state.unreported.iter().map(|gap| gap.count).sum::<u64>(), 1_500);
     }
 }

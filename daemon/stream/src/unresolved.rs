@@ -1,7 +1,7 @@
-//! Batches that a process sent while its spool could not be written, before it was killed. The aggregator's first
-//! welcome tells whether they are stored.
+//! Batches that a process sent while its spool could not be written, before the process was killed. The aggregator's
+//! first welcome states whether they are stored.
 //!
-//! Without this step, such events would be reported as lost although they may be stored.
+//! Without this check, their events would be reported as lost although they may be stored.
 
 use std::collections::VecDeque;
 
@@ -33,9 +33,9 @@ pub(super) struct ResolvedBatches {
     pub(super) stored: u64,
     /// Number of lost events.
     pub(super) lost: u64,
-    /// Number of dropped events that a stored gap reports.
+    /// Number of dropped events that stored gaps report and the totals of the spool do not yet count as reported.
     pub(super) reported_drops: u64,
-    /// Number of events that were submitted and are stored.
+    /// Number of submitted events in batches that are stored and were never written to the spool.
     batched: u64,
 }
 
@@ -56,8 +56,8 @@ impl UnresolvedBatches {
 
     /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
     pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
-        let is_last = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
-        let sent = self.counted.sent.iter().find(is_last).copied().unwrap_or_default();
+        let is_last_stored = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
+        let sent = self.counted.sent.iter().find(is_last_stored).copied().unwrap_or_default();
         let batched = sent.batched.saturating_sub(self.settled.batched);
         ResolvedBatches {
             stored: sent.events.saturating_sub(self.events),
@@ -67,8 +67,9 @@ impl UnresolvedBatches {
         }
     }
 
-    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier processes dropped,
-    /// and the losses of the process itself. Losses that its stored gaps reported are removed, the oldest first.
+    /// Updates the losses that no gap reports yet: the gaps in `earlier_gaps`, `earlier_drops` events that earlier processes
+    /// dropped, and the losses of the process itself. Losses that stored gaps of the process reported are removed, the oldest
+    /// first.
     pub(super) fn update_unreported(
         &self,
         resolved: &ResolvedBatches,
@@ -80,24 +81,24 @@ impl UnresolvedBatches {
             reported_drops -= gap.count;
         }
         // Gaps report losses in the order in which they happened.
-        let of_before = reported_drops.min(*earlier_drops);
-        *earlier_drops -= of_before;
-        reported_drops -= of_before;
-        let of_lost = reported_drops.min(resolved.lost);
-        reported_drops -= of_lost;
+        let reported_earlier_drops = reported_drops.min(*earlier_drops);
+        *earlier_drops -= reported_earlier_drops;
+        reported_drops -= reported_earlier_drops;
+        let reported_lost = reported_drops.min(resolved.lost);
+        reported_drops -= reported_lost;
         // One gap may contain losses of a later process together with reported losses.
         while let Some(mut gap) = (reported_drops > 0).then(|| earlier_gaps.pop_front()).flatten() {
-            let of_gap = reported_drops.min(gap.count);
-            reported_drops -= of_gap;
-            gap.count -= of_gap;
+            let reported_in_gap = reported_drops.min(gap.count);
+            reported_drops -= reported_in_gap;
+            gap.count -= reported_in_gap;
             if gap.count > 0 {
                 earlier_gaps.push_front(gap);
             }
         }
         earlier_gaps.extend(self.counted.gaps(
             &self.settled,
-            resolved.batched + of_lost,
-            resolved.lost - of_lost,
+            resolved.batched + reported_lost,
+            resolved.lost - reported_lost,
         ));
     }
 }
@@ -124,8 +125,8 @@ mod tests {
 
     const PROCESS: u64 = 7;
 
-    /// Returns a spool that has batches up to 3 with 10 of 30 events. Batches 4 and 5 were sent, with 6 events and with
-    /// 3 events and a gap of 2.
+    /// Returns a spool with the batches up to 3, which contain 10 of 30 events. Two further batches were sent: batch 4 with 6
+    /// events, and batch 5 with 3 events and a gap of 2 events.
     fn unresolved(run: RunId) -> (SpoolState, UnresolvedBatches) {
         let mut state = SpoolState::new(StreamId::random());
         (state.totals.produced, state.totals.dropped, state.totals.reported_drops) = (15, 3, 1);
@@ -142,7 +143,7 @@ mod tests {
         let counted = CountedEvents { total: 30, last, sent, runs };
         let events = RunCounts { total: 10, runs: [(run, 9)].into() };
         assert_eq!(state.lose_tail(counted, SettledEvents { events, batched: 8, last: None }), None);
-        let unresolved = state.unresolved.clone().expect("what was sent may be stored");
+        let unresolved = state.unresolved.clone().expect("the sent batches may be stored");
         (state, unresolved)
     }
 
@@ -161,29 +162,29 @@ mod tests {
     }
 
     #[test]
-    fn aggregator_says_which_events_are_lost() {
+    fn stored_position_at_aggregator_determines_lost_events() {
         let (state, unresolved) = unresolved(RunId::random());
         // 3 - 1 events are not reported; 20 were submitted and neither stored nor dropped.
-        let none = unresolved.resolve(3, Some(PROCESS));
-        assert_eq!((none.stored, none.lost, none.reported_drops), (0, 20, 0));
-        assert_eq!(gaps(&unresolved, &none, 2), (17, 2 + 3));
-        assert_eq!(unresolved.resolve(5, Some(PROCESS + 1)), none, "another process has batch 5");
+        let none_stored = unresolved.resolve(3, Some(PROCESS));
+        assert_eq!((none_stored.stored, none_stored.lost, none_stored.reported_drops), (0, 20, 0));
+        assert_eq!(gaps(&unresolved, &none_stored, 2), (17, 2 + 3));
+        assert_eq!(unresolved.resolve(5, Some(PROCESS + 1)), none_stored, "another process has batch 5");
 
-        let one = unresolved.resolve(4, Some(PROCESS));
-        assert_eq!((one.stored, one.lost, one.reported_drops), (6, 14, 0));
-        let (named, unnamed) = gaps(&unresolved, &one, 2);
+        let one_stored = unresolved.resolve(4, Some(PROCESS));
+        assert_eq!((one_stored.stored, one_stored.lost, one_stored.reported_drops), (6, 14, 0));
+        let (named, unnamed) = gaps(&unresolved, &one_stored, 2);
         assert_eq!((named, named + unnamed), (11, 2 + 14), "of 6 stored events the run is not known");
 
-        let both = unresolved.resolve(5, Some(PROCESS));
-        assert_eq!((both.stored, both.lost, both.reported_drops), (10, 11, 2));
-        let (named, unnamed) = gaps(&unresolved, &both, 2);
+        let both_stored = unresolved.resolve(5, Some(PROCESS));
+        assert_eq!((both_stored.stored, both_stored.lost, both_stored.reported_drops), (10, 11, 2));
+        let (named, unnamed) = gaps(&unresolved, &both_stored, 2);
         assert_eq!(named + unnamed, 11, "the gap in batch 5 reported both unreported losses");
-        let totals = state.totals.with(&both);
+        let totals = state.totals.with(&both_stored);
         assert_eq!((totals.produced, totals.dropped, totals.reported_drops), (36, 14, 3));
     }
 
     #[test]
-    fn what_a_stored_gap_reports_is_not_reported_again() {
+    fn losses_in_stored_gap_are_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
         let gap = |count| Gap {
             pipeline: None,
@@ -204,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn told_part_of_merged_gap_is_not_reported_again() {
+    fn reported_part_of_merged_gap_is_not_reported_again() {
         let (_, unresolved) = unresolved(RunId::random());
         let resolved = ResolvedBatches { lost: 1, reported_drops: 4, ..ResolvedBatches::default() };
         let gap =
@@ -215,12 +216,12 @@ mod tests {
         assert_eq!(
             (counts, earlier_drops),
             (vec![3], 0),
-            "5 owed, 1 unreported and 1 lost, of which 4 were reported"
+            "5 in the gap, 1 unreported and 1 lost, of which 4 were reported"
         );
     }
 
     #[test]
-    fn another_process_that_is_killed_before_the_answer_leaves_it_open() {
+    fn batches_stay_unresolved_if_next_process_is_killed_before_answer() {
         let run = RunId::random();
         let (mut state, first) = unresolved(run);
         let counted = CountedEvents { total: 2, ..first.counted.clone() };

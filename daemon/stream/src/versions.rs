@@ -4,7 +4,7 @@
 //! range and the first release that supports the oldest version in it. The other end chooses the highest version that
 //! both support and states it: the aggregator in its challenge, the cloud when it accepts a session. Without a common
 //! version the connection is refused, with a text that names the end to update and the release that it needs. The older
-//! end cannot know that release; the range of the other end states it.
+//! end cannot know that release by itself; the range of the newer end contains it.
 //!
 //! A release that changes messages raises the newest version of its range and keeps writing the older forms to peers
 //! that chose them. Messages that are sent before a version is chosen (hello, refusal) never change their form, except
@@ -58,7 +58,7 @@ impl VersionRange {
         self.oldest
     }
 
-    /// Returns the newest version. It is never below the oldest, even if a peer states that.
+    /// Returns the newest version. It is never below the oldest version, even if a peer states such a range.
     pub fn newest(&self) -> u16 {
         self.newest.map_or(self.oldest, |newest| newest.max(self.oldest))
     }
@@ -101,10 +101,14 @@ impl VersionMismatch {
     pub fn describe(&self, protocol: &str, here: &str, peer: &str) -> String {
         let (here, peer) = ((here, self.here), (peer, self.peer));
         let is_peer_older = peer.1.newest() < here.1.oldest;
-        let ((older, spoken), (newer, range)) = if is_peer_older { (peer, here) } else { (here, peer) };
+        let ((older, older_range), (newer, newer_range)) =
+            if is_peer_older { (peer, here) } else { (here, peer) };
         // The end that is too old cannot know which release supports a newer version.
-        let needed = range.since.map_or_else(|| format!("the release of {newer}"), |since| since.to_string());
-        format!("{older} speaks {spoken} of {protocol}, {newer} {range}: update {older} to at least {needed}")
+        let needed =
+            newer_range.since.map_or_else(|| format!("the release of {newer}"), |since| since.to_string());
+        format!(
+            "{older} speaks {older_range} of {protocol}, {newer} {newer_range}: update {older} to at least {needed}"
+        )
     }
 }
 
@@ -120,17 +124,17 @@ mod tests {
 
     #[test]
     fn highest_common_version_is_chosen() {
-        let ours = range(5, 7);
+        let own = range(5, 7);
         for (peer, chosen) in [
             (VersionRange::single(5), 5),
             (VersionRange::single(7), 7),
             (range(3, 6), 6),
             (range(6, 9), 7),
             (range(1, 9), 7),
-            (ours, 7),
+            (own, 7),
         ] {
-            assert_eq!(ours.highest_common(&peer), Ok(chosen), "{peer}");
-            assert_eq!(peer.highest_common(&ours), Ok(chosen), "{peer}");
+            assert_eq!(own.highest_common(&peer), Ok(chosen), "{peer}");
+            assert_eq!(peer.highest_common(&own), Ok(chosen), "{peer}");
         }
     }
 
@@ -159,16 +163,16 @@ mod tests {
 
     proptest! {
         #[test]
-        fn both_ends_choose_alike_from_any_ranges(
+        fn both_ends_choose_same_version_from_any_ranges(
             a: u16, b in any::<Option<u16>>(), c: u16, d in any::<Option<u16>>(),
         ) {
             let here = VersionRange { oldest: a, newest: b, since: None };
             let peer = VersionRange { oldest: c, newest: d, since: None };
-            let spoken = |range: VersionRange, version| (range.oldest()..=range.newest()).contains(&version);
+            let supports = |range: VersionRange, version| (range.oldest()..=range.newest()).contains(&version);
             match (here.highest_common(&peer), peer.highest_common(&here)) {
                 (Ok(version), other) => {
                     prop_assert_eq!(other, Ok(version));
-                    prop_assert!(spoken(here, version) && spoken(peer, version));
+                    prop_assert!(supports(here, version) && supports(peer, version));
                     prop_assert!(version == here.newest() || version == peer.newest());
                 }
                 (Err(_), other) => {

@@ -16,14 +16,14 @@ use crate::{clocks, generate, start};
 
 /// Nodes of an iteration.
 const NODES: u64 = 21;
-/// Iterations of a batch, which has about 100 kB then.
+/// Number of iterations per batch; such a batch has about 100 kB.
 const ITERATIONS: u64 = 240;
 /// Iterations per second.
 const HZ: u64 = 100;
 /// Every 1,000th iteration ends with a timeout.
-const LOST: u64 = 1_000;
-/// Number of short runs before the long one: one experiment of `CONFIGURATIONS` configurations with two repeats each.
-/// The pages' lists show them.
+const LOST_EVERY: u64 = 1_000;
+/// Number of short runs before the long run: one experiment of `CONFIGURATIONS` configurations with two repeats each. The
+/// pages' lists show these runs.
 const RUNS: u32 = 100;
 const CONFIGURATIONS: u32 = RUNS / 2;
 
@@ -50,14 +50,16 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
 
 /// The sending end of an event stream.
 struct Agent {
-    /// The edge host and the cloud host.
     socket: Socket,
+    /// The edge host and the cloud host.
     hosts: (HostId, HostId),
     stream: StreamId,
     chain: Chain,
+    /// Number of the newest batch that was sent.
     number: u64,
-    /// Sequence number of the newest batch sent; [`Self::stored`] is the newest acknowledged.
+    /// Number of events in all batches so far.
     events: u64,
+    /// Number of the newest batch that was acknowledged.
     stored: u64,
     window: u32,
     /// Source of the iterations' values.
@@ -115,15 +117,15 @@ impl Agent {
     /// second.
     async fn run(&mut self, nodes: u64, place: Option<ExperimentPlace>) {
         let run = RunId::random();
-        let began = self.second;
-        let mut events = vec![generate::run_started(run, "line", generate::at(began as f64))];
+        let start_s = self.second;
+        let mut events = vec![generate::run_started(run, "line", generate::at(start_s as f64))];
         if let Some(Event::RunStarted(description)) = events.first_mut() {
             description.experiment = place.map(Box::new);
         }
         for number in 1..=nodes.div_ceil(NODES) {
-            let at = generate::at(began as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
+            let at = generate::at(start_s as f64) + Span::from_seconds_f64(number as f64 / HZ as f64);
             let mut iteration = generate::iteration_at(run, number, self.hosts, at, &mut self.numbers);
-            if number.is_multiple_of(LOST) {
+            if number.is_multiple_of(LOST_EVERY) {
                 iteration.outcome = Outcome::Timeout(String::new());
                 events.push(Event::Incident(self.incident(run)));
             }
@@ -159,7 +161,7 @@ impl Agent {
             return;
         }
         while self.number >= self.stored + u64::from(self.window) {
-            self.acknowledged().await;
+            self.handle_acknowledgement().await;
         }
         self.number += 1;
         let body = generate::body(events);
@@ -178,12 +180,12 @@ impl Agent {
     /// Waits until all batches are acknowledged.
     async fn settle(&mut self) {
         while self.stored < self.number {
-            self.acknowledged().await;
+            self.handle_acknowledgement().await;
         }
     }
 
     /// Processes the next acknowledgement.
-    async fn acknowledged(&mut self) {
+    async fn handle_acknowledgement(&mut self) {
         match self.receive().await {
             ToAgent::Ack { stream, through, window } if stream == self.stream => {
                 (self.stored, self.window) = (through, window);

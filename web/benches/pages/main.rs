@@ -1,5 +1,5 @@
-//! Benchmark of whole pages and API resources on a large database, from the request to the compressed answer: a run of a
-//! million nodes is compared with a run of the given number of nodes. Both are ingested over ZeroMQ.
+//! Benchmark of whole pages and API resources on a large database, from the request to the compressed answer: a run
+//! with a million recorded tree nodes is compared with a run with the given number of nodes. Both are ingested over ZeroMQ.
 //!
 //! `cargo bench -p peernet-web --bench pages -- [NODES] [FOLDER]`: 100 million nodes take some minutes and about 6 GB.
 //! With `FOLDER`, the databases are kept there and used again by later runs.
@@ -25,36 +25,36 @@ use tokio_util::sync::CancellationToken;
 
 use crate::requests::{ResponseTimes, measure};
 
-/// Nodes of the small run; half of the large one if that is smaller.
-const SMALL: u64 = 1_000_000;
+/// Number of nodes of the small run; half of the large run's nodes if that is smaller.
+const SMALL_NODES: u64 = 1_000_000;
 
 #[tokio::main]
 async fn main() {
     let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-    let nodes: u64 = arguments.next().map_or(SMALL * 100, |word| word.parse().expect("a number of nodes"));
+    let nodes: u64 = arguments.next().map_or(SMALL_NODES * 100, |word| word.parse().expect("a number of nodes"));
     let scratch = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let folder = arguments.next().map_or_else(|| scratch.path().to_owned(), PathBuf::from);
     std::fs::create_dir_all(&folder).expect("a folder");
-    let few = SMALL.min(nodes / 2);
-    let small = answers(&folder, few).await;
-    let large = answers(&folder, nodes).await;
-    println!("\n| page | {few} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");
+    let small_nodes = SMALL_NODES.min(nodes / 2);
+    let small = measure_database(&folder, small_nodes).await;
+    let large = measure_database(&folder, nodes).await;
+    println!("\n| page | {small_nodes} nodes, median ms | max | {nodes} nodes, median ms | max | ratio |");
     println!("| --- | --- | --- | --- | --- | --- |");
-    for (less, more) in small.iter().zip(&large) {
+    for (small_times, large_times) in small.iter().zip(&large) {
         println!(
             "| {} | {:.2} | {:.2} | {:.2} | {:.2} | {:.2} |",
-            less.page,
-            less.median_ms,
-            less.max_ms,
-            more.median_ms,
-            more.max_ms,
-            more.median_ms / less.median_ms
+            small_times.page,
+            small_times.median_ms,
+            small_times.max_ms,
+            large_times.median_ms,
+            large_times.max_ms,
+            large_times.median_ms / small_times.median_ms
         );
     }
 }
 
 /// Measures all pages on a database of `nodes` nodes. Fills the database if it does not exist.
-async fn answers(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
+async fn measure_database(folder: &Path, nodes: u64) -> Vec<ResponseTimes> {
     let database = folder.join(format!("{nodes}.sqlite"));
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "pages")));
     if !database.exists() {

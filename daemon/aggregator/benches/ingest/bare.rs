@@ -1,5 +1,5 @@
-//! The bare loop, which the aggregator is compared with: it inserts the same rows in the order of their arrival with
-//! many rows per statement, and maintains no roll-ups.
+//! The bare loop, with which the aggregator is compared. It inserts the same rows in the order of their arrival, with many
+//! rows per statement, and maintains no roll-ups.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,10 +11,10 @@ use sqlx::{Arguments, AssertSqlSafe, ConnectOptions, Connection, Row, SqliteConn
 use crate::load::LoadPlan;
 use crate::report;
 
-/// Nodes per transaction: ten times the aggregator's default, so that the bare loop syncs seldom.
+/// Number of nodes per transaction: ten times the aggregator's default, so that the bare loop rarely syncs.
 const COMMIT_NODES: usize = 100_000;
-/// Rows per statement.
-const ROWS: usize = 1_000;
+/// Number of rows that one statement inserts.
+const ROWS_PER_STATEMENT: usize = 1_000;
 /// Tables that are copied.
 const TABLES: [&str; 4] = ["iteration", "node", "anchor", "transit"];
 
@@ -34,7 +34,7 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
             let row = format!("({})", vec!["?"; rows[0].len()].join(","));
             format!("INSERT INTO {table} VALUES {}", vec![row.as_str(); count].join(",")).into()
         };
-        tables.push((statement(ROWS), statement(rows.len() % ROWS), rows));
+        tables.push((statement(ROWS_PER_STATEMENT), statement(rows.len() % ROWS_PER_STATEMENT), rows));
     }
     let nodes = tables[1].2.len();
     let mut target = SqliteConnectOptions::new()
@@ -53,21 +53,22 @@ pub(crate) async fn run(from: &Path, to: &Path, plan: &LoadPlan) {
     sqlx::migrate!("../../migrations").run_direct(None, &mut target, false).await.expect("makes the schema");
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", "bare")));
     let transactions = nodes.div_ceil(COMMIT_NODES);
-    let began = clock.mono();
-    for at in 0..transactions {
+    let started_at = clock.mono();
+    for index in 0..transactions {
         sqlx::query("BEGIN").execute(&mut target).await.expect("begins");
-        for (full, rest, rows) in &tables {
+        for (full_statement, last_statement, rows) in &tables {
             // Parts are cut at whole statements so that each of the two statements is prepared once.
-            let statements = rows.len().div_ceil(ROWS);
-            let share = |at: usize| rows.len().min(statements * at / transactions * ROWS);
-            for part in rows[share(at)..share(at + 1)].chunks(ROWS) {
-                let sql = if part.len() == ROWS { full } else { rest };
+            let statements = rows.len().div_ceil(ROWS_PER_STATEMENT);
+            let part_start =
+                |index: usize| rows.len().min(statements * index / transactions * ROWS_PER_STATEMENT);
+            for part in rows[part_start(index)..part_start(index + 1)].chunks(ROWS_PER_STATEMENT) {
+                let sql = if part.len() == ROWS_PER_STATEMENT { full_statement } else { last_statement };
                 insert(&mut target, sql, part).await;
             }
         }
         sqlx::query("COMMIT").execute(&mut target).await.expect("commits");
     }
-    report((clock.mono() - began).seconds());
+    report((clock.mono() - started_at).seconds());
     target.close().await.expect("closes");
 }
 
@@ -98,13 +99,13 @@ enum SqlValue {
 /// Returns the values of a row's columns.
 fn row_values(row: &SqliteRow) -> Vec<SqlValue> {
     (0..row.len())
-        .map(|at| {
-            let raw = row.try_get_raw(at).expect("a column");
+        .map(|index| {
+            let raw = row.try_get_raw(index).expect("a column");
             match raw.type_info().name() {
                 _ if raw.is_null() => SqlValue::Null,
-                "INTEGER" => SqlValue::Integer(row.get(at)),
-                "REAL" => SqlValue::Real(row.get(at)),
-                _ => SqlValue::Text(row.get(at)),
+                "INTEGER" => SqlValue::Integer(row.get(index)),
+                "REAL" => SqlValue::Real(row.get(index)),
+                _ => SqlValue::Text(row.get(index)),
             }
         })
         .collect()

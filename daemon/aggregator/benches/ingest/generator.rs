@@ -39,38 +39,39 @@ pub(crate) async fn run(address: &str, plan: &LoadPlan, speed: Option<f64>) {
         let ToAgent::Welcome { window, .. } = receive(&socket).await else { panic!("not welcome") };
         agents.push((socket, load, window));
     }
-    let every = speed.map_or(Duration::ZERO, |speed| Duration::from_secs_f64(plan.batch_s() / speed));
-    let began = clock.mono();
+    let batch_interval =
+        speed.map_or(Duration::ZERO, |speed| Duration::from_secs_f64(plan.batch_s() / speed));
+    let started_at = clock.mono();
     let tasks: Vec<_> = agents
         .into_iter()
-        .map(|(socket, load, window)| tokio::spawn(send(socket, load, window, every)))
+        .map(|(socket, load, window)| tokio::spawn(send(socket, load, window, batch_interval)))
         .collect();
     for task in tasks {
         task.await.expect("sends everything");
     }
-    report((clock.mono() - began).seconds());
+    report((clock.mono() - started_at).seconds());
 }
 
-/// Keeps a window's worth of batches in flight until all are acknowledged. Continues at an earlier batch where the
-/// aggregator requests one.
-async fn send(socket: Socket, load: Load, mut window: u32, every: Duration) {
-    let began = Instant::now();
+/// Keeps as many batches in flight as the window allows, until all are acknowledged. If the aggregator requests an earlier
+/// batch, continues from it.
+async fn send(socket: Socket, load: Load, mut window: u32, batch_interval: Duration) {
+    let started_at = Instant::now();
     let (mut next, mut stored) = (0, 0);
     while stored < load.frames.len() {
-        let room = u64::from(window.min(WINDOW)) * BATCH_BYTES;
-        let allowed = stored + load.within(stored, room);
-        while next < allowed && began + every * next as u32 <= Instant::now() {
+        let window_bytes = u64::from(window.min(WINDOW)) * BATCH_BYTES;
+        let send_end = stored + load.count_within(stored, window_bytes);
+        while next < send_end && started_at + batch_interval * next as u32 <= Instant::now() {
             socket.send(Message::single(load.frames[next].clone())).await.expect("sends");
             next += 1;
         }
-        let due = began + every * next as u32;
+        let due_at = started_at + batch_interval * next as u32;
         let received = tokio::select! {
             received = receive(&socket) => received,
-            () = sleep_until(due), if next < allowed => continue,
+            () = sleep_until(due_at), if next < send_end => continue,
         };
         match received {
-            ToAgent::Ack { stream, through, window: now } if stream == load.stream => {
-                (stored, window) = (through as usize, now);
+            ToAgent::Ack { stream, through, window: new_window } if stream == load.stream => {
+                (stored, window) = (through as usize, new_window);
             }
             ToAgent::Resend { from, .. } => next = from as usize - 1,
             other => panic!("unexpected {other:?}"),

@@ -42,14 +42,14 @@ pub(crate) struct Load {
 }
 
 impl Load {
-    /// Returns how many batches from index `from` on may be in flight together if the window has `room` bytes; at least
+    /// Returns how many batches from index `from` on may be in flight together if the window has `window_bytes` bytes; at least
     /// one.
-    pub(crate) fn within(&self, from: usize, mut room: u64) -> usize {
+    pub(crate) fn count_within(&self, from: usize, mut window_bytes: u64) -> usize {
         let waiting = self.frames[from..].iter().take(MAX_IN_FLIGHT_BATCHES);
         let fits = |frame: &Bytes| {
-            let rest = room.checked_sub(batch_weight(frame.len()));
-            room = rest.unwrap_or(0);
-            rest.is_some()
+            let remaining = window_bytes.checked_sub(batch_weight(frame.len()));
+            window_bytes = remaining.unwrap_or(0);
+            remaining.is_some()
         };
         waiting.map(fits).take_while(|fits| *fits).count().max(1)
     }
@@ -59,10 +59,10 @@ impl LoadPlan {
     /// Plans about `nodes` nodes of all agents together. The target rate is 500,000 nodes/s, and 350,000 with 1,000
     /// agents or more.
     pub(crate) fn new(agents: u64, nodes: u64) -> Self {
-        let aim = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
-        let every_s = NODES as f64 * agents as f64 / aim;
-        let by_age = (BATCH_AGE_S / every_s) as u64;
-        let iterations = by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
+        let target_rate = if agents >= 1_000 { 350_000.0 } else { 500_000.0 };
+        let every_s = NODES as f64 * agents as f64 / target_rate;
+        let iterations_by_age = (BATCH_AGE_S / every_s) as u64;
+        let iterations = iterations_by_age.clamp(1, (BATCH_NODES / NODES).min(BATCH_BYTES / ITERATION_BYTES));
         let batches = nodes.div_ceil(agents * iterations * NODES);
         Self { agents, batches, iterations, every_s }
     }
@@ -86,13 +86,13 @@ impl LoadPlan {
         let mut frames = Vec::new();
         let mut longest = 0;
         for number in 1..=self.batches {
-            let first = (number == 1).then(|| generate::run_started(run, "line", start));
+            let run_start = (number == 1).then(|| generate::run_started(run, "line", start));
             let numbers = (number - 1) * self.iterations + 1..=number * self.iterations;
             let iterations = numbers.map(|n| {
                 let at = start + peernet_clock::Span::from_seconds_f64(n as f64 * self.every_s);
                 Event::Iteration(generate::iteration_at(run, n, (host, cloud), at, &mut random))
             });
-            let events: Vec<Event> = first.into_iter().chain(iterations).collect();
+            let events: Vec<Event> = run_start.into_iter().chain(iterations).collect();
             let body = generate::body(&events);
             let count = events.len() as u32;
             let chain = before.next(count, &body);

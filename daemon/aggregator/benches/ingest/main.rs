@@ -25,9 +25,9 @@ use crate::load::LoadPlan;
 
 #[tokio::main]
 async fn main() {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|it| it != "--bench").collect();
-    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    match words.as_slice() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|argument| argument != "--bench").collect();
+    let arguments_as_text: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match arguments_as_text.as_slice() {
         ["server", database, commit_nodes] => server::run(Path::new(database), number(commit_nodes)).await,
         ["generator", address, agents, nodes] => {
             generator::run(address, &LoadPlan::new(number(agents), number(nodes)), None).await;
@@ -40,11 +40,11 @@ async fn main() {
             let plan = LoadPlan::new(number(agents), number(nodes));
             bare::run(Path::new(from), Path::new(to), &plan).await;
         }
-        words => {
-            let numbers: Vec<u64> = words.iter().map(|word| number(word)).collect();
+        arguments_as_text => {
+            let numbers: Vec<u64> = arguments_as_text.iter().map(|word| number(word)).collect();
             let (nodes, rounds) = (numbers.first().unwrap_or(&4_000_000), numbers.get(1).unwrap_or(&3));
             let agents = numbers.get(2..).filter(|agents| !agents.is_empty()).unwrap_or(&[1, 10, 1_000]);
-            table(*nodes, *rounds, agents).await;
+            run_rounds(*nodes, *rounds, agents).await;
         }
     }
 }
@@ -54,7 +54,7 @@ fn number(word: &str) -> u64 {
 }
 
 /// Runs all rounds and prints the table of results.
-async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
+async fn run_rounds(nodes: u64, rounds: u64, agents: &[u64]) {
     let commit_nodes = std::env::var("COMMIT_NODES").unwrap_or_else(|_| "0".to_owned());
     for agents in agents {
         let plan = LoadPlan::new(*agents, nodes);
@@ -65,21 +65,26 @@ async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
         );
         for round in 1..=rounds {
             let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
-            let (ours, bare) = (folder.path().join("aggregator.sqlite"), folder.path().join("bare.sqlite"));
+            let (aggregator_database, bare) =
+                (folder.path().join("aggregator.sqlite"), folder.path().join("bare.sqlite"));
             let (agents, nodes) = (agents.to_string(), nodes.to_string());
-            let mut server = Role::start(&["server", text(&ours), &commit_nodes]);
+            let mut server = Role::start(&["server", path_text(&aggregator_database), &commit_nodes]);
             let address = server.line();
             let mut generator = Role::start(&["generator", &address, &agents, &nodes]);
             let seconds: f64 = generator.line().parse().expect("seconds");
             generator.end();
             let peak = server.peak_kib() as f64 / 1024.0;
             server.end();
-            let mut loop_of_inserts = Role::start(&["bare", text(&ours), text(&bare), &agents, &nodes]);
-            let bare_seconds: f64 = loop_of_inserts.line().parse().expect("seconds");
-            loop_of_inserts.end();
-            let stored = one(&ours, "SELECT count(*) FROM node").await;
-            let bytes =
-                one(&ours, "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size").await;
+            let mut bare_loop =
+                Role::start(&["bare", path_text(&aggregator_database), path_text(&bare), &agents, &nodes]);
+            let bare_seconds: f64 = bare_loop.line().parse().expect("seconds");
+            bare_loop.end();
+            let stored = query_number(&aggregator_database, "SELECT count(*) FROM node").await;
+            let bytes = query_number(
+                &aggregator_database,
+                "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size",
+            )
+            .await;
             let (rate, bare_rate) = (stored as f64 / seconds, stored as f64 / bare_seconds);
             println!(
                 "{round:>5}  {rate:>18.0}  {bare_rate:>17.0}  {:>5.2}  {:>10.1}  {peak:>9.0}  {:>4}",
@@ -91,12 +96,12 @@ async fn table(nodes: u64, rounds: u64, agents: &[u64]) {
     }
 }
 
-fn text(path: &Path) -> &str {
+fn path_text(path: &Path) -> &str {
     path.to_str().expect("a path of text")
 }
 
 /// Runs a query and returns its only value.
-async fn one(database: &Path, sql: &'static str) -> i64 {
+async fn query_number(database: &Path, sql: &'static str) -> i64 {
     let options = SqliteConnectOptions::new().filename(database);
     let mut connection = options.connect().await.expect("opens");
     sqlx::query(sql).fetch_one(&mut connection).await.expect("reads").get(0)
@@ -147,5 +152,5 @@ impl Role {
 /// Reports a line to the parent process.
 fn report(line: impl std::fmt::Display) {
     println!("{line}");
-    std::io::stdout().flush().expect("the one who started this reads");
+    std::io::stdout().flush().expect("the parent process reads");
 }

@@ -2,10 +2,10 @@
 //! (group commit).
 //!
 //! A commit of any size costs one sync of the disk. A group consists of the batches that arrived while the
-//! previous commit was syncing, so that groups grow with the load. A batch of few nodes waits up to
-//! `commit_interval_ms` for others, so that a quiet system does not sync at each batch. A group of `commit_nodes` makes
-//! the sync a small part of its cost; it does not wait longer, because its agents may have used up their windows and
-//! wait for this commit.
+//! previous commit was syncing, so that groups grow with the load. A group of few tree nodes (rows) waits up to
+//! `commit_interval_ms` for more batches, so that a quiet system does not sync at each batch. For a group of
+//! `commit_nodes` nodes the sync is a small part of the cost. Such a group does not wait for more batches: its agents
+//! may have used up their windows and may be waiting for this commit.
 //!
 //! Agents get their acknowledgements only after the commit. Nothing in this task waits for an agent.
 
@@ -37,13 +37,13 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
 const MAX_WAL_BYTES: u64 = 128 << 20;
 
-/// Largest number of nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
+/// Largest number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.
 const MAX_COMMIT_NODES: usize = 100_000;
 
 /// Number of commits after which expired data is deleted even if work is waiting.
 const COMMITS_PER_RETENTION: u64 = 8;
 
-/// Limits at which a group is committed.
+/// Limits at which a group is committed. Nodes are tree nodes (see [`Work::weight`]).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Grouping {
     /// Longest time that the first batch of a group waits for others.
@@ -83,7 +83,7 @@ pub(crate) enum StoreEvent {
 pub(crate) struct TaskContext {
     pub(crate) queue: mpsc::Receiver<PreparedWork>,
     pub(crate) requests: mpsc::Receiver<WriterRequest>,
-    pub(crate) stored: mpsc::Sender<StoreEvent>,
+    pub(crate) store_events: mpsc::Sender<StoreEvent>,
     pub(crate) readiness: watch::Sender<Readiness>,
     /// Snapshots of the live state, the source of the connections' statistics.
     pub(crate) snapshots: watch::Receiver<Arc<LiveState>>,
@@ -106,7 +106,7 @@ struct WriterState {
     /// Number of times that the database was reopened.
     generation: u64,
     /// Hosts whose goodbye could not be stored yet.
-    departed: Vec<HostId>,
+    departed_hosts: Vec<HostId>,
     backoff: Backoff,
     /// Incidents of the aggregator itself.
     incidents: PendingIncidents,
@@ -154,7 +154,7 @@ pub(crate) async fn run(
     let incidents = PendingIncidents::new(context.clock.stamp());
     let mut state = WriterState {
         generation: 0,
-        departed: Vec::new(),
+        departed_hosts: Vec::new(),
         backoff: Backoff::new(),
         incidents,
         connections: ConnectionLog::default(),
@@ -184,11 +184,12 @@ async fn serve(
     let mut check_interval = tokio::time::interval(CHECK_INTERVAL);
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // Retention starts at once: limits may have changed while the aggregator was stopped.
-    let (mut commits, mut more) = (0_u64, Step::More);
-    let mut damaged = false;
+    let (mut commits, mut retention_step) = (0_u64, Step::More);
+    // Whether damage was known at the previous check.
+    let mut was_damaged = false;
     loop {
         let mut group = Vec::new();
-        if state.departed.is_empty() {
+        if state.departed_hosts.is_empty() {
             let first = tokio::select! {
                 // Requests come first: they are rare, and their senders wait for the answer.
                 biased;
@@ -198,35 +199,35 @@ async fn serve(
                 }
                 first = context.queue.recv() => first,
                 // Retention runs only while no work waits.
-                () = std::future::ready(()), if more == Step::More => {
-                    more = retain(writer, context).await;
+                () = std::future::ready(()), if retention_step == Step::More => {
+                    retention_step = retain(writer, context).await;
                     continue;
                 }
                 _ = check_interval.tick() => {
                     match check_and_maintain(writer, context, state).await {
-                        Ok(()) if damaged => set_readiness(&context.readiness, Readiness::Ready),
+                        Ok(()) if was_damaged => set_readiness(&context.readiness, Readiness::Ready),
                         Ok(()) => {}
                         Err(error @ CommitError::Damaged(_)) => {
                             set_readiness(&context.readiness, readiness_after(&error));
                         }
                         Err(error) => return ServeEnd::Failed(error),
                     }
-                    damaged = context.integrity.damage().is_some();
-                    more = Step::More;
+                    was_damaged = context.integrity.damage().is_some();
+                    retention_step = Step::More;
                     continue;
                 }
             };
             let Some(first) = first else { return ServeEnd::Finished };
             // Time in the queue counts towards the interval.
-            let waited = (context.clock.mono() - first.since).to_duration();
+            let waited = (context.clock.mono() - first.admitted_at).to_duration();
             group = collect_group(first, &mut context.queue, waited, grouping).await;
             // Dropped after grouping, so that a reopening needs no search through the queue.
             group.retain(|queued| state.is_current(queued));
         }
-        let mut work: Vec<Work> = state.departed.drain(..).map(Work::Goodbye).collect();
-        let (works, capacity): (Vec<Work>, Vec<_>) =
-            group.into_iter().map(|it| (it.work, it.capacity)).unzip();
-        work.extend(works);
+        let mut work: Vec<Work> = state.departed_hosts.drain(..).map(Work::Goodbye).collect();
+        let (group_work, capacity): (Vec<Work>, Vec<_>) =
+            group.into_iter().map(|prepared| (prepared.work, prepared.capacity)).unzip();
+        work.extend(group_work);
         if work.is_empty() {
             continue;
         }
@@ -236,16 +237,16 @@ async fn serve(
             Err(error) => {
                 // Agents send batches again, but not a goodbye, so it is kept for the reopened database.
                 let departed_host = |work| if let Work::Goodbye(host) = work { Some(host) } else { None };
-                state.departed = work.into_iter().filter_map(departed_host).collect();
+                state.departed_hosts = work.into_iter().filter_map(departed_host).collect();
                 return ServeEnd::Failed(error);
             }
         }
         // Frees the capacity of the queue before retention, which may take long.
         drop((work, capacity));
         commits += 1;
-        more = Step::More;
+        retention_step = Step::More;
         if commits.is_multiple_of(COMMITS_PER_RETENTION) {
-            more = retain(writer, context).await;
+            retention_step = retain(writer, context).await;
             match check_and_maintain(writer, context, state).await {
                 // The next commit reports the damage.
                 Ok(()) | Err(CommitError::Damaged(_)) => {}
@@ -255,8 +256,8 @@ async fn serve(
     }
 }
 
-/// Checks that the file is still at its path, which is needed also while nothing is stored. Stores the clocks and the
-/// connections' statistics, and truncates SQLite's log if it is too long.
+/// Checks that the file is still at its path; this check is needed also while nothing is stored. Stores the readings of
+/// the clocks and the connections' statistics, and truncates SQLite's -wal file if it is too large.
 ///
 /// # Errors
 /// If the database has to be reopened, or is damaged.
@@ -268,7 +269,7 @@ async fn check_and_maintain(
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;
     let maintained = async {
-        writer.keep_clocks(context.clock.stamp(), &mut state.incidents).await?;
+        writer.store_clock_readings(context.clock.stamp(), &mut state.incidents).await?;
         let connections = state.connections.observe(&context.snapshots.borrow(), context.clock.mono());
         if !connections.is_empty() {
             writer.store_connections(&connections).await?;
@@ -288,7 +289,7 @@ async fn retain(writer: &mut Writer, context: &TaskContext) -> Step {
         return Step::Done;
     }
     writer.retain(context.clock.stamp()).await.unwrap_or_else(|error| {
-        context.integrity.note(&error);
+        context.integrity.record_if_damage(&error);
         tracing::warn!(%error, "cannot delete expired data; the deletion is retried");
         Step::Done
     })
@@ -307,14 +308,14 @@ async fn store(
 ) -> Result<bool, CommitError> {
     loop {
         let error = match commit(writer, work, context).await {
-            Ok(stored) => {
+            Ok(committed) => {
                 state.record_success(context.clock.stamp());
                 set_readiness(&context.readiness, Readiness::Ready);
-                for (head, reason) in &stored.quarantined {
+                for (head, reason) in &committed.quarantined {
                     tracing::error!(host = %head.host, number = head.number, %reason, "a batch was quarantined");
                 }
                 // The receiver is closed only while the aggregator ends.
-                let _ended = context.stored.send(StoreEvent::Committed(stored)).await;
+                let _ended = context.store_events.send(StoreEvent::Committed(committed)).await;
                 return Ok(true);
             }
             Err(error) => error,
@@ -329,11 +330,11 @@ async fn store(
         state.record_failure(&error, context.clock.stamp());
         set_readiness(&context.readiness, readiness_after(&error));
         // Requests are answered during the pause, too.
-        let again = tokio::time::sleep(state.backoff.next());
-        tokio::pin!(again);
+        let pause = tokio::time::sleep(state.backoff.next());
+        tokio::pin!(pause);
         loop {
             tokio::select! {
-                () = &mut again => break,
+                () = &mut pause => break,
                 () = context.stop.cancelled() => break,
                 Some(request) = context.requests.recv() => {
                     execute_request(writer, request, &context.integrity).await;
@@ -350,7 +351,7 @@ async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Re
     ensure_undamaged(&context.integrity)?;
     let committed = writer.commit(work, context.clock.stamp()).await;
     if let Err(CommitError::Database(error)) = &committed {
-        context.integrity.note(error);
+        context.integrity.record_if_damage(error);
     }
     // A group committed while damage was found is not acknowledged, so that the agents keep it.
     ensure_undamaged(&context.integrity)?;
@@ -366,9 +367,9 @@ fn ensure_undamaged(integrity: &Integrity) -> Result<(), CommitError> {
 async fn execute_request(writer: &mut Writer, request: WriterRequest, integrity: &Integrity) {
     match request {
         WriterRequest::Pin(run, pinned, answer) => {
-            let answered = writer.pin(run, pinned, integrity).await;
+            let result = writer.pin(run, pinned, integrity).await;
             // The requester may have been dropped.
-            let _gone = answer.send(answered);
+            let _gone = answer.send(result);
         }
     }
 }
@@ -389,8 +390,8 @@ pub(super) fn not_storing(error: &impl Display) -> Readiness {
 }
 
 /// Collects the group that begins with `first`: the work that is ready, and work that arrives until `first` has waited
-/// for `grouping.interval` since its admission. Under load `first` has waited during the previous commit, so that the
-/// group waits for nothing. Neither does a group of `grouping.min_nodes` nodes.
+/// for `grouping.interval` since its admission. Under load `first` has waited that long already during the previous
+/// commit, so that the group waits no longer. A group of `grouping.min_nodes` nodes also waits no longer.
 async fn collect_group(
     first: PreparedWork,
     queue: &mut mpsc::Receiver<PreparedWork>,
@@ -419,16 +420,16 @@ async fn collect_group(
 }
 
 /// Sets the readiness and logs each change once.
-pub(super) fn set_readiness(readiness: &watch::Sender<Readiness>, now: Readiness) {
+pub(super) fn set_readiness(readiness: &watch::Sender<Readiness>, current: Readiness) {
     readiness.send_if_modified(|previous| {
-        if *previous == now {
+        if *previous == current {
             return false;
         }
-        match &now {
+        match &current {
             Readiness::Ready => tracing::info!("storing events again"),
             Readiness::NotStoring(reason) => tracing::warn!("{reason}"),
         }
-        *previous = now;
+        *previous = current;
         true
     });
 }
@@ -440,60 +441,62 @@ mod tests {
 
     use super::*;
 
-    const EVER: Duration = Duration::from_secs(3600);
+    const LONG: Duration = Duration::from_secs(3600);
 
-    /// Work that weighs one node.
-    fn piece() -> PreparedWork {
+    /// Returns work that weighs one node.
+    fn work_of_one_node() -> PreparedWork {
         let capacity = Arc::new(Semaphore::new(2));
         let permit = || Arc::clone(&capacity).try_acquire_owned().expect("a permit");
         PreparedWork {
             work: Work::Goodbye(HostId::random()),
             generation: 0,
-            since: MonoTime::from_nanos(0),
+            admitted_at: MonoTime::from_nanos(0),
             capacity: [permit(), permit()],
         }
     }
 
-    async fn waiting(pieces: usize) -> (mpsc::Sender<PreparedWork>, mpsc::Receiver<PreparedWork>) {
+    /// Returns a queue in which `count` items of one node wait.
+    async fn queue_with(count: usize) -> (mpsc::Sender<PreparedWork>, mpsc::Receiver<PreparedWork>) {
         let (sender, receiver) = mpsc::channel(16);
-        for _ in 0..pieces {
-            sender.send(piece()).await.expect("there is room");
+        for _ in 0..count {
+            sender.send(work_of_one_node()).await.expect("there is room");
         }
         (sender, receiver)
     }
 
     #[tokio::test]
     async fn large_group_takes_ready_work_without_waiting() {
-        let (_more_may_come, mut queue) = waiting(4).await;
-        let grouping = Grouping { interval: EVER, min_nodes: 2, max_nodes: 100 };
-        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
+        let (_open_sender, mut queue) = queue_with(4).await;
+        let grouping = Grouping { interval: LONG, min_nodes: 2, max_nodes: 100 };
+        assert_eq!(collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await.len(), 5);
     }
 
     #[tokio::test]
     async fn small_group_waits_until_large_enough() {
-        let (sender, mut queue) = waiting(1).await;
-        let grouping = Grouping { interval: EVER, min_nodes: 4, max_nodes: 100 };
-        let group =
-            tokio::spawn(async move { collect_group(piece(), &mut queue, Duration::ZERO, grouping).await });
+        let (sender, mut queue) = queue_with(1).await;
+        let grouping = Grouping { interval: LONG, min_nodes: 4, max_nodes: 100 };
+        let group = tokio::spawn(async move {
+            collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await
+        });
         tokio::task::yield_now().await;
         assert!(!group.is_finished());
         for _ in 0..2 {
-            sender.send(piece()).await.expect("it takes");
+            sender.send(work_of_one_node()).await.expect("there is room");
         }
         assert_eq!(group.await.expect("gathers").len(), 4);
     }
 
     #[tokio::test]
     async fn group_is_committed_after_interval_however_small() {
-        let (_more_may_come, mut queue) = waiting(1).await;
-        let grouping = Grouping { interval: EVER, min_nodes: 100, max_nodes: 100 };
-        assert_eq!(collect_group(piece(), &mut queue, EVER, grouping).await.len(), 2);
+        let (_open_sender, mut queue) = queue_with(1).await;
+        let grouping = Grouping { interval: LONG, min_nodes: 100, max_nodes: 100 };
+        assert_eq!(collect_group(work_of_one_node(), &mut queue, LONG, grouping).await.len(), 2);
     }
 
     #[tokio::test]
-    async fn group_is_limited_to_most_nodes() {
-        let (_more_may_come, mut queue) = waiting(10).await;
-        let grouping = Grouping { interval: EVER, min_nodes: 2, max_nodes: 6 };
-        assert_eq!(collect_group(piece(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
+    async fn group_is_limited_to_max_nodes() {
+        let (_open_sender, mut queue) = queue_with(10).await;
+        let grouping = Grouping { interval: LONG, min_nodes: 2, max_nodes: 6 };
+        assert_eq!(collect_group(work_of_one_node(), &mut queue, Duration::ZERO, grouping).await.len(), 6);
     }
 }

@@ -17,12 +17,12 @@ use crate::live_state::LiveState;
 const INTERVAL: Span = Span::from_seconds(60);
 
 /// Identity of a connection: edge, cloud, pipeline, network name and the edge's local address.
-type Key = (HostId, HostId, Slug, NetworkName, Option<String>);
+type ConnectionKey = (HostId, HostId, Slug, NetworkName, Option<String>);
 
 /// The open connections with their latest statistics.
 #[derive(Debug, Default)]
 pub(super) struct ConnectionLog {
-    open: HashMap<Key, OpenConnection>,
+    open: HashMap<ConnectionKey, OpenConnection>,
 }
 
 /// An open connection.
@@ -36,26 +36,26 @@ struct OpenConnection {
 impl ConnectionLog {
     /// Updates the open connections from a snapshot. Returns the samples to be stored.
     pub(super) fn observe(&mut self, snapshot: &LiveState, now: MonoTime) -> Vec<ConnectionSample> {
-        let mut due = Vec::new();
-        let mut before = std::mem::take(&mut self.open);
+        let mut due_samples = Vec::new();
+        let mut previously_open = std::mem::take(&mut self.open);
         for link in snapshot.links.iter().filter(|link| link.connected) {
             for connection in &link.live.connections {
                 let (edge, cloud) = (link.edge, link.live.peer);
                 let (pipeline, network) = (connection.pipeline.clone(), connection.network.clone());
                 let key = (edge, cloud, pipeline, network, connection.local.clone());
-                let mut stored_at = before.remove(&key).map_or(now, |known| known.stored_at);
+                let mut stored_at = previously_open.remove(&key).map_or(now, |previous| previous.stored_at);
                 let sample =
                     ConnectionSample { edge, cloud, at: link.live.now.at, connection: connection.clone() };
                 if now - stored_at >= INTERVAL {
                     stored_at = now;
-                    due.push(sample.clone());
+                    due_samples.push(sample.clone());
                 }
                 self.open.insert(key, OpenConnection { sample, stored_at });
             }
         }
-        // The rest has ended: the snapshot does not contain these connections any more.
-        due.extend(before.into_values().map(|ended| ended.sample));
-        due
+        // The remaining connections have ended: the snapshot does not contain them any more.
+        due_samples.extend(previously_open.into_values().map(|ended| ended.sample));
+        due_samples
     }
 }
 

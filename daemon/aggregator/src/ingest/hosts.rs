@@ -115,14 +115,14 @@ impl Hosts {
     }
 
     /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
-    /// have cleared it. At most once per `CHECK_INTERVAL`.
+    /// have cleared it. Returns `true` at most once per `CHECK_INTERVAL`, and never for a host that is not stored.
     pub(super) fn needs_secret_check(&mut self, host: HostId, now: MonoTime) -> bool {
         let Some(stored) = self.stored.get_mut(&host) else { return false };
-        let due = stored.secret_read_at.is_none_or(|at| now - at >= CHECK_INTERVAL);
-        if due {
+        let is_due = stored.secret_read_at.is_none_or(|at| now - at >= CHECK_INTERVAL);
+        if is_due {
             stored.secret_read_at = Some(now);
         }
-        due
+        is_due
     }
 
     /// Replaces the host's secret by the one in the database.
@@ -133,7 +133,8 @@ impl Hosts {
     }
 
     /// Adds a host of which nothing is stored. Findings of an earlier hello of the same stream are kept. Returns the
-    /// newcomer that was dropped for it.
+    /// newcomer that was dropped: the host's earlier entry if it has another stream, or the oldest newcomer if there are
+    /// too many.
     pub(super) fn add_newcomer(
         &mut self,
         introduction: Introduction,
@@ -142,21 +143,21 @@ impl Hosts {
         let host = introduction.host.id;
         self.arrival_number += 1;
         let mut newcomer = Newcomer { introduction, missing, arrival_number: self.arrival_number };
-        let before = self.newcomers.remove(&host);
+        let earlier_entry = self.newcomers.remove(&host);
         let mut dropped_newcomer = None;
-        match before {
+        match earlier_entry {
             // Findings of the first hello would otherwise be lost: later hellos do not report them again.
-            Some(before) if before.introduction.stream == newcomer.introduction.stream => {
-                let (new, old) = (&mut newcomer.introduction, before.introduction);
+            Some(earlier) if earlier.introduction.stream == newcomer.introduction.stream => {
+                let (new, old) = (&mut newcomer.introduction, earlier.introduction);
                 new.replaced = new.replaced.or(old.replaced);
                 new.missing_previous = new.missing_previous.or(old.missing_previous);
-                newcomer.missing = newcomer.missing.or(before.missing);
+                newcomer.missing = newcomer.missing.or(earlier.missing);
             }
-            Some(before) => dropped_newcomer = Some(before),
+            Some(earlier) => dropped_newcomer = Some(earlier),
             None if self.newcomers.len() >= self.max_hosts => {
-                let first = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
-                let first = first.map(|(host, _)| *host);
-                dropped_newcomer = first.and_then(|first| self.newcomers.remove(&first));
+                let oldest = self.newcomers.iter().min_by_key(|(_, newcomer)| newcomer.arrival_number);
+                let oldest = oldest.map(|(host, _)| *host);
+                dropped_newcomer = oldest.and_then(|oldest| self.newcomers.remove(&oldest));
             }
             None => {}
         }
@@ -164,7 +165,8 @@ impl Hosts {
         dropped_newcomer
     }
 
-    /// Turns a newcomer into a stored host, because its first batch is about to be stored.
+    /// Turns a newcomer into a stored host, because its first batch is about to be stored. Returns `None` if the host is
+    /// no newcomer.
     pub(super) fn promote_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
         let seniority = self.stored.values().map(|host| host.seniority + 1).max().unwrap_or(0);
@@ -178,9 +180,9 @@ impl Hosts {
         self.newcomers.remove(&host)
     }
 
-    /// Returns the newcomers for which `gone` is true.
-    pub(super) fn select_newcomers(&self, gone: impl Fn(HostId) -> bool) -> Vec<HostId> {
-        self.newcomers.keys().copied().filter(|host| gone(*host)).collect()
+    /// Returns the newcomers for which `predicate` is true.
+    pub(super) fn select_newcomers(&self, predicate: impl Fn(HostId) -> bool) -> Vec<HostId> {
+        self.newcomers.keys().copied().filter(|host| predicate(*host)).collect()
     }
 }
 
@@ -216,22 +218,23 @@ mod tests {
     #[test]
     fn invented_hosts_take_no_memory() {
         let mut hosts = Hosts::new(1_000, Vec::new());
-        let gone = (0..20_000).filter(|_| hosts.add_newcomer(introduction(HostId::random()), None).is_some());
-        assert_eq!(gone.count(), 19_000);
+        let dropped =
+            (0..20_000).filter(|_| hosts.add_newcomer(introduction(HostId::random()), None).is_some());
+        assert_eq!(dropped.count(), 19_000);
         assert_eq!((hosts.newcomers.len(), hosts.stored.len()), (1_000, 0));
     }
 
     #[test]
-    fn new_host_is_refused_when_full_and_known_ones_never() {
-        let known = HostId::random();
-        let mut hosts = Hosts::new(2, vec![(known, None)]);
+    fn full_table_refuses_new_host_but_no_stored_host() {
+        let first = HostId::random();
+        let mut hosts = Hosts::new(2, vec![(first, None)]);
         let second = HostId::random();
         assert_eq!(hosts.limit_refusal(second), None);
         hosts.add_newcomer(introduction(second), None);
-        assert!(hosts.promote_newcomer(second).is_some() && hosts.seniority(known) < hosts.seniority(second));
+        assert!(hosts.promote_newcomer(second).is_some() && hosts.seniority(first) < hosts.seniority(second));
         let refusal = hosts.limit_refusal(HostId::random()).expect("it is full");
         assert!(refusal.contains("max_hosts"), "{refusal}");
-        assert_eq!((hosts.limit_refusal(known), hosts.limit_refusal(second)), (None, None));
+        assert_eq!((hosts.limit_refusal(first), hosts.limit_refusal(second)), (None, None));
     }
 
     #[test]

@@ -1,8 +1,9 @@
 //! The stage between the socket and the writer: reads events and turns them into rows while SQLite works on the
 //! previous group.
 //!
-//! Preparing depends on its input only, so it runs in parallel with SQLite's thread. One thread is enough, and it keeps
-//! the order of batches: it needs a fraction of the time that SQLite needs for a batch.
+//! Preparing depends only on its input, so it runs in parallel with SQLite's thread. One thread is enough, because
+//! preparing a batch takes a fraction of the time that SQLite needs for the batch. One thread also keeps the order of
+//! the batches.
 
 use std::sync::Arc;
 
@@ -16,14 +17,15 @@ use peernet_store::writing::Work;
 /// Largest number of prepared items. Their nodes are limited, too.
 const MAX_PREPARED_ITEMS: usize = 4_096;
 
-/// Work that is ready for the writer. It occupies its capacity of the queue until it is dropped.
+/// Work that is ready for the writer. It occupies a part of the queue's capacity until it is dropped.
 #[derive(Debug)]
 pub(crate) struct PreparedWork {
     pub(crate) work: Work,
     /// Generation of the database when the work was admitted.
     pub(crate) generation: u64,
     /// Time of the admission.
-    pub(crate) since: MonoTime,
+    pub(crate) admitted_at: MonoTime,
+    /// Permits of the queue and of this channel.
     pub(crate) capacity: [OwnedSemaphorePermit; 2],
 }
 
@@ -31,7 +33,8 @@ pub(crate) struct PreparedWork {
 #[derive(Debug)]
 pub(crate) struct PreparedSender {
     sender: mpsc::Sender<PreparedWork>,
-    nodes: Arc<Semaphore>,
+    /// One permit per node.
+    node_permits: Arc<Semaphore>,
     max_nodes: u32,
 }
 
@@ -39,26 +42,24 @@ pub(crate) struct PreparedSender {
 pub(crate) fn channel(max_nodes: usize) -> (PreparedSender, mpsc::Receiver<PreparedWork>) {
     let (sender, receiver) = mpsc::channel(MAX_PREPARED_ITEMS);
     let max_nodes = u32::try_from(max_nodes).unwrap_or(u32::MAX);
-    (PreparedSender { sender, nodes: Arc::new(Semaphore::new(max_nodes as usize)), max_nodes }, receiver)
+    let node_permits = Arc::new(Semaphore::new(max_nodes as usize));
+    (PreparedSender { sender, node_permits, max_nodes }, receiver)
 }
 
 /// Prepares work until the queue is closed or the writer has ended. Blocks its thread.
-pub(crate) fn run(runtime: &Handle, mut waiting: mpsc::Receiver<QueueItem>, prepared: &PreparedSender) {
-    while let Some(QueueItem { admitted, generation, since, capacity }) = waiting.blocking_recv() {
-        let work = match admitted {
+pub(crate) fn run(runtime: &Handle, mut queue: mpsc::Receiver<QueueItem>, prepared: &PreparedSender) {
+    while let Some(QueueItem { work, generation, admitted_at, capacity }) = queue.blocking_recv() {
+        let work = match work {
             AdmittedWork::Work(work) => work,
             AdmittedWork::Batch(head, body) => Work::from_batch(head, body),
         };
         // At most all permits, so that an item larger than the whole capacity passes, too.
         let weight = u32::try_from(work.weight()).unwrap_or(u32::MAX).min(prepared.max_nodes);
-        let nodes = runtime.block_on(Arc::clone(&prepared.nodes).acquire_many_owned(weight));
+        let permits = runtime.block_on(Arc::clone(&prepared.node_permits).acquire_many_owned(weight));
         // The semaphore is closed only after the writer ended.
-        let Ok(nodes) = nodes else { return };
-        if prepared
-            .sender
-            .blocking_send(PreparedWork { work, generation, since, capacity: [capacity, nodes] })
-            .is_err()
-        {
+        let Ok(permits) = permits else { return };
+        let prepared_work = PreparedWork { work, generation, admitted_at, capacity: [capacity, permits] };
+        if prepared.sender.blocking_send(prepared_work).is_err() {
             return;
         }
     }

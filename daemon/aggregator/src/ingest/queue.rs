@@ -33,12 +33,13 @@ pub(crate) enum AdmittedWork {
     Batch(BatchHead, Bytes),
 }
 
-/// Admitted work with its time of admission. It occupies its part of the capacity until it is dropped.
+/// Admitted work with its time of admission. It occupies a part of the queue's capacity until it is dropped.
 #[derive(Debug)]
 pub(crate) struct QueueItem {
-    pub(crate) admitted: AdmittedWork,
+    pub(crate) work: AdmittedWork,
+    /// Generation of the database when the work was admitted.
     pub(crate) generation: u64,
-    pub(crate) since: MonoTime,
+    pub(crate) admitted_at: MonoTime,
     pub(crate) capacity: OwnedSemaphorePermit,
 }
 
@@ -115,9 +116,9 @@ impl QueueSlot<'_> {
     }
 
     /// Fills the slot.
-    pub(super) fn fill(self, admitted: AdmittedWork, since: MonoTime) {
+    pub(super) fn fill(self, work: AdmittedWork, admitted_at: MonoTime) {
         let generation = self.queue.generation;
-        self.permit.send(QueueItem { admitted, generation, since, capacity: self.capacity });
+        self.permit.send(QueueItem { work, generation, admitted_at, capacity: self.capacity });
     }
 }
 
@@ -127,25 +128,25 @@ mod tests {
 
     #[test]
     fn capacity_is_reserved_by_bytes_and_released() {
-        let (queue, mut waiting) = queue();
-        let fits = queue.capacity_for(1 << 20);
-        assert_eq!(fits, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);
-        let frame = || AdmittedWork::Work(Work::Goodbye(peernet_logger::HostId::random()));
-        for _ in 0..fits {
-            queue.reserve(1 << 20).expect("there is room").fill(frame(), MonoTime::from_nanos(0));
+        let (queue, mut receiver) = queue();
+        let slots = queue.capacity_for(1 << 20);
+        assert_eq!(slots, CAPACITY_BYTES / BYTES_PER_PERMIT / 1_025);
+        let work = || AdmittedWork::Work(Work::Goodbye(peernet_logger::HostId::random()));
+        for _ in 0..slots {
+            queue.reserve(1 << 20).expect("there is room").fill(work(), MonoTime::from_nanos(0));
         }
         assert!(queue.reserve(1 << 20).is_none(), "full");
         let small = queue.reserve(1_000).expect("there is a little");
         assert!(small.grow_to(1 << 20).is_none(), "it cannot grow");
-        drop(waiting.try_recv().expect("the first"));
+        drop(receiver.try_recv().expect("the first"));
         let grown = queue.reserve(1_000).and_then(|slot| slot.grow_to((1 << 20) - 1));
-        grown.expect("there is room again").fill(frame(), MonoTime::from_nanos(0));
+        grown.expect("there is room again").fill(work(), MonoTime::from_nanos(0));
     }
 
     #[test]
     fn closed_queue_admits_nothing() {
-        let (mut queue, waiting) = queue();
+        let (mut queue, receiver) = queue();
         queue.close();
-        assert!(queue.reserve(0).is_none() && queue.capacity_for(0) == 0 && waiting.is_closed());
+        assert!(queue.reserve(0).is_none() && queue.capacity_for(0) == 0 && receiver.is_closed());
     }
 }

@@ -1,8 +1,8 @@
 //! Closes a database whose file failed or was replaced, and opens the file at its path as soon as that is possible.
 //!
 //! The writer compares the file at the path with the open file before and after each commit and once a second while it
-//! is idle. This one mechanism covers descriptors that became read-only, and files that were moved, replaced or
-//! unmounted, because it assumes nothing about the file's content. An empty or missing file is never opened: an
+//! is idle. This comparison assumes nothing about the file's content. It therefore also detects descriptors that became
+//! read-only, and files that were moved, replaced or unmounted. An empty or missing file is never opened: an
 //! operator who moves the database away would otherwise get a new, empty one. Batches that were queued before the database
 //! was closed are dropped, and the agents send them again.
 
@@ -28,7 +28,7 @@ pub(crate) struct Reopening {
 
 impl Reopening {
     /// Closes all connections, so that the file system can be unmounted, and retries until the file can be opened and
-    /// written. Returns `None` if the aggregator is stopped before.
+    /// written. Returns `None` if the aggregator is stopped before that.
     pub(super) async fn reopen(
         &self,
         database: OpenDatabase,
@@ -39,7 +39,7 @@ impl Reopening {
         // Set before the files are closed, which may take long.
         set_readiness(&context.readiness, not_storing(error));
         // The receiver is closed only while the aggregator ends, here and below.
-        let _ended = context.stored.send(StoreEvent::Closed).await;
+        let _ended = context.store_events.send(StoreEvent::Closed).await;
         // SQLite checkpoints its log when the last connection is closed, so the readers are closed before the writer.
         self.store.close().await;
         let (former, closed) = database.close().await;
@@ -51,7 +51,7 @@ impl Reopening {
             match OpenDatabase::reopen(&self.path, self.retention, &self.integrity, &former).await {
                 Ok((database, state)) => {
                     self.store.reopen();
-                    let _ended = context.stored.send(StoreEvent::Opened(Box::new(state))).await;
+                    let _ended = context.store_events.send(StoreEvent::Opened(Box::new(state))).await;
                     set_readiness(&context.readiness, Readiness::Ready);
                     return Some(database);
                 }

@@ -112,8 +112,8 @@ impl IngestSession {
         }
     }
 
-    /// Stores the names of runs whose start is not in this database because it was acknowledged into another one. The
-    /// live lane states them.
+    /// Stores the names of runs whose start is not in this database: the start was acknowledged while another database
+    /// was in use, so the agent does not send it again. Live updates contain the names.
     fn name_runs(&mut self, update: &LiveUpdate, now: MonoTime) {
         if !self.store.has_unnamed() {
             return;
@@ -156,7 +156,7 @@ impl IngestSession {
             return;
         }
         // The first batch of a newcomer stores the host, too, which needs two more slots.
-        let before = if self.hosts.is_newcomer(head.host) {
+        let newcomer_slots = if self.hosts.is_newcomer(head.host) {
             let Some(slots) = self.queue.reserve(0).zip(self.queue.reserve(0)) else {
                 return self.defer_batch(head);
             };
@@ -165,14 +165,14 @@ impl IngestSession {
             None
         };
         let Some(slot) = self.queue.reserve(frame.len()) else {
-            drop(before);
+            drop(newcomer_slots);
             return self.defer_batch(head);
         };
         let body = codec::decode_batch_body(frame.clone());
         let size = body.as_ref().map_or(frame.len(), Bytes::len);
         // Decompressed events take more bytes than their frame.
         let Some(slot) = slot.grow_to(size) else {
-            drop(before);
+            drop(newcomer_slots);
             return self.defer_batch(head);
         };
         if body.is_err() {
@@ -182,7 +182,7 @@ impl IngestSession {
         let arrival = self.receiving.handle_batch(&head, body.is_ok(), now.mono);
         if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged)
             && let (Some((introduction_slot, gap_slot)), Some(newcomer)) =
-                (before, self.hosts.promote_newcomer(head.host))
+                (newcomer_slots, self.hosts.promote_newcomer(head.host))
         {
             let Newcomer { introduction, missing, .. } = newcomer;
             self.store.streams.record_hello(head.host, introduction.stream);
@@ -242,8 +242,8 @@ impl IngestSession {
     /// Requests as many deferred batches as the queue has capacity for now.
     fn request_deferred(&mut self) {
         for (host, request) in self.receiving.request_deferred(self.queue.capacity_for(USUAL_BATCH_BYTES)) {
-            if let Some(route) = self.routes.connection_of(host) {
-                self.output.reply(route, request);
+            if let Some(connection) = self.routes.connection_of(host) {
+                self.output.reply(connection, request);
             }
         }
     }
@@ -261,11 +261,11 @@ impl IngestSession {
     fn handle_commit(&mut self, committed: Committed) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
-            let receiver = self.receiving.handle_stored(stream, mark);
-            if let Some((route, reply)) =
-                receiver.and_then(|(host, reply)| Some((self.routes.connection_of(host)?, reply)))
+            let acknowledgement = self.receiving.handle_stored(stream, mark);
+            if let Some((connection, reply)) =
+                acknowledgement.and_then(|(host, reply)| Some((self.routes.connection_of(host)?, reply)))
             {
-                self.output.reply(route, reply);
+                self.output.reply(connection, reply);
             }
         }
         // The commit has freed capacity of the queue.
@@ -295,8 +295,8 @@ impl IngestSession {
         self.hosts.replace_stored(host_secrets);
         self.queue.start_generation();
         self.store = StoreView::new(streams, unnamed_runs);
-        for route in self.routes.clear() {
-            self.output.reply(route, ToAgent::Unknown);
+        for connection in self.routes.clear() {
+            self.output.reply(connection, ToAgent::Unknown);
         }
         self.output.announce(LiveEvent::Reopened { runs, hosts });
     }
@@ -342,7 +342,7 @@ impl IngestSession {
         self.output.rejected()
     }
 
-    /// Closes the queue. The writer ends when it has stored what waits.
+    /// Closes the queue. The writer ends when it has stored the queued work.
     pub(super) fn close(&mut self) {
         self.queue.close();
     }

@@ -19,8 +19,8 @@ use crate::config::AggregatorConfig;
 use crate::error::{Failure, Problem, StartError};
 use crate::live::LiveEvent;
 
-/// Longest queue of replies to one agent. A reply that does not fit into the queue is sent again when the agent asks
-/// again.
+/// Longest queue of replies to one agent. A reply that does not fit into the queue is dropped; the agent repeats its
+/// request and gets the reply then.
 const MAX_QUEUED_REPLIES: usize = 16;
 /// Interval of dropping silent hosts and of reporting rejected messages.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(5);
@@ -30,7 +30,7 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Longest time for sending the last acknowledgements at the end.
 const LINGER: Duration = Duration::from_millis(500);
-/// Part of the message limit for the ZMTP framing beside the payload.
+/// Number of bytes that a message may have in addition to its payload, for the ZMTP framing.
 const FRAMING_BYTES: usize = 4_096;
 
 /// Listens. Returns the socket and its address with the actual port.
@@ -58,7 +58,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
 
 /// The channels and shared objects of the ingest task.
 pub(crate) struct TaskContext {
-    pub(crate) stored: mpsc::Receiver<StoreEvent>,
+    pub(crate) store_events: mpsc::Receiver<StoreEvent>,
     pub(crate) live_events: mpsc::Sender<LiveEvent>,
     pub(crate) clock: SharedClock,
     pub(crate) stop: CancellationToken,
@@ -72,8 +72,8 @@ pub(crate) async fn run(
     mut context: TaskContext,
 ) -> Result<(), Failure> {
     let sender = listener.sender();
-    let mut ageing = tokio::time::interval(EXPIRY_INTERVAL);
-    ageing.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut expiry_interval = tokio::time::interval(EXPIRY_INTERVAL);
+    expiry_interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     // One line per interval instead of one per message, which a hostile peer could use to fill the log.
     let mut reported = RejectedCounts::default();
     loop {
@@ -95,22 +95,22 @@ pub(crate) async fn run(
                 ) => {}
                 None => return Err(Failure::Socket { address }),
             },
-            event = context.stored.recv() => match event {
+            event = context.store_events.recv() => match event {
                 Some(event) => session.handle_store_event(event),
                 // A writer that cannot store ends as soon as `stop` is cancelled, perhaps before this task notices.
                 None if context.stop.is_cancelled() => break,
                 None => return Err(Failure::TaskEnded("writer")),
             },
-            _ = ageing.tick() => {
+            _ = expiry_interval.tick() => {
                 session.expire(context.clock.stamp());
                 report(session.rejected(), &mut reported);
             }
         }
         deliver(&sender, &mut session, &context.live_events).await;
     }
-    // Closing the queue lets the writer finish; its acknowledgements arrive until it ends.
+    // Closing the queue lets the writer finish; acknowledgements arrive until the writer has ended.
     session.close();
-    while let Some(event) = context.stored.recv().await {
+    while let Some(event) = context.store_events.recv().await {
         session.handle_store_event(event);
         deliver(&sender, &mut session, &context.live_events).await;
     }

@@ -13,9 +13,10 @@ use crate::live_state::Arrivals;
 pub(super) struct EventAccount {
     /// The host's own counts.
     accounting: Accounting,
-    lag: StorageLag,
+    lag_estimate: StorageLag,
     /// The database's counts.
     stored: StoredCounts,
+    /// Numbers of batches that arrived and were not stored.
     arrivals: Arrivals,
     /// Time of the newest stored event on the host's clock.
     newest_stored: Option<WallTime>,
@@ -26,11 +27,11 @@ impl EventAccount {
     pub(super) fn update(&mut self, accounting: Accounting, sent: WallTime, now: MonoTime) {
         self.accounting = accounting;
         limits::limit_accounting(&mut self.accounting);
-        self.lag.observe(self.behind(Some(sent)), self.accounting.stored, now);
+        self.lag_estimate.observe(self.storage_lag(Some(sent)), self.accounting.stored, now);
     }
 
     /// Replaces the database's counts. Duplicates are counted here, because they do not reach the database.
-    pub(super) fn store(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
+    pub(super) fn update_stored(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
         self.stored = StoredCounts { duplicates: self.stored.duplicates, ..stored };
         self.newest_stored = self.newest_stored.max(newest);
     }
@@ -40,20 +41,20 @@ impl EventAccount {
         self.stored.duplicates += 1;
     }
 
-    /// Counts a batch that arrived and was not stored.
-    pub(super) fn add_arrival(&mut self, count: impl FnOnce(&mut Arrivals)) {
+    /// Counts a batch that arrived and was not stored. `count` increments its count.
+    pub(super) fn add_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
         count(&mut self.arrivals);
     }
 
-    /// Returns the storage lag on the host's clock; `None` if nothing waits.
-    pub(super) fn behind(&self, sent: Option<WallTime>) -> Option<Span> {
+    /// Returns the storage lag on the host's clock at `sent`, the time of an update; `None` if no events wait.
+    pub(super) fn storage_lag(&self, sent: Option<WallTime>) -> Option<Span> {
         let oldest = self.accounting.oldest.filter(|_| self.accounting.waiting > 0);
         sent.zip(oldest).map(|(sent, oldest)| (sent - oldest).max(Span::ZERO))
     }
 
     /// Returns the estimate of the storage lag's change.
-    pub(super) const fn lag(&self) -> &StorageLag {
-        &self.lag
+    pub(super) const fn lag_estimate(&self) -> &StorageLag {
+        &self.lag_estimate
     }
 
     /// Returns the host's counts.

@@ -1,8 +1,8 @@
 //! The current state of one host.
 //!
-//! A host has one of three states. Its last messages before a stop are a live update and a goodbye. A host that said
-//! goodbye with nothing left in its spool stopped in order, and its pipelines have ended. Only a host that became
-//! silent without a goodbye is away: whether its pipelines still run is unknown.
+//! A host is connected, has said goodbye, or is away. An agent that stops in order sends a last live update and a goodbye, so
+//! its pipelines have ended. A host that became silent without a goodbye is away: it is unknown whether its pipelines
+//! still run.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,7 +29,7 @@ pub(super) struct Host {
     clock: HostClock,
     metrics: MetricsHistory,
     events: EventAccount,
-    /// Number of values of its updates that exceeded the limits.
+    /// Number of values of the host's messages that exceeded the limits and were discarded.
     left_out: u64,
     pipelines: BTreeMap<Slug, Pipeline>,
     /// Keyed by the cloud and the network.
@@ -71,13 +71,13 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Processes a goodbye. All pipelines of the host's latest update have ended, even if that update shows them as running.
-    /// Others are away.
+    /// Processes a goodbye. All pipelines in the host's latest update have ended, even if that update shows them as running.
+    /// The host's other pipelines are away.
     pub(super) fn goodbye(&mut self) {
-        let last = self.presence.sent_by_current();
+        let last_update = self.presence.sent_by_current();
         for pipeline in self.pipelines.values_mut() {
-            // Only the pipelines of the last update ended in order; others had disappeared before.
-            if Some(pipeline.sent()) == last {
+            // Only the pipelines of the last update ended in order; the others had disappeared before.
+            if Some(pipeline.sent()) == last_update {
                 pipeline.mark_finished();
             } else {
                 pipeline.mark_away();
@@ -133,8 +133,8 @@ impl Host {
     }
 
     /// Applies the database's counts.
-    pub(super) fn store(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
-        self.events.store(stored, newest);
+    pub(super) fn update_stored(&mut self, stored: StoredCounts, newest: Option<WallTime>) {
+        self.events.update_stored(stored, newest);
         self.snapshot = None;
     }
 
@@ -154,16 +154,16 @@ impl Host {
         self.snapshot = None;
     }
 
-    /// Counts a batch that arrived and was not stored.
-    pub(super) fn record_arrival(&mut self, count: impl FnOnce(&mut Arrivals)) {
-        self.events.add_arrival(count);
+    /// Counts a batch that arrived and was not stored. `count` increments its count.
+    pub(super) fn record_unstored(&mut self, count: impl FnOnce(&mut Arrivals)) {
+        self.events.add_unstored(count);
         self.snapshot = None;
     }
 
-    /// Redraws the pipeline of a run whose number has become known.
+    /// Discards the snapshot of the pipeline that executes this run, because the run's number has changed.
     pub(super) fn refresh_run(&mut self, run: RunId) {
-        let of_run = self.pipelines.values_mut().filter(|pipeline| pipeline.run() == Some(run));
-        of_run.for_each(Pipeline::invalidate_snapshot);
+        let pipelines = self.pipelines.values_mut().filter(|pipeline| pipeline.run() == Some(run));
+        pipelines.for_each(Pipeline::invalidate_snapshot);
     }
 
     /// Returns the current or last runs of the host's pipelines.
@@ -171,17 +171,18 @@ impl Host {
         self.pipelines.values().filter_map(Pipeline::run)
     }
 
-    /// Applies the passing of time. Returns whether anything visible changed.
-    pub(super) fn expire(&mut self, now: Stamp, forget: Span) -> bool {
+    /// Applies the passing of time. Pipelines and links that were not reported for `timeout` are removed. Returns whether
+    /// anything visible changed.
+    pub(super) fn expire(&mut self, now: Stamp, timeout: Span) -> bool {
         let mut changed = false;
         if self.presence.is_overdue(now.mono) {
             self.mark_silent();
             changed = true;
         }
-        let before = (self.pipelines.len(), self.links.len());
-        self.pipelines.retain(|_, pipeline| now.mono - pipeline.seen() <= forget);
-        self.links.retain(|_, link| now.mono - link.seen() <= forget);
-        changed |= (self.pipelines.len(), self.links.len()) != before;
+        let previous_counts = (self.pipelines.len(), self.links.len());
+        self.pipelines.retain(|_, pipeline| now.mono - pipeline.last_seen() <= timeout);
+        self.links.retain(|_, link| now.mono - link.last_seen() <= timeout);
+        changed |= (self.pipelines.len(), self.links.len()) != previous_counts;
         for pipeline in self.pipelines.values_mut() {
             changed |= pipeline.expire(now);
         }
@@ -189,8 +190,8 @@ impl Host {
     }
 
     /// Returns the time of the host's last message.
-    pub(super) fn seen(&self) -> MonoTime {
-        self.presence.seen().mono
+    pub(super) fn last_seen(&self) -> MonoTime {
+        self.presence.last_seen().mono
     }
 
     /// Returns the host's name, by which the live state is sorted.
@@ -208,11 +209,11 @@ impl Host {
             description: self.description.clone(),
             connected: self.is_connected(),
             has_left: self.presence.has_left() && self.events.accounting().waiting == 0,
-            last_seen: self.presence.seen().wall,
+            last_seen: self.presence.last_seen().wall,
             clock_ahead: self.presence.clock_ahead(),
-            behind: self.events.behind(self.presence.sent()),
+            behind: self.events.storage_lag(self.presence.sent()),
             // The rate is not valid while the host is disconnected, because nothing is stored then.
-            catching_up: self.events.lag().estimate().filter(|_| self.is_connected()),
+            catching_up: self.events.lag_estimate().estimate().filter(|_| self.is_connected()),
             clock: self.clock.clone(),
             metrics: self.metrics.current().clone(),
             history: self.metrics.points(),
@@ -226,7 +227,7 @@ impl Host {
         snapshot
     }
 
-    /// Returns the snapshots of its pipelines, sorted by name.
+    /// Returns the snapshots of the host's pipelines, sorted by name. `number` returns the store's number of a run.
     pub(super) fn pipelines(
         &mut self,
         number: impl Fn(RunId) -> Option<i64> + Copy,
@@ -238,15 +239,15 @@ impl Host {
         })
     }
 
-    /// Returns the snapshots of its links, sorted by the cloud's name and the network.
+    /// Returns the snapshots of the host's links, sorted by the cloud's name and the network.
     pub(super) fn links(&mut self) -> Vec<Arc<LinkSnapshot>> {
         // A link is connected only if the edge's latest message contained it.
-        let last = self.is_connected().then_some(self.presence.seen().mono);
+        let last_message = self.is_connected().then_some(self.presence.last_seen().mono);
         let mut links: Vec<(&(HostId, NetworkName), &mut Link)> = self.links.iter_mut().collect();
         links.sort_by(|(a, x), (b, y)| (x.cloud(), a).cmp(&(y.cloud(), b)));
-        let cached = links
+        let snapshots = links
             .into_iter()
-            .map(|(_, link)| link.snapshot(self.description.id, &self.description.name, last));
-        cached.collect()
+            .map(|(_, link)| link.snapshot(self.description.id, &self.description.name, last_message));
+        snapshots.collect()
     }
 }

@@ -116,7 +116,7 @@ pub(super) fn limit_text(text: &mut String) {
 /// Cuts a list.
 fn limit_list<T>(items: &mut Vec<T>, max: usize, left_out: &mut u64) {
     *left_out += items.len().saturating_sub(max) as u64;
-    // Truncating keeps the capacity, so that memory is freed explicitly.
+    // Truncating keeps the capacity, so the memory is freed explicitly.
     items.truncate(max);
     items.shrink_to_fit();
 }

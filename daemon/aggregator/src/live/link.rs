@@ -20,7 +20,7 @@ const MAX_REPORT_SKEW: Span = Span::from_millis(100);
 #[derive(Debug)]
 pub(super) struct Link {
     live: LinkLive,
-    seen: Stamp,
+    last_seen: Stamp,
     history: BTreeMap<i64, Arc<ClockPoint>>,
     /// The latest snapshot; `None` if something changed since.
     snapshot: Option<Arc<LinkSnapshot>>,
@@ -29,33 +29,33 @@ pub(super) struct Link {
 impl Link {
     /// Creates the state at the link's first report.
     pub(super) fn new(live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) -> Self {
-        let mut link = Self { live: live.clone(), seen: now, history: BTreeMap::new(), snapshot: None };
+        let mut link = Self { live: live.clone(), last_seen: now, history: BTreeMap::new(), snapshot: None };
         link.update(live, sent, now, left_out);
         link
     }
 
-    /// Applies a report, within the limits. A second that is known already is replaced, because each report of a second
-    /// covers it from its start.
+    /// Applies a report, within the limits. The point of a second replaces an earlier point of the same second, because
+    /// each report of a second covers the second from its start.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         limits::limit_link(&mut live, left_out);
-        // `newest` is the incomplete second. Later seconds were reported before the edge's clock was set back.
-        let newest = (sent + MAX_REPORT_SKEW).unix_seconds();
-        drop(self.history.split_off(&newest.saturating_add(1)));
-        let at = second(live.now.at);
-        if at <= newest && at > newest.saturating_sub(HISTORY_S) {
-            self.history.insert(at, Arc::new(point(&live.now)));
+        // The newest second is incomplete. Later seconds were reported before the edge's clock was set back.
+        let newest_second = (sent + MAX_REPORT_SKEW).unix_seconds();
+        drop(self.history.split_off(&newest_second.saturating_add(1)));
+        let second = second_of(live.now.at);
+        if second <= newest_second && second > newest_second.saturating_sub(HISTORY_S) {
+            self.history.insert(second, Arc::new(point(&live.now)));
         } else {
             *left_out += 1;
         }
         if let Some((last, _)) = self.history.last_key_value() {
             self.history = self.history.split_off(&(last.saturating_sub(HISTORY_S) + 1));
         }
-        (self.live, self.seen, self.snapshot) = (live, now, None);
+        (self.live, self.last_seen, self.snapshot) = (live, now, None);
     }
 
     /// Returns the time of the latest report.
-    pub(super) fn seen(&self) -> MonoTime {
-        self.seen.mono
+    pub(super) fn last_seen(&self) -> MonoTime {
+        self.last_seen.mono
     }
 
     /// Returns the cloud's name, by which the live state is sorted.
@@ -68,15 +68,15 @@ impl Link {
         self.snapshot = None;
     }
 
-    /// Returns the link's snapshot. `last` is the time of the edge's last message if the edge is connected.
+    /// Returns the link's snapshot. `last_message` is the time of the edge's last message if the edge is connected.
     pub(super) fn snapshot(
         &mut self,
         edge: HostId,
-        name: &Slug,
-        last: Option<MonoTime>,
+        edge_name: &Slug,
+        last_message: Option<MonoTime>,
     ) -> Arc<LinkSnapshot> {
         // A connected edge whose latest update does not contain the link does not use the cloud any more.
-        let connected = last == Some(self.seen.mono);
+        let connected = last_message == Some(self.last_seen.mono);
         if let Some(cached) = &self.snapshot
             && cached.connected == connected
         {
@@ -84,9 +84,9 @@ impl Link {
         }
         let snapshot = Arc::new(LinkSnapshot {
             edge,
-            edge_name: name.clone(),
+            edge_name: edge_name.clone(),
             connected,
-            last_seen: self.seen.wall,
+            last_seen: self.last_seen.wall,
             live: self.live.clone(),
             history: self.history.values().cloned().collect(),
         });
@@ -95,8 +95,9 @@ impl Link {
     }
 }
 
-/// Returns the start of the second that contains `at` or ends at it, in Unix seconds.
-fn second(at: WallTime) -> i64 {
+/// Returns the start of the second of a report at `at`, in Unix seconds. A report at the end of a second belongs to that
+/// second.
+fn second_of(at: WallTime) -> i64 {
     (at - Span::from_nanos(1)).unix_seconds()
 }
 

@@ -1,8 +1,8 @@
 //! The live state: the current state of all agents, from the live lane alone, so that it stays current regardless of how many
 //! batches wait to be stored. Free of I/O; [`task`] owns the [`LiveTracker`] and publishes its snapshots.
 //!
-//! Memory is bounded whatever agents send: the numbers of hosts, of pipelines and links per host, and of names per
-//! second have limits. Values beyond a limit are discarded and counted.
+//! Memory is bounded whatever agents send: there are limits for the number of hosts, of pipelines and links per host, and of
+//! names per second. Values beyond a limit are discarded and counted.
 
 mod event_account;
 mod host;
@@ -37,7 +37,7 @@ const UNSTORED_HOST_TIMEOUT: Span = Span::from_seconds(600);
 const MAX_HOST_PIPELINES: usize = peernet_stream::limits::MAX_PIPELINES;
 /// Largest number of links per host.
 const MAX_HOST_LINKS: usize = 64;
-/// Largest number of names per pipeline and window.
+/// Largest number of node names per pipeline and window.
 const MAX_NAMES: usize = 128;
 /// Largest number of refused hosts in the live state.
 const MAX_REFUSED: usize = 32;
@@ -51,7 +51,7 @@ const MAX_RUN_NUMBERS: usize = 10_000;
 /// An event that changes the live state.
 #[derive(Debug)]
 pub(crate) enum LiveEvent {
-    /// A host's hello was accepted, with the number that its process drew at its start.
+    /// A host's hello was accepted. The second field is the random number that the host's process drew at its start.
     Hello(Box<HostDescription>, u64),
     /// A live update.
     Update(Box<LiveUpdate>),
@@ -90,7 +90,7 @@ pub(crate) struct LiveTracker {
     aggregator: Slug,
     listening: String,
     /// Silence after which a host is removed from the live state.
-    forget: Span,
+    host_timeout: Span,
     hosts: HashMap<HostId, Host>,
     refused: VecDeque<(Stamp, RefusedHost)>,
     /// Keyed by the host and the id under which it reports the run.
@@ -101,12 +101,12 @@ pub(crate) struct LiveTracker {
 }
 
 impl LiveTracker {
-    /// Creates an empty live state. A host that is silent for `forget` is removed.
-    pub(crate) fn new(aggregator: Slug, listening: String, forget: Span) -> Self {
+    /// Creates an empty live state. A host that is silent for `host_timeout` is removed.
+    pub(crate) fn new(aggregator: Slug, listening: String, host_timeout: Span) -> Self {
         Self {
             aggregator,
             listening,
-            forget,
+            host_timeout,
             hosts: HashMap::new(),
             refused: VecDeque::new(),
             numbers: HashMap::new(),
@@ -130,11 +130,11 @@ impl LiveTracker {
                 self.update_host(host, |host| host.refresh_run(run));
             }
             LiveEvent::Forget(host) => {
-                let forgotten = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
-                if forgotten {
+                let is_unstored = self.hosts.get(&host).is_some_and(|host| !host.has_stored());
+                if is_unstored {
                     self.hosts.remove(&host);
                 }
-                return forgotten;
+                return is_unstored;
             }
             LiveEvent::Update(update) => {
                 return self.update_host(update.host, |host| host.update(*update, now));
@@ -146,24 +146,24 @@ impl LiveTracker {
             }
             LiveEvent::Deferred(host) => {
                 self.totals.arrivals.deferred += 1;
-                return self.update_host(host, |host| host.record_arrival(|arrivals| arrivals.deferred += 1));
+                return self.update_host(host, |host| host.record_unstored(|counts| counts.deferred += 1));
             }
             LiveEvent::Damaged(host) => {
                 self.totals.arrivals.damaged += 1;
-                return self.update_host(host, |host| host.record_arrival(|arrivals| arrivals.damaged += 1));
+                return self.update_host(host, |host| host.record_unstored(|counts| counts.damaged += 1));
             }
             LiveEvent::Unreadable => self.totals.refused.unreadable += 1,
             LiveEvent::Stranger => self.totals.refused.strangers += 1,
-            LiveEvent::Stored(host, stored, newest) => return self.store(host, stored, newest),
+            LiveEvent::Stored(host, stored, newest) => return self.update_stored(host, stored, newest),
         }
         true
     }
 
-    /// Discards the numbers of runs that are not shown; all of them if the rest is still too many.
+    /// Discards the numbers of runs that the live state does not show. Discards all numbers if too many remain.
     fn forget_numbers(&mut self) {
-        let shown: HashSet<(HostId, RunId)> =
+        let shown_runs: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
-        self.numbers.retain(|run, _| shown.contains(run));
+        self.numbers.retain(|run, _| shown_runs.contains(run));
         if self.numbers.len() > MAX_RUN_NUMBERS / 2 {
             self.numbers.clear();
         }
@@ -173,31 +173,31 @@ impl LiveTracker {
     fn restart(&mut self, runs: Vec<(HostId, RunId, i64)>, hosts: Vec<(HostId, StoredCounts)>) {
         self.numbers = runs.into_iter().map(|(host, run, number)| ((host, run), number)).collect();
         for host in self.hosts.values_mut() {
-            let shown: Vec<RunId> = host.runs().collect();
-            shown.into_iter().for_each(|run| host.refresh_run(run));
+            let shown_runs: Vec<RunId> = host.runs().collect();
+            shown_runs.into_iter().for_each(|run| host.refresh_run(run));
         }
-        let held: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
-        self.stored.retain(|host, _| held.contains(host));
+        let stored_hosts: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
+        self.stored.retain(|host, _| stored_hosts.contains(host));
         let missing_hosts: Vec<HostId> =
-            self.hosts.keys().filter(|host| !held.contains(host)).copied().collect();
+            self.hosts.keys().filter(|host| !stored_hosts.contains(host)).copied().collect();
         for host in missing_hosts {
-            self.store(host, StoredCounts::default(), None);
+            self.update_stored(host, StoredCounts::default(), None);
         }
         for (host, stored) in hosts {
-            self.store(host, stored, None);
+            self.update_stored(host, stored, None);
         }
     }
 
     /// Applies the database's counts of a host. Returns whether the host is in the live state.
-    fn store(&mut self, id: HostId, stored: StoredCounts, newest: Option<WallTime>) -> bool {
-        let before = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
-        // The increase is added, so that totals stay when a host leaves the live state.
-        add_increase(&mut self.totals.stored, before.unwrap_or_default(), stored);
-        let known = self.update_host(id, |host| host.store(stored, newest));
-        if !known {
+    fn update_stored(&mut self, id: HostId, stored: StoredCounts, newest: Option<WallTime>) -> bool {
+        let previous = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
+        // Only the increase is added, so that the totals do not change when a host leaves the live state.
+        add_increase(&mut self.totals.stored, previous.unwrap_or_default(), stored);
+        let is_live = self.update_host(id, |host| host.update_stored(stored, newest));
+        if !is_live {
             self.remember(id, stored);
         }
-        known
+        is_live
     }
 
     /// Keeps the stored counts of a host that is not in the live state, for the totals.
@@ -219,15 +219,16 @@ impl LiveTracker {
             return;
         }
         if self.hosts.len() >= MAX_HOSTS {
-            let silent = self.hosts.iter().min_by_key(|(_, host)| host.seen()).map(|(id, _)| *id);
-            if let Some((id, host)) = silent.and_then(|id| self.hosts.remove_entry(&id)) {
+            let longest_silent =
+                self.hosts.iter().min_by_key(|(_, host)| host.last_seen()).map(|(id, _)| *id);
+            if let Some((id, host)) = longest_silent.and_then(|id| self.hosts.remove_entry(&id)) {
                 self.remember(id, host.stored());
             }
         }
         let id = description.id;
         let mut host = Host::new(description, process, now);
         if let Some(stored) = self.stored.remove(&id) {
-            host.store(stored, None);
+            host.update_stored(stored, None);
         }
         self.hosts.insert(id, host);
     }
@@ -235,8 +236,8 @@ impl LiveTracker {
     /// Adds a refused host, or renews its entry.
     fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
         limits::limit_text(&mut refused.reason);
-        let same = |known: &RefusedHost| (&known.name, &known.reason) == (&refused.name, &refused.reason);
-        self.refused.retain(|(_, known)| !same(known));
+        let is_same = |entry: &RefusedHost| (&entry.name, &entry.reason) == (&refused.name, &refused.reason);
+        self.refused.retain(|(_, entry)| !is_same(entry));
         // The newest refusals matter most.
         self.refused.truncate(MAX_REFUSED - 1);
         self.refused.push_front((now, refused));
@@ -244,20 +245,23 @@ impl LiveTracker {
 
     /// Applies the passing of time. Returns whether anything visible changed.
     pub(crate) fn expire(&mut self, now: Stamp) -> bool {
-        let before = (self.hosts.len(), self.refused.len());
-        let forget = self.forget;
-        let gone = self.hosts.extract_if(|_, host| {
-            let timeout = if host.has_stored() { forget } else { forget.min(UNSTORED_HOST_TIMEOUT) };
-            now.mono - host.seen() > timeout
+        let previous_counts = (self.hosts.len(), self.refused.len());
+        let host_timeout = self.host_timeout;
+        let removed_hosts = self.hosts.extract_if(|_, host| {
+            let timeout =
+                if host.has_stored() { host_timeout } else { host_timeout.min(UNSTORED_HOST_TIMEOUT) };
+            now.mono - host.last_seen() > timeout
         });
-        let gone: Vec<(HostId, StoredCounts)> = gone.map(|(id, host)| (id, host.stored())).collect();
-        gone.into_iter()
+        let removed_hosts: Vec<(HostId, StoredCounts)> =
+            removed_hosts.map(|(id, host)| (id, host.stored())).collect();
+        removed_hosts
+            .into_iter()
             .filter(|(_, stored)| stored.events > 0)
             .for_each(|(id, stored)| self.remember(id, stored));
         self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSAL_SHOWN_FOR);
-        let mut changed = before != (self.hosts.len(), self.refused.len());
+        let mut changed = previous_counts != (self.hosts.len(), self.refused.len());
         for host in self.hosts.values_mut() {
-            changed |= host.expire(now, forget);
+            changed |= host.expire(now, host_timeout);
         }
         changed
     }
@@ -295,10 +299,11 @@ impl LiveTracker {
 }
 
 /// Adds the increase of a host's stored counts to the totals. Saturates, because a host may state any number.
-const fn add_increase(total: &mut StoredCounts, before: StoredCounts, now: StoredCounts) {
-    total.events = total.events.saturating_add(now.events.saturating_sub(before.events));
-    total.nodes = total.nodes.saturating_add(now.nodes.saturating_sub(before.nodes));
-    total.gaps = total.gaps.saturating_add(now.gaps.saturating_sub(before.gaps));
-    total.missing = total.missing.saturating_add(now.missing.saturating_sub(before.missing));
-    total.quarantined = total.quarantined.saturating_add(now.quarantined.saturating_sub(before.quarantined));
+const fn add_increase(total: &mut StoredCounts, previous: StoredCounts, current: StoredCounts) {
+    total.events = total.events.saturating_add(current.events.saturating_sub(previous.events));
+    total.nodes = total.nodes.saturating_add(current.nodes.saturating_sub(previous.nodes));
+    total.gaps = total.gaps.saturating_add(current.gaps.saturating_sub(previous.gaps));
+    total.missing = total.missing.saturating_add(current.missing.saturating_sub(previous.missing));
+    let quarantined = current.quarantined.saturating_sub(previous.quarantined);
+    total.quarantined = total.quarantined.saturating_add(quarantined);
 }

@@ -11,9 +11,9 @@ use crate::live_state::{PercentilePoint, PercentileSeries};
 const BUCKETS_S: [u32; 9] = [1, 2, 5, 10, 30, 60, 120, 300, 600];
 /// Safety factor for the number of iterations of a bucket, because they are not spread evenly over the buckets.
 const COUNT_MARGIN: f64 = 1.1;
-/// Longest pause between two seconds with iterations that counts as running time; a longer one is an interruption and
-/// does not lower the rate. A pipeline with longer intervals has too few iterations for a percentile even in the
-/// longest bucket.
+/// Longest pause between two seconds with iterations that counts completely as running time. Of a longer pause only this
+/// part counts, because the pause is an interruption, which must not lower the rate. A pipeline with longer intervals
+/// between its iterations has too few iterations for a percentile even in the longest bucket.
 const MAX_PAUSE_S: i64 = 10;
 
 /// Summaries of the total latency, one per second, and the percentiles of the buckets.
@@ -52,20 +52,20 @@ impl PackedSummary {
 
 impl Percentiles {
     /// Replaces the summary of a second; `None` if no iteration succeeded in it.
-    pub(super) fn replace(&mut self, at: i64, total: Option<&Summary>) {
+    pub(super) fn replace(&mut self, second: i64, total: Option<&Summary>) {
         let packed = total.map_or_else(|| PackedSummary::pack(&Summary::default()), PackedSummary::pack);
-        self.has_new_rate |= self.seconds.insert(at, packed).is_none();
-        self.changed.insert(at);
+        self.has_new_rate |= self.seconds.insert(second, packed).is_none();
+        self.changed.insert(second);
     }
 
     /// Discards a second and all later seconds, because a clock that was set back repeats them.
     pub(super) fn remove_from(&mut self, second: i64) {
-        // Their buckets have to be computed again.
+        // The buckets of the discarded seconds have to be computed again.
         self.changed.extend(self.seconds.split_off(&second).into_keys());
         self.has_new_rate = true;
     }
 
-    /// Discards the seconds before `second`. A percentile remains while its bucket overlaps the rest.
+    /// Discards the seconds before `second`. A percentile remains while its bucket overlaps the remaining seconds.
     pub(super) fn forget_before(&mut self, second: i64) {
         self.seconds = self.seconds.split_off(&second);
         self.changed = self.changed.split_off(&second);
@@ -104,26 +104,26 @@ impl Percentiles {
         for second in self.seconds.range(from..from.saturating_add(length)).map(|(_, second)| second) {
             sum.merge(&second.unpack());
         }
-        let figures = QuantityStatistics::from_summary(&sum)?;
-        Some(PercentilePoint { at: from, count: figures.count, p95: figures.p95? })
+        let statistics = QuantityStatistics::from_summary(&sum)?;
+        Some(PercentilePoint { at: from, count: statistics.count, p95: statistics.p95? })
     }
 
     /// Returns the number of successful iterations per second of running time; `None` in the first second.
     fn rate(&self) -> Option<f64> {
         // The newest second is incomplete.
         let newest = *self.seconds.last_key_value()?.0;
-        let (mut count, mut covered, mut last) = (0, 0, None);
-        for (at, second) in self.seconds.range(..newest) {
-            count += second.moments.count;
-            covered += last.map_or(1, |last: i64| (at - last).min(MAX_PAUSE_S));
-            last = Some(*at);
+        let (mut count, mut running_s, mut previous) = (0, 0, None);
+        for (second, summary) in self.seconds.range(..newest) {
+            count += summary.moments.count;
+            running_s += previous.map_or(1, |previous: i64| (second - previous).min(MAX_PAUSE_S));
+            previous = Some(*second);
         }
-        (covered > 0).then(|| count as f64 / covered as f64)
+        (running_s > 0).then(|| count as f64 / running_s as f64)
     }
 }
 
 /// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
 fn bucket_length(rate_hz: f64) -> Option<u32> {
-    let needed = MIN_P95_SAMPLES as f64 * COUNT_MARGIN;
-    BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= needed)
+    let min_iterations = MIN_P95_SAMPLES as f64 * COUNT_MARGIN;
+    BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= min_iterations)
 }

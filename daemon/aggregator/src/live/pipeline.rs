@@ -17,8 +17,8 @@ use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
 const SKETCHES_S: i64 = 61;
-/// Length of the ring of these seconds. The three seconds beyond [`SKETCHES_S`] are for an agent's clock that decreases
-/// by at most [`MAX_CLOCK_DECREASE`].
+/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCHES_S`] are for an agent's clock that
+/// decreases by at most [`MAX_CLOCK_DECREASE`].
 const RING_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
 const SERIES_S: i64 = 600;
@@ -41,7 +41,7 @@ pub(super) struct Pipeline {
     /// The agent's clock at the latest update.
     sent: WallTime,
     /// The aggregator's clocks at the latest update.
-    seen: Stamp,
+    last_seen: Stamp,
     /// The latest snapshot; `None` if something changed since.
     snapshot: Option<Arc<PipelineSnapshot>>,
 }
@@ -58,15 +58,15 @@ impl Pipeline {
             series: BTreeMap::new(),
             percentiles: Percentiles::default(),
             sent,
-            seen: now,
+            last_seen: now,
             snapshot: None,
         };
         pipeline.update(live, sent, now, left_out);
         pipeline
     }
 
-    /// Applies an update. A second that is known already is replaced, because each report of a second covers it from
-    /// its start. Adds to `left_out` the seconds and names that are not taken over.
+    /// Applies an update. The report of a second replaces an earlier report of the same second, because each report of a
+    /// second covers the second from its start. Adds to `left_out` the seconds and names that are not taken over.
     pub(super) fn update(&mut self, mut live: PipelineLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         limits::limit_state(&mut live.state);
         limits::limit_placement(&mut live.placement);
@@ -77,13 +77,13 @@ impl Pipeline {
             drop(self.series.split_off(&sent.unix_seconds()));
             self.percentiles.remove_from(sent.unix_seconds());
         }
-        (self.sent, self.seen) = (sent, now);
+        (self.sent, self.last_seen) = (sent, now);
         (self.state, self.run, self.placement, self.load) = (live.state, live.run, live.placement, live.load);
         let newest = sent.unix_seconds();
         for second in live.seconds {
             let at = second.at;
-            // Reported after a step of the clock or by a hostile agent: such a second would displace all others from
-            // the rings.
+            // Seconds outside the charts are reported after a step of the clock or by a hostile agent. A much later
+            // second would displace all others from the rings.
             if at > newest || at <= newest.saturating_sub(SERIES_S) {
                 *left_out += 1;
                 continue;
@@ -103,22 +103,22 @@ impl Pipeline {
     }
 
     /// Returns the time of the latest update.
-    pub(super) fn seen(&self) -> MonoTime {
-        self.seen.mono
+    pub(super) fn last_seen(&self) -> MonoTime {
+        self.last_seen.mono
     }
 
     /// Discards the snapshot if the agent is silent and a window has iterations: the windows then end at the present, so
     /// their values change with time. Returns whether it discarded the snapshot.
     pub(super) fn expire(&mut self, now: Stamp) -> bool {
-        let empty = |snapshot: &Arc<PipelineSnapshot>| {
+        let is_empty = |snapshot: &Arc<PipelineSnapshot>| {
             snapshot.windows.iter().all(|window| window.counts.total() == 0)
         };
-        let ageing = now.mono - self.seen.mono > MAX_UPDATE_AGE
-            && self.snapshot.as_ref().is_some_and(|cached| !empty(cached));
-        if ageing {
+        let is_outdated = now.mono - self.last_seen.mono > MAX_UPDATE_AGE
+            && self.snapshot.as_ref().is_some_and(|cached| !is_empty(cached));
+        if is_outdated {
             self.snapshot = None;
         }
-        ageing
+        is_outdated
     }
 
     /// Returns the agent's clock at the latest update.
@@ -172,7 +172,7 @@ impl Pipeline {
             run_number: self.run.and_then(number),
             placement: self.placement.clone(),
             load: self.load.clone(),
-            last_seen: self.seen.wall,
+            last_seen: self.last_seen.wall,
             windows: self.windows(now),
             series: self.series.values().cloned().collect(),
             total_p95: self.percentiles.series(),
@@ -183,27 +183,28 @@ impl Pipeline {
 
     /// Returns the windows. They end at the agent's latest update, or at the present if the agent is silent.
     fn windows(&self, now: Stamp) -> [Window; 3] {
-        let silence = now.mono - self.seen.mono;
+        let silence = now.mono - self.last_seen.mono;
         let end = if silence > MAX_UPDATE_AGE { self.sent + silence } else { self.sent };
         let current = end.unix_seconds();
         let incomplete_seconds =
             (end - WallTime::from_unix_nanos(current.saturating_mul(1_000_000_000))).seconds();
         // The time before the pipeline's start does not lower the rate. At least 1 s is assumed, so that a pipeline
         // that has just started has no extreme rate.
-        let known_for = self
+        let running_s = self
             .series
             .first_key_value()
             .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + incomplete_seconds).max(1.0));
         let mut sum = SecondFigures::default();
+        // Number of seconds in `sum`, counted backwards from the incomplete second.
         let mut merged = 0;
         // Each window contains the shorter windows, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
-            let cells = i64::from(seconds) + 1;
-            for (_, second_figures) in self.recent.iter(current - merged, (cells - merged) as usize) {
+            let length = i64::from(seconds) + 1;
+            for (_, second_figures) in self.recent.iter(current - merged, (length - merged) as usize) {
                 sum.merge(second_figures);
             }
-            merged = cells;
-            sum.window(seconds, (f64::from(seconds) + incomplete_seconds).min(known_for))
+            merged = length;
+            sum.window(seconds, (f64::from(seconds) + incomplete_seconds).min(running_s))
         })
     }
 }

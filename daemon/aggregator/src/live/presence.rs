@@ -23,7 +23,7 @@ pub(super) struct Presence {
     /// The number that the host's process drew at its start.
     process: u64,
     /// Time of the last message.
-    seen: Stamp,
+    last_seen: Stamp,
     /// The latest update: the host's clock when it was sent, and the process that sent it.
     update: Option<(WallTime, u64)>,
 }
@@ -31,7 +31,7 @@ pub(super) struct Presence {
 impl Presence {
     /// Creates the state at a process's hello.
     pub(super) const fn new(process: u64, now: Stamp) -> Self {
-        Self { state: State::Connected, process, seen: now, update: None }
+        Self { state: State::Connected, process, last_seen: now, update: None }
     }
 
     /// Returns whether the host is connected.
@@ -45,8 +45,8 @@ impl Presence {
     }
 
     /// Returns the time of the host's last message.
-    pub(super) const fn seen(&self) -> Stamp {
-        self.seen
+    pub(super) const fn last_seen(&self) -> Stamp {
+        self.last_seen
     }
 
     /// Returns the host's clock at its latest update.
@@ -61,23 +61,24 @@ impl Presence {
 
     /// Returns the host's clock minus the aggregator's at the latest update.
     pub(super) fn clock_ahead(&self) -> Span {
-        self.sent().map_or(Span::ZERO, |sent| sent - self.seen.wall)
+        self.sent().map_or(Span::ZERO, |sent| sent - self.last_seen.wall)
     }
 
     /// Records a process's hello. Returns whether it is the same process as before.
     pub(super) fn introduce(&mut self, process: u64, now: Stamp) -> bool {
-        self.seen = now;
-        let same = std::mem::replace(&mut self.process, process) == process;
-        // A new process counts as connected from its first update on: until then the live state shows the previous one.
-        if same {
+        self.last_seen = now;
+        let is_same_process = std::mem::replace(&mut self.process, process) == process;
+        // A new process counts as connected from its first update on. Until then the live state shows values of the
+        // previous process.
+        if is_same_process {
             self.state = State::Connected;
         }
-        same
+        is_same_process
     }
 
     /// Records an update.
     pub(super) const fn update(&mut self, sent: WallTime, now: Stamp) {
-        (self.state, self.seen) = (State::Connected, now);
+        (self.state, self.last_seen) = (State::Connected, now);
         self.update = Some((sent, self.process));
     }
 
@@ -95,6 +96,6 @@ impl Presence {
 
     /// Returns whether the host counts as connected and has been silent for too long.
     pub(super) fn is_overdue(&self, now: MonoTime) -> bool {
-        self.is_connected() && now - self.seen.mono > SILENCE_TIMEOUT
+        self.is_connected() && now - self.last_seen.mono > SILENCE_TIMEOUT
     }
 }

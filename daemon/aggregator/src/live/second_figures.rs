@@ -16,6 +16,7 @@ use peernet_store::{DelayAccuracy, QuantityStatistics, rank};
 #[derive(Clone, Debug, Default)]
 pub(super) struct SecondFigures {
     counts: OutcomeCounts,
+    /// Summaries by node name.
     values: Vec<(Name, Summary)>,
     /// Half-widths of the clock bounds by stage.
     bounds: Vec<(Name, Summary)>,
@@ -35,10 +36,10 @@ impl SecondFigures {
         };
         limit(&mut values);
         limit(&mut bounds);
-        let known =
-            |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
         // Verdicts of a later version are unknown here and left out.
-        let verdicts = verdicts.into_iter().filter_map(known).take(MAX_NAMES).collect();
+        let parse_verdict =
+            |(stage, verdict, count): (Name, Name, u64)| Some((stage, Verdict::from_name(&verdict)?, count));
+        let verdicts = verdicts.into_iter().filter_map(parse_verdict).take(MAX_NAMES).collect();
         Self { counts, values, bounds, verdicts }
     }
 
@@ -57,7 +58,7 @@ impl SecondFigures {
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
         let total_p95 =
-            self.total().and_then(QuantityStatistics::from_summary).and_then(|figures| figures.p95);
+            self.total().and_then(QuantityStatistics::from_summary).and_then(|statistics| statistics.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
         LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
     }
@@ -65,7 +66,7 @@ impl SecondFigures {
     /// Returns the data rates of both directions.
     fn transfers(&self) -> Transfers {
         Transfers::from_statistics(|name| {
-            let (_, summary) = self.values.iter().find(|(known, _)| known == name)?;
+            let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
             Some((summary.count(), summary.moments.mean))
         })
     }
@@ -73,15 +74,17 @@ impl SecondFigures {
     /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
-        let figures = |(name, summary): &(Name, Summary)| {
+        let statistics = |(name, summary): &(Name, Summary)| {
             Some((name.clone(), QuantityStatistics::from_summary(summary)?))
         };
-        let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(figures).collect();
+        let mut values: Vec<(Name, QuantityStatistics)> = self.values.iter().filter_map(statistics).collect();
         values.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
-        // A second without any answer lists the name without samples.
-        let late = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
-        let late = late.map(|(_, late)| (late.moments.mean * late.count() as f64).round() as u64);
-        let misses = late.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
+        // A second without any answer lists the name `DEADLINE_MISSED` without samples. A sample is 1 if the answer was
+        // late and 0 otherwise, so that the sum of the samples is the number of late answers.
+        let lateness = self.values.iter().find(|(name, _)| *name == *DEADLINE_MISSED);
+        let late_answers =
+            lateness.map(|(_, summary)| (summary.moments.mean * summary.count() as f64).round() as u64);
+        let misses = late_answers.map(|late| Misses::new(self.counts.ok, late, total - self.counts.ok));
         Window {
             seconds,
             covered_s,
@@ -104,12 +107,12 @@ impl SecondFigures {
                 let half_width =
                     half_width.and_then(|(_, summary)| QuantityStatistics::from_summary(summary));
                 let mut verdicts: Vec<(Verdict, u64)> = Vec::new();
-                for known in Verdict::ALL {
-                    let given =
-                        |(name, verdict, _): &&(Name, Verdict, u64)| *name == stage && verdict == known;
-                    let count = self.verdicts.iter().filter(given).map(|(_, _, count)| *count).sum();
+                for verdict in Verdict::ALL {
+                    let has_verdict =
+                        |(name, other, _): &&(Name, Verdict, u64)| *name == stage && other == verdict;
+                    let count = self.verdicts.iter().filter(has_verdict).map(|(_, _, count)| *count).sum();
                     if count > 0 {
-                        verdicts.push((*known, count));
+                        verdicts.push((*verdict, count));
                     }
                 }
                 (half_width.is_some() || !verdicts.is_empty()).then_some(DelayAccuracy {
@@ -128,9 +131,9 @@ impl Merge for SecondFigures {
         merge_named(&mut self.values, &other.values);
         merge_named(&mut self.bounds, &other.bounds);
         for (stage, verdict, count) in &other.verdicts {
-            let known = self.verdicts.iter().position(|(name, known, _)| name == stage && known == verdict);
-            match known {
-                Some(at) => self.verdicts[at].2 = self.verdicts[at].2.saturating_add(*count),
+            let index = self.verdicts.iter().position(|(name, other, _)| name == stage && other == verdict);
+            match index {
+                Some(index) => self.verdicts[index].2 = self.verdicts[index].2.saturating_add(*count),
                 None if self.verdicts.len() < MAX_NAMES => {
                     self.verdicts.push((stage.clone(), *verdict, *count));
                 }
@@ -144,12 +147,12 @@ impl Merge for SecondFigures {
 fn merge_named(into: &mut Vec<(Name, Summary)>, from: &[(Name, Summary)]) {
     for (position, (name, summary)) in from.iter().enumerate() {
         // Fast path: most seconds list the same names in the same order.
-        let known = match into.get(position) {
-            Some((known, _)) if known == name => Some(position),
-            _ => into.iter().position(|(known, _)| known == name),
+        let index = match into.get(position) {
+            Some((other, _)) if other == name => Some(position),
+            _ => into.iter().position(|(other, _)| other == name),
         };
-        match known {
-            Some(at) => into[at].1.merge(summary),
+        match index {
+            Some(index) => into[index].1.merge(summary),
             None if into.len() < MAX_NAMES => into.push((name.clone(), summary.clone())),
             None => {}
         }

@@ -1,4 +1,5 @@
-//! Estimates how fast storing catches up with measuring, from the storage lag in each live update.
+//! Estimates how fast storing catches up with measuring, from the storage lag at each live update. The storage lag is the
+//! age of the oldest event that is not stored yet.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -16,52 +17,56 @@ const MIN_BACKLOG: Span = Span::from_seconds(5);
 /// Smallest rate at which the lag falls, in seconds per second, for an estimate.
 const MIN_RATE: f64 = 0.02;
 
-/// Exponentially weighted sums. They need constant memory and are unbiased from the first second on, because the sums
-/// and the observed time decay alike.
+/// Exponentially weighted sums, from which the rates are computed. They need constant memory. The rates are unbiased from
+/// the first second on, because the sums and the observed time decay equally.
 #[derive(Debug, Default)]
 pub(super) struct StorageLag {
     /// The previous update: its time, the lag, and the number of stored events.
     last: Option<(MonoTime, Span, u64)>,
+    /// Observed time, seconds.
     observed_s: f64,
-    fallen_s: f64,
-    stored: f64,
+    /// Decrease of the lag, seconds.
+    decrease_s: f64,
+    /// Number of events that were stored.
+    stored_events: f64,
 }
 
 impl StorageLag {
-    /// Adds an observation: the lag of storing, and the number of events stored until then.
-    pub(super) fn observe(&mut self, behind: Option<Span>, stored: u64, now: MonoTime) {
-        let Some(behind) = behind else {
+    /// Adds an observation: the storage lag, and the number of events stored until then. The estimate restarts if no event
+    /// waits (`None`).
+    pub(super) fn observe(&mut self, lag: Option<Span>, stored: u64, now: MonoTime) {
+        let Some(lag) = lag else {
             *self = Self::default();
             return;
         };
-        if let Some((then, before, count)) = self.last {
-            let elapsed = (now - then).seconds();
+        if let Some((previous_time, previous_lag, previous_stored)) = self.last {
+            let elapsed = (now - previous_time).seconds();
             // The count of a replaced spool starts at 0.
-            if now - then > MAX_UPDATE_GAP || stored < count {
+            if now - previous_time > MAX_UPDATE_GAP || stored < previous_stored {
                 *self = Self::default();
             } else {
                 // Weight of the earlier sums.
-                let kept = (-elapsed / TIME_CONSTANT_S).exp();
-                self.observed_s = self.observed_s * kept + elapsed;
-                self.fallen_s = self.fallen_s * kept + (before - behind).seconds();
-                self.stored = self.stored * kept + (stored - count) as f64;
+                let weight = (-elapsed / TIME_CONSTANT_S).exp();
+                self.observed_s = self.observed_s * weight + elapsed;
+                self.decrease_s = self.decrease_s * weight + (previous_lag - lag).seconds();
+                self.stored_events = self.stored_events * weight + (stored - previous_stored) as f64;
             }
         }
-        self.last = Some((now, behind, stored));
+        self.last = Some((now, lag, stored));
     }
 
     /// Returns the estimate; `None` if the lag does not fall or is small.
     pub(super) fn estimate(&self) -> Option<CatchingUp> {
-        let (_, behind, _) = self.last?;
+        let (_, lag, _) = self.last?;
         // Extrapolating from little data or a small lag would make the displayed time jump.
-        if self.observed_s < MIN_OBSERVED_S || behind < MIN_BACKLOG {
+        if self.observed_s < MIN_OBSERVED_S || lag < MIN_BACKLOG {
             return None;
         }
-        let rate = self.fallen_s / self.observed_s;
+        let rate = self.decrease_s / self.observed_s;
         (rate >= MIN_RATE).then(|| CatchingUp {
             rate,
-            events_per_second: self.stored / self.observed_s,
-            remaining: Span::from_seconds_f64(behind.seconds() / rate),
+            events_per_second: self.stored_events / self.observed_s,
+            remaining: Span::from_seconds_f64(lag.seconds() / rate),
         })
     }
 }
@@ -74,12 +79,12 @@ mod tests {
         MonoTime::from_nanos(7) + Span::from_seconds_f64(seconds)
     }
 
-    /// Observes four updates a second from `from` to `to` seconds. `behind` gives the lag at a time.
-    fn observe(lag: &mut StorageLag, from: i32, to: i32, behind: impl Fn(f64) -> f64) {
+    /// Observes four updates a second from `from` to `to` seconds. `lag_at` returns the lag at a time.
+    fn observe(estimator: &mut StorageLag, from: i32, to: i32, lag_at: impl Fn(f64) -> f64) {
         for quarter in from * 4..to * 4 {
             let time = f64::from(quarter) / 4.0;
             let stored = (time * 20_000.0) as u64;
-            lag.observe(Some(Span::from_seconds_f64(behind(time))), stored, at(time));
+            estimator.observe(Some(Span::from_seconds_f64(lag_at(time))), stored, at(time));
         }
     }
 
@@ -89,18 +94,18 @@ mod tests {
         observe(&mut lag, 0, 1, |time| 11_520.0 - 48.0 * time);
         assert_eq!(lag.estimate(), None, "one second supports no rate");
         observe(&mut lag, 1, 30, |time| 11_520.0 - 48.0 * time);
-        let found = lag.estimate().expect("it falls");
-        assert!((found.rate - 48.0).abs() < 1e-6, "{found:?}");
-        assert!((found.events_per_second - 20_000.0).abs() < 1.0, "{found:?}");
+        let estimate = lag.estimate().expect("it falls");
+        assert!((estimate.rate - 48.0).abs() < 1e-6, "{estimate:?}");
+        assert!((estimate.events_per_second - 20_000.0).abs() < 1.0, "{estimate:?}");
         let left = (11_520.0 - 48.0 * 29.75) / 48.0;
-        assert!((found.remaining.seconds() - left).abs() < 1e-3, "{found:?}");
+        assert!((estimate.remaining.seconds() - left).abs() < 1e-3, "{estimate:?}");
     }
 
     #[test]
     fn growing_constant_or_small_lag_yields_no_rate() {
-        for behind in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
+        for lag_at in [|time: f64| 100.0 + time, |_: f64| 100.0, |time: f64| (4.0 - time * 0.1).max(0.1)] {
             let mut lag = StorageLag::default();
-            observe(&mut lag, 0, 30, behind);
+            observe(&mut lag, 0, 30, lag_at);
             assert_eq!(lag.estimate(), None);
         }
     }
@@ -110,13 +115,13 @@ mod tests {
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 + time);
         observe(&mut lag, 60, 120, |time| 10_060.0 - 20.0 * (time - 60.0));
-        let found = lag.estimate().expect("it falls");
-        assert!((found.rate - 20.0).abs() < 0.3, "{found:?}");
+        let estimate = lag.estimate().expect("it falls");
+        assert!((estimate.rate - 20.0).abs() < 0.3, "{estimate:?}");
         // Batches of four seconds each: the age of the oldest waiting event falls in steps.
         let mut lag = StorageLag::default();
         observe(&mut lag, 0, 60, |time| 10_000.0 - 40.0 * (time / 4.0).floor() * 4.0);
-        let found = lag.estimate().expect("it falls");
-        assert!((30.0..50.0).contains(&found.rate), "{found:?}");
+        let estimate = lag.estimate().expect("it falls");
+        assert!((30.0..50.0).contains(&estimate.rate), "{estimate:?}");
     }
 
     #[test]
@@ -126,7 +131,7 @@ mod tests {
         lag.observe(Some(Span::from_seconds(5_000)), 40_000_000, at(120.0));
         assert_eq!(lag.estimate(), None, "the silence is no catching up");
         observe(&mut lag, 121, 130, |time| 5_000.0 - 20.0 * (time - 121.0));
-        assert_eq!(lag.estimate().map(|found| found.rate.round()), Some(20.0));
+        assert_eq!(lag.estimate().map(|estimate| estimate.rate.round()), Some(20.0));
         lag.observe(Some(Span::from_seconds(4_000)), 3, at(130.0));
         assert_eq!(lag.estimate(), None, "a spool that was replaced begins to count anew");
         lag.observe(None, 4, at(131.0));

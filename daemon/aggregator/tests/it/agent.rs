@@ -30,8 +30,8 @@ pub(crate) struct Agent {
 
 /// Returns the secret of a host of these tests, which follows from its id.
 pub(crate) fn secret_of(host: HostId) -> HostSecret {
-    let half = host.as_bytes();
-    HostSecret::from_bytes(std::array::from_fn(|n| half[n % half.len()]))
+    let id_bytes = host.as_bytes();
+    HostSecret::from_bytes(std::array::from_fn(|n| id_bytes[n % id_bytes.len()]))
 }
 
 /// A connection to the aggregator.
@@ -108,27 +108,28 @@ impl Agent {
         events.into_iter().for_each(|event| self.sending.offer(&event, self.clock.stamp()));
     }
 
-    /// Exchanges messages with the aggregator until `done` is true; fails after `PATIENCE`.
-    pub(crate) async fn until(&mut self, what: &str, mut done: impl FnMut(&Self) -> bool) {
-        let speak = async {
+    /// Exchanges messages with the aggregator until `is_done` is `true`; fails after `PATIENCE`. `what` describes the
+    /// condition in the panic message.
+    pub(crate) async fn until(&mut self, what: &str, mut is_done: impl FnMut(&Self) -> bool) {
+        let exchange = async {
             loop {
                 self.sending.tick(self.clock.stamp());
                 self.act().await;
-                if done(self) {
+                if is_done(self) {
                     return;
                 }
-                let wait =
+                let pause =
                     self.sending.deadline().map(|deadline| (deadline - self.clock.mono()).to_duration());
                 tokio::select! {
                     message = self.socket.receive() => {
                         let notice = self.sending.on_message(&message, self.clock.stamp());
                         self.notices.extend(notice);
                     }
-                    () = tokio::time::sleep(wait.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
+                    () = tokio::time::sleep(pause.unwrap_or(PATIENCE).min(Duration::from_millis(50))) => {}
                 }
             }
         };
-        assert!(tokio::time::timeout(PATIENCE, speak).await.is_ok(), "waited in vain until {what}");
+        assert!(tokio::time::timeout(PATIENCE, exchange).await.is_ok(), "waited in vain until {what}");
     }
 
     pub(crate) async fn until_up(&mut self) {

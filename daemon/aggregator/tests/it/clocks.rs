@@ -18,12 +18,12 @@ pub fn micros(lo: i64, hi: i64) -> Interval {
 pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
     let at = generate::at(second as f64);
     let sent = RawTime::from_wall(at - Span::from_millis(400));
-    let ahead = Span::from_millis(250);
-    let exchange = |way: Span| Exchange {
+    let clock_ahead = Span::from_millis(250);
+    let exchange = |one_way: Span| Exchange {
         sent,
-        received: sent + way + ahead,
-        replied: sent + way + ahead,
-        returned: sent + way + way,
+        received: sent + one_way + clock_ahead,
+        replied: sent + one_way + clock_ahead,
+        returned: sent + one_way + one_way,
         uncertainty: Span::from_nanos(2),
     };
     let delays = DelaySecond {
@@ -45,7 +45,7 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
         lower: Some(exchange(Span::from_micros(width + 1))),
         offset: Some(Offset {
             at,
-            estimate: ahead,
+            estimate: clock_ahead,
             bounds: micros(250_000 - width, 250_000 + width),
             source: DelaySource::Intersection,
             sources: vec![

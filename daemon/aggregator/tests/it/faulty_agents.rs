@@ -33,15 +33,19 @@ async fn second_host_of_one_name_is_refused_and_shown() {
 #[tokio::test]
 async fn crashed_agent_reconnects_with_same_id() {
     let mut testbed = Testbed::new().await;
-    let mut before = testbed.agent("edge").await;
-    before.until_up().await;
-    let id = before.id;
-    drop(before);
-    let mut after = Agent::with(id, "edge", &testbed.address, &testbed.clock).await;
-    after.until_up().await;
-    assert!(after.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))), "{:?}", after.notices);
-    after.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
-    after.until_stored().await;
+    let mut crashed = testbed.agent("edge").await;
+    crashed.until_up().await;
+    let id = crashed.id;
+    drop(crashed);
+    let mut restarted = Agent::with(id, "edge", &testbed.address, &testbed.clock).await;
+    restarted.until_up().await;
+    assert!(
+        restarted.notices.iter().all(|notice| !matches!(notice, Notice::Refused(_))),
+        "{:?}",
+        restarted.notices
+    );
+    restarted.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);
+    restarted.until_stored().await;
     assert_eq!(testbed.snapshot("the host", |snapshot| snapshot.hosts.len() == 1).await.hosts[0].id, id);
     testbed.stop().await;
 }
@@ -72,7 +76,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
             snapshot.hosts.first().is_some_and(|host| host.stored.duplicates == 3)
         })
         .await;
-    // The host id is not sufficient on another connection.
+    // On another connection, the host id alone does not give access.
     let stranger = ScriptedAgent::new(&testbed).await;
     stranger.socket.send_frame(batches[2].clone()).await;
     stranger.expect(Reply::Unknown).await;
@@ -143,19 +147,19 @@ async fn undecodable_batch_is_quarantined_at_once() {
 }
 
 #[tokio::test]
-async fn flipped_byte_harms_no_other_batch() {
+async fn flipped_byte_affects_no_other_batch() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     let mut other = ScriptedAgent::welcome(&testbed, "other").await;
     let frame = scripted_agent.next();
     // All bytes of the head, and half of the length. With later bytes the frame is recognised as this batch, which
     // would be quarantined when it is damaged three times in a row.
-    for at in 0..80 {
+    for index in 0..80 {
         let mut flipped = frame.clone();
-        flipped[at] ^= 0x10;
+        flipped[index] ^= 0x10;
         scripted_agent.socket.send_frame(flipped).await;
-        if at % 30 == 0 {
-            let number = at as u64 / 30 + 1;
+        if index % 30 == 0 {
+            let number = index as u64 / 30 + 1;
             other.send_next().await;
             other.expect(Reply::Ack(number)).await;
         }
@@ -188,7 +192,7 @@ async fn batch_of_another_history_is_not_stored() {
 }
 
 #[tokio::test]
-async fn sender_beyond_window_loses_nothing() {
+async fn sender_that_ignores_window_loses_nothing() {
     let mut testbed = Testbed::new().await;
     let mut scripted_agent = ScriptedAgent::welcome(&testbed, "edge").await;
     // The greeting is stored before the database is locked.
@@ -276,13 +280,13 @@ async fn deleted_spool_leaves_one_gap_despite_reconnections() {
     for _ in 0..2 {
         for _ in 0..2 {
             // With the same process number, so that the aggregator does not wait for another agent's end.
-            let again = ScriptedAgent {
+            let reconnection = ScriptedAgent {
                 stream: replacement.stream,
                 host: scripted_agent.host,
                 ..ScriptedAgent::new(&testbed).await
             };
             assert!(matches!(
-                again.socket.greet(&again.hello("edge")).await,
+                reconnection.socket.greet(&reconnection.hello("edge")).await,
                 ToAgent::Welcome { stored: 0, .. }
             ));
         }

@@ -8,7 +8,7 @@ use crate::scripted_agent::{Reply, ScriptedAgent};
 use crate::testbed::Testbed;
 
 /// Returns a batch of nearly the largest size.
-fn large(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
+fn large_batch(scripted_agent: &mut ScriptedAgent) -> Vec<u8> {
     let incident = Incident {
         at: generate::at(1.0),
         kind: IncidentKind::Control,
@@ -35,17 +35,17 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
     // Compressed they are small on the network, but in the queue they take the size of the decompressed events.
     for scripted_agent in &mut agents[..2] {
         for _ in 0..16 {
-            let frame = large(scripted_agent);
+            let frame = large_batch(scripted_agent);
             scripted_agent.socket.send_frame(frame).await;
         }
     }
     let late = agents[2].next();
-    testbed.snapshot("that there is no room", |snapshot| snapshot.totals.arrivals.deferred >= 6).await;
-    let deferred = large(&mut agents[2]);
+    testbed.snapshot("deferred batches", |snapshot| snapshot.totals.arrivals.deferred >= 6).await;
+    let deferred = large_batch(&mut agents[2]);
     agents[2].socket.send_frame(late.clone()).await;
     agents[2].socket.send_frame(deferred.clone()).await;
     testbed
-        .snapshot("that there is none for others either", |snapshot| {
+        .snapshot("a deferred batch of the third agent", |snapshot| {
             snapshot
                 .hosts
                 .iter()
@@ -54,13 +54,13 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
         .await;
     sqlx::raw_sql("ROLLBACK").execute(&mut holder).await.expect("unlocks");
     // The aggregator requests the deferred batches, and stores all of them.
-    let mut resent = 0;
+    let mut resend_requests = 0;
     loop {
         match agents[2].socket.receive().await {
             peernet_stream::ToAgent::Resend { from, .. } => {
-                resent += 1;
-                let again = [&late, &deferred];
-                for frame in &again[usize::try_from(from).expect("small") - 2..] {
+                resend_requests += 1;
+                let deferred_frames = [&late, &deferred];
+                for frame in &deferred_frames[usize::try_from(from).expect("small") - 2..] {
                     agents[2].socket.send_frame((*frame).clone()).await;
                 }
             }
@@ -69,7 +69,7 @@ async fn deferred_batches_are_requested_when_queue_has_capacity() {
             other => panic!("{other:?}"),
         }
     }
-    assert!(resent > 0);
+    assert!(resend_requests > 0);
     assert_eq!(
         testbed
             .count("SELECT stored FROM stream JOIN host ON host.id = stream.host WHERE name = 'late'")
@@ -89,9 +89,9 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     // Hours apart and unordered, each part in a separate commit, with a restart between them.
     for (part, hour) in [5, 0, 3, 5, 1].into_iter().enumerate() {
-        let began = f64::from(hour) * 3600.0 + part as f64 * 7.0;
+        let start_s = f64::from(hour) * 3600.0 + part as f64 * 7.0;
         agent.offer((0..60_u32).map(|n| {
-            let at = generate::at(began + f64::from(n) * 0.31);
+            let at = generate::at(start_s + f64::from(n) * 0.31);
             let number = part as u64 * 60 + u64::from(n) + 1;
             Event::Iteration(generate::iteration_at(run, number, hosts, at, &mut random))
         }));
@@ -115,7 +115,7 @@ async fn late_data_is_counted_in_buckets_of_its_time() {
 }
 
 #[tokio::test]
-async fn a_run_is_pinned_while_others_are_stored() {
+async fn run_is_pinned_while_aggregator_stores() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     agent.offer([generate::run_started(RunId::random(), "line", generate::at(0.0))]);

@@ -107,23 +107,23 @@ pub fn iteration_at(
     let up = numbers.between(2_000_000, 8_000_000);
     add(0, stage::UPLOAD, 0, now, transit(started + now, up));
     now += Span::from_nanos(up);
-    let mut there = Span::ZERO;
+    let mut cloud_time = Span::ZERO;
     let mut timer = |now: &mut Span, low: i64, high: i64| {
         let span = Span::from_nanos(numbers.between(low, high));
         *now += span;
         Measure::Timer(Some(span))
     };
-    let begin = there;
-    add(0, stage::QUEUE, 1, begin, timer(&mut there, 5_000, 50_000));
-    let begin = there;
-    add(0, stage::PREPROCESSING, 1, begin, timer(&mut there, 1_000_000, 1_500_000));
-    let begin = there;
-    add(0, stage::INFERENCE, 1, begin, timer(&mut there, 9_000_000, 12_000_000));
-    let begin = there;
-    add(0, stage::POSTPROCESSING, 1, begin, timer(&mut there, 100_000, 200_000));
-    now += there;
+    let start = cloud_time;
+    add(0, stage::QUEUE, 1, start, timer(&mut cloud_time, 5_000, 50_000));
+    let start = cloud_time;
+    add(0, stage::PREPROCESSING, 1, start, timer(&mut cloud_time, 1_000_000, 1_500_000));
+    let start = cloud_time;
+    add(0, stage::INFERENCE, 1, start, timer(&mut cloud_time, 9_000_000, 12_000_000));
+    let start = cloud_time;
+    add(0, stage::POSTPROCESSING, 1, start, timer(&mut cloud_time, 100_000, 200_000));
+    now += cloud_time;
     let down = numbers.between(300_000, 900_000);
-    add(0, stage::DOWNLOAD, 1, there, transit(started + now, down));
+    add(0, stage::DOWNLOAD, 1, cloud_time, transit(started + now, down));
     now += Span::from_nanos(down);
     add(0, stage::ACTUATION, 0, now, Measure::Timer(Some(Span::from_micros(12))));
     now += Span::from_micros(12);
@@ -131,8 +131,8 @@ pub fn iteration_at(
     let rate = 150_000.0 * 8.0 / (up as f64 * 1e-9);
     let rate = Rate { value: Some(rate), bounds: Some((rate * 0.9, f64::INFINITY)) };
     add(0, stage::UPLOAD_THROUGHPUT, 0, now, Measure::Throughput(rate));
-    add(0, "tokens-per-second".into(), 1, there, Measure::TokenRate(None));
-    add(0, "gpu-power".into(), 1, there, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
+    add(0, "tokens-per-second".into(), 1, cloud_time, Measure::TokenRate(None));
+    add(0, "gpu-power".into(), 1, cloud_time, Measure::Custom("power".into(), Unit::WATTS, Some(11.5)));
     add(0, "gripper".into(), 0, now, Measure::Custom("value".into(), Unit::NONE, None));
     add(0, stage::TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
     add(0, stage::STAGES_TOTAL, 0, Span::ZERO, Measure::Timer(Some(now)));
@@ -153,12 +153,12 @@ pub fn iteration_at(
     Iteration { run, number, episode: 0, step: number as u32, warm_up: false, outcome: Outcome::Ok, tree }
 }
 
-/// Returns a one-way delay of `nanos` with bounds of ± 40 µs.
+/// Returns a transit with a one-way delay of `nanos` and bounds of ± 40 µs.
 fn transit(sent: WallTime, nanos: i64) -> Measure {
     let span = Span::from_nanos(nanos);
-    let half = Span::from_micros(40);
+    let half_width = Span::from_micros(40);
     let delay = OneWayDelay {
-        bounds: Some(Interval { lo: span - half, hi: span + half }),
+        bounds: Some(Interval { lo: span - half_width, hi: span + half_width }),
         verdict: Verdict::Limited,
         ..OneWayDelay::same_clock(span)
     };

@@ -18,24 +18,24 @@ use crate::testbed::Testbed;
 use crate::{clocks, generate};
 
 #[tokio::test]
-async fn silent_connections_keep_no_agent_out() {
+async fn silent_connections_do_not_block_agents() {
     let mut testbed = Testbed::new().await;
     let address = testbed.address.strip_prefix("tcp://").expect("TCP").to_owned();
     // A connection that is closed by the aggregator is opened again at once.
     let mut silent = JoinSet::new();
-    let inside = Arc::new(Semaphore::new(0));
+    let open_connections = Arc::new(Semaphore::new(0));
     for _ in 0..300 {
-        let (address, inside) = (address.clone(), Arc::clone(&inside));
+        let (address, open_connections) = (address.clone(), Arc::clone(&open_connections));
         silent.spawn(async move {
             loop {
                 let mut connection = TcpStream::connect(&address).await.expect("connects");
-                inside.add_permits(1);
+                open_connections.add_permits(1);
                 let mut ignored = Vec::new();
                 let _closed = connection.read_to_end(&mut ignored).await;
             }
         });
     }
-    let _all = inside.acquire_many(300).await.expect("open");
+    let _permits = open_connections.acquire_many(300).await.expect("open");
     let mut agent = testbed.agent("edge").await;
     agent.until_up().await;
     silent.shutdown().await;
@@ -67,18 +67,18 @@ async fn hosts_per_connection_are_limited() {
 async fn unreadable_and_unknown_messages_are_counted() {
     let mut testbed = Testbed::new().await;
     let mut stranger = ScriptedAgent::new(&testbed).await;
-    for junk in [&b""[..], b"\xff\xff\xff", &[7; 10_000]] {
-        stranger.socket.send_frame(junk.to_vec()).await;
+    for unreadable in [&b""[..], b"\xff\xff\xff", &[7; 10_000]] {
+        stranger.socket.send_frame(unreadable.to_vec()).await;
     }
     stranger.send_next().await;
     stranger.expect(Reply::Unknown).await;
     stranger.socket.send(&ToAggregator::Goodbye(stranger.host)).await;
     stranger.expect(Reply::Unknown).await;
-    let counted = testbed.snapshot("all of them", |snapshot| {
+    let snapshot_with_counts = testbed.snapshot("all of them", |snapshot| {
         let refused = snapshot.totals.refused;
         (refused.unreadable, refused.strangers) == (3, 2)
     });
-    let snapshot = counted.await;
+    let snapshot = snapshot_with_counts.await;
     assert!(snapshot.hosts.is_empty() && snapshot.totals.stored.events == 0);
     testbed.stop().await;
 }
@@ -101,8 +101,8 @@ async fn hostile_clock_values_are_bounded_and_stored() {
         .collect();
     links[0].networks = vec!["x".repeat(300_000)];
     let clock = HostClock { text: "y".repeat(300_000), ..HostClock::default() };
-    let more = [&links[..], &links[..1]].concat();
-    agent.live_with(vec![], more, clock.clone()).await;
+    let too_many_links = [&links[..], &links[..1]].concat();
+    agent.live_with(vec![], too_many_links, clock.clone()).await;
     agent.live_with(vec![], links, clock).await;
     let snapshot = testbed.snapshot("some links", |snapshot| !snapshot.links.is_empty()).await;
     assert_eq!(snapshot.links.len(), 64);
@@ -111,7 +111,7 @@ async fn hostile_clock_values_are_bounded_and_stored() {
     assert!(serde_json::to_string(&*snapshot).expect("serialises").len() < 1_000_000);
 
     // Extreme bit patterns in the durable lane, which must store what it can.
-    let wild = |second: i64, nanos: i64| {
+    let extreme_sample = |second: i64, nanos: i64| {
         let mut sample = clocks::sample(HostId::from_bytes([7; 16]), second, 40);
         (sample.window, sample.max_drift_ppm) = (nanos.cast_unsigned(), f64::NEG_INFINITY);
         for exchange in [&mut sample.upper, &mut sample.lower].into_iter().flatten() {
@@ -137,7 +137,8 @@ async fn hostile_clock_values_are_bounded_and_stored() {
         }
         Event::Iteration(iteration)
     }));
-    let samples = [i64::MIN, i64::MAX, -1, 0].into_iter().zip(1..).map(|(nanos, second)| wild(second, nanos));
+    let samples =
+        [i64::MIN, i64::MAX, -1, 0].into_iter().zip(1..).map(|(nanos, second)| extreme_sample(second, nanos));
     agent.offer(samples.map(|sample| Event::Clock(Box::new(sample))));
     agent.until_stored().await;
     assert_eq!(testbed.count("SELECT count(*) FROM quarantine").await, 0);
@@ -153,16 +154,20 @@ async fn hostile_clock_values_are_bounded_and_stored() {
 }
 
 #[tokio::test]
-async fn nothing_is_acknowledged_while_the_database_file_is_away() {
+async fn nothing_is_acknowledged_while_database_file_is_moved() {
     let mut testbed = Testbed::new().await;
     let mut agent = testbed.agent("edge").await;
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.until_stored().await;
-    let away = testbed.database.with_extension("away");
-    std::fs::rename(&testbed.database, &away).expect("moves");
+    let moved = testbed.database.with_extension("away");
+    std::fs::rename(&testbed.database, &moved).expect("moves");
     // Detected although nothing is to be stored.
-    agent.until("it is seen", |_| testbed.aggregator().current_readiness() != Readiness::Ready).await;
+    agent
+        .until("the missing file is detected", |_| {
+            testbed.aggregator().current_readiness() != Readiness::Ready
+        })
+        .await;
     let Readiness::NotStoring(reason) = testbed.aggregator().current_readiness() else {
         panic!("not storing")
     };
@@ -173,7 +178,7 @@ async fn nothing_is_acknowledged_while_the_database_file_is_away() {
     agent.sending.flush(testbed.clock.wall());
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (1, 50));
 
-    std::fs::rename(&away, &testbed.database).expect("moves back");
+    std::fs::rename(&moved, &testbed.database).expect("moves back");
     agent.until_stored().await;
     assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT ok FROM run").await, 50);
@@ -189,18 +194,18 @@ async fn unnamed_run_gets_name_from_live_lane() {
     let hosts = (agent.id, HostId::from_bytes([7; 16]));
     agent.offer((4..=9).map(|n| Event::Iteration(generate::iteration(run, n, hosts, &mut numbers))));
     agent.until_stored().await;
-    // The run has no name yet, and is known as unnamed after a restart, too.
+    // The run has no name yet, and the aggregator knows this after a restart, too.
     assert_eq!(testbed.count("SELECT count(*) FROM run WHERE model = 'unknown'").await, 1);
     testbed.stop().await;
     testbed.start().await;
     agent.until_up().await;
-    let mut again = crate::agent::Agent::with(agent.id, "edge", &testbed.address, &testbed.clock).await;
+    let mut new_process = crate::agent::Agent::with(agent.id, "edge", &testbed.address, &testbed.clock).await;
     drop(agent);
-    again.until_up().await;
+    new_process.until_up().await;
     let second = testbed.clock.wall().unix_seconds();
-    again.live(vec![crate::lanes::live(run, second, &[0.020])]).await;
-    again.offer([Event::Iteration(generate::iteration(run, 10, hosts, &mut numbers))]);
-    again.until_stored().await;
+    new_process.live(vec![crate::lanes::live(run, second, &[0.020])]).await;
+    new_process.offer([Event::Iteration(generate::iteration(run, 10, hosts, &mut numbers))]);
+    new_process.until_stored().await;
     assert_eq!(
         testbed
             .count(

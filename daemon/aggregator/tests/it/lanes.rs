@@ -44,10 +44,11 @@ pub(crate) fn live(run: RunId, at: i64, totals: &[f64]) -> PipelineLive {
 #[tokio::test]
 async fn readers_get_what_agents_sent() {
     let mut testbed = Testbed::new().await;
-    let (mut one, mut two) = (testbed.agent("one").await, testbed.agent("two").await);
+    let (mut first_agent, mut second_agent) = (testbed.agent("one").await, testbed.agent("two").await);
     let runs = [RunId::random(), RunId::random()];
-    let sent = [iterations(runs[0], one.id, 1..=300), iterations(runs[1], two.id, 1..=200)];
-    for (agent, (run, sent)) in [&mut one, &mut two].into_iter().zip(runs.iter().zip(&sent)) {
+    let sent = [iterations(runs[0], first_agent.id, 1..=300), iterations(runs[1], second_agent.id, 1..=200)];
+    for (agent, (run, sent)) in [&mut first_agent, &mut second_agent].into_iter().zip(runs.iter().zip(&sent))
+    {
         agent.offer([generate::run_started(*run, "line", generate::at(0.0))]);
         agent.offer(events(sent));
         agent.offer([Event::RunEnded(RunEnded {
@@ -56,24 +57,27 @@ async fn readers_get_what_agents_sent() {
             reason: EndReason::Finished,
         })]);
     }
-    tokio::join!(one.until_stored(), two.until_stored());
-    assert_eq!((one.accounting().stored, two.accounting().stored, one.accounting().dropped), (302, 202, 0));
+    tokio::join!(first_agent.until_stored(), second_agent.until_stored());
+    assert_eq!(
+        (first_agent.accounting().stored, second_agent.accounting().stored, first_agent.accounting().dropped),
+        (302, 202, 0)
+    );
 
     let store = testbed.aggregator().store();
     let listed = store.runs(&RunFilter::default()).await.expect("answers");
     assert_eq!(listed.len(), 2);
     for summary in &listed {
-        let which = runs.iter().position(|run| *run == summary.id).expect("one of them");
-        assert_eq!(summary.counts.ok, sent[which].len() as u64);
-        assert_eq!(summary.host, [one.id, two.id][which]);
+        let index = runs.iter().position(|run| *run == summary.id).expect("one of them");
+        assert_eq!(summary.counts.ok, sent[index].len() as u64);
+        assert_eq!(summary.host, [first_agent.id, second_agent.id][index]);
         assert_eq!(summary.reason, Some(EndReason::Finished));
-        for iteration in sent[which].iter().step_by(37) {
+        for iteration in sent[index].iter().step_by(37) {
             let detail = store.iteration(summary.number, iteration.number).await.expect("answers");
             assert_eq!(detail.expect("stored").tree, iteration.tree);
         }
     }
     assert_eq!(testbed.count("SELECT count(*) FROM node").await, 500 * 21);
-    let snapshot = testbed.snapshot("both accounts", |snapshot| {
+    let snapshot = testbed.snapshot("the counts of both hosts", |snapshot| {
         snapshot.hosts.len() == 2 && snapshot.hosts.iter().map(|host| host.stored.events).sum::<u64>() == 504
     });
     assert_eq!(snapshot.await.hosts.iter().map(|host| host.stored.nodes).sum::<u64>(), 500 * 21);
@@ -87,15 +91,15 @@ async fn clock_samples_are_shown_and_stored() {
     agent.until_up().await;
     let cloud = HostId::random();
     let samples: Vec<_> = (1..=200).map(|second| clocks::sample(cloud, second, 40)).collect();
-    let of_samples = |part: &[ClockSample]| -> Vec<Event> {
+    let clock_events = |part: &[ClockSample]| -> Vec<Event> {
         part.iter().cloned().map(|sample| Event::Clock(Box::new(sample))).collect()
     };
     // Half of the samples, a restart, and the other half: each is stored once.
-    agent.offer(of_samples(&samples[..100]));
+    agent.offer(clock_events(&samples[..100]));
     agent.until_stored().await;
     testbed.stop().await;
     testbed.start().await;
-    agent.offer(of_samples(&samples[100..]));
+    agent.offer(clock_events(&samples[100..]));
     agent.until_stored().await;
     assert_eq!(testbed.count("SELECT count(*) FROM clock_sample").await, 200);
     let store = testbed.aggregator().store();
@@ -119,7 +123,7 @@ async fn clock_samples_are_shown_and_stored() {
     assert_eq!((link.history.len(), &link.history[0].offset), (1, &now.offset));
     assert_eq!(snapshot.hosts[0].clock, clock);
     testbed
-        .snapshot("that the edge is away", |snapshot| snapshot.links.iter().all(|link| !link.connected))
+        .snapshot("the disconnected link", |snapshot| snapshot.links.iter().all(|link| !link.connected))
         .await;
     testbed.stop().await;
 }
@@ -144,7 +148,7 @@ async fn restart_loses_nothing_and_stores_nothing_twice() {
     assert_eq!(testbed.count("SELECT ok FROM run").await, 2_000);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
     let stages = testbed.aggregator().store().statistics_of(1).await.expect("answers").stages;
-    let total = stages.iter().find(|known| known.stage == "total").expect("measured");
+    let total = stages.iter().find(|stage_statistics| stage_statistics.stage == "total").expect("measured");
     assert_eq!(total.figures.count, 2_000);
     testbed.stop().await;
 }
@@ -196,9 +200,9 @@ async fn admitted_batches_are_stored_and_acknowledged_at_stop() {
     let run = RunId::random();
     agent.offer([generate::run_started(run, "line", generate::at(0.0))]);
     agent.offer(events(&iterations(run, agent.id, 1..=400)));
-    agent.until("some is stored", |agent| agent.accounting().stored > 0).await;
+    agent.until("some events are stored", |agent| agent.accounting().stored > 0).await;
     testbed.stop().await;
     let stored = testbed.count("SELECT ok FROM run").await as u64 + 1;
-    agent.until("all acknowledgements are here", |agent| agent.accounting().stored >= stored).await;
+    agent.until("all acknowledgements have arrived", |agent| agent.accounting().stored >= stored).await;
     assert_eq!(agent.accounting().stored, stored);
 }

@@ -12,36 +12,37 @@ use crate::agent::Agent;
 use crate::generate;
 use crate::testbed::Testbed;
 
-/// Returns the path of the database with `end` appended.
-fn beside(database: &Path, end: &str) -> PathBuf {
+/// Returns the path of the database with `suffix` appended.
+fn path_with_suffix(database: &Path, suffix: &str) -> PathBuf {
     let mut path = database.as_os_str().to_owned();
-    path.push(end);
+    path.push(suffix);
     path.into()
 }
 
 /// Moves the database away with its -wal and -shm files.
 fn move_away(database: &Path) {
-    for end in ["", "-wal", "-shm"] {
-        let from = beside(database, end);
+    for suffix in ["", "-wal", "-shm"] {
+        let from = path_with_suffix(database, suffix);
         if from.exists() {
-            std::fs::rename(&from, beside(database, &format!("-away{end}"))).expect("moves");
+            std::fs::rename(&from, path_with_suffix(database, &format!("-away{suffix}"))).expect("moves");
         }
     }
 }
 
 /// Copies the database.
 async fn backup(testbed: &Testbed) -> PathBuf {
-    let copy = beside(&testbed.database, "-copy");
+    let copy = path_with_suffix(&testbed.database, "-copy");
     let into = format!("VACUUM INTO '{}'", copy.display());
     sqlx::raw_sql(AssertSqlSafe(into)).execute(&mut testbed.connection().await).await.expect("copies");
     copy
 }
 
-/// Waits until storing fails for a reason that contains `words`.
-async fn not_storing(testbed: &Testbed, words: &str) {
+/// Waits until storing fails for a reason that contains `expected_text`.
+async fn not_storing(testbed: &Testbed, expected_text: &str) {
     let mut ready = testbed.aggregator().readiness();
-    let says = |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(words));
-    ready.wait_for(says).await.expect("runs");
+    let is_not_storing =
+        |ready: &Readiness| matches!(ready, Readiness::NotStoring(reason) if reason.contains(expected_text));
+    ready.wait_for(is_not_storing).await.expect("runs");
 }
 
 /// Waits until events are stored again.
@@ -96,11 +97,11 @@ async fn older_copy_is_compared_with_spools_again() {
     line.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
-    let snapshot = testbed.snapshot("what this database holds", |snapshot| {
+    let snapshot = testbed.snapshot("the counts of this database", |snapshot| {
         snapshot.hosts.first().is_some_and(|host| host.stored.events < 50)
     });
     assert_eq!(snapshot.await.hosts.len(), 1);
-    // Readers use the file that is at the path now, too.
+    // Readers, too, use the file that is now at the path.
     let after = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(after.summary.counts.ok, 15);
     testbed.stop().await;
@@ -125,7 +126,7 @@ async fn missing_database_is_never_created_again() {
     not_storing(&testbed, "not a database").await;
     assert_eq!(std::fs::read(&testbed.database).expect("reads"), b"no database at all");
     // The moved file is complete without its log.
-    std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
+    std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
     line.agent.until_stored().await;
     assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
@@ -146,7 +147,7 @@ async fn log_of_replaced_database_is_not_applied() {
     std::fs::rename(&copy, &testbed.database).expect("replaces");
     not_storing(&testbed, "belongs to another database, which was at this path before").await;
     reader.close().await.expect("closes");
-    std::fs::remove_file(beside(&testbed.database, "-wal")).expect("removes");
+    std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
     ready(&testbed).await;
     line.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
@@ -158,7 +159,7 @@ async fn removed_log_is_recreated_without_loss() {
     let mut testbed = Testbed::new().await;
     let mut line = TestPipeline::new(&testbed).await;
     line.store(10).await;
-    std::fs::remove_file(beside(&testbed.database, "-wal")).expect("removes");
+    std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
     not_storing(&testbed, "sqlite-wal").await;
     ready(&testbed).await;
     line.store(10).await;
@@ -176,9 +177,11 @@ async fn goodbye_during_outage_ends_runs() {
     not_storing(&testbed, "put it back").await;
     line.agent.goodbye().await;
     testbed
-        .snapshot("that it left", |snapshot| snapshot.hosts.first().is_some_and(|host| !host.connected))
+        .snapshot("the disconnected host", |snapshot| {
+            snapshot.hosts.first().is_some_and(|host| !host.connected)
+        })
         .await;
-    std::fs::rename(beside(&testbed.database, "-away"), &testbed.database).expect("moves back");
+    std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
     ready(&testbed).await;
     testbed.stop().await;
     assert_eq!(testbed.count("SELECT count(*) FROM run WHERE ended_ns IS NOT NULL").await, 1);

@@ -19,9 +19,9 @@ pub(crate) struct ScriptedAgent {
     pub(crate) process: u64,
     /// Number of the newest batch.
     pub(crate) number: u64,
-    /// Chain after the newest batch.
+    /// Chain of the newest batch.
     pub(crate) before: Chain,
-    /// Number of events of the batches so far.
+    /// Number of events in all batches so far.
     pub(crate) events: u64,
 }
 
@@ -96,26 +96,27 @@ impl ScriptedAgent {
         self.socket.send_frame(frame).await;
     }
 
-    pub(crate) async fn expect(&self, what: Reply) {
+    pub(crate) async fn expect(&self, expected: Reply) {
         let stream = self.stream;
-        match (what, self.socket.receive().await) {
-            (Reply::Ack(number), ToAgent::Ack { stream: of, through, window }) => {
-                assert_eq!((of, through, window > 0), (stream, number, true));
+        match (expected, self.socket.receive().await) {
+            (Reply::Ack(number), ToAgent::Ack { stream: reply_stream, through, window }) => {
+                assert_eq!((reply_stream, through, window > 0), (stream, number, true));
             }
-            (Reply::Resend(number), ToAgent::Resend { stream: of, from }) => {
-                assert_eq!((of, from), (stream, number));
+            (Reply::Resend(number), ToAgent::Resend { stream: reply_stream, from }) => {
+                assert_eq!((reply_stream, from), (stream, number));
             }
             (Reply::Unknown, ToAgent::Unknown) => {}
-            (what, came) => panic!("expected {what:?}, got {came:?}"),
+            (expected, received) => panic!("expected {expected:?}, got {received:?}"),
         }
     }
 
-    /// Waits until `number` is acknowledged, and ignores other messages.
+    /// Waits until batch `number` is acknowledged, and ignores other messages.
     pub(crate) async fn until_stored_over_requests(&self, number: u64) {
         while !matches!(self.socket.receive().await, ToAgent::Ack { through, .. } if through == number) {}
     }
 
-    /// Returns whether no message arrives for 50 ms. On a slow machine it can only be wrongly `true`.
+    /// Returns whether no message arrives for 50 ms. On a slow machine the result may be `true` although a message would
+    /// have arrived later.
     pub(crate) async fn is_silent(&self) -> bool {
         tokio::time::timeout(Duration::from_millis(50), self.socket.receive()).await.is_err()
     }

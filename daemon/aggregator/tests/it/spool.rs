@@ -38,7 +38,7 @@ impl Spool {
     /// Returns the state that a spool reports when it is opened.
     pub(crate) fn state(&self) -> SpoolState {
         let newest = self.batches.last_key_value();
-        let held = self
+        let usages = self
             .batches
             .values()
             .map(|batch| Usage { events: u64::from(batch.events), bytes: batch.body.len() as u64 });
@@ -51,7 +51,7 @@ impl Spool {
             before: self.deleted.1,
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
-            waiting_usage: held.fold(Usage::default(), |all, one| all + one),
+            waiting_usage: usages.fold(Usage::default(), |sum, usage| sum + usage),
             totals: self.totals.clone(),
             newest_sent: self.newest_sent.clone(),
             unreported: Vec::new(),
@@ -59,7 +59,7 @@ impl Spool {
         }
     }
 
-    /// Executes an action of the state machine; it never fails here.
+    /// Executes an action of the state machine; no action fails here.
     pub(crate) fn act(&mut self, action: Action, sending: &mut Sending, now: Stamp) -> Option<Notice> {
         match action {
             Action::Append { batches, totals } => {
@@ -71,16 +71,16 @@ impl Spool {
                 sending.on_appended(now)
             }
             Action::Load { from, bytes } => {
-                let mut wanted = Vec::new();
+                let mut loaded = Vec::new();
                 let mut length = 0;
                 for batch in self.batches.range(from..).map(|(_, batch)| batch) {
-                    if !wanted.is_empty() && length + batch.body.len() > bytes {
+                    if !loaded.is_empty() && length + batch.body.len() > bytes {
                         break;
                     }
                     length += batch.body.len();
-                    wanted.push(batch.clone());
+                    loaded.push(batch.clone());
                 }
-                sending.on_loaded(wanted, now)
+                sending.on_loaded(loaded, now)
             }
             Action::Delete { through, chain } => {
                 self.batches.retain(|number, _| *number > through);

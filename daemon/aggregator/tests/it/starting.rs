@@ -15,7 +15,7 @@ async fn refusal(testbed: &Testbed, config: AggregatorConfig) -> StartError {
 }
 
 #[tokio::test]
-async fn port_in_use_is_named_in_the_error() {
+async fn port_in_use_is_named_in_error() {
     let mut testbed = Testbed::new().await;
     let config =
         AggregatorConfig { database: testbed.database.with_file_name("other.sqlite"), ..testbed.config() };
@@ -26,7 +26,7 @@ async fn port_in_use_is_named_in_the_error() {
 }
 
 #[tokio::test]
-async fn an_unwritable_database_is_named() {
+async fn unusable_database_is_named_in_error() {
     let mut testbed = Testbed::new().await;
     let listen = "tcp://127.0.0.1:0".to_owned();
     // One file is not a database; the other path is below a file.
@@ -39,8 +39,8 @@ async fn an_unwritable_database_is_named() {
         matches!(&error, StartError::Database(OpenError::Unrecognised { path, .. }) if *path == file),
         "{error}"
     );
-    let below = file.join("peernet.sqlite");
-    let config = AggregatorConfig { database: below, listen, ..testbed.config() };
+    let path_below_file = file.join("peernet.sqlite");
+    let config = AggregatorConfig { database: path_below_file, listen, ..testbed.config() };
     assert_eq!(
         Aggregator::check(&config).iter().map(|problem| problem.key).collect::<Vec<_>>(),
         ["database"]

@@ -1,4 +1,4 @@
-//! Tests of the stop: the state of the files after it.
+//! Tests of the stop of an aggregator: the state of the files afterwards.
 
 use peernet_logger::{HostId, RunId};
 use peernet_store::RunFilter;
@@ -9,7 +9,7 @@ use sqlx::{ConnectOptions, SqliteConnection};
 use crate::generate;
 use crate::testbed::Testbed;
 
-async fn word(connection: &mut SqliteConnection, sql: &'static str) -> String {
+async fn query_text(connection: &mut SqliteConnection, sql: &'static str) -> String {
     sqlx::query_scalar(sql).fetch_one(connection).await.expect("answers")
 }
 
@@ -30,7 +30,10 @@ async fn database_file_is_complete_after_clean_stop() {
         tokio::join!(store.runs(&filter), store.statistics_of(1), store.series(1, &stages, 100));
     assert_eq!(listed.expect("answers").len(), 1);
     let log = testbed.database.with_file_name("peernet.sqlite-wal");
-    assert!(std::fs::metadata(&log).is_ok_and(|log| log.len() > 0), "it is written while it runs");
+    assert!(
+        std::fs::metadata(&log).is_ok_and(|log| log.len() > 0),
+        "the log is written while the aggregator runs"
+    );
     testbed.stop().await;
 
     assert!(!log.exists(), "{} bytes are left", std::fs::metadata(&log).map_or(0, |log| log.len()));
@@ -38,7 +41,10 @@ async fn database_file_is_complete_after_clean_stop() {
     let copy = elsewhere.path().join("copy.sqlite");
     std::fs::copy(&testbed.database, &copy).expect("copies");
     let mut copied = SqliteConnectOptions::new().filename(&copy).connect().await.expect("opens");
-    assert_eq!(word(&mut copied, "PRAGMA quick_check").await, "ok");
-    assert_eq!(word(&mut copied, "SELECT count(*) || ' ' || max(number) FROM iteration").await, "300 300");
+    assert_eq!(query_text(&mut copied, "PRAGMA quick_check").await, "ok");
+    assert_eq!(
+        query_text(&mut copied, "SELECT count(*) || ' ' || max(number) FROM iteration").await,
+        "300 300"
+    );
     drop(handle);
 }

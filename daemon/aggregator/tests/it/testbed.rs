@@ -18,7 +18,7 @@ pub(crate) struct Testbed {
     _folder: TempDir,
     pub(crate) database: PathBuf,
     pub(crate) clock: SharedClock,
-    /// Address that it listens on; a restart keeps it.
+    /// Address that the aggregator listens on; it stays the same after a restart.
     pub(crate) address: String,
     running: Option<(RunningAggregator, CancellationToken)>,
 }
@@ -52,7 +52,7 @@ impl Testbed {
         self.running = Some((running, stop));
     }
 
-    /// Stops it as a signal would, and waits for its end.
+    /// Stops the aggregator as a signal would, and waits for its end.
     pub(crate) async fn stop(&mut self) {
         let (running, stop) = self.running.take().expect("runs");
         stop.cancel();
@@ -67,10 +67,14 @@ impl Testbed {
         Agent::new(name, &self.address, &self.clock).await
     }
 
-    /// Waits for a snapshot of the live state for which `is_it` is true.
-    pub(crate) async fn snapshot(&self, what: &str, is_it: impl Fn(&LiveState) -> bool) -> Arc<LiveState> {
+    /// Waits for a snapshot of the live state for which `is_wanted` is true.
+    pub(crate) async fn snapshot(
+        &self,
+        what: &str,
+        is_wanted: impl Fn(&LiveState) -> bool,
+    ) -> Arc<LiveState> {
         let mut live = self.aggregator().live();
-        let wait = live.wait_for(|snapshot| is_it(snapshot));
+        let wait = live.wait_for(|snapshot| is_wanted(snapshot));
         let snapshot = tokio::time::timeout(Duration::from_secs(30), wait).await;
         Arc::clone(&snapshot.unwrap_or_else(|_| panic!("waited in vain for {what}")).expect("runs"))
     }

@@ -17,9 +17,9 @@ const MAGIC: u32 = 0x377f_0682;
 
 /// The newest version of each page that is in the log.
 ///
-/// A checkpoint copies pages from the log into the main file one after the other, and leaves some out while readers need
-/// their older version: the main file alone is not the database of any one moment. Checksums are not verified, so this may
-/// hold pages of a transaction that is not committed.
+/// A checkpoint copies pages from the log into the main file one after the other. It leaves out pages whose older version readers
+/// still need, so that the main file alone may mix versions of different times. Checksums are not verified, so this value may
+/// contain pages of a transaction that is not committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
     file: File,
@@ -28,7 +28,7 @@ pub(super) struct LogPages {
     offsets: HashMap<u32, u64>,
 }
 
-/// Returns the path of the log of a database. A link is resolved: the log lies beside the file itself.
+/// Returns the path of the log of a database. A symbolic link is resolved, because the log lies beside the file itself.
 pub(crate) fn log_path(database: &Path) -> PathBuf {
     let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-wal");
@@ -36,10 +36,10 @@ pub(crate) fn log_path(database: &Path) -> PathBuf {
 }
 
 impl LogPages {
-    /// Reads which pages are in the log. `None` without a log, or while it is empty.
+    /// Reads which pages are in the log. Returns `None` if there is no log, or the log has no valid header.
     ///
     /// # Errors
-    /// When the log cannot be read; the same for the other functions.
+    /// When the log cannot be read; this applies to the other functions, too.
     pub(super) fn open(log: &Path, page_bytes: usize) -> io::Result<Option<Self>> {
         let file = match File::open(log) {
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
@@ -53,31 +53,31 @@ impl LogPages {
             return Ok(None);
         }
         let mut offsets = HashMap::new();
-        let mut at = HEADER_BYTES;
+        let mut offset = HEADER_BYTES;
         let mut frame = [0; FRAME_BYTES as usize];
         // Frames of an earlier use of the log have other salts. Their pages are in the main file already.
-        while read_whole(&file, &mut frame, at)? && frame[8..16] == header[16..24] {
-            offsets.insert(be32(&frame, 0), at + FRAME_BYTES);
-            at += FRAME_BYTES + page_bytes as u64;
+        while read_whole(&file, &mut frame, offset)? && frame[8..16] == header[16..24] {
+            offsets.insert(be32(&frame, 0), offset + FRAME_BYTES);
+            offset += FRAME_BYTES + page_bytes as u64;
         }
         Ok(Some(Self { file, page_bytes, offsets }))
     }
 
-    /// Returns the numbers of the pages in it.
+    /// Returns the numbers of the pages in the log.
     pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
         self.offsets.keys().copied()
     }
 
-    /// Returns whether a page is in it.
+    /// Returns whether a page is in the log.
     pub(super) fn contains(&self, number: u32) -> bool {
         self.offsets.contains_key(&number)
     }
 
     /// Reads one page; `None` if it is not in the log.
     pub(super) fn read(&self, number: u32) -> io::Result<Option<Vec<u8>>> {
-        let Some(at) = self.offsets.get(&number) else { return Ok(None) };
+        let Some(offset) = self.offsets.get(&number) else { return Ok(None) };
         let mut bytes = vec![0; self.page_bytes];
-        Ok(read_whole(&self.file, &mut bytes, *at)?.then_some(bytes))
+        Ok(read_whole(&self.file, &mut bytes, *offset)?.then_some(bytes))
     }
 }
 

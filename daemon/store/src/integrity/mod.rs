@@ -1,10 +1,10 @@
 //! Damage of the database's file: its detection, and the record that stops all storing into it.
 //!
-//! The check reads the main file with `pread`, through the descriptor that is locked, because closing another one would release
-//! what SQLite has locked in this process. It reads page by page at a bounded rate and parses the pages as SQLite's file format
+//! The check reads the main file with `pread` through the descriptor that holds the lock: closing another descriptor would release
+//! SQLite's locks in this process. The check reads page by page at a bounded rate and parses the pages as SQLite's file format
 //! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log from
-//! being checkpointed; it also goes through a cache and costs several times as much. Page checksums would find a changed value,
-//! too, but SQLite's `cksumvfs` is not in the bundled library, and checksums beside the file would have to be written with every
+//! being checkpointed. It also goes through a cache and costs several times as much. Page checksums would also find a changed
+//! value, but SQLite's `cksumvfs` is not in the bundled library. Checksums beside the file would have to be written with every
 //! checkpoint, which needs a virtual file system of our own.
 
 mod log_pages;
@@ -31,13 +31,13 @@ use self::pages::PageFile;
 
 /// Record of the damage of one database, shared by everything that reads or writes it.
 ///
-/// It is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be a page that is rarely
-/// read: an aggregator that finds this file stores nothing until the whole database was checked.
+/// The record is also kept in a file beside the database, `<database>-damaged`, because the damaged page may be rarely read. An
+/// aggregator that finds this file stores nothing until the whole database was checked.
 #[derive(Clone, Debug)]
 pub struct Integrity {
     database: Arc<Path>,
     damage: watch::Sender<Option<Damage>>,
-    /// The file while it is open here. A second descriptor would release SQLite's locks when it is closed.
+    /// The database's file while it is open here. A second descriptor would release SQLite's locks when it is closed.
     file: Arc<Mutex<Weak<File>>>,
 }
 
@@ -104,12 +104,12 @@ impl Integrity {
     pub(crate) fn record_damage(&self, what: impl Into<String>) {
         let what = what.into();
         let is_repairable = self.is_repairable();
-        let first = self.damage.send_if_modified(|known| {
-            let first = known.is_none();
-            known.get_or_insert_with(|| Damage { what: what.clone(), is_repairable });
-            first
+        let is_first = self.damage.send_if_modified(|damage| {
+            let is_first = damage.is_none();
+            damage.get_or_insert_with(|| Damage { what: what.clone(), is_repairable });
+            is_first
         });
-        if !first {
+        if !is_first {
             return;
         }
         tracing::error!(
@@ -126,7 +126,7 @@ impl Integrity {
     }
 
     /// Records damage if the error reports it.
-    pub fn note(&self, error: &DatabaseError) {
+    pub fn record_if_damage(&self, error: &DatabaseError) {
         if error.is_damage() {
             self.record_damage(error.to_string());
         }
@@ -154,12 +154,12 @@ pub(crate) fn remedy(database: &Path, is_repairable: bool) -> String {
 
 /// Returns whether the header of a database and the first page of the list of its tables can be read.
 pub(crate) fn has_table_list(file: Arc<File>) -> bool {
-    let first =
+    let first_page =
         PageFile::from_file(file).and_then(|file| file.map_or(Ok(None), |file| file.read_btree_page(1)));
-    matches!(first, Ok(Some(page)) if page.kind.is_table())
+    matches!(first_page, Ok(Some(page)) if page.kind.is_table())
 }
 
-/// Returns the path of the file that records damage. A link is resolved: the file lies beside the database itself.
+/// Returns the path of the file that records damage. A symbolic link is resolved, because the file lies beside the database itself.
 fn marker_path(database: &Path) -> PathBuf {
     let mut path = fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-damaged");

@@ -11,31 +11,33 @@ use super::pages::{PageFile, be32};
 
 /// One pass over the file, some pages at a time.
 ///
-/// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all of its records are. Pages with the
-/// rest of long records, and free pages, may hold any bytes; they are recognised by what refers to them.
+/// A page of a b-tree is well-formed if its header, its cell pointers and the headers of all its records are well-formed. Overflow
+/// pages (on which long records continue) and free pages may contain any bytes. They are recognised by the pages that refer to them.
 #[derive(Debug)]
 pub(crate) struct PageCheck {
     file: PageFile,
     log: PathBuf,
+    /// Number of the page that is examined next.
     next: u32,
-    /// Pages that are no b-tree pages, with the number in their first bytes.
-    others: HashMap<u32, u32>,
-    /// Pages on which records continue.
-    overflows: Vec<u32>,
+    /// Pages that are not well-formed pages of a b-tree, with their first four bytes. In an overflow page these bytes are the number
+    /// of the next overflow page.
+    other_pages: HashMap<u32, u32>,
+    /// Overflow pages that are in use and were not yet removed from `other_pages`.
+    overflow_pages: Vec<u32>,
 }
 
 impl PageCheck {
     /// Starts a pass with the open file and the path of its log; `None` if the file has no header of a database.
     ///
     /// # Errors
-    /// When a file cannot be read; the same for the other functions.
+    /// When a file cannot be read; this applies to the other functions, too.
     pub(crate) fn start(database: Arc<File>, log: PathBuf) -> io::Result<Option<Self>> {
         Ok(PageFile::from_file(database)?.map(|file| Self {
             file,
             log,
             next: 1,
-            others: HashMap::new(),
-            overflows: Vec::new(),
+            other_pages: HashMap::new(),
+            overflow_pages: Vec::new(),
         }))
     }
 
@@ -56,10 +58,10 @@ impl PageCheck {
         for (number, page) in (first..).zip(read.chunks_exact(self.file.page_bytes)) {
             self.next = number + 1;
             match self.file.well_formed_page(number, page.to_vec(), self.file.pages) {
-                Some(page) => self.overflows.extend(page.overflows()),
+                Some(page) => self.overflow_pages.extend(page.overflow_pages()),
                 None if self.file.is_lock_page(number) => {}
                 None => {
-                    self.others.insert(number, be32(page, 0));
+                    self.other_pages.insert(number, be32(page, 0));
                 }
             }
         }
@@ -68,13 +70,13 @@ impl PageCheck {
 
     /// Returns the malformed pages that are in use.
     ///
-    /// While an aggregator stores, the main file is not the database of one moment: a checkpoint may be in progress. So pages to
-    /// which the log refers are in use as well, and a page counts only if it is malformed when it is read again. Pages that were
-    /// moved during the pass may still be among the result; another pass does not find them.
+    /// While an aggregator stores, a checkpoint may be in progress, so that the main file may mix pages of different times. Therefore
+    /// pages to which the log refers are also in use, and a page is returned only if it is malformed when it is read a second time.
+    /// The result may still contain pages that were moved during the pass; another pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
-        let missing = self.file.first_missing()?;
+        let missing_page = self.file.first_missing_page()?;
         self.follow_overflows(None)?;
-        if self.others.is_empty() && missing.is_none() {
+        if self.other_pages.is_empty() && missing_page.is_none() {
             return Ok(Vec::new());
         }
         let log = LogPages::open(&self.log, self.file.page_bytes)?;
@@ -84,52 +86,55 @@ impl PageCheck {
         for number in log.iter().flat_map(LogPages::numbers) {
             let page = log.as_ref().map_or(Ok(None), |log| log.read(number))?;
             let page = page.and_then(|page| self.file.well_formed_page(number, page, last));
-            self.overflows.extend(page.iter().flat_map(|page| page.overflows()));
+            self.overflow_pages.extend(page.iter().flat_map(|page| page.overflow_pages()));
         }
-        for number in Vec::from_iter(self.others.keys().copied().filter(|number| self.file.contains(*number)))
+        for number in
+            Vec::from_iter(self.other_pages.keys().copied().filter(|number| self.file.contains(*number)))
         {
             let page = self.file.read(number, 1)?;
             if let Some(page) = self.file.well_formed_page(number, page, last) {
-                self.others.remove(&number);
-                self.overflows.extend(page.overflows());
+                self.other_pages.remove(&number);
+                self.overflow_pages.extend(page.overflow_pages());
             }
         }
         self.follow_overflows(log.as_ref())?;
-        for free in [self.file.free_pages(|_| Ok(None))?, self.free_pages_of(log.as_ref())?] {
-            for number in free.into_iter().flatten() {
-                self.others.remove(&number);
+        for free_pages in [self.file.free_pages(|_| Ok(None))?, self.free_pages_of(log.as_ref())?] {
+            for number in free_pages.into_iter().flatten() {
+                self.other_pages.remove(&number);
             }
         }
-        let mut malformed: Vec<u32> = self.others.keys().copied().chain(missing).collect();
+        let mut malformed: Vec<u32> = self.other_pages.keys().copied().chain(missing_page).collect();
         if let Some(log) = &log
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // SQLite reads these from the log. In the main file there may be an older version, a sparse range, or nothing yet.
+            // SQLite reads the pages of the log from the log. In the main file there may be an older version, a sparse range, or
+            // nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
         malformed.sort_unstable();
         Ok(malformed)
     }
 
-    /// Removes the pages with the rest of long records from the pages that may be malformed. A broken chain ends at a page that is
-    /// malformed or missing, which is not reported here.
+    /// Removes the overflow pages from the pages that may be malformed. The chain of a record may end early, at a malformed or missing
+    /// page; this is not reported here.
     fn follow_overflows(&mut self, log: Option<&LogPages>) -> io::Result<()> {
         let mut seen_in_log = HashSet::new();
-        while let Some(page) = self.overflows.pop() {
-            self.overflows.extend(self.others.remove(&page));
-            let in_log = log.filter(|_| seen_in_log.insert(page)).map_or(Ok(None), |log| log.read(page))?;
-            self.overflows.extend(in_log.map(|bytes| be32(&bytes, 0)));
+        while let Some(page) = self.overflow_pages.pop() {
+            self.overflow_pages.extend(self.other_pages.remove(&page));
+            let newer = log.filter(|_| seen_in_log.insert(page)).map_or(Ok(None), |log| log.read(page))?;
+            self.overflow_pages.extend(newer.map(|bytes| be32(&bytes, 0)));
         }
         Ok(())
     }
 
-    /// Returns whether the main file has all pages of the log, except for pages that may be malformed. A log that was
-    /// checkpointed stays until the next commit, and readers no longer use it.
+    /// Returns whether the main file has the same contents as the log in all pages of the log, except for pages that may be malformed.
+    /// A log that was checkpointed stays until the next commit, and readers no longer use it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A truncated file has no page beyond its end.
-        let is_whole = |number: &u32| !self.others.contains_key(number) && self.file.contains(*number);
-        for number in log.numbers().filter(is_whole) {
+        let is_well_formed =
+            |number: &u32| !self.other_pages.contains_key(number) && self.file.contains(*number);
+        for number in log.numbers().filter(is_well_formed) {
             if log.read(number)? != Some(self.file.read(number, 1)?) {
                 return Ok(false);
             }

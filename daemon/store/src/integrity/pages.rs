@@ -11,7 +11,7 @@ use std::sync::Arc;
 const MAGIC: &[u8; 16] = b"SQLite format 3\0";
 /// Size of the file's header, at the start of page 1.
 const HEADER_BYTES: usize = 100;
-/// Offset of the bytes that SQLite locks. The page that holds them is never used.
+/// Offset of the bytes that SQLite locks. The page that contains these bytes is never used.
 const LOCK_BYTE: u64 = 1 << 30;
 
 /// A database's main file, read page by page without SQLite: without locks, transactions, or caches other than the kernel's.
@@ -20,8 +20,8 @@ pub(crate) struct PageFile {
     file: Arc<File>,
     /// Size of a page in bytes.
     pub(crate) page_bytes: usize,
-    /// Number of bytes of a page that hold content.
-    usable: usize,
+    /// Number of bytes of a page that hold content. The rest, at the end of the page, is reserved for extensions.
+    usable_bytes: usize,
     /// Number of complete pages in the file.
     pub(crate) pages: u32,
 }
@@ -39,19 +39,20 @@ pub(crate) enum PageKind {
 #[derive(Debug)]
 pub(crate) struct BtreePage {
     bytes: Vec<u8>,
-    usable: usize,
+    usable_bytes: usize,
     pub(crate) kind: PageKind,
     /// Offset of the array of cell pointers.
-    pointers: usize,
+    pointers_offset: usize,
+    /// Number of cells.
     pub(crate) cells: usize,
     /// Last child of an interior page.
     pub(crate) right_child: Option<u32>,
 }
 
-/// An entry of a page.
+/// A cell of a page: an entry of the b-tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cell<'a> {
-    /// Child before the entry, on an interior page.
+    /// Number of the child page with the entries before this one, on an interior page.
     pub(crate) child: Option<u32>,
     /// Key in a table with row ids.
     pub(crate) rowid: Option<i64>,
@@ -59,7 +60,7 @@ pub(crate) struct Cell<'a> {
     pub(crate) local: &'a [u8],
     /// Size of the whole record in bytes.
     pub(crate) record_bytes: usize,
-    /// First page with the rest of the record.
+    /// First overflow page, with the rest of the record.
     pub(crate) overflow: Option<u32>,
 }
 
@@ -68,12 +69,12 @@ impl PageFile {
     /// that SQLite holds on the file in this process.
     ///
     /// # Errors
-    /// If it cannot be read; the same for the other functions.
+    /// If the file cannot be read; this applies to the other functions, too.
     pub(crate) fn open(path: &Path) -> io::Result<Option<Self>> {
         Self::from_file(Arc::new(File::open(path)?))
     }
 
-    /// Makes it of an open file; `None` if the file has no header of a database.
+    /// Creates the value from an open file; `None` if the file has no header of a database.
     pub(crate) fn from_file(file: Arc<File>) -> io::Result<Option<Self>> {
         let mut header = [0; HEADER_BYTES];
         match file.read_exact_at(&mut header, 0) {
@@ -84,11 +85,11 @@ impl PageFile {
             1 => 65_536,
             bytes => usize::from(bytes),
         };
-        let usable = page_bytes.saturating_sub(usize::from(header[20]));
-        if header[..16] != *MAGIC || !page_bytes.is_power_of_two() || page_bytes < 512 || usable < 480 {
+        let usable_bytes = page_bytes.saturating_sub(usize::from(header[20]));
+        if header[..16] != *MAGIC || !page_bytes.is_power_of_two() || page_bytes < 512 || usable_bytes < 480 {
             return Ok(None);
         }
-        let mut file = Self { file, page_bytes, usable, pages: 0 };
+        let mut file = Self { file, page_bytes, usable_bytes, pages: 0 };
         file.update_length()?;
         Ok(Some(file))
     }
@@ -108,11 +109,11 @@ impl PageFile {
         Ok(bytes)
     }
 
-    /// Returns the first page that the header counts and that is missing, because the file is truncated; `None` if it is not.
-    pub(crate) fn first_missing(&self) -> io::Result<Option<u32>> {
-        let counted = be32(&self.read(1, 1)?, 28);
+    /// Returns the number of the first missing page if the file is truncated: the header states more pages than the file has.
+    pub(crate) fn first_missing_page(&self) -> io::Result<Option<u32>> {
+        let stated_pages = be32(&self.read(1, 1)?, 28);
         let pages = u32::try_from(self.file.metadata()?.len() / self.page_bytes as u64).unwrap_or(u32::MAX);
-        Ok((counted > pages).then(|| pages + 1))
+        Ok((stated_pages > pages).then(|| pages + 1))
     }
 
     /// Returns whether the file has a page of this number.
@@ -127,17 +128,18 @@ impl PageFile {
 
     /// Parses a page as part of a b-tree; `None` if its header or a cell pointer is malformed.
     pub(crate) fn btree_page(&self, number: u32, bytes: Vec<u8>) -> Option<BtreePage> {
-        BtreePage::parse(number, bytes, self.usable)
+        BtreePage::parse(number, bytes, self.usable_bytes)
     }
 
-    /// Parses a page; `None` unless all of its entries are well-formed, too, and refer to pages up to the number `last`.
+    /// Parses a page as part of a b-tree; `None` if its header, a cell pointer or a cell is malformed, or if it refers to a page
+    /// beyond the number `last`.
     pub(crate) fn well_formed_page(&self, number: u32, bytes: Vec<u8>, last: u32) -> Option<BtreePage> {
         let page = self.btree_page(number, bytes)?;
         let exists = |page: Option<u32>| page.is_none_or(|page| (1..=last).contains(&page));
-        let fits = |cell: Cell<'_>| exists(cell.child) && exists(cell.overflow);
-        let whole =
-            exists(page.right_child) && (0..page.cells).all(|index| page.cell(index).is_some_and(fits));
-        whole.then_some(page)
+        let refers_to_pages = |cell: Cell<'_>| exists(cell.child) && exists(cell.overflow);
+        let is_well_formed = exists(page.right_child)
+            && (0..page.cells).all(|index| page.cell(index).is_some_and(refers_to_pages));
+        is_well_formed.then_some(page)
     }
 
     /// Reads one page of a b-tree; `None` if the page is of another kind.
@@ -148,27 +150,27 @@ impl PageFile {
         Ok(self.btree_page(number, self.read(number, 1)?))
     }
 
-    /// Reads the whole record of a cell; `None` if the chain of pages with its rest is broken.
+    /// Reads the whole record of a cell; `None` if its chain of overflow pages is broken.
     pub(crate) fn record(&self, cell: &Cell<'_>) -> io::Result<Option<Vec<u8>>> {
         let mut record = cell.local.to_vec();
         let mut next = cell.overflow;
         while record.len() < cell.record_bytes {
             let Some(page) = next.filter(|page| self.contains(*page)) else { return Ok(None) };
             let bytes = self.read(page, 1)?;
-            let part = (cell.record_bytes - record.len()).min(self.usable - 4);
+            let part = (cell.record_bytes - record.len()).min(self.usable_bytes - 4);
             record.extend_from_slice(&bytes[4..4 + part]);
             next = Some(be32(&bytes, 0)).filter(|page| *page != 0);
         }
         Ok(next.is_none().then_some(record))
     }
 
-    /// Returns all free pages, or `None` if the list of them is broken. `newer` returns the newer version of a page, if there is
-    /// one.
+    /// Returns all free pages, or `None` if the list of free pages is broken. `read_newer` returns the newer version of a page, if
+    /// there is one.
     pub(crate) fn free_pages(
         &self,
-        newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
+        read_newer: impl Fn(u32) -> io::Result<Option<Vec<u8>>>,
     ) -> io::Result<Option<Vec<u32>>> {
-        let read = |number| match newer(number)? {
+        let read = |number| match read_newer(number)? {
             Some(bytes) => Ok(Some(bytes)),
             None if self.contains(number) => self.read(number, 1).map(Some),
             None => io::Result::Ok(None),
@@ -183,7 +185,7 @@ impl PageFile {
             let Some(bytes) = read(trunk)? else { return Ok(None) };
             free.push(trunk);
             let leaves = be32(&bytes, 4) as usize;
-            if leaves > self.usable / 4 - 2 {
+            if leaves > self.usable_bytes / 4 - 2 {
                 return Ok(None);
             }
             free.extend((0..leaves).map(|leaf| be32(&bytes, 8 + 4 * leaf)));
@@ -194,7 +196,7 @@ impl PageFile {
 }
 
 impl BtreePage {
-    fn parse(number: u32, bytes: Vec<u8>, usable: usize) -> Option<Self> {
+    fn parse(number: u32, bytes: Vec<u8>, usable_bytes: usize) -> Option<Self> {
         let start = if number == 1 { HEADER_BYTES } else { 0 };
         let kind = match bytes[start] {
             2 => PageKind::IndexInterior,
@@ -204,29 +206,31 @@ impl BtreePage {
             _ => return None,
         };
         let cells = usize::from(be16(&bytes, start + 3));
-        let content = match be16(&bytes, start + 5) {
+        let content_offset = match be16(&bytes, start + 5) {
             0 => 65_536,
             offset => usize::from(offset),
         };
-        let pointers = start + if kind.is_interior() { 12 } else { 8 };
-        let first_free = pointers + 2 * cells;
-        if first_free > content || content > usable || bytes[start + 7] > 60 {
+        let pointers_offset = start + if kind.is_interior() { 12 } else { 8 };
+        let pointers_end = pointers_offset + 2 * cells;
+        // The last condition: SQLite keeps the number of fragmented free bytes at 60 or less.
+        if pointers_end > content_offset || content_offset > usable_bytes || bytes[start + 7] > 60 {
             return None;
         }
         let right_child = kind.is_interior().then(|| be32(&bytes, start + 8));
-        let page = Self { bytes, usable, kind, pointers, cells, right_child };
+        let page = Self { bytes, usable_bytes, kind, pointers_offset, cells, right_child };
         // Every cell takes at least four bytes between the start of the content and the end of the page.
-        let fits = |index| (content..=usable - 4).contains(&page.pointer(index));
+        let fits = |index| (content_offset..=usable_bytes - 4).contains(&page.pointer(index));
         (0..cells).all(fits).then_some(page)
     }
 
+    /// Returns the offset of a cell.
     fn pointer(&self, index: usize) -> usize {
-        usize::from(be16(&self.bytes, self.pointers + 2 * index))
+        usize::from(be16(&self.bytes, self.pointers_offset + 2 * index))
     }
 
     /// Returns an entry, or `None` if it is malformed.
     pub(crate) fn cell(&self, index: usize) -> Option<Cell<'_>> {
-        let mut rest = self.bytes.get(self.pointer(index)..self.usable)?;
+        let mut rest = self.bytes.get(self.pointer(index)..self.usable_bytes)?;
         let child = if self.kind.is_interior() {
             let (child, after) = rest.split_at_checked(4)?;
             rest = after;
@@ -257,7 +261,7 @@ impl BtreePage {
 
     /// Returns how many bytes of a record of that length are on the page itself.
     fn local_bytes(&self, record_bytes: usize) -> usize {
-        let usable = self.usable;
+        let usable = self.usable_bytes;
         let max_local =
             if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
         if record_bytes <= max_local {
@@ -268,19 +272,20 @@ impl BtreePage {
         if local <= max_local { local } else { min_local }
     }
 
-    /// Returns the first pages of the records that continue on other pages.
-    pub(crate) fn overflows(&self) -> impl Iterator<Item = u32> {
+    /// Returns the first overflow page of each record that continues on other pages.
+    pub(crate) fn overflow_pages(&self) -> impl Iterator<Item = u32> {
         (0..self.cells).filter_map(|index| self.cell(index)?.overflow)
     }
 }
 
 impl PageKind {
-    /// Returns whether it has children.
+    /// Returns whether pages of this kind have children.
     pub(crate) const fn is_interior(self) -> bool {
         matches!(self, Self::IndexInterior | Self::TableInterior)
     }
 
-    /// Returns whether it belongs to a table with row ids, and not to an index or a table without them.
+    /// Returns whether pages of this kind belong to a table with row ids. Otherwise they belong to an index, or to a table without
+    /// row ids.
     pub(crate) const fn is_table(self) -> bool {
         matches!(self, Self::TableInterior | Self::TableLeaf)
     }
@@ -290,17 +295,17 @@ impl Cell<'_> {
     /// Returns whether the columns that the record's header declares take exactly as many bytes as the record has. A header that
     /// continues on another page is not examined.
     fn is_record(&self) -> bool {
-        let Some((header, mut types)) = varint(self.local) else { return false };
-        let Ok(header) = usize::try_from(header) else { return false };
-        let before = self.local.len() - types.len();
-        if header < before || header > self.record_bytes {
+        let Some((header_bytes, mut types)) = varint(self.local) else { return false };
+        let Ok(header_bytes) = usize::try_from(header_bytes) else { return false };
+        let types_offset = self.local.len() - types.len();
+        if header_bytes < types_offset || header_bytes > self.record_bytes {
             return false;
         }
-        if header > self.local.len() {
+        if header_bytes > self.local.len() {
             return true;
         }
-        types = &self.local[before..header];
-        let mut bytes = header;
+        types = &self.local[types_offset..header_bytes];
+        let mut bytes = header_bytes;
         while !types.is_empty() {
             let Some((code, after)) = varint(types) else { return false };
             let Some(length) = column_bytes(code) else { return false };
@@ -323,25 +328,28 @@ pub(crate) fn column_bytes(code: i64) -> Option<usize> {
     })
 }
 
-/// Reads a number of variable length. Returns it with the bytes after it.
+/// Reads a number of variable length. Returns the number and the bytes after it.
 pub(crate) fn varint(bytes: &[u8]) -> Option<(i64, &[u8])> {
     let mut value = 0_i64;
-    for (at, byte) in bytes.iter().take(9).enumerate() {
-        if at == 8 {
+    for (index, byte) in bytes.iter().take(9).enumerate() {
+        // Only the ninth byte contributes all its bits.
+        if index == 8 {
             return Some((value << 8 | i64::from(*byte), &bytes[9..]));
         }
         value = value << 7 | i64::from(byte & 0x7f);
         if byte & 0x80 == 0 {
-            return Some((value, &bytes[at + 1..]));
+            return Some((value, &bytes[index + 1..]));
         }
     }
     None
 }
 
-fn be16(bytes: &[u8], at: usize) -> u16 {
-    u16::from_be_bytes([bytes[at], bytes[at + 1]])
+/// Reads a big-endian number of 16 bits.
+fn be16(bytes: &[u8], offset: usize) -> u16 {
+    u16::from_be_bytes([bytes[offset], bytes[offset + 1]])
 }
 
-pub(crate) fn be32(bytes: &[u8], at: usize) -> u32 {
-    u32::from_be_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+/// Reads a big-endian number of 32 bits.
+pub(crate) fn be32(bytes: &[u8], offset: usize) -> u32 {
+    u32::from_be_bytes([bytes[offset], bytes[offset + 1], bytes[offset + 2], bytes[offset + 3]])
 }

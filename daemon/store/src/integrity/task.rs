@@ -41,24 +41,24 @@ pub(crate) struct IntegrityCheck {
 }
 
 impl IntegrityCheck {
-    /// Starts the check. It stops all writing when it finds damage, and removes an earlier record of damage when there is none.
+    /// Starts the check. When the check finds damage, it records the damage, which stops all writing. When the database is not
+    /// damaged, the check removes an earlier record of damage.
     pub(crate) fn start(integrity: Integrity, file: Arc<File>) -> Self {
         integrity.attach_file(&file);
         let stop = CancellationToken::new();
-        let stopped = stop.clone();
         let reads = TaskTracker::new();
-        let of_task = reads.clone();
+        let (task_stop, task_reads) = (stop.clone(), reads.clone());
         let task = AbortOnDropHandle::new(tokio::spawn(async move {
-            let checked = async {
+            let check = async {
                 if integrity.damage().is_some() {
-                    confirm_earlier_damage(&integrity, &stopped).await;
+                    confirm_earlier_damage(&integrity, &task_stop).await;
                 }
                 tokio::select! {
                     () = integrity.wait_for_damage() => {}
-                    () = check_repeatedly(&integrity, &file, &of_task, &stopped) => {}
+                    () = check_repeatedly(&integrity, &file, &task_reads, &task_stop) => {}
                 }
             };
-            let _stopped = stopped.run_until_cancelled(checked).await;
+            let _stopped = task_stop.run_until_cancelled(check).await;
         }));
         Self { stop, task, reads }
     }
@@ -99,6 +99,7 @@ async fn confirm_earlier_damage(integrity: &Integrity, stop: &CancellationToken)
     }
 }
 
+/// Looks for damage until the task is stopped.
 async fn check_repeatedly(
     integrity: &Integrity,
     file: &Arc<File>,
@@ -108,13 +109,14 @@ async fn check_repeatedly(
     let mut rate = FIRST_BYTES_PER_SECOND;
     // Pages that look malformed but that SQLite does not use.
     let mut unused = HashSet::new();
-    let mut failed = false;
+    // A failure is logged once, and again only after a check that succeeded.
+    let mut has_failed = false;
     loop {
         match check_once(integrity, (file, reads), rate, &mut unused, stop).await {
-            Ok(()) => failed = false,
-            Err(error) if !failed => {
+            Ok(()) => has_failed = false,
+            Err(error) if !has_failed => {
                 tracing::warn!(%error, database = %integrity.database.display(), "cannot check the database for damage; the check is retried");
-                failed = true;
+                has_failed = true;
             }
             Err(_) => {}
         }
@@ -141,7 +143,7 @@ async fn check_once(
     );
     match find_damage_with_sqlite(&integrity.database, stop).await? {
         Some(what) => integrity.record_damage(format!("page {first} is malformed ({what})")),
-        // No other page refers to them.
+        // No other page refers to the malformed pages.
         None => {
             tracing::info!(%database, "the database is not damaged: SQLite found no error in the whole file");
             *unused = malformed.into_iter().collect();
@@ -150,11 +152,11 @@ async fn check_once(
     Ok(())
 }
 
-/// Reads the whole file, and again while pages look malformed, at most [`MAX_PASSES`] times. Returns the pages that look malformed
-/// each time.
+/// Reads the whole file. Repeats this while pages look malformed, up to [`MAX_PASSES`] passes. Returns the pages that look
+/// malformed in each pass.
 ///
-/// While events are stored, records move from page to page during a pass, and a page that holds the rest of one may look
-/// unused by any record. Such a page differs from pass to pass; a damaged one stays.
+/// While events are stored, records move from page to page during a pass, so that an overflow page may look as if no record used
+/// it. Such pages differ from pass to pass, whereas a damaged page looks malformed in all passes.
 pub(super) async fn malformed_pages(
     database: &Path,
     file: &Arc<File>,
@@ -162,17 +164,17 @@ pub(super) async fn malformed_pages(
     rate: u64,
 ) -> Result<Vec<u32>, sqlx::Error> {
     let mut malformed = read_pages(database, file, reads, rate).await?;
-    for _again in 1..MAX_PASSES {
+    for _pass in 1..MAX_PASSES {
         if malformed.is_empty() {
             break;
         }
-        let still = read_pages(database, file, reads, FIRST_BYTES_PER_SECOND).await?;
-        malformed.retain(|page| still.contains(page));
+        let malformed_again = read_pages(database, file, reads, FIRST_BYTES_PER_SECOND).await?;
+        malformed.retain(|page| malformed_again.contains(page));
     }
     Ok(malformed)
 }
 
-/// Reads the file once.
+/// Reads the file once. Returns the pages that look malformed.
 async fn read_pages(
     database: &Path,
     file: &Arc<File>,
@@ -185,27 +187,28 @@ async fn read_pages(
     };
     let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut more = true;
-    while more {
+    let mut has_more = true;
+    while has_more {
         ticks.tick().await;
-        (check, more) = read_blocking(reads, move || {
-            let more = check.step(STEP_BYTES)?;
-            Ok((check, more))
+        (check, has_more) = read_blocking(reads, move || {
+            let has_more = check.step(STEP_BYTES)?;
+            Ok((check, has_more))
         })
         .await?;
     }
     read_blocking(reads, move || check.finish()).await
 }
 
+/// Reads on a thread, because reading a file blocks.
 async fn read_blocking<T: Send + 'static>(
     reads: &TaskTracker,
     work: impl FnOnce() -> io::Result<T> + Send + 'static,
 ) -> Result<T, sqlx::Error> {
-    let done = reads.spawn_blocking(work).await;
-    Ok(done.map_err(|_| sqlx::Error::WorkerCrashed)??)
+    let result = reads.spawn_blocking(work).await;
+    Ok(result.map_err(|_| sqlx::Error::WorkerCrashed)??)
 }
 
-/// Returns the first error that SQLite finds in the whole file, read again over a separate connection.
+/// Returns the first error that SQLite finds in the whole file, which it reads over a separate connection.
 ///
 /// # Errors
 /// When the file cannot be checked now, or `stop` was cancelled.
@@ -218,21 +221,22 @@ pub(crate) async fn find_damage_with_sqlite(
         .read_only(true)
         .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging();
-    let found = match options.connect().await {
+    let finding = match options.connect().await {
         Ok(mut connection) => {
-            let found = first_finding(&mut connection, stop.clone()).await;
+            let finding = first_finding(&mut connection, stop.clone()).await;
             // Everything was read, so an error while closing does not matter.
             let _closed = connection.close().await;
-            found
+            finding
         }
         Err(error) => Err(error),
     };
-    match found {
+    match finding {
         Err(error) if is_damage(&error) => Ok(Some(error.to_string())),
-        found => found,
+        finding => finding,
     }
 }
 
+/// Returns the first error that SQLite's checks report over this connection.
 async fn first_finding(
     connection: &mut SqliteConnection,
     stop: CancellationToken,
@@ -241,7 +245,7 @@ async fn first_finding(
         .lock_handle()
         .await?
         .set_progress_handler(INSTRUCTIONS_PER_CHECK, move || !stop.is_cancelled());
-    // The first takes a fraction of the time of the second, and finds most errors.
+    // The quick check takes a fraction of the time of the full check, and finds most errors.
     for pragma in ["PRAGMA quick_check(1)", "PRAGMA integrity_check(1)"] {
         let problems: Vec<String> =
             sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await?;

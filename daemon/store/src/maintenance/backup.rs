@@ -99,13 +99,13 @@ pub struct Backup {
     database: PathBuf,
     target: PathBuf,
     connection: SqliteConnection,
-    partial: UnfinishedCopy,
-    expected: u64,
+    partial_copy: UnfinishedCopy,
+    expected_bytes: u64,
 }
 
 impl Backup {
-    /// Checks that `database` can be read, that `target` does not exist, and that its disk has space. The copy is first written under the
-    /// name `<target>.partial`.
+    /// Checks that `database` can be read, that `target` does not exist, and that the target's disk has space. The copy is first
+    /// written under the name `<target>.partial`.
     ///
     /// # Errors
     /// When a check fails.
@@ -116,13 +116,13 @@ impl Backup {
         if target.symlink_metadata().is_ok() {
             return Err(BackupError::Exists(target.to_owned()));
         }
-        let read = |error: sqlx::Error| BackupError::Read {
+        let read_error = |error: sqlx::Error| BackupError::Read {
             path: database.to_owned(),
             source: DatabaseError::new(error),
         };
         refuse_foreign_log_at(database)?;
-        let mut connection = read_only_options(database).connect().await.map_err(read)?;
-        let kind = FileKind::detect(&mut connection).await.map_err(read)?;
+        let mut connection = read_only_options(database).connect().await.map_err(read_error)?;
+        let kind = FileKind::detect(&mut connection).await.map_err(read_error)?;
         if let Some(what) = kind.other_kind() {
             return Err(BackupError::NotADatabase { path: database.to_owned(), what });
         }
@@ -132,105 +132,106 @@ impl Backup {
         )
         .fetch_one(&mut connection)
         .await
-        .map_err(read)?;
-        let expected = count(used);
+        .map_err(read_error)?;
+        let expected_bytes = count(used);
         let target = std::path::absolute(target)
             .map_err(|source| BackupError::Write { path: target.to_owned(), source })?;
         let folder = target.parent().unwrap_or(&target).to_owned();
         let free =
             free_bytes(&folder).map_err(|source| BackupError::Write { path: folder.clone(), source })?;
-        if free < expected {
-            return Err(BackupError::NoRoom { folder, needed: expected, free });
+        if free < expected_bytes {
+            return Err(BackupError::NoRoom { folder, needed: expected_bytes, free });
         }
-        let partial = UnfinishedCopy::claim(&target)?;
-        Ok(Self { database: database.to_owned(), target, connection, partial, expected })
+        let partial_copy = UnfinishedCopy::create(&target)?;
+        Ok(Self { database: database.to_owned(), target, connection, partial_copy, expected_bytes })
     }
 
     /// Returns the approximate size of the copy.
     pub fn expected_bytes(&self) -> u64 {
-        self.expected
+        self.expected_bytes
     }
 
     /// Returns the path of the file that grows while the copy is made.
     pub fn partial(&self) -> &Path {
-        &self.partial.path
+        &self.partial_copy.path
     }
 
-    /// Makes the copy. When this returns, it is on the disk under its name; if it fails, no file is left.
+    /// Makes the copy. After success the copy is on the disk under its name; after a failure no file is left.
     ///
     /// # Errors
     /// When `stop` is cancelled before the end, or the copy cannot be written.
     pub async fn run(self, stop: CancellationToken) -> Result<FinishedCopy, BackupError> {
-        let Self { database, target, mut connection, mut partial, .. } = self;
-        let name = partial.path.to_str().ok_or_else(|| BackupError::Name(partial.path.clone()))?;
-        let stopped = stop.clone();
-        let copied = async {
-            let continues = move || !stopped.is_cancelled();
+        let Self { database, target, mut connection, mut partial_copy, .. } = self;
+        let name = partial_copy.path.to_str().ok_or_else(|| BackupError::Name(partial_copy.path.clone()))?;
+        let handler_stop = stop.clone();
+        let copy = async {
+            let continues = move || !handler_stop.is_cancelled();
             connection.lock_handle().await?.set_progress_handler(INSTRUCTIONS_PER_CHECK, continues);
             sqlx::query("VACUUM INTO ?1").bind(name).execute(&mut connection).await?;
             connection.close().await
         };
-        let copied = copied.await;
+        let result = copy.await;
         if stop.is_cancelled() {
             return Err(BackupError::Stopped);
         }
-        copied.map_err(|error| BackupError::Copy {
+        result.map_err(|error| BackupError::Copy {
             from: database,
-            to: partial.path.clone(),
+            to: partial_copy.path.clone(),
             source: DatabaseError::new(error),
         })?;
-        let bytes = partial.publish(&target)?;
+        let bytes = partial_copy.publish(&target)?;
         Ok(FinishedCopy { path: target, bytes })
     }
 }
 
-/// The unfinished copy. It is locked against other processes, and removed unless it is published.
+/// The file of the unfinished copy. It is locked against other processes, and removed unless it is published.
 #[derive(Debug)]
 struct UnfinishedCopy {
     path: PathBuf,
     file: File,
-    published: bool,
+    is_published: bool,
 }
 
 impl UnfinishedCopy {
-    /// Creates and locks the file, also if a killed process left it behind. Fails if a running process writes to it.
-    fn claim(target: &Path) -> Result<Self, BackupError> {
+    /// Creates and locks the file. A file that a killed process left behind is emptied. Fails if a running process writes to the
+    /// file.
+    fn create(target: &Path) -> Result<Self, BackupError> {
         let mut path = target.as_os_str().to_owned();
         path.push(".partial");
         let path = PathBuf::from(path);
-        let failed = |source| BackupError::Write { path: path.clone(), source };
-        let options = File::options().create(true).truncate(false).read(true).write(true).open(&path);
-        let file = options.map_err(failed)?;
+        let write_error = |source| BackupError::Write { path: path.clone(), source };
+        let opened = File::options().create(true).truncate(false).read(true).write(true).open(&path);
+        let file = opened.map_err(write_error)?;
         match file.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(BackupError::UnderWay(path)),
-            Err(TryLockError::Error(error)) => return Err(failed(error)),
+            Err(TryLockError::Error(error)) => return Err(write_error(error)),
         }
-        // SQLite accepts an empty file only.
-        file.set_len(0).map_err(failed)?;
-        Ok(Self { path, file, published: false })
+        // SQLite writes a copy only to an empty file.
+        file.set_len(0).map_err(write_error)?;
+        Ok(Self { path, file, is_published: false })
     }
 
-    /// Gives the copy its own number, syncs it, renames it, and syncs the folder.
+    /// Gives the copy a new database id, syncs it, renames it, and syncs the folder. Returns the size of the copy.
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
-        let failed = |source| BackupError::Write { path: target.to_owned(), source };
-        assign_new_id(&self.file).map_err(failed)?;
-        self.file.sync_all().map_err(failed)?;
-        let bytes = self.file.metadata().map_err(failed)?.len();
+        let write_error = |source| BackupError::Write { path: target.to_owned(), source };
+        assign_new_id(&self.file).map_err(write_error)?;
+        self.file.sync_all().map_err(write_error)?;
+        let bytes = self.file.metadata().map_err(write_error)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {
             ErrorKind::AlreadyExists => BackupError::Exists(target.to_owned()),
-            _ => failed(error),
+            _ => write_error(error),
         })?;
-        self.published = true;
+        self.is_published = true;
         let folder = target.parent().unwrap_or(target);
-        File::open(folder).and_then(|folder| folder.sync_all()).map_err(failed)?;
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(write_error)?;
         Ok(bytes)
     }
 }
 
 impl Drop for UnfinishedCopy {
     fn drop(&mut self) {
-        if !self.published
+        if !self.is_published
             && let Err(error) = fs::remove_file(&self.path)
         {
             tracing::warn!(%error, file = %self.path.display(), "cannot remove an unfinished backup");

@@ -57,17 +57,18 @@ pub enum ClearSecretError {
 /// A host for which clearing was requested.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClearedSecret {
-    /// Its id.
+    /// Id of the host.
     pub host: String,
-    /// Its name.
+    /// Name of the host.
     pub name: String,
     /// `true` if there was a secret.
     pub existed: bool,
 }
 
-/// Clears the secret of the host with this id or name, so that the next agent with its host id is enrolled.
+/// Clears the secret of the host with this id or name, so that the secret of the next agent with this host id is stored.
 ///
-/// A running aggregator reads the secret again when the host proves another one than it knows.
+/// A running aggregator notices the change when the host proves a secret that the aggregator does not know: it then reads the
+/// secret again.
 ///
 /// # Errors
 /// When there is no such database or host, or the database cannot be written.
@@ -87,7 +88,7 @@ pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret,
         return Err(ClearSecretError::NotADatabase { path: path.to_owned(), what });
     }
     let id = host.parse::<HostId>().ok().map(|id| id.to_string());
-    let found: Vec<(i64, String, String)> = sqlx::query_as(
+    let hosts: Vec<(i64, String, String)> = sqlx::query_as(
         "SELECT id, uuid, coalesce(name, uuid) FROM host WHERE uuid = coalesce(?1, '') OR (?1 IS NULL AND name = ?2)",
     )
     .bind(id)
@@ -95,18 +96,18 @@ pub async fn clear_host_secret(path: &Path, host: &str) -> Result<ClearedSecret,
     .fetch_all(&mut connection)
     .await
     .map_err(failed)?;
-    let (row, uuid, name) = match <[_; 1]>::try_from(found) {
-        Ok([one]) => one,
-        Err(found) if found.is_empty() => {
+    let (row, uuid, name) = match <[_; 1]>::try_from(hosts) {
+        Ok([host]) => host,
+        Err(hosts) if hosts.is_empty() => {
             return Err(ClearSecretError::NoHost { path: path.to_owned(), host: host.to_owned() });
         }
-        Err(found) => {
-            let ids = found.into_iter().map(|(_, uuid, _)| uuid).collect();
+        Err(hosts) => {
+            let ids = hosts.into_iter().map(|(_, uuid, _)| uuid).collect();
             return Err(ClearSecretError::SeveralHosts { name: host.to_owned(), ids });
         }
     };
-    let cleared = sqlx::query("DELETE FROM host_secret WHERE host = ?").bind(row);
-    let cleared = cleared.execute(&mut connection).await.map_err(failed)?;
+    let deletion = sqlx::query("DELETE FROM host_secret WHERE host = ?").bind(row);
+    let result = deletion.execute(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
-    Ok(ClearedSecret { host: uuid, name, existed: cleared.rows_affected() > 0 })
+    Ok(ClearedSecret { host: uuid, name, existed: result.rows_affected() > 0 })
 }

@@ -1,5 +1,5 @@
-//! Episodes, warm-up and unanswered iterations of a run, from single rows of iterations, found by number: how many are read does
-//! not depend on the length of the run.
+//! Episodes, warm-up and unanswered iterations of a run. They are computed from single rows of iterations, which are found by
+//! number. The number of rows that are read does not depend on the length of the run.
 
 use super::iterations::Row;
 use super::{corrupt_data, sql, wall};
@@ -9,7 +9,7 @@ use crate::types::Episodes;
 
 const WHAT: &str = "episodes";
 /// Number of iterations among which the end of the warm-up is searched.
-const WARM_UP: i64 = 10_000;
+const MAX_WARM_UP: i64 = 10_000;
 
 pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, StoreError> {
     let first: Option<Row> = sqlx::query_as(sql::ITERATIONS)
@@ -28,37 +28,38 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
     let steps = steps(&last);
     let borders = match steps {
         Some(steps) if last.episode <= Episodes::MAX_BORDERS => {
-            let begins = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
-            let rows = rows(readers, run, &begins.collect::<Vec<_>>()).await?;
-            rows.into_iter().filter(|row| row.step == 0 && begin(row, steps) == row.number).collect()
+            let first_numbers = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
+            let rows = rows_by_number(readers, run, &first_numbers.collect::<Vec<_>>()).await?;
+            rows.into_iter().filter(|row| row.step == 0 && first_number(row, steps) == row.number).collect()
         }
         _ => Vec::new(),
     };
     let (unanswered, without_answer) = unanswered(readers, run, last.number).await?;
-    let began = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
+    let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
         count: u64::from(last.episode) + 1,
         steps: steps.and_then(|steps| u64::try_from(steps).ok()),
-        borders: began(borders),
+        borders: start_times(borders),
         warm_up_until: warm_up(readers, run, &first).await?.map(|row| wall(row.started_ns)),
-        unanswered: began(unanswered),
+        unanswered: start_times(unanswered),
         without_answer,
     })
 }
 
 /// Returns the number of the first iteration of an iteration's episode.
-fn begin(row: &Row, steps: i64) -> i64 {
+fn first_number(row: &Row, steps: i64) -> i64 {
     i64::from(row.episode) * steps + 1
 }
 
-/// Returns the number of iterations per episode, which follows from a number and its episode and step; `None` in the first
-/// episode, and if no number of steps explains the values.
+/// Returns the number of iterations per episode, which follows from an iteration's number, episode and step. Returns `None` for an
+/// iteration of the first episode, and if no number of steps agrees with the values.
 fn steps(row: &Row) -> Option<i64> {
     let (episode, step) = (i64::from(row.episode), i64::from(row.step));
-    let before = row.number - 1 - step;
-    let steps = before.checked_div(episode)?;
-    (steps > step && steps * episode == before).then_some(steps)
+    // Number of iterations in all earlier episodes.
+    let earlier_iterations = row.number - 1 - step;
+    let steps = earlier_iterations.checked_div(episode)?;
+    (steps > step && steps * episode == earlier_iterations).then_some(steps)
 }
 
 /// Returns the first iteration after the warm-up at the start of a run.
@@ -66,27 +67,28 @@ async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>
     if first.number != 1 || !first.warm_up {
         return Ok(None);
     }
-    let end = sqlx::query_as(sql::WARM_UP_END).bind(run).bind(WARM_UP);
+    let end = sqlx::query_as(sql::WARM_UP_END).bind(run).bind(MAX_WARM_UP);
     end.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
 }
 
-/// Returns the unanswered iterations to mark and their number, which is at most one more than the limit of counting.
+/// Returns the unanswered iterations that charts mark, and the number of all unanswered iterations. The number is at most one more
+/// than `MAX_COUNTED`, which then means "more than that".
 async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>, u64), StoreError> {
     let max_marked = Episodes::MAX_UNANSWERED;
-    let found: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
+    let unanswered: Vec<Row> = sqlx::query_as(sql::ITERATIONS_WITHOUT_ANSWER)
         .bind(run)
         .bind(0)
         .bind(i64::try_from(max_marked).map_or(i64::MAX, |max_marked| max_marked + 1))
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let Some(first) = found.first().filter(|_| found.len() > max_marked) else {
-        let all = found.len() as u64;
-        return Ok((found, all));
+    let Some(first) = unanswered.first().filter(|_| unanswered.len() > max_marked) else {
+        let total = unanswered.len() as u64;
+        return Ok((unanswered, total));
     };
-    let all: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
+    let total: i64 = sqlx::query_scalar(sql::COUNT_WITHOUT_ANSWER)
         .bind(run)
-        .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |max_marked| max_marked + 1))
+        .bind(i64::try_from(Episodes::MAX_COUNTED).map_or(i64::MAX, |max_counted| max_counted + 1))
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
@@ -96,19 +98,20 @@ async fn unanswered(readers: &Readers, run: i64, last: i64) -> Result<(Vec<Row>,
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let marked = rows(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
-    // Retention may have deleted some between the two queries.
-    let all = u64::try_from(all).unwrap_or_default().max(marked.len() as u64);
-    Ok((marked, all))
+    let marked = rows_by_number(readers, run, &numbers.into_iter().flatten().collect::<Vec<_>>()).await?;
+    // Rows may have been added or deleted between the queries, so the two numbers may disagree.
+    let total = u64::try_from(total).unwrap_or_default().max(marked.len() as u64);
+    Ok((marked, total))
 }
 
-/// Divides the numbers from `from` to `to` into at most `count` parts, each given by its ends.
+/// Divides the numbers from `from` to `to` into at most `count` parts. Each part is given by its first and last number.
 fn parts(from: i64, to: i64, count: i64) -> Vec<(i64, i64)> {
     let edge = |part: i64| from + ((to - from + 1) as f64 * part as f64 / count as f64) as i64;
     (0..count).map(|part| (edge(part), edge(part + 1) - 1)).filter(|(from, to)| from <= to).collect()
 }
 
-async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, StoreError> {
+/// Reads the iterations with these numbers.
+async fn rows_by_number(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, StoreError> {
     sqlx::query_as(sql::ITERATIONS_OF)
         .bind(run)
         .bind(json(numbers)?)
@@ -117,7 +120,7 @@ async fn rows(readers: &Readers, run: i64, numbers: &[i64]) -> Result<Vec<Row>, 
         .map_err(readers.failed(WHAT))
 }
 
-/// Converts a list to JSON, in which form statements take it.
+/// Converts a list to JSON, the form in which statements take a list.
 fn json(list: &(impl serde::Serialize + ?Sized)) -> Result<String, StoreError> {
     serde_json::to_string(list).map_err(|error| corrupt_data(WHAT, error))
 }

@@ -116,7 +116,7 @@ pub(crate) async fn iteration(
     let Some(row) = row else { return Ok(None) };
     let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
-    let run_figures = statistics::figures(readers, run).await?;
+    let run_figures = statistics::statistics_by_name(readers, run).await?;
     let medians = statistics::medians(&run_figures);
     let rank = match row.total {
         Some(total) if row.outcome == 0 && !row.warm_up => rank(readers, run, (total, number)).await?,
@@ -139,13 +139,13 @@ pub(crate) async fn iteration(
 
 /// Returns the rank of a successful iteration; no rank if it is not among the [`RANKED`] slowest.
 async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Result<Rank, StoreError> {
-    let slower: i64 = sqlx::query_scalar(sql::SLOWER)
+    let slower_count: i64 = sqlx::query_scalar(sql::SLOWER)
         .bind(run)
         .bind(total)
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    if slower >= RANKED {
+    if slower_count >= RANKED {
         return Ok(Rank::default());
     }
     let neighbour = async |statement: &'static str| {
@@ -158,17 +158,17 @@ async fn rank(readers: &Readers, run: i64, (total, number): (f64, i64)) -> Resul
             .map_err(readers.failed(WHAT))?;
         Ok(number.map(count))
     };
-    let rank = Some(count(slower) + 1);
+    let rank = Some(count(slower_count) + 1);
     Ok(Rank { rank, slower: neighbour(sql::ONE_SLOWER).await?, faster: neighbour(sql::ONE_FASTER).await? })
 }
 
-/// Adds the stages, the delays and the causes of slowness, for which it reads the run's medians.
+/// Adds the stages, the delays and the causes of slowness. Reads the run's medians for the causes.
 async fn with_stages_and_causes(
     readers: &Readers,
     run: i64,
     rows: Vec<Row>,
 ) -> Result<Vec<IterationRow>, StoreError> {
-    let medians = statistics::medians(&statistics::figures(readers, run).await?);
+    let medians = statistics::medians(&statistics::statistics_by_name(readers, run).await?);
     complete_rows(readers, run, rows, &medians).await
 }
 
@@ -199,8 +199,8 @@ async fn complete_rows(
         by_iteration.entry(duration.iteration).or_default().0.push(duration);
     }
     let times = || rows.iter().map(|row| row.started_ns);
-    let between = times().min().zip(times().max()).filter(|_| !delays.is_empty());
-    let windows = match between {
+    let time_range = times().min().zip(times().max()).filter(|_| !delays.is_empty());
+    let windows = match time_range {
         Some((from, to)) => Some(AssumedWindows::read(readers, run, (wall(from), wall(to))).await?),
         None => None,
     };
@@ -224,18 +224,19 @@ fn complete_row(
     medians: &Medians,
 ) -> Result<IterationRow, StoreError> {
     let seconds_of = |name: &Name| {
-        let of_name = durations.iter().filter(|duration| name == duration.name.as_str());
-        let values: Vec<f64> = of_name.map(|duration| duration.seconds).collect();
+        let nodes = durations.iter().filter(|duration| name == duration.name.as_str());
+        let values: Vec<f64> = nodes.map(|node| node.seconds).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>())
     };
     let stages: Vec<(Name, f64)> =
         stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
     let unattributed = seconds_of(&stage::UNATTRIBUTED);
     let is_direction_unknown = delays.iter().any(|delay| delay.value.is_none());
+    // Without one-way delays only the sum of both directions is known.
     let transport_sum = is_direction_unknown.then(|| {
         let directions = [stage::UPLOAD, stage::DOWNLOAD];
-        let others = stages.iter().filter(|(stage, _)| !directions.contains(stage));
-        Some(slowness::both_ways(row.total?, others.map(|(_, seconds)| *seconds), unattributed?))
+        let other_stages = stages.iter().filter(|(stage, _)| !directions.contains(stage));
+        Some(slowness::both_ways(row.total?, other_stages.map(|(_, seconds)| *seconds), unattributed?))
     });
     let transport_sum = transport_sum.flatten();
     let outcome = OUTCOMES

@@ -1,4 +1,4 @@
-//! Queries, one file per subject. The statements are together in [`sql`], where a test looks at all of their plans.
+//! Queries, one file per subject. All statements are in [`sql`], so that a test can check all query plans.
 
 pub(super) mod clocks;
 pub(super) mod episodes;
@@ -19,6 +19,7 @@ use peernet_logger::Slug;
 use crate::column::count;
 use crate::error::StoreError;
 
+/// Creates the error for a value that this version cannot have written.
 pub(super) fn corrupt_data(what: &'static str, detail: impl std::fmt::Display) -> StoreError {
     StoreError::Corrupt { what, detail: detail.to_string() }
 }
@@ -31,11 +32,12 @@ pub(super) fn parse<T: std::str::FromStr<Err: std::fmt::Display>>(
     text.parse().map_err(|error| corrupt_data(what, error))
 }
 
+/// Parses a stored name.
 pub(super) fn name(what: &'static str, text: Option<&str>) -> Result<Option<Slug>, StoreError> {
     text.map(|text| parse(what, text)).transpose()
 }
 
-/// Returns the value of a number of the tables `source` and `verdict`, whose rows are in the order of declaration.
+/// Returns the value for a number of the table `source` or `verdict`. The rows of these tables are in the order of `all`.
 pub(super) fn value_of_number<T: Copy>(what: &'static str, all: &[T], number: u8) -> Result<T, StoreError> {
     let value = all.get(usize::from(number)).copied();
     value.ok_or_else(|| corrupt_data(what, format_args!("source or verdict {number}")))
@@ -54,7 +56,7 @@ pub(super) struct StoredDelay {
 
 impl StoredDelay {
     /// Returns the delay; `None` if it was never judged.
-    pub(super) fn judged(self, what: &'static str) -> Result<Option<OneWayDelay>, StoreError> {
+    pub(super) fn to_delay(self, what: &'static str) -> Result<Option<OneWayDelay>, StoreError> {
         let (Some(raw), Some(source), Some(verdict)) = (self.raw_ns, self.source, self.verdict) else {
             return Ok(None);
         };
@@ -69,6 +71,7 @@ impl StoredDelay {
     }
 }
 
+/// Converts a column `_ns` to a time.
 pub(super) fn wall(nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(nanos)
 }

@@ -1,4 +1,4 @@
-//! Two quantities of single iterations, for a sample of them: a run may have ten million.
+//! Two quantities of single iterations. Only a sample of the iterations is read, because a run may have ten million.
 
 use std::collections::BTreeMap;
 
@@ -14,11 +14,11 @@ use crate::types::ValuePairs;
 const WHAT: &str = "pairs of values";
 /// Number of parts of the sample that are read concurrently.
 const CONCURRENT_READS: usize = 4;
-/// The golden ratio. The position within an interval moves by this share of the interval's length from one interval to the next,
-/// so that positions never repeat.
+/// The golden ratio. From one interval to the next, the position within the interval moves by this share of the interval's length.
+/// The positions therefore never repeat.
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
-/// A node of one of the two names.
+/// A node with one of the two names.
 #[derive(FromRow)]
 struct Row {
     iteration: i64,
@@ -29,7 +29,7 @@ struct Row {
     is_y: bool,
 }
 
-/// Values of a name in an iteration, of one or more nodes, reduced to one number.
+/// The values of the nodes with one name in an iteration, from which one number is computed.
 #[derive(Default)]
 struct NameValues {
     /// The first node of the name with its value.
@@ -48,8 +48,8 @@ impl NameValues {
         }
     }
 
-    /// Returns the value that a row of `data.csv` has: the sum for a standard name, as in `stages-total`; the first node for a user's
-    /// name, because each further node has another column.
+    /// Returns the value that a row of `data.csv` has. For a standard name this is the sum, as in `stages-total`. For a user's name it
+    /// is the value of the first node, because each further node has its own column.
     fn value(&self, is_standard: bool) -> Option<f64> {
         if is_standard { self.sum } else { self.first.and_then(|(_, value)| value) }
     }
@@ -83,24 +83,29 @@ pub(crate) async fn value_pairs(
             .await
             .map_err(readers.failed(WHAT))
     };
-    // In a long run these iterations are far from each other in the file: each read waits for the disk.
-    let part = numbers.len().div_ceil(CONCURRENT_READS).max(1);
-    let rows = try_join_all(numbers.chunks(part).map(read)).await?;
-    let mut found = BTreeMap::<i64, [NameValues; 2]>::new();
+    // The iterations are read concurrently: in a long run they are far from each other in the file, and each read waits for the disk.
+    let part_length = numbers.len().div_ceil(CONCURRENT_READS).max(1);
+    let rows = try_join_all(numbers.chunks(part_length).map(read)).await?;
+    let mut by_iteration = BTreeMap::<i64, [NameValues; 2]>::new();
     for row in rows.into_iter().flatten() {
-        let both = found.entry(row.iteration).or_default();
-        let wanted = both.iter_mut().zip([row.is_x, row.is_y]).filter(|(_, is_wanted)| *is_wanted);
-        wanted.for_each(|(one, _)| one.add(&row));
+        let [x_values, y_values] = by_iteration.entry(row.iteration).or_default();
+        if row.is_x {
+            x_values.add(&row);
+        }
+        if row.is_y {
+            y_values.add(&row);
+        }
     }
     let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
     let point = |[x, y]: &[NameValues; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
     Ok(ValuePairs {
-        points: found.values().filter_map(point).collect(),
+        points: by_iteration.values().filter_map(point).collect(),
         read_iterations: numbers.len() as u64,
         stored_iterations: length(first, last),
     })
 }
 
+/// Returns how many numbers are in the range from `first` to `last`.
 const fn length(first: i64, last: i64) -> u64 {
     last.abs_diff(first).saturating_add(1)
 }
@@ -108,18 +113,18 @@ const fn length(first: i64, last: i64) -> u64 {
 /// Returns at most `max_pairs` numbers from the first to the last, in ascending order: all of them, or one from each of
 /// `max_pairs` intervals of equal length.
 ///
-/// The position within the interval changes from one interval to the next: evenly spaced iterations would always select the same
-/// few samples of a data set that repeats.
+/// The position within the interval changes from one interval to the next. If a run repeats its data set, evenly spaced iterations
+/// would always belong to the same few samples of the data set.
 fn sample_numbers(first: i64, last: i64, max_pairs: u32) -> Vec<i64> {
-    let all = length(first, last);
-    if all <= u64::from(max_pairs) {
+    let total = length(first, last);
+    if total <= u64::from(max_pairs) {
         return (first..=last).collect();
     }
-    let begin = |interval: u32| (u128::from(all) * u128::from(interval) / u128::from(max_pairs)) as u64;
+    let start = |interval: u32| (u128::from(total) * u128::from(interval) / u128::from(max_pairs)) as u64;
     let number = |interval: u32| {
-        let (from, to) = (begin(interval), begin(interval + 1));
-        let within = ((to - from) as f64 * (f64::from(interval) * GOLDEN_RATIO).fract()) as u64;
-        first.saturating_add_unsigned(from + within.min(to - from - 1))
+        let (from, to) = (start(interval), start(interval + 1));
+        let position = ((to - from) as f64 * (f64::from(interval) * GOLDEN_RATIO).fract()) as u64;
+        first.saturating_add_unsigned(from + position.min(to - from - 1))
     };
     (0..max_pairs).map(number).collect()
 }
@@ -136,8 +141,8 @@ mod tests {
     fn sample_covers_repeating_data_set() {
         for period in [7, 30, 100] {
             let numbers = sample_numbers(1, 1_500 * period, 1_500);
-            let places: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
-            assert_eq!(places.len() as i64, period);
+            let samples: HashSet<i64> = numbers.iter().map(|number| number % period).collect();
+            assert_eq!(samples.len() as i64, period);
         }
     }
 

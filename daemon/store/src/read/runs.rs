@@ -116,15 +116,13 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
-    let late = missed_deadlines(readers, rows).await?;
-    rows.iter().map(|row| summary(row, totals.get(&row.number), late.get(&row.number))).collect()
+    let lateness = late_answers(readers, rows).await?;
+    rows.iter().map(|row| summary(row, totals.get(&row.number), lateness.get(&row.number))).collect()
 }
 
-/// Returns the missed deadlines among answered iterations, for the runs with a deadline.
-async fn missed_deadlines(
-    readers: &Readers,
-    rows: &[RunRow],
-) -> Result<HashMap<i64, NameSummary>, StoreError> {
+/// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each answered iteration has a sample: 1 if its answer was
+/// late, 0 otherwise.
+async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let with_deadline = rows.iter().filter(|row| deadline_s(&row.configuration).is_some());
     let numbers: Vec<i64> = with_deadline.map(|row| row.number).collect();
     if numbers.is_empty() {
@@ -133,7 +131,8 @@ async fn missed_deadlines(
     statistics::whole_runs(readers, &numbers, DEADLINE_MISSED).await
 }
 
-/// Reads the deadline in seconds from the pipeline's table as the agent writes it: its plain keys precede its tables.
+/// Reads the deadline in seconds from the pipeline's table of the configuration. The agent writes the table's own keys before its
+/// sub-tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
     let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
@@ -148,9 +147,9 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
-    let late = missed_deadlines(readers, std::slice::from_ref(&row)).await?;
+    let lateness = late_answers(readers, std::slice::from_ref(&row)).await?;
     Ok(Some(RunDetail {
-        summary: summary(&row, totals.get(&number), late.get(&number))?,
+        summary: summary(&row, totals.get(&number), lateness.get(&number))?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
         // Earlier versions stored the arguments of programs.
@@ -189,15 +188,16 @@ fn json<T: DeserializeOwned>(text: &str) -> Result<T, StoreError> {
 fn summary(
     row: &RunRow,
     total: Option<&NameSummary>,
-    late: Option<&NameSummary>,
+    lateness: Option<&NameSummary>,
 ) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
         .find(|kind| kind.name() == row.placement)
         .ok_or_else(|| corrupt_data(WHAT, format_args!("placement {:?}", row.placement)))?;
     let deadline_s = deadline_s(&row.configuration);
-    // Sum of ones and zeros.
-    let late = late.map_or(0.0, |known| known.summary.moments.mean * known.summary.moments.count as f64);
+    // The sum of the samples, which are ones and zeros.
+    let late =
+        lateness.map_or(0.0, |samples| samples.summary.moments.mean * samples.summary.moments.count as f64);
     let unanswered = count(row.failed) + count(row.lost) + count(row.timeout);
     Ok(RunSummary {
         number: row.number,

@@ -1,10 +1,10 @@
-//! Every statement of a query. Parameters are numbered, so that each reads on its own.
+//! The statements of all queries. Parameters are numbered, and the comment on each statement lists them.
 
 macro_rules! statements {
     ($($(#[$doc:meta])* $name:ident = $text:expr;)*) => {
         $($(#[$doc])* pub(crate) const $name: &str = $text;)*
 
-        /// All of them by name: a test looks at their plans.
+        /// All statements by name. A test checks their query plans.
         #[cfg(test)]
         pub(crate) const ALL: &[(&str, &str)] = &[$((stringify!($name), $text)),*];
     };
@@ -33,7 +33,7 @@ macro_rules! clock_columns {
     () => {
         clock_columns!("", "")
     };
-    // What stands before and after a throughput.
+    // Text before and after each column of a throughput.
     ($before:literal, $after:literal) => {
         concat!(
             "at_ns, window, offset_ns, offset_lo_ns, offset_hi_ns, offset_source, offset_verdict, offset_sources, \
@@ -126,8 +126,8 @@ statements! {
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// ?1 run.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
-    /// The first iteration that is not of the warm-up, by number and not by the index that holds `warm_up`: ?1 run, ?2 the
-    /// last number to look at.
+    /// The first iteration that is not part of the warm-up. `+warm_up` makes SQLite find iterations by number and not by the index
+    /// that contains `warm_up`. ?1 run, ?2 the last number to look at.
     WARM_UP_END = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
     /// Number of iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
@@ -140,12 +140,12 @@ statements! {
                             ORDER BY number LIMIT 1) FROM json_each(?2) AS part";
     /// ?1 run, ?2 number.
     ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number = ?2");
-    /// Durations of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
+    /// Durations in iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
     DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
                  AND node.value IS NOT NULL AND name.unit = 's'";
-    /// The nodes of two names in iterations that count in statistics. Iterations are found by their numbers and not by the index
-    /// with `warm_up` and `outcome`, which has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
+    /// The nodes with one of two names, in iterations that statistics include. Iterations are found by their numbers and not by the
+    /// index with `warm_up` and `outcome`, which has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
              node.name IN (SELECT id FROM name WHERE text = ?3) AS is_x, \
              node.name IN (SELECT id FROM name WHERE text = ?4) AS is_y \
@@ -153,7 +153,7 @@ statements! {
              WHERE iteration.run = ?1 AND iteration.number IN (SELECT value FROM json_each(?2)) \
              AND +iteration.warm_up = 0 AND +iteration.outcome = 0 \
              AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4))";
-    /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 their numbers, a JSON array.
+    /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
               transit.verdict, transit.sent_ns, transit.received_ns, \
               (SELECT anchor.host FROM anchor WHERE anchor.run = ?1 AND anchor.iteration = transit.iteration \
@@ -163,10 +163,10 @@ statements! {
               WHERE transit.run = ?1 AND transit.iteration IN (SELECT value FROM json_each(?2)) \
               AND transit.raw_ns IS NOT NULL AND transit.source IS NOT NULL AND transit.verdict IS NOT NULL \
               ORDER BY transit.iteration, transit.node";
-    /// ?1 run, ?2 their numbers, a JSON array.
+    /// Iterations by number: ?1 run, ?2 numbers, a JSON array.
     ITERATIONS_OF = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number IN (SELECT value FROM json_each(?2)) ORDER BY number");
-    /// The last of the iterations that follow: ?1 run, ?2 after, ?3 how many.
+    /// The last of the next iterations after a number: ?1 run, ?2 the number, ?3 how many iterations.
     LAST_OF_NEXT = "SELECT max(number) FROM (SELECT number FROM iteration WHERE run = ?1 AND number > ?2 \
                     ORDER BY number LIMIT ?3)";
     /// The first iteration of each shape of tree: ?1 run, ?2 after, ?3 through.
@@ -174,18 +174,18 @@ statements! {
               group_concat(name || '<' || parent || iif(value IS NULL, '?', '')) AS shape \
               FROM node WHERE run = ?1 AND iteration > ?2 AND iteration <= ?3 GROUP BY iteration) \
               GROUP BY shape ORDER BY first";
-    /// For the trees of some iterations: ?1 run, ?2 their numbers, a JSON array.
+    /// The nodes of the trees of some iterations: ?1 run, ?2 the iterations' numbers, a JSON array.
     NODES = "SELECT node.iteration, node.node, node.parent, node.host, node.start_ns, node.value, node.lo, node.hi, \
              name.text, name.kind, name.custom, name.unit FROM node CROSS JOIN name ON name.id = node.name \
              WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
              ORDER BY node.iteration, node.node";
-    /// As `NODES`.
+    /// The transits of these trees. Parameters as in `NODES`.
     TRANSITS = "SELECT iteration, node, sent_ns, received_ns, raw_ns, source, verdict, sent_raw_ns, received_raw_ns FROM transit \
                 WHERE run = ?1 AND iteration IN (SELECT value FROM json_each(?2)) ORDER BY iteration, node";
     /// The edge, and the name of the cloud: ?1 run.
-    ENDS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
+    TREE_HOSTS = "SELECT host.uuid, host.name, run.peer FROM run JOIN pipeline ON pipeline.id = run.pipeline \
             JOIN host ON host.id = pipeline.host WHERE run.number = ?1";
-    /// As `NODES`.
+    /// The anchors of these trees. Parameters as in `NODES`.
     ANCHORS = "SELECT anchor.iteration, host.uuid, host.name, anchor.wall_ns FROM anchor \
                CROSS JOIN host ON host.id = anchor.host \
                WHERE anchor.run = ?1 AND anchor.iteration IN (SELECT value FROM json_each(?2)) \
@@ -193,17 +193,17 @@ statements! {
     /// Number of slower iterations, up to a thousand: ?1 run, ?2 total.
     SLOWER = "SELECT count(*) FROM (SELECT 1 FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
               AND total IS NOT NULL AND total > ?2 LIMIT 1000)";
-    /// The next slower one, in the order of `SLOWEST`: ?1 run, ?2 total, ?3 number.
+    /// The next slower iteration, in the order of `SLOWEST`: ?1 run, ?2 total, ?3 number.
     ONE_SLOWER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
                   AND (total, number) > (?2, ?3) ORDER BY total, number LIMIT 1";
-    /// The next faster one: ?1 run, ?2 total, ?3 number.
+    /// The next faster iteration: ?1 run, ?2 total, ?3 number.
     ONE_FASTER = "SELECT number FROM iteration WHERE run = ?1 AND warm_up = 0 AND outcome = 0 \
                   AND (total, number) < (?2, ?3) ORDER BY total DESC, number DESC LIMIT 1";
     /// ?1 run, ?2 number.
     PREVIOUS = "SELECT max(number) FROM iteration WHERE run = ?1 AND number < ?2";
     /// ?1 run, ?2 number.
     NEXT = "SELECT min(number) FROM iteration WHERE run = ?1 AND number > ?2";
-    /// ?1 limit, ?2 id of the last of the page before or NULL, ?3 kind or NULL, ?4 name of a host or NULL.
+    /// ?1 limit, ?2 id of the last incident of the previous page or NULL, ?3 kind or NULL, ?4 name of a host or NULL.
     INCIDENTS = "SELECT incident.id, incident.at_ns, incident.kind, host.uuid AS host, host.name AS host_name, \
                  incident.pipeline, incident.run, coalesce(peer.name, peer.uuid) AS peer, incident.text \
                  FROM incident LEFT JOIN host ON host.id = incident.host LEFT JOIN host AS peer ON peer.id = incident.peer \
@@ -230,8 +230,8 @@ statements! {
     /// ?1 link, ?2 from, ?3 to.
     CLOCK_SAMPLES = concat!("SELECT ", clock_columns!(),
         " FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 ORDER BY at_ns, window");
-    /// The same in JSON, a row for each part of the time. Throughputs are whole numbers: writing fractions would take a
-    /// fifth of the time: ?1 link, ?2 the parts' first and last moments, a JSON array of pairs.
+    /// The same samples in JSON, one row for each part of the time. Throughputs are rounded to whole numbers, because writing
+    /// fractions would take a fifth of the time. ?1 link, ?2 first and last moments of the parts, a JSON array of pairs.
     CLOCK_PARTS = concat!("SELECT (SELECT json_group_array(json_array(", clock_columns!("CAST(", " AS INTEGER)"),
         ")) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN part.value ->> 0 AND part.value ->> 1) \
          FROM json_each(?2) AS part");
@@ -246,7 +246,7 @@ statements! {
                        FROM link CROSS JOIN clock_window ON clock_window.link = link.id \
                        WHERE link.edge = ?1 AND link.network = ?2 AND first_ns <= ?4 AND last_ns >= ?3 \
                        ORDER BY clock_window.id";
-    /// The same of the newest window of a link: ?1 link.
+    /// Assumptions of the newest window of a link: ?1 link.
     NEWEST_ASSUMED_WINDOW = "SELECT 0 AS cloud, first_ns, last_ns, clocks, max_drift_ppm, max_drift_change_ppm_per_s, \
                              claims_trusted, probes_authenticated FROM clock_window WHERE link = ?1 ORDER BY id DESC LIMIT 1";
     /// The edge of a run and its network: ?1 run.
@@ -260,9 +260,9 @@ statements! {
                   (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS first_s, \
                   (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60) AS last_s \
                   FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
-    /// One-way delays that statistics are made of, a page of them; the cloud is the tree's second host. The order of
-    /// the joins is given, because any other sorts: ?1 run, ?2 and ?3 iteration and node of the last of the page
-    /// before, ?4 limit.
+    /// A page of the one-way delays that statistics include. The cloud is the tree's second host. `CROSS JOIN` fixes the order of
+    /// the joins, because SQLite would have to sort the rows after any other order. ?1 run, ?2 and ?3 iteration and node of the last
+    /// delay of the previous page, ?4 limit.
     RUN_DELAYS = "SELECT transit.iteration, transit.node, name.text, transit.sent_ns, transit.received_ns, \
                   transit.raw_ns, transit.source, transit.verdict, transit.sent_raw_ns, transit.received_raw_ns, \
                   node.value, node.lo, node.hi, \
@@ -278,8 +278,8 @@ statements! {
                   ORDER BY transit.iteration, transit.node LIMIT ?4";
     /// ?1 edge, ?2 cloud, as numbers, ?3 network.
     LINK_OF = "SELECT id FROM link WHERE edge = ?1 AND cloud = ?2 AND network = ?3";
-    /// From when to when a link's windows reach by the edge's clock that they relate, and their first and last exchanges: ?1 link,
-    /// ?2 from, ?3 to, by its wall clock, ?4 limit.
+    /// The windows of a link: their first and last samples and exchanges, by the edge's clock that the window relates. ?1 link, ?2
+    /// from, ?3 to, by the edge's wall clock, ?4 limit.
     CLOCK_WINDOWS = "SELECT coalesce(clocks, 2) AS clocks, window, \
                      min(iif(clocks < 2, at_raw_ns, at_ns)) AS first_ns, max(iif(clocks < 2, at_raw_ns, at_ns)) AS last_ns, \
                      min(min(coalesce(upper_sent_ns, lower_sent_ns), coalesce(lower_sent_ns, upper_sent_ns))) AS sent_ns, \
@@ -292,11 +292,12 @@ statements! {
                      AND (upper_sent_ns IS NOT NULL OR lower_sent_ns IS NOT NULL) \
                      AND (coalesce(clocks, 2) = 2 OR at_raw_ns IS NOT NULL) \
                      GROUP BY window, coalesce(clocks, 2) ORDER BY first_ns LIMIT ?4";
-    /// Exchanges of one window of wall clocks, a page of them: ?1 link, ?2 window, ?3 after, ?4 limit.
+    /// A page of the exchanges of one window of wall clocks: ?1 link, ?2 window, ?3 after, ?4 limit.
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");
-    /// The same of a window of the edge's free-running clock, in the order of its time: its wall clock may have been set back meanwhile.
+    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because its wall clock may
+    /// have been set back meanwhile. Parameters as in `CLOCK_EXCHANGES`.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
          AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");

@@ -1,4 +1,4 @@
-//! Figures of runs from the roll-ups alone: their cost does not depend on the number of nodes.
+//! Statistics of runs, from the roll-ups alone. The cost of these queries does not depend on the number of nodes.
 
 mod means;
 mod runs;
@@ -22,9 +22,10 @@ pub(crate) use self::runs::statistics;
 pub(crate) use self::series::{series, stage_buckets};
 
 const WHAT: &str = "statistics";
-/// Quantile above which a histogram only counts, so that one outlier does not compress all others into a bin.
-const AXIS_ENDS_AT: f64 = 0.99;
-/// Length of the axis beyond that quantile, as a share of its length up to it.
+/// Quantile at which the axis of a histogram ends, except for a margin. Larger samples are only counted, so that one outlier does not
+/// compress all other samples into a bin.
+const AXIS_END_QUANTILE: f64 = 0.99;
+/// Length of the axis beyond that quantile, as a share of its length up to the quantile.
 const AXIS_MARGIN: f64 = 0.1;
 
 #[derive(FromRow)]
@@ -57,21 +58,21 @@ pub(super) async fn whole_runs(
     name: &str,
 ) -> Result<HashMap<i64, NameSummary>, StoreError> {
     let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_OF_NAME)
-        .bind(list(runs)?)
+        .bind(json_array(runs)?)
         .bind(name)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut found = HashMap::<i64, NameSummary>::new();
+    let mut by_run = HashMap::<i64, NameSummary>::new();
     for row in rows {
         let summary = row.summary()?;
-        found.entry(row.run).or_insert_with(|| NameSummary::with_unit(&row.unit)).summary.merge(&summary);
+        by_run.entry(row.run).or_insert_with(|| NameSummary::with_unit(&row.unit)).summary.merge(&summary);
     }
-    Ok(found)
+    Ok(by_run)
 }
 
-/// Converts numbers to a JSON array, in which form statements take them.
-fn list(numbers: &[i64]) -> Result<String, StoreError> {
+/// Converts numbers to a JSON array, the form in which statements take a list.
+fn json_array(numbers: &[i64]) -> Result<String, StoreError> {
     serde_json::to_string(numbers).map_err(|error| corrupt_data(WHAT, error))
 }
 
@@ -81,42 +82,46 @@ pub(crate) async fn histogram(
     stage: &str,
     bins: usize,
 ) -> Result<Option<Histogram>, StoreError> {
-    let Some(known) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
-    let Some(figures) = known.figures() else { return Ok(None) };
+    let Some(samples) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
+    let Some(figures) = samples.figures() else { return Ok(None) };
     let bins = bins.clamp(1, 500);
     let low = figures.min;
-    let typical = known.summary.quantile(AXIS_ENDS_AT).unwrap_or(figures.max);
-    let high = (typical + (typical - low) * AXIS_MARGIN).min(figures.max);
+    let quantile = samples.summary.quantile(AXIS_END_QUANTILE).unwrap_or(figures.max);
+    let high = (quantile + (quantile - low) * AXIS_MARGIN).min(figures.max);
     // If all samples are equal, the bin gets a width that can be drawn.
     let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
-    let edges: Vec<f64> = (0..=bins).map(|at| low + (high - low) * at as f64 / bins as f64).collect();
-    // Extremes are exact, the sketch's bins are not: values that they place before the first edge belong to the first bin.
-    let mut sums: Vec<f64> = edges.iter().map(|edge| known.summary.sketch.count_below(*edge)).collect();
-    if let Some(first) = sums.first_mut() {
+    let edges: Vec<f64> = (0..=bins).map(|index| low + (high - low) * index as f64 / bins as f64).collect();
+    // The minimum and the maximum are exact, but the sketch's bins are not. Samples that the sketch has before the first edge belong
+    // to the first bin.
+    let mut counts_below: Vec<f64> =
+        edges.iter().map(|edge| samples.summary.sketch.count_below(*edge)).collect();
+    if let Some(first) = counts_below.first_mut() {
         *first = 0.0;
     }
-    let beyond_starts =
-        if high < figures.max { sums.last().copied().unwrap_or(0.0) } else { figures.count as f64 };
-    if let Some(last) = sums.last_mut() {
-        *last = beyond_starts;
+    // If the axis ends at the maximum, no sample is beyond the axis.
+    if let Some(last) = counts_below.last_mut()
+        && high >= figures.max
+    {
+        *last = figures.count as f64;
     }
-    // Sums are rounded instead of bins, so that the bins add up to the number of samples.
-    let rounded: Vec<u64> = sums.iter().map(|sum| (sum.round() as u64).min(figures.count)).collect();
+    // The cumulative counts are rounded instead of the bins, so that the bins add up to the number of samples.
+    let rounded: Vec<u64> =
+        counts_below.iter().map(|count| (count.round() as u64).min(figures.count)).collect();
     let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
-    Ok(Some(Histogram { stage: stage.into(), unit: known.unit, edges, counts, beyond, figures }))
+    Ok(Some(Histogram { stage: stage.into(), unit: samples.unit, edges, counts, beyond, figures }))
 }
 
-/// Medians of the figures of a run.
-pub(super) fn medians(figures: &[(Name, QuantityStatistics)]) -> Medians {
-    Medians(figures.iter().map(|(name, figures)| (name.clone(), figures.p50)).collect())
+/// Returns the medians of a run's statistics.
+pub(super) fn medians(statistics: &[(Name, QuantityStatistics)]) -> Medians {
+    Medians(statistics.iter().map(|(name, statistics)| (name.clone(), statistics.p50)).collect())
 }
 
-/// Figures of all names of a run, in the order of tables.
-pub(super) async fn figures(
+/// Returns the statistics of all names of a run, in the order of tables.
+pub(super) async fn statistics_by_name(
     readers: &Readers,
     run: i64,
 ) -> Result<Vec<(Name, QuantityStatistics)>, StoreError> {
-    let found = statistics(readers, &[run]).await?;
-    Ok(found.into_iter().flat_map(|run| run.stages).map(|known| (known.stage, known.figures)).collect())
+    let runs = statistics(readers, &[run]).await?;
+    Ok(runs.into_iter().flat_map(|run| run.stages).map(|entry| (entry.stage, entry.figures)).collect())
 }

@@ -22,7 +22,8 @@ struct NodeRow {
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
-    text: String,
+    #[sqlx(rename = "text")]
+    name: String,
     kind: String,
     custom: bool,
     unit: String,
@@ -69,7 +70,8 @@ pub(super) type StoredTree = (Tree, Vec<Option<Slug>>);
 
 /// Returns trees of iterations as they were sent, with the names of their hosts.
 ///
-/// `iterations` has number and start of each iteration, in ascending order. The result is `None` for an iteration that was deleted meanwhile.
+/// `iterations` has the number and the start of each iteration, in ascending order. The result is `None` for an iteration that was
+/// deleted meanwhile.
 pub(super) async fn trees(
     readers: &Readers,
     run: i64,
@@ -77,8 +79,11 @@ pub(super) async fn trees(
 ) -> Result<Vec<Option<StoredTree>>, StoreError> {
     let numbers: Vec<i64> = iterations.iter().map(|(number, _)| *number).collect();
     let numbers = serde_json::to_string(&numbers).map_err(|error| corrupt_data(WHAT, error))?;
-    let ends: TreeHosts =
-        sqlx::query_as(sql::ENDS).bind(run).fetch_one(&readers.pool()).await.map_err(readers.failed(WHAT))?;
+    let tree_hosts: TreeHosts = sqlx::query_as(sql::TREE_HOSTS)
+        .bind(run)
+        .fetch_one(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
     let anchors: Vec<AnchorRow> = sqlx::query_as(sql::ANCHORS)
         .bind(run)
         .bind(&numbers)
@@ -91,7 +96,8 @@ pub(super) async fn trees(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // Read last: if retention was faster, an iteration has no nodes, but never nodes without their stamps.
+    // The nodes are read last. If retention deletes an iteration meanwhile, the iteration then has no nodes, but never nodes without
+    // their stamps.
     let nodes: Vec<NodeRow> = sqlx::query_as(sql::NODES)
         .bind(run)
         .bind(&numbers)
@@ -101,51 +107,53 @@ pub(super) async fn trees(
     let (mut anchors, mut nodes, mut transits) = (&anchors[..], &nodes[..], &transits[..]);
     let mut trees = Vec::with_capacity(iterations.len());
     for (number, started) in iterations {
-        let (others, nodes, transits) = (
-            take(&mut anchors, |row| row.iteration == *number),
-            take(&mut nodes, |row| row.iteration == *number),
-            take(&mut transits, |row| row.iteration == *number),
+        let (other_anchors, nodes, transits) = (
+            take_while(&mut anchors, |row| row.iteration == *number),
+            take_while(&mut nodes, |row| row.iteration == *number),
+            take_while(&mut transits, |row| row.iteration == *number),
         );
-        let is_there = !nodes.is_empty();
-        trees.push(is_there.then(|| tree(&ends, *started, others, nodes, transits)).transpose()?);
+        let exists = !nodes.is_empty();
+        let tree = exists.then(|| tree(&tree_hosts, *started, other_anchors, nodes, transits));
+        trees.push(tree.transpose()?);
     }
     Ok(trees)
 }
 
-/// Splits off the rows at the begin that `is_meant` accepts.
-fn take<'a, T>(rows: &mut &'a [T], is_meant: impl Fn(&T) -> bool) -> &'a [T] {
-    let (taken, rest) = rows.split_at(rows.iter().take_while(|row| is_meant(row)).count());
+/// Splits off the first rows up to the first row for which `predicate` is false.
+fn take_while<'a, T>(rows: &mut &'a [T], predicate: impl Fn(&T) -> bool) -> &'a [T] {
+    let (taken, rest) = rows.split_at(rows.iter().take_while(|row| predicate(row)).count());
     *rows = rest;
     taken
 }
 
+/// Makes a tree from its rows. The edge's anchor is not stored: it is the start of the iteration.
 fn tree(
-    ends: &TreeHosts,
+    tree_hosts: &TreeHosts,
     started: WallTime,
-    others: &[AnchorRow],
+    other_anchors: &[AnchorRow],
     nodes: &[NodeRow],
     transits: &[TransitRow],
 ) -> Result<StoredTree, StoreError> {
-    let mut anchors = vec![Anchor { host: parse(WHAT, &ends.uuid)?, wall: started }];
-    let mut hosts = vec![name(WHAT, ends.name.as_deref())?];
-    for (at, other) in others.iter().enumerate() {
-        anchors.push(Anchor { host: parse(WHAT, &other.uuid)?, wall: wall(other.wall_ns) });
-        // A server that reports to no aggregator, or to another one, has the name that the edge gives it.
-        let peer = ends.peer.as_ref().filter(|_| at == 0);
-        hosts.push(name(WHAT, other.name.as_ref().or(peer).map(String::as_str))?);
+    let mut anchors = vec![Anchor { host: parse(WHAT, &tree_hosts.uuid)?, wall: started }];
+    let mut hosts = vec![name(WHAT, tree_hosts.name.as_deref())?];
+    for (index, anchor) in other_anchors.iter().enumerate() {
+        anchors.push(Anchor { host: parse(WHAT, &anchor.uuid)?, wall: wall(anchor.wall_ns) });
+        // A server that does not report to this aggregator has no name of its own here. It gets the name that the edge has for it.
+        let peer = tree_hosts.peer.as_ref().filter(|_| index == 0);
+        hosts.push(name(WHAT, anchor.name.as_ref().or(peer).map(String::as_str))?);
     }
-    let mut nodes_again = Vec::with_capacity(nodes.len());
+    let mut tree_nodes = Vec::with_capacity(nodes.len());
     for row in nodes {
         let transit = transits.iter().find(|transit| transit.node == row.node);
-        nodes_again.push(Node {
+        tree_nodes.push(Node {
             parent: row.parent.map(NodeId),
-            name: row.text.as_str().into(),
+            name: row.name.as_str().into(),
             host: HostIndex(row.host),
             start: Span::from_nanos(row.start_ns),
             measure: measure(row, transit)?,
         });
     }
-    let tree = Tree::from_parts(anchors, nodes_again).map_err(|error| corrupt_data(WHAT, error))?;
+    let tree = Tree::from_parts(anchors, tree_nodes).map_err(|error| corrupt_data(WHAT, error))?;
     Ok((tree, hosts))
 }
 
@@ -185,5 +193,5 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
 fn delay(row: &NodeRow, stamps: &TransitRow) -> Result<Option<OneWayDelay>, StoreError> {
     let TransitRow { raw_ns, source, verdict, .. } = *stamps;
     let stored = StoredDelay { raw_ns, source, verdict, value: row.value, bounds: row.lo.zip(row.hi) };
-    stored.judged(WHAT)
+    stored.to_delay(WHAT)
 }

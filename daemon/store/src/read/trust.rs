@@ -1,4 +1,4 @@
-//! Input of a run's judgement, from its roll-ups.
+//! Reads the values from which the trust findings of a run are computed: its stored statistics.
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::rows::LATENESS;
@@ -21,30 +21,32 @@ const BUCKETS: usize = 120;
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
     let numbers = [number];
-    let (known, stages_over_time) =
+    let (run_statistics, stages_over_time) =
         tokio::try_join!(statistics(readers, &numbers), stages_over_time(readers, number))?;
-    Ok(collect(run, &known.into_iter().next().unwrap_or_default(), &stages_over_time))
+    Ok(collect(run, &run_statistics.into_iter().next().unwrap_or_default(), &stages_over_time))
 }
 
-/// Reads the time series of the total, or of sensing for a run of a sensor alone.
+/// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time series of
+/// sensing instead.
 ///
-/// The stages are read only if the total has moved: over a day they are tens of thousands of rows.
+/// The stages are read only if the total changed notably during the run, because over a day the stages have tens of thousands of rows.
 async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBuckets>, StoreError> {
-    let mut found = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
-    let has_moved = |course: &StageBuckets| {
-        TimeSeries::from_summaries(&course.buckets).is_some_and(|course| course.has_notable_change())
+    let mut stages = stage_buckets(readers, run, &[stage::TOTAL], BUCKETS).await?;
+    let has_notable_change = |stage: &StageBuckets| {
+        TimeSeries::from_summaries(&stage.buckets).is_some_and(|series| series.has_notable_change())
     };
-    if found.is_empty() {
-        found = stage_buckets(readers, run, &[stage::SENSING], BUCKETS).await?;
-    } else if found.iter().any(has_moved) {
-        found.extend(stage_buckets(readers, run, &stage::ORDER, BUCKETS).await?);
+    if stages.is_empty() {
+        stages = stage_buckets(readers, run, &[stage::SENSING], BUCKETS).await?;
+    } else if stages.iter().any(has_notable_change) {
+        stages.extend(stage_buckets(readers, run, &stage::ORDER, BUCKETS).await?);
     }
-    Ok(found)
+    Ok(stages)
 }
 
-/// Collects the values that the trust findings of a run are computed from. The function [`stages_over_time`] reads `stages_over_time`.
-fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuckets]) -> TrustInput {
-    let RunStatistics { stages: statistics, bounds, .. } = known;
+/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the function of that
+/// name.
+fn collect(run: &RunDetail, run_statistics: &RunStatistics, stages_over_time: &[StageBuckets]) -> TrustInput {
+    let RunStatistics { stages: statistics, bounds, .. } = run_statistics;
     let counts = Counts {
         ok: run.summary.counts.ok,
         failed: run.summary.counts.failed,
@@ -56,13 +58,13 @@ fn collect(run: &RunDetail, known: &RunStatistics, stages_over_time: &[StageBuck
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
     let mut stages: Vec<(String, TimeSeries)> = stages_over_time
         .iter()
-        .filter_map(|course| Some((course.stage.to_string(), TimeSeries::from_summaries(&course.buckets)?)))
+        .filter_map(|stage| Some((stage.stage.to_string(), TimeSeries::from_summaries(&stage.buckets)?)))
         .collect();
     let total =
-        stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|at| stages.remove(at).1);
+        stages.iter().position(|(name, _)| name == stage::TOTAL.as_str()).map(|index| stages.remove(index).1);
     let sensing =
         || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
-    // An agent of another version may write the configuration in another form: the report then knows no limit and no rate.
+    // An agent of another version may write the configuration in another form. The report then contains no limit and no rate.
     let configured: Option<Configured> = toml::from_str(&run.configuration).ok();
     let input = TrustInput {
         conditions: run.conditions.clone(),
@@ -123,17 +125,17 @@ struct Configured {
     load: Load,
 }
 
-/// The rates are not known.
+/// Leaves out the rates, which a summary does not contain.
 impl From<&RunSummary> for Starts {
     fn from(run: &RunSummary) -> Self {
         Self { started: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }
     }
 }
 
-/// Starts per second over the whole run: the store does not keep when the warm-up ended.
+/// Returns the starts per second over the whole run. The warm-up is included, because the store does not keep when it ended.
 fn actual_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
     let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
-    // Missing iterations were started, too.
+    // Missing iterations were started, too, so the rate of an incomplete run is unknown.
     let is_complete = run.gaps.is_empty() && seconds > 0.0;
     is_complete.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
 }
@@ -142,12 +144,13 @@ fn actual_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
 fn ended_early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<EndedEarly> {
     let summary = &run.summary;
     summary.ended?;
-    // If the number of missing events is unknown, so is how far the run came.
-    let unseen = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
+    // If the number of missing events is unknown, the progress of the run is unknown, too.
+    let missing_events =
+        run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
     let progress = Progress {
-        measured: counts.measured() + unseen,
+        measured: counts.measured() + missing_events,
         warm_up: counts.warm_up,
-        // Of its whole length: the store does not keep when the warm-up ended.
+        // Includes the warm-up, because the store does not keep when it ended.
         seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
     };
     EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))

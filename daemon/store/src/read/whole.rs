@@ -10,7 +10,7 @@ use crate::readers::Readers;
 use crate::types::RunSummary;
 
 const WHAT: &str = "whole iterations";
-/// Maximum number of iterations that are read at a time: a tree may be large.
+/// Maximum number of iterations that are read at a time, because a tree may be large.
 const MAX_ITERATIONS: u32 = 200;
 /// Number of iterations whose shapes are compared together.
 const ITERATIONS_PER_COMPARISON: u32 = 5_000;
@@ -44,25 +44,25 @@ pub(crate) async fn iterations_by_shape(
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(last) = last else { return Ok(None) };
-    let firsts: Vec<i64> = sqlx::query_scalar(sql::SHAPES)
+    let numbers: Vec<i64> = sqlx::query_scalar(sql::SHAPES)
         .bind(run.number)
         .bind(column(after))
         .bind(last)
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut found = Vec::with_capacity(firsts.len());
-    for some in firsts.chunks(MAX_ITERATIONS as usize) {
-        let numbers = serde_json::to_string(some).map_err(|error| corrupt_data(WHAT, error))?;
+    let mut iterations = Vec::with_capacity(numbers.len());
+    for chunk in numbers.chunks(MAX_ITERATIONS as usize) {
+        let chunk = serde_json::to_string(chunk).map_err(|error| corrupt_data(WHAT, error))?;
         let rows: Vec<Row> = sqlx::query_as(sql::ITERATIONS_OF)
             .bind(run.number)
-            .bind(numbers)
+            .bind(chunk)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        found.extend(with_trees(readers, run, rows).await?);
+        iterations.extend(with_trees(readers, run, rows).await?);
     }
-    Ok(Some((count(last), found)))
+    Ok(Some((count(last), iterations)))
 }
 
 async fn with_trees(
@@ -70,8 +70,8 @@ async fn with_trees(
     run: &RunSummary,
     rows: Vec<Row>,
 ) -> Result<Vec<Iteration>, StoreError> {
-    let begins: Vec<_> = rows.iter().map(|row| (row.number, wall(row.started_ns))).collect();
-    let trees = tree::trees(readers, run.number, &begins).await?;
+    let numbers_and_starts: Vec<_> = rows.iter().map(|row| (row.number, wall(row.started_ns))).collect();
+    let trees = tree::trees(readers, run.number, &numbers_and_starts).await?;
     rows.into_iter()
         .zip(trees)
         .filter_map(|(row, stored)| Some((row, stored?.0)))

@@ -1,7 +1,7 @@
 //! Statistics per minute and hour for runs that were stored when buckets of ten seconds were the coarsest.
 //!
-//! SQL cannot merge quantile sketches. So the migration leaves a list of runs, and this code processes it when the file is
-//! opened, before anything else reads or writes.
+//! SQL cannot merge quantile sketches. So the migration leaves a list of runs (the table `rollup_debt`), and this code processes the
+//! list when the file is opened, before anything else reads or writes.
 
 use sqlx::{Connection, SqliteConnection};
 
@@ -13,7 +13,7 @@ const HOUR_S: i64 = 3600;
 /// Number of runs between two log lines.
 const RUNS_PER_LOG_LINE: u64 = 100;
 
-/// The rows of buckets within a range: ?1 run, ?2 begin, ?3 end.
+/// The rows of buckets of ten seconds within a range: ?1 run, ?2 start, ?3 end.
 pub(super) const TENS: &str = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
      FROM rollup WHERE run = ?1 AND resolution_s = 10 AND bucket_s >= ?2 AND bucket_s < ?3";
 
@@ -32,7 +32,7 @@ pub(crate) async fn build_missing_rollups(connection: &mut SqliteConnection) -> 
         let run: Option<i64> =
             sqlx::query_scalar("SELECT min(run) FROM rollup_debt").fetch_one(&mut *connection).await?;
         let Some(run) = run else { break };
-        // Dropping it rolls back.
+        // Dropping the transaction rolls it back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
         rebuild_run(&mut transaction, run).await?;
         transaction.commit().await?;

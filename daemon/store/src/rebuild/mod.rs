@@ -1,4 +1,4 @@
-//! Rebuilding of roll-ups: from the nodes, or coarser roll-ups from finer ones. No other process may write meanwhile.
+//! Rebuilding of roll-ups from the nodes, and of coarser roll-ups from finer roll-ups. No other process may write meanwhile.
 
 mod coarser;
 mod nodes;
@@ -14,19 +14,19 @@ use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 pub struct Rebuilt {
     /// Number of finished runs.
     pub runs: u64,
-    /// Number of their successful iterations that were read, without the warm-up.
+    /// Number of successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Number of the runs with deleted nodes. Their statistics over the whole run, and buckets that nodes no longer cover
-    /// completely, are left unchanged.
+    /// Number of finished runs of which retention has deleted nodes. Their statistics over the whole run, and buckets of which nodes
+    /// are deleted, are left unchanged.
     pub in_part: u64,
 }
 
-/// ?1 the run before.
+/// ?1 the previous run.
 const NEXT_RUN: &str = "SELECT min(number) FROM run WHERE number > ?1";
 /// Second before which nodes are deleted: ?1 run.
 const FIRST_COMPLETE_SECOND: &str = "SELECT before_s FROM trimmed WHERE run = ?1 AND kind = 0";
-/// Counts the skipped starts of a run as the migration that made the column does: ?1 run. Those before answered iterations
-/// are in the roll-up of the whole run.
+/// Counts the skipped starts of a run in the same way as the migration that added the column: ?1 run. Skipped starts before answered
+/// iterations are in the roll-up of the whole run; the others are read from the nodes.
 const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(0.0, min(9007199254740992.0, round( \
      (SELECT total(rollup.count * rollup.mean) FROM rollup \
      WHERE rollup.run = run.number AND rollup.resolution_s = 0 AND rollup.bucket_s = 0 AND rollup.quantity = 0 \
@@ -40,8 +40,8 @@ const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(
 
 /// Makes the roll-ups of a run, or of all runs, from the nodes that still exist.
 ///
-/// Each run has its own transaction, so that it has either its old statistics or its new ones. `progress` is called after
-/// every few thousand summaries.
+/// Each run has its own transaction, so that a run has either its old statistics or its new statistics. `progress` is called after
+/// every few hundred iterations, and after each run.
 ///
 /// # Errors
 /// When the database cannot be read or written. Finished runs stay finished.
@@ -51,19 +51,20 @@ pub(crate) async fn rebuild(
     mut progress: impl FnMut(&Rebuilt),
 ) -> Result<Rebuilt, sqlx::Error> {
     let mut rebuilt = Rebuilt::default();
-    let mut before = run.map_or(i64::MIN, |run| run - 1);
+    let mut previous = run.map_or(i64::MIN, |run| run - 1);
     loop {
-        let next: Option<i64> = sqlx::query_scalar(NEXT_RUN).bind(before).fetch_one(&mut *connection).await?;
+        let next: Option<i64> =
+            sqlx::query_scalar(NEXT_RUN).bind(previous).fetch_one(&mut *connection).await?;
         let Some(next) = next.filter(|next| run.is_none_or(|run| run == *next)) else {
             return Ok(rebuilt);
         };
-        // Dropping it rolls back.
+        // Dropping the transaction rolls it back.
         let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await?;
         rebuild_run(&mut transaction, next, &mut rebuilt, &mut progress).await?;
         transaction.commit().await?;
         rebuilt.runs += 1;
         progress(&rebuilt);
-        before = next;
+        previous = next;
     }
 }
 
@@ -73,18 +74,18 @@ async fn rebuild_run(
     rebuilt: &mut Rebuilt,
     progress: &mut impl FnMut(&Rebuilt),
 ) -> Result<(), sqlx::Error> {
-    let floor: Option<i64> =
+    let first_complete_s: Option<i64> =
         sqlx::query_scalar(FIRST_COMPLETE_SECOND).bind(run).fetch_optional(&mut *connection).await?;
-    let scope = floor.map_or(Scope::All, Scope::From);
+    let scope = first_complete_s.map_or(Scope::All, Scope::From);
     for width_s in WIDTHS_S {
         sqlx::query("DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?3")
             .bind(run)
             .bind(width_s)
-            .bind(floor.unwrap_or(i64::MIN))
+            .bind(first_complete_s.unwrap_or(i64::MIN))
             .execute(&mut *connection)
             .await?;
     }
-    if floor.is_none() {
+    if first_complete_s.is_none() {
         sqlx::query("DELETE FROM rollup WHERE run = ?1 AND resolution_s = ?2")
             .bind(run)
             .bind(WHOLE_RUN)
@@ -95,33 +96,34 @@ async fn rebuild_run(
         rebuilt.in_part += 1;
     }
     let mut rollups = Rollups::with_scope(scope);
-    nodes::sum_up(connection, run, floor, &mut rollups, |iterations| {
+    nodes::sum_up(connection, run, first_complete_s, &mut rollups, |iterations| {
         rebuilt.iterations += iterations;
         progress(rebuilt);
     })
     .await?;
-    // Where nodes are deleted, the starts that were skipped before them cannot be counted again.
-    if floor.is_none() {
+    // If nodes are deleted, the skipped starts in their iterations cannot be counted again.
+    if first_complete_s.is_none() {
         sqlx::query(SKIPPED_STARTS).bind(run).execute(&mut *connection).await?;
     }
-    record_rebuilt(connection, run, floor).await
+    record_rebuilt(connection, run, first_complete_s).await
 }
 
-/// Records that the rebuilt buckets exist again and are due for deletion at their time.
+/// Records that the rebuilt buckets exist again, and starts their retention periods.
 async fn record_rebuilt(
     connection: &mut SqliteConnection,
     run: i64,
-    floor: Option<i64>,
+    first_complete_s: Option<i64>,
 ) -> Result<(), sqlx::Error> {
     for width_s in WIDTHS_S {
-        match floor {
+        match first_complete_s {
             None => sqlx::query("DELETE FROM trimmed WHERE run = ?1 AND kind = ?2").bind(run).bind(width_s),
-            Some(floor) => {
-                let whole = floor.saturating_add(width_s - 1);
+            Some(first_complete_s) => {
+                // The start of the first bucket that is covered completely.
+                let rounded_up = first_complete_s.saturating_add(width_s - 1);
                 sqlx::query("UPDATE trimmed SET before_s = min(before_s, ?3) WHERE run = ?1 AND kind = ?2")
                     .bind(run)
                     .bind(width_s)
-                    .bind(whole - whole.rem_euclid(width_s))
+                    .bind(rounded_up - rounded_up.rem_euclid(width_s))
             }
         }
         .execute(&mut *connection)

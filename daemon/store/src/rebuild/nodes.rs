@@ -1,4 +1,4 @@
-//! Summing up of stored nodes by the same rules as the writer's.
+//! Makes roll-ups from stored nodes, by the same rules as the writer.
 
 use std::collections::HashMap;
 
@@ -8,16 +8,17 @@ use sqlx::{FromRow, SqliteConnection};
 
 use crate::rollups::{Quantity, Rollups};
 
-/// Number of iterations that are read at a time.
-const ITERATIONS: i64 = 500;
-/// Number of summaries after which they are written.
-const SUMMARIES: usize = 20_000;
+/// Number of iterations of a page, which are read at a time.
+const PAGE_ITERATIONS: i64 = 500;
+/// Number of pending summaries at which they are written.
+const MAX_PENDING_SUMMARIES: usize = 20_000;
 
-/// The last iteration of a page, and the number of iterations that count in statistics: ?1 run, ?2 the last iteration of the previous page, ?3 limit.
+/// The last iteration of a page, and the number of iterations that statistics include: ?1 run, ?2 the last iteration of the previous
+/// page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The values of the successful iterations of a page, without the warm-up: ?1 run, ?2 and ?3 first and last iteration.
-/// The joins follow the key that all these tables have: run, iteration, node.
+/// The values of the successful iterations of a page, without the warm-up: ?1 run, ?2 last iteration of the previous page, ?3 last
+/// iteration of this page. The joins follow the key that all these tables have: run, iteration, node.
 pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
      LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \
@@ -34,24 +35,30 @@ struct NodeRow {
     verdict: Option<u8>,
 }
 
-/// Writes the roll-ups of all nodes of a run, for buckets without deleted nodes; `done` receives the number of iterations.
+/// Writes the roll-ups of a run for the buckets without deleted nodes. `first_complete_s` is the second before which nodes are deleted.
+/// `progress` is called after each page with the number of its iterations that statistics include.
 ///
-/// Verdicts are counted over the whole run, so they are written only if no node of it is deleted.
+/// Verdicts are counted over the whole run, so they are written only if no node of the run is deleted.
 pub(super) async fn sum_up(
     connection: &mut SqliteConnection,
     run: i64,
-    floor: Option<i64>,
+    first_complete_s: Option<i64>,
     rollups: &mut Rollups,
-    mut done: impl FnMut(u64),
+    mut progress: impl FnMut(u64),
 ) -> Result<(), sqlx::Error> {
-    let mut before = i64::MIN;
+    let mut previous_last = i64::MIN;
     loop {
-        let (last, counted): (Option<i64>, i64) =
-            sqlx::query_as(PAGE).bind(run).bind(before).bind(ITERATIONS).fetch_one(&mut *connection).await?;
+        let (last, included): (Option<i64>, i64) = sqlx::query_as(PAGE)
+            .bind(run)
+            .bind(previous_last)
+            .bind(PAGE_ITERATIONS)
+            .fetch_one(&mut *connection)
+            .await?;
         let Some(last) = last else { break };
         let mut summaries = HashMap::<(i64, Quantity, i64), Summary>::new();
         let mut verdicts = HashMap::<(i64, u8), u64>::new();
-        let mut rows = sqlx::query_as(NUMBERS).bind(run).bind(before).bind(last).fetch(&mut *connection);
+        let mut rows =
+            sqlx::query_as(NUMBERS).bind(run).bind(previous_last).bind(last).fetch(&mut *connection);
         while let Some(row) = rows.try_next().await? {
             let NodeRow { started_ns, name, value, lo, hi, verdict } = row;
             let second_s = started_ns.div_euclid(1_000_000_000);
@@ -72,16 +79,16 @@ pub(super) async fn sum_up(
         for ((name, quantity, second_s), summary) in summaries {
             rollups.merge(run, name, quantity, second_s, &summary);
         }
-        if floor.is_none() {
+        if first_complete_s.is_none() {
             for ((name, verdict), count) in verdicts {
                 rollups.add_verdicts(run, name, verdict, count);
             }
         }
-        if rollups.pending_summaries() >= SUMMARIES {
+        if rollups.pending_summaries() >= MAX_PENDING_SUMMARIES {
             rollups.write(connection).await?;
         }
-        done(counted.unsigned_abs());
-        before = last;
+        progress(included.unsigned_abs());
+        previous_last = last;
     }
     rollups.write(connection).await
 }

@@ -1,7 +1,7 @@
-//! The table `arrival`: it tells which data has to be deleted next, and which part of it may be deleted.
+//! The table `arrival`: it records when each range of data arrived, and so which data has to be deleted next.
 //!
-//! If a later row of the run covers a part of the same data, that part is kept until the later row is due. A jump of a robot's
-//! clock during a run therefore deletes no data early.
+//! If a later row of the same owner covers a part of the range, that part is kept until the later row is due. Therefore no data is
+//! deleted early if a robot's clock jumps during a run.
 
 use sqlx::SqliteConnection;
 
@@ -11,11 +11,11 @@ use crate::extent::Extent;
 use crate::rollups::bucket;
 
 /// Maximum number of rows of the table per transaction.
-const ROWS: usize = 64;
+const MAX_ROWS: usize = 64;
 
-/// Triggers update the table `arrival`: ?1 run, ?2 0 or 1.
+/// Sets whether a run is pinned; triggers then update the table `arrival`: ?1 run, ?2 0 or 1.
 const PIN: &str = "UPDATE run SET pinned = ?2 WHERE number = ?1";
-/// ?1 kind, ?2 run.
+/// Inserts a row that covers all data of a kind and begins its period now: ?1 kind, ?2 run.
 const RELEASE: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) \
      SELECT ?1, number, 0, coalesce((SELECT elapsed_ns / 1000000000 FROM storage_clock), 0), \
        -9223372036854775808, 9223372036854775807 FROM run WHERE number = ?2 AND pinned = 0 \
@@ -26,15 +26,15 @@ const NEXT: &str =
 /// Rows that arrived later and overlap: ?1 kind, ?2 owner, ?3 from, ?4 and ?5 first and last.
 const LATER: &str = "SELECT first, last FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s > ?3 \
      AND first <= ?5 AND last >= ?4";
-/// ?1 run.
+/// Ranges of a run's data whose arrival is not in the table yet: ?1 run.
 const ARRIVING_RUN: &str = "SELECT arriving_first_number, arriving_last_number, arriving_first_s, arriving_last_s \
      FROM run WHERE number = ?1 AND arriving_from_s IS NOT NULL";
-/// ?1 link.
+/// Range of a link's data whose arrival is not in the table yet: ?1 link.
 const ARRIVING_LINK: &str =
     "SELECT arriving_first_ns, arriving_last_ns FROM link WHERE id = ?1 AND arriving_from_s IS NOT NULL";
 /// ?1 kind, ?2 owner, ?3 from.
 const REMOVE: &str = "DELETE FROM arrival WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
-/// ?1 kind, ?2 owner, ?3 from, ?4 now.
+/// Begins the period of a row again: ?1 kind, ?2 owner, ?3 from, ?4 now.
 const POSTPONE: &str = "UPDATE arrival SET to_s = ?4 WHERE kind = ?1 AND owner = ?2 AND from_s = ?3";
 
 #[cfg(test)]
@@ -49,18 +49,18 @@ pub(super) const STATEMENTS: [(&str, &str); 8] = [
     ("POSTPONE", POSTPONE),
 ];
 
-/// Pins a run, so that nothing of it is deleted, or releases it: then its periods count from now. Returns whether the run
+/// Pins a run, so that none of its data is deleted, or releases it, so that its retention periods begin now. Returns whether the run
 /// exists. Data that was deleted before stays deleted.
 pub(crate) async fn pin(
     connection: &mut SqliteConnection,
     run: i64,
     pinned: bool,
 ) -> Result<bool, sqlx::Error> {
-    let done = sqlx::query(PIN).bind(run).bind(pinned).execute(connection).await?;
-    Ok(done.rows_affected() > 0)
+    let result = sqlx::query(PIN).bind(run).bind(pinned).execute(connection).await?;
+    Ok(result.rows_affected() > 0)
 }
 
-/// Marks all stored data of this kind of a run for deletion after its period, counted from now, unless the run is pinned.
+/// Begins the retention period of all stored data of one kind of a run, unless the run is pinned.
 pub(crate) async fn release(
     connection: &mut SqliteConnection,
     kind: Kind,
@@ -79,7 +79,7 @@ struct Arrival {
     extent: Extent,
 }
 
-/// Returns whether data of this kind had arrived by a second of the storage clock.
+/// Returns whether there is data of this kind that had arrived by `before_s`, a second of the storage clock.
 pub(super) async fn has_due(
     connection: &mut SqliteConnection,
     kind: Kind,
@@ -109,10 +109,11 @@ pub(super) struct TrimResult {
     /// Cost of the deleted rows, in rows of the table `node`.
     pub(super) cost: u64,
     /// `true` if no other data is due.
-    pub(super) complete: bool,
+    pub(super) is_complete: bool,
 }
 
-/// Deletes data that had arrived by a second of the storage clock, in the order of arrival, at a cost of about `max_cost`.
+/// Deletes data that had arrived by `before_s`, a second of the storage clock, in the order of arrival. Stops at a cost of about
+/// `max_cost`.
 pub(super) async fn trim(
     connection: &mut SqliteConnection,
     (kind, cause): (Kind, Cause),
@@ -121,47 +122,47 @@ pub(super) async fn trim(
     max_cost: u64,
     deletions: &mut Vec<Deletion>,
 ) -> Result<TrimResult, sqlx::Error> {
-    let mut deleted = 0;
-    for _ in 0..ROWS {
-        let remaining_cost = max_cost.saturating_sub(deleted);
+    let mut cost = 0;
+    for _ in 0..MAX_ROWS {
+        let remaining_cost = max_cost.saturating_sub(cost);
         if remaining_cost == 0 {
             break;
         }
         let Some(arrival) = next(connection, kind, before_s).await? else {
-            return Ok(TrimResult { cost: deleted, complete: true });
+            return Ok(TrimResult { cost, is_complete: true });
         };
-        let gone = arrival.delete(connection, now_s, remaining_cost).await?;
-        deleted += gone.cost;
-        if gone.items > 0 {
-            deletions.push(Deletion { cause, kind, owner: arrival.owner, items: gone.items });
+        let deleted = arrival.delete(connection, now_s, remaining_cost).await?;
+        cost += deleted.cost;
+        if deleted.items > 0 {
+            deletions.push(Deletion { cause, kind, owner: arrival.owner, items: deleted.items });
         }
     }
-    Ok(TrimResult { cost: deleted, complete: false })
+    Ok(TrimResult { cost, is_complete: false })
 }
 
 impl Arrival {
-    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all of it is deleted, the arrival is removed, or
-    /// postponed by another period if pinned data remains.
+    /// Deletes data that only this arrival covers, at a cost of about `max_cost`. When all such data is deleted, the arrival is removed.
+    /// If pinned data remains, the arrival is kept, and its period begins again.
     async fn delete(
         self,
         connection: &mut SqliteConnection,
         now_s: i64,
         max_cost: u64,
     ) -> Result<DeletedRows, sqlx::Error> {
-        let mut others = self.later_extents(connection).await?;
+        let mut kept_extents = self.later_extents(connection).await?;
         let pinned = match self.kind {
             Kind::ClockSamples => clocks::pinned_times(connection, self.owner).await?,
             _ => Vec::new(),
         };
-        others.extend(&pinned);
+        kept_extents.extend(&pinned);
         let mut deleted = DeletedRows::default();
-        for part in self.extent.without(others) {
+        for part in self.extent.without(kept_extents) {
             loop {
                 let remaining_cost = max_cost.saturating_sub(deleted.cost);
                 if remaining_cost == 0 {
                     return Ok(deleted);
                 }
-                let gone = match self.kind {
+                let deleted_now = match self.kind {
                     Kind::Nodes => nodes::delete(connection, self.owner, part, remaining_cost).await?,
                     Kind::Buckets(width_s) => {
                         buckets::delete(connection, self.owner, width_s, part, remaining_cost).await?
@@ -170,26 +171,26 @@ impl Arrival {
                         clocks::delete(connection, self.owner, part, remaining_cost).await?
                     }
                 };
-                deleted.cost += gone.cost;
-                deleted.items += gone.items;
-                if gone.complete {
+                deleted.cost += deleted_now.cost;
+                deleted.items += deleted_now.items;
+                if deleted_now.is_complete {
                     break;
                 }
             }
         }
-        let mut is_kept = false;
+        let mut has_pinned_data = false;
         for Extent { first, last } in pinned {
             let part = Extent { first: first.max(self.extent.first), last: last.min(self.extent.last) };
-            is_kept = is_kept
+            has_pinned_data = has_pinned_data
                 || (part.first <= part.last && clocks::has_samples(connection, self.owner, part).await?);
         }
-        let statement = if is_kept { POSTPONE } else { REMOVE };
+        let statement = if has_pinned_data { POSTPONE } else { REMOVE };
         let statement = sqlx::query(statement).bind(self.kind.number()).bind(self.owner).bind(self.from_s);
-        if is_kept { statement.bind(now_s) } else { statement }.execute(connection).await?;
-        Ok(DeletedRows { complete: true, ..deleted })
+        if has_pinned_data { statement.bind(now_s) } else { statement }.execute(connection).await?;
+        Ok(DeletedRows { is_complete: true, ..deleted })
     }
 
-    /// Returns the parts of its extent for which data also arrived later.
+    /// Returns the extents of data of the same owner that arrived later and overlaps this arrival.
     async fn later_extents(self, connection: &mut SqliteConnection) -> Result<Vec<Extent>, sqlx::Error> {
         let rows: Vec<(i64, i64)> = sqlx::query_as(LATER)
             .bind(self.kind.number())

@@ -1,7 +1,8 @@
 //! Conversion of recent arrivals to rows of the table `arrival`.
 //!
-//! The writer notes in each transaction which iterations of a run and which samples of a link arrived. After a sixty-fourth of
-//! the period this becomes a row, or extends the newest one, so that each kind has few rows within its period.
+//! In each transaction the writer records which iterations of a run and which samples of a link arrived (the columns `arriving_*`).
+//! After a sixty-fourth of the retention period this record becomes a row of `arrival`, or extends the newest row. So each kind of
+//! data has few rows within its period.
 
 use sqlx::{FromRow, SqliteConnection};
 
@@ -9,27 +10,29 @@ use super::{Kind, Periods};
 use crate::extent::Extent;
 use crate::rollups::bucket;
 
-/// Returns whether something has been arriving since this second of the storage clock or before: ?1 second.
+/// Whether any record of arriving data began at this second of the storage clock or before: ?1 second.
 const ANY: &str = "SELECT EXISTS (SELECT 1 FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1) \
      OR EXISTS (SELECT 1 FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1)";
-/// ?1 second, ?2 limit.
+/// Runs whose record of arriving data began at this second or before: ?1 second, ?2 limit.
 const RUNS: &str = "SELECT number, pinned, arriving_from_s AS from_s, arriving_first_number AS first_number, \
        arriving_last_number AS last_number, arriving_first_s AS first_s, arriving_last_s AS last_s \
      FROM run INDEXED BY run_arriving WHERE arriving_from_s <= ?1 ORDER BY arriving_from_s LIMIT ?2";
-/// ?1 second, ?2 limit.
+/// Links whose record of arriving data began at this second or before: ?1 second, ?2 limit.
 const LINKS: &str = "SELECT id, arriving_from_s, arriving_first_ns, arriving_last_ns \
      FROM link INDEXED BY link_arriving WHERE arriving_from_s <= ?1 ORDER BY arriving_from_s LIMIT ?2";
-/// ?1 run.
+/// Clears the record of a run: ?1 run.
 const RUN_DONE: &str = "UPDATE run SET arriving_from_s = NULL, arriving_first_number = NULL, arriving_last_number = NULL, \
      arriving_first_s = NULL, arriving_last_s = NULL WHERE number = ?1";
-/// ?1 link.
+/// Clears the record of a link: ?1 link.
 const LINK_DONE: &str =
     "UPDATE link SET arriving_from_s = NULL, arriving_first_ns = NULL, arriving_last_ns = NULL WHERE id = ?1";
-/// ?1 kind, ?2 owner, ?3 now, ?4 and ?5 first and last, ?6 only if the row began after this second.
+/// Extends the newest row of `arrival` if the row began after a given second: ?1 kind, ?2 owner, ?3 now, ?4 and ?5 first and last, ?6
+/// the given second.
 const EXTEND: &str = "UPDATE arrival SET to_s = max(to_s, ?3), first = min(first, ?4), last = max(last, ?5) \
      WHERE kind = ?1 AND owner = ?2 AND from_s > ?6 \
        AND from_s = (SELECT max(newest.from_s) FROM arrival AS newest WHERE newest.kind = ?1 AND newest.owner = ?2)";
-/// ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. The row may exist: the one for all earlier data.
+/// Inserts a row of `arrival`: ?1 kind, ?2 owner, ?3 from, ?4 now, ?5 and ?6 first and last. A row with this key may exist, namely the
+/// row for all earlier data, whose key begins at 0.
 const INSERT: &str = "INSERT INTO arrival (kind, owner, from_s, to_s, first, last) VALUES (?1, ?2, ?3, ?4, ?5, ?6) \
      ON CONFLICT (kind, owner, from_s) DO UPDATE SET to_s = max(to_s, excluded.to_s), \
      first = min(first, excluded.first), last = max(last, excluded.last)";
@@ -56,7 +59,7 @@ struct Run {
     last_s: i64,
 }
 
-/// Returns whether something has been arriving since this second or before.
+/// Returns whether any record of arriving data began at `since_s` or before.
 pub(super) async fn has_arrivals(
     connection: &mut SqliteConnection,
     since_s: i64,
@@ -64,8 +67,8 @@ pub(super) async fn has_arrivals(
     sqlx::query_scalar(ANY).bind(since_s).fetch_one(connection).await
 }
 
-/// Makes rows of what has been arriving since this second or before, for up to `limit` runs and links each. Returns their
-/// number.
+/// Converts the records of arriving data that began at `since_s` or before, of up to `limit` runs and up to `limit` links. Returns the
+/// number of runs and links.
 pub(super) async fn close(
     connection: &mut SqliteConnection,
     periods: &Periods,
@@ -99,6 +102,7 @@ pub(super) async fn close(
     Ok(runs.len() + links.len())
 }
 
+/// Extends the newest row of a kind and owner, or adds a row.
 async fn append(
     connection: &mut SqliteConnection,
     periods: &Periods,
@@ -107,7 +111,7 @@ async fn append(
     (from_s, now_s): (i64, i64),
     extent: Extent,
 ) -> Result<(), sqlx::Error> {
-    let extended = sqlx::query(EXTEND)
+    let extension = sqlx::query(EXTEND)
         .bind(kind.number())
         .bind(owner)
         .bind(now_s)
@@ -116,7 +120,7 @@ async fn append(
         .bind(now_s - periods.resolution_s(kind))
         .execute(&mut *connection)
         .await?;
-    if extended.rows_affected() == 0 {
+    if extension.rows_affected() == 0 {
         sqlx::query(INSERT)
             .bind(kind.number())
             .bind(owner)

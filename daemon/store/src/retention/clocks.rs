@@ -1,6 +1,6 @@
-//! Deletion of clock samples of a link, and of the statistics of its connections of the same time.
+//! Deletion of the clock samples of a link, together with the statistics of the link's connections from the same time.
 //!
-//! Samples from the time of a pinned run of the link's edge stay, so that its delays can be judged again.
+//! Samples from the time of a pinned run of the link's edge stay, so that the run's delays can be judged again.
 
 use sqlx::SqliteConnection;
 
@@ -9,24 +9,24 @@ use crate::column::column;
 use crate::extent::Extent;
 
 /// Time before and after a pinned run for which samples stay.
-const AROUND_NS: i64 = 3_600_000_000_000;
-/// Cost of deleting a clock sample, in rows of the table `node`: a sample is several times as large.
+const PINNED_MARGIN_NS: i64 = 3_600_000_000_000;
+/// Cost of deleting a clock sample, in rows of the table `node`. A sample is several times as large.
 const SAMPLE_COST: u64 = 5;
 
 /// The oldest sample: ?1 link, ?2 and ?3 first and last.
 const OLDEST: &str = "SELECT min(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Pinned runs of a link's edge: ?1 link.
+/// Starts and ends of the pinned runs of a link's edge: ?1 link.
 const PINNED: &str = "SELECT run.started_ns, coalesce(max(run.ended_ns, run.last_iteration_ns), run.ended_ns, 9223372036854775807) \
      FROM run INDEXED BY run_pinned CROSS JOIN pipeline ON pipeline.id = run.pipeline \
      WHERE run.pinned = 1 AND pipeline.host = (SELECT edge FROM link WHERE id = ?1)";
-/// The sample after a number of rows: ?1 link, ?2 and ?3 first and last, ?4 rows.
+/// Time of the sample that follows a number of samples: ?1 link, ?2 and ?3 first and last, ?4 the number of samples.
 const AFTER: &str = "SELECT at_ns FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3 \
      ORDER BY at_ns LIMIT 1 OFFSET ?4";
 /// ?1 link, ?2 and ?3 first and last.
 const DELETE: &str = "DELETE FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Statistics of connections of that time: ?1 link, ?2 and ?3 first and last.
+/// Deletes statistics of connections: ?1 link, ?2 and ?3 first and last.
 const CONNECTIONS: &str = "DELETE FROM connection_sample WHERE link = ?1 AND at_ns BETWEEN ?2 AND ?3";
-/// Windows without remaining samples; the last one may continue: ?1 link, ?2 end.
+/// Deletes windows without remaining samples, except for the last window, which may continue: ?1 link, ?2 end.
 const WINDOWS: &str = "DELETE FROM clock_window WHERE link = ?1 AND last_ns <= ?2 \
      AND id <> (SELECT max(id) FROM clock_window WHERE link = ?1) \
      AND NOT EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = clock_window.link \
@@ -49,11 +49,11 @@ pub(super) async fn pinned_times(
     link: i64,
 ) -> Result<Vec<Extent>, sqlx::Error> {
     let runs: Vec<(i64, i64)> = sqlx::query_as(PINNED).bind(link).fetch_all(connection).await?;
-    let around = |(begin, end): (i64, i64)| Extent {
-        first: begin.saturating_sub(AROUND_NS),
-        last: end.max(begin).saturating_add(AROUND_NS),
+    let with_margins = |(start, end): (i64, i64)| Extent {
+        first: start.saturating_sub(PINNED_MARGIN_NS),
+        last: end.max(start).saturating_add(PINNED_MARGIN_NS),
     };
-    Ok(runs.into_iter().map(around).collect())
+    Ok(runs.into_iter().map(with_margins).collect())
 }
 
 /// Returns whether there are samples between two times, both included.
@@ -80,19 +80,19 @@ pub(super) async fn delete(
         .bind(times.last)
         .fetch_one(&mut *connection)
         .await?;
-    let Some(first) = first else { return Ok(DeletedRows { complete: true, ..DeletedRows::default() }) };
-    let after: Option<i64> = sqlx::query_scalar(AFTER)
+    let Some(first) = first else { return Ok(DeletedRows { is_complete: true, ..DeletedRows::default() }) };
+    let next_time: Option<i64> = sqlx::query_scalar(AFTER)
         .bind(link)
         .bind(first)
         .bind(times.last)
         .bind(column((max_cost / SAMPLE_COST).max(1)))
         .fetch_optional(&mut *connection)
         .await?;
-    // Samples of one time, in several windows, are deleted together.
-    let through = after.map_or(times.last, |after| (after - 1).max(first));
-    let gone = sqlx::query(DELETE).bind(link).bind(first).bind(through);
-    let items = gone.execute(&mut *connection).await?.rows_affected();
+    // Samples of several windows with the same time are deleted together.
+    let through = next_time.map_or(times.last, |next_time| (next_time - 1).max(first));
+    let deletion = sqlx::query(DELETE).bind(link).bind(first).bind(through);
+    let items = deletion.execute(&mut *connection).await?.rows_affected();
     sqlx::query(CONNECTIONS).bind(link).bind(first).bind(through).execute(&mut *connection).await?;
     sqlx::query(WINDOWS).bind(link).bind(through).execute(connection).await?;
-    Ok(DeletedRows { cost: items * SAMPLE_COST, items, complete: after.is_none() })
+    Ok(DeletedRows { cost: items * SAMPLE_COST, items, is_complete: next_time.is_none() })
 }

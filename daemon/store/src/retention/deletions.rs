@@ -1,4 +1,4 @@
-//! Incidents and log lines about deleted data: at most one incident per hour, whose text is updated.
+//! Incidents and log lines about deleted data. There is at most one incident per hour, whose text is updated.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write;
@@ -17,7 +17,7 @@ const GROUP_S: i64 = 3_600;
 /// ?1 incident, ?2 text.
 const UPDATE: &str = "UPDATE incident SET text = ?2 WHERE id = ?1";
 
-/// The limit for which something was deleted.
+/// The limit because of which data was deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
     /// The data was older than its period.
@@ -26,7 +26,7 @@ pub(super) enum Cause {
     Size,
 }
 
-/// Amount of data that a transaction deleted of a run or link.
+/// Amount of data of a run or link that a transaction deleted.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Deletion {
     pub(super) cause: Cause,
@@ -47,14 +47,16 @@ pub(super) struct Deletions {
 /// Contents of one incident.
 #[derive(Debug)]
 struct Group {
+    /// Id of the incident.
     incident: i64,
-    /// Its begin on the storage clock, seconds.
+    /// Start of the group on the storage clock, seconds.
     from_s: i64,
     counts: BTreeMap<(Cause, Kind), Count>,
     /// The last text written to the log.
-    logged: Option<String>,
+    logged_text: Option<String>,
 }
 
+/// Deleted data of one cause and kind.
 #[derive(Debug, Default)]
 struct Count {
     items: u64,
@@ -82,7 +84,7 @@ impl Deletions {
             None => {
                 let kind = AggregatorIncidentKind::Retention;
                 let incident = incidents::record(connection, kind, now, "").await?;
-                Group { incident, from_s: now_s, counts: BTreeMap::new(), logged: None }
+                Group { incident, from_s: now_s, counts: BTreeMap::new(), logged_text: None }
             }
         };
         for Deletion { cause, kind, owner, items } in deletions {
@@ -96,22 +98,22 @@ impl Deletions {
         Ok(())
     }
 
-    /// Forgets the incident, because the transaction was rolled back: later deletions become another one.
+    /// Forgets the incident, because the transaction was rolled back. Later deletions become another incident.
     pub(super) fn forget(&mut self) {
         self.group = None;
     }
 
-    /// Handles a time without deletions: logs the first deletions of an hour, and at its end all deletions of the hour.
-    pub(super) fn log_at_rest(&mut self, now_s: i64) {
+    /// Logs deletions while no data is to be deleted: the first deletions of an hour at once, and all deletions of the hour at its end.
+    pub(super) fn log_when_idle(&mut self, now_s: i64) {
         if let Some(group) = &mut self.group
-            && group.logged.is_none()
+            && group.logged_text.is_none()
         {
             group.log(&self.config);
         }
         self.finish_if_old(now_s);
     }
 
-    /// Logs the rest, because no more deletions follow.
+    /// Logs the deletions that were not logged yet, because no more deletions follow.
     pub(super) fn finish(&mut self) {
         if let Some(mut group) = self.group.take() {
             group.log(&self.config);
@@ -128,22 +130,22 @@ impl Deletions {
 impl Group {
     fn log(&mut self, config: &RetentionConfig) {
         let text = self.description(config);
-        if self.logged.as_ref() != Some(&text) {
+        if self.logged_text.as_ref() != Some(&text) {
             tracing::info!("retention {text}");
-            self.logged = Some(text);
+            self.logged_text = Some(text);
         }
     }
 
     fn description(&self, config: &RetentionConfig) -> String {
         let mut text = "deleted".to_owned();
-        let mut last = None;
+        let mut last_cause = None;
         for ((cause, kind), Count { items, owners }) in &self.counts {
-            let separator = match last {
+            let separator = match last_cause {
                 None => " ",
-                Some(before) if before == cause => ", ",
+                Some(last_cause) if last_cause == cause => ", ",
                 Some(_) => "; ",
             };
-            last = Some(cause);
+            last_cause = Some(cause);
             let owners = owners.len();
             let plural = if owners == 1 { "" } else { "s" };
             let (what, owner) = (kind.description(), kind.owner_description());

@@ -1,10 +1,10 @@
-//! Retention: the writing task deletes old data between its commits, a little at a time, so that no commit waits for long,
-//! and without examining all runs.
+//! Retention: the writer's task deletes old data between its commits. It deletes a little at a time, so that no commit waits for
+//! long, and it does not examine all runs.
 //!
-//! Age is counted on the storage clock from the arrival of data, so no wall clock can make data old: neither the aggregator's
-//! nor a robot's. The table `arrival` holds the time of arrival for each run or link and each kind of data. An index gives the
-//! row that is due next, so a step with nothing to do costs a few index lookups, at most once a second. `trimmed` holds for
-//! readers and for a rebuild how far each run was deleted. Deletions are recorded as an incident.
+//! The age of data is the time since its arrival on the storage clock. A wrong wall clock, the aggregator's or a robot's, therefore
+//! deletes no data early. The table `arrival` holds the times of arrival of each run or link and each kind of data. An index gives
+//! the row that is due next, so a step with nothing to do costs a few index lookups, at most once a second. The table `trimmed` tells
+//! readers and a rebuild up to which time data of a run is deleted. Deletions are recorded as an incident.
 
 mod arrivals;
 mod arriving;
@@ -26,17 +26,18 @@ use crate::retention_config::{RetentionConfig, period_s};
 use crate::rollups::WIDTHS_S;
 use crate::storage_clock::StorageClock;
 
-/// Approximate cost of the data that a step deletes, in rows of the table `node`; it takes some tens of milliseconds.
-pub(crate) const ROWS: u32 = 20_000;
+/// Approximate cost of the data that a step deletes, in rows of the table `node`. A step takes some tens of milliseconds.
+pub(crate) const MAX_STEP_COST: u32 = 20_000;
 /// Pause after a step with nothing to do.
-const IDLE: Span = Span::from_seconds(1);
+const IDLE_PAUSE: Span = Span::from_seconds(1);
 /// Number of parts of a period. Data that arrives within one part is deleted together, so that a kind has few rows in the
 /// table `arrival`.
 const PARTS: i64 = 64;
-/// Length of a part for data that is kept without limit, seconds: the size limit, or a period that is configured later, needs it.
+/// Length of a part for data that is kept without limit, seconds. The arrivals of such data are needed for the size limit, and for a
+/// period that may be configured later.
 const UNLIMITED_RESOLUTION_S: i64 = 3_600;
 /// Maximum number of runs and of links whose arrivals one transaction converts.
-const ARRIVING: u32 = 64;
+const MAX_CONVERTED: u32 = 64;
 
 /// Result of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,7 +71,7 @@ impl Kind {
         Self::ClockSamples,
     ];
 
-    /// Returns its number in the tables `arrival` and `trimmed`.
+    /// Returns the number of the kind in the tables `arrival` and `trimmed`.
     const fn number(self) -> i64 {
         match self {
             Self::Nodes => 0,
@@ -79,7 +80,7 @@ impl Kind {
         }
     }
 
-    /// Returns the number of days for which it is kept; 0 for no limit.
+    /// Returns the number of days for which data of the kind is kept; 0 for no limit.
     const fn days(self, config: &RetentionConfig) -> u32 {
         match self {
             Self::Nodes => config.nodes_days,
@@ -91,7 +92,7 @@ impl Kind {
         }
     }
 
-    /// Returns the configuration key of its period.
+    /// Returns the configuration key of the kind's period.
     const fn key(self) -> &'static str {
         match self {
             Self::Nodes => "nodes_days",
@@ -103,7 +104,7 @@ impl Kind {
         }
     }
 
-    /// Returns a description of its items.
+    /// Returns a description of the kind's items.
     const fn description(self) -> &'static str {
         match self {
             Self::Nodes => "iterations with their trees",
@@ -115,7 +116,7 @@ impl Kind {
         }
     }
 
-    /// Returns a description of their owner.
+    /// Returns a description of the items' owner.
     const fn owner_description(self) -> &'static str {
         if matches!(self, Self::ClockSamples) { "link" } else { "run" }
     }
@@ -131,7 +132,7 @@ impl Periods {
         period_s(kind.days(&self.0))
     }
 
-    /// Returns the length of a part of the period: arrivals within one part are deleted together, seconds.
+    /// Returns the length of a part of the period, seconds. Data that arrives within one part is deleted together.
     fn resolution_s(&self, kind: Kind) -> i64 {
         self.period_s(kind).map_or(UNLIMITED_RESOLUTION_S, |period_s| (period_s / PARTS).max(1))
     }
@@ -141,7 +142,7 @@ impl Periods {
     }
 }
 
-/// Amount of data that was deleted of a kind of a run or link.
+/// Amount of deleted data of one kind of a run or link.
 #[derive(Clone, Copy, Debug, Default)]
 struct DeletedRows {
     /// Cost of the deleted rows, in rows of the table `node`.
@@ -149,15 +150,15 @@ struct DeletedRows {
     /// Number of iterations, rows of statistics, or samples.
     items: u64,
     /// `true` if all requested data is deleted.
-    complete: bool,
+    is_complete: bool,
 }
 
 /// Deletion of old data.
 #[derive(Debug)]
 pub(crate) struct Retention {
     periods: Periods,
-    /// Time of the last step with nothing to do.
-    idle: Option<MonoTime>,
+    /// Time of the last step, if it had nothing to do.
+    idle_since: Option<MonoTime>,
     size: SizeLimit,
     deletions: Deletions,
 }
@@ -166,13 +167,13 @@ impl Retention {
     pub(crate) fn new(config: RetentionConfig) -> Self {
         Self {
             periods: Periods(config),
-            idle: None,
+            idle_since: None,
             size: SizeLimit::new(config.size_limit_bytes),
             deletions: Deletions::new(config),
         }
     }
 
-    /// Deletes data at a cost of at most about `max_cost`, in its own transaction; none may be open.
+    /// Deletes data at a cost of at most about `max_cost`, in its own transaction. No transaction may be open.
     ///
     /// # Errors
     /// When the database cannot be read or written now. The step can be tried again.
@@ -183,25 +184,25 @@ impl Retention {
         now: Stamp,
         max_cost: u32,
     ) -> Result<Step, sqlx::Error> {
-        if self.idle.is_some_and(|idle| now.mono - idle < IDLE) {
+        if self.idle_since.is_some_and(|idle_since| now.mono - idle_since < IDLE_PAUSE) {
             return Ok(Step::Done);
         }
         let now_s = whole_seconds(storage_clock.read(connection, now.mono).await?);
         let Some(work) = self.find_work(connection, now_s, now.mono).await? else {
-            self.idle = Some(now.mono);
-            self.deletions.log_at_rest(now_s);
+            self.idle_since = Some(now.mono);
+            self.deletions.log_when_idle(now_s);
             return Ok(Step::Done);
         };
-        self.idle = None;
-        let done = self.transaction(connection, storage_clock, work, now, max_cost.into()).await;
-        match &done {
-            Ok(()) => storage_clock.committed(now.mono),
+        self.idle_since = None;
+        let result = self.transaction(connection, storage_clock, work, now, max_cost.into()).await;
+        match &result {
+            Ok(()) => storage_clock.record_commit(now.mono),
             Err(_) => {
                 self.deletions.forget();
                 raw_transaction::roll_back(connection).await?;
             }
         }
-        done.map(|()| Step::More)
+        result.map(|()| Step::More)
     }
 
     /// Logs the deletions that were not logged yet, because no deletion follows soon.
@@ -209,6 +210,7 @@ impl Retention {
         self.deletions.finish();
     }
 
+    /// Performs work in one transaction.
     async fn transaction(
         &mut self,
         connection: &mut SqliteConnection,
@@ -246,6 +248,7 @@ impl Retention {
         Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 
+    /// Performs work within the open transaction.
     async fn perform(
         &mut self,
         connection: &mut SqliteConnection,
@@ -256,16 +259,15 @@ impl Retention {
     ) -> Result<(), sqlx::Error> {
         match work {
             Work::Arriving { since_s } => {
-                arriving::close(connection, &self.periods, since_s, now_s, ARRIVING).await?;
+                arriving::close(connection, &self.periods, since_s, now_s, MAX_CONVERTED).await?;
             }
             Work::Aged { kind, before_s } => {
-                let what = (kind, Cause::Age);
-                arrivals::trim(connection, what, before_s, now_s, max_cost, deletions).await?;
+                arrivals::trim(connection, (kind, Cause::Age), before_s, now_s, max_cost, deletions).await?;
             }
             Work::TooLarge => {
-                // Recent arrivals may be deleted as well, once no older iterations remain.
+                // When no older iterations remain, data that is still arriving is converted, so that it can be deleted, too.
                 if !arrivals::has_due(connection, Kind::Nodes, i64::MAX).await? {
-                    arriving::close(connection, &self.periods, i64::MAX, now_s, ARRIVING).await?;
+                    arriving::close(connection, &self.periods, i64::MAX, now_s, MAX_CONVERTED).await?;
                 }
                 if !self.size.reduce(connection, (now_s, now.wall), max_cost, deletions).await? {
                     self.size.give_up(now.mono);
@@ -279,14 +281,15 @@ impl Retention {
 /// Work of one transaction.
 #[derive(Debug)]
 enum Work {
-    /// Convert what has been arriving since this second of the storage clock to rows of the table `arrival`.
+    /// Convert the records of arriving data that began at this second of the storage clock or before to rows of the table `arrival`.
     Arriving { since_s: i64 },
-    /// Delete data of this kind that had arrived by this second, a whole period ago.
+    /// Delete data of this kind that had arrived by this second, which is a whole period ago.
     Aged { kind: Kind, before_s: i64 },
     /// Delete data because the file uses more than its limit.
     TooLarge,
 }
 
+/// Rounds a reading of the storage clock down to whole seconds.
 const fn whole_seconds(elapsed: Span) -> i64 {
     elapsed.nanos().div_euclid(1_000_000_000)
 }

@@ -8,9 +8,9 @@ use super::arrivals::{self, TrimResult};
 use super::deletions::{Cause, Deletion};
 use crate::column::{column, count};
 
-/// Kinds that may be deleted, in this order. Statistics of hours and whole runs stay.
+/// Kinds that may be deleted, in the order of their deletion. Statistics of hours and whole runs stay.
 const ORDER: [Kind; 4] = [Kind::Nodes, Kind::Buckets(1), Kind::Buckets(10), Kind::Buckets(60)];
-/// Pause after nothing was left to delete.
+/// Pause after a step in which no data was left to delete.
 const PAUSE: Span = Span::from_seconds(60);
 
 /// Bytes in use. Free pages do not count: they are used again before the file grows.
@@ -22,9 +22,11 @@ const USED: &str = "SELECT (page_count - freelist_count) * page_size \
 pub(super) struct SizeLimit {
     /// The limit in bytes; 0 for none.
     limit: u64,
+    /// `true` after the log line that data is deleted because of the limit.
     is_reported: bool,
+    /// `true` after the log line that no more data may be deleted.
     is_futility_reported: bool,
-    /// Time at which nothing was left to delete.
+    /// Time at which no data was left to delete.
     nothing_left_at: Option<MonoTime>,
 }
 
@@ -33,7 +35,7 @@ impl SizeLimit {
         Self { limit, is_reported: false, is_futility_reported: false, nothing_left_at: None }
     }
 
-    /// Returns whether something has to be deleted.
+    /// Returns whether data has to be deleted.
     pub(super) async fn is_exceeded(
         &self,
         connection: &mut SqliteConnection,
@@ -43,7 +45,8 @@ impl SizeLimit {
         Ok(self.limit > 0 && !is_paused && used_bytes(connection).await? > self.limit)
     }
 
-    /// Deletes the oldest arrivals of the kinds that may be deleted, of all runs that are not pinned, at any age. Returns whether more may remain.
+    /// Deletes the data that arrived first, at any age, of the kinds that may be deleted and of runs that are not pinned. Returns whether
+    /// more such data may remain.
     pub(super) async fn reduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -52,9 +55,9 @@ impl SizeLimit {
         deletions: &mut Vec<Deletion>,
     ) -> Result<bool, sqlx::Error> {
         for kind in ORDER {
-            let TrimResult { cost: deleted, complete } =
+            let TrimResult { cost, is_complete } =
                 arrivals::trim(connection, (kind, Cause::Size), i64::MAX, now_s, max_cost, deletions).await?;
-            if deleted > 0 {
+            if cost > 0 {
                 if !self.is_reported {
                     tracing::warn!(
                         limit_bytes = self.limit,
@@ -64,17 +67,17 @@ impl SizeLimit {
                     self.is_reported = true;
                 }
                 self.nothing_left_at = None;
-                note(connection, now, deleted).await?;
+                record_early_deletion(connection, now, cost).await?;
                 return Ok(true);
             }
-            if !complete {
+            if !is_complete {
                 return Ok(true);
             }
         }
         Ok(false)
     }
 
-    /// Logs that nothing may be deleted, and pauses.
+    /// Logs that no more data may be deleted, and pauses.
     pub(super) fn give_up(&mut self, now: MonoTime) {
         if !self.is_futility_reported {
             tracing::warn!(
@@ -95,7 +98,11 @@ async fn used_bytes(connection: &mut SqliteConnection) -> Result<u64, sqlx::Erro
 }
 
 /// Records the deletion for `peernetd doctor`.
-async fn note(connection: &mut SqliteConnection, now: WallTime, rows: u64) -> Result<(), sqlx::Error> {
+async fn record_early_deletion(
+    connection: &mut SqliteConnection,
+    now: WallTime,
+    rows: u64,
+) -> Result<(), sqlx::Error> {
     sqlx::query(
         "INSERT INTO retention_note (what, first_ns, last_ns, count) VALUES ('size-limit', ?1, ?1, ?2) \
          ON CONFLICT DO UPDATE SET last_ns = excluded.last_ns, count = count + excluded.count",

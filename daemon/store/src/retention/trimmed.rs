@@ -1,4 +1,4 @@
-//! The table `trimmed`: how far data of a kind of a run is deleted, for readers and for a rebuild.
+//! The table `trimmed`: for each run and kind of data, the time before which data may be deleted. Readers and a rebuild use it.
 
 use sqlx::SqliteConnection;
 
@@ -11,7 +11,7 @@ const TRIMMED: &str = "INSERT INTO trimmed (run, kind, before_s) VALUES (?1, ?2,
 #[cfg(test)]
 pub(super) const STATEMENTS: [(&str, &str); 1] = [("TRIMMED", TRIMMED)];
 
-/// Records that data of this kind that began before a second is deleted in part.
+/// Records that some data of this kind that began before `before_s` is deleted.
 pub(super) async fn record_trimmed(
     connection: &mut SqliteConnection,
     kind: Kind,

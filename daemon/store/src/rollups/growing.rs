@@ -6,20 +6,20 @@ use sqlx::SqliteConnection;
 
 use super::packed::PackedSummary;
 use super::table::{self, RollupRow};
-use super::{Added, Series, WHOLE_RUN, WIDTHS_S, bucket};
+use super::{Addition, Series, WHOLE_RUN, WIDTHS_S, bucket};
 
-/// Number of older buckets of a width kept in addition to the newest bucket: iterations may end in another order than they started.
-const OLDER_BUCKETS: usize = 2;
+/// Number of buckets of a width that are kept. More than one is kept, because iterations may end in another order than they started.
+const KEPT_BUCKETS: usize = 2;
 /// Approximate memory of a run in addition to its rows, bytes.
 const OVERHEAD: usize = 512;
 
 /// Buckets of one width.
 #[derive(Debug)]
 struct Width {
-    /// All rows of each bucket, by series. A bucket in this map is complete.
+    /// All rows of each bucket, sorted by series. A bucket in this map is complete.
     buckets: BTreeMap<i64, Vec<(Series, PackedSummary)>>,
-    /// All of the database's buckets that start at this second or later are in `buckets`.
-    known_from: i64,
+    /// Every bucket of the database that starts at this second or later is in `buckets`.
+    complete_from_s: i64,
 }
 
 /// The buckets of a run in memory.
@@ -28,7 +28,9 @@ pub(super) struct GrowingBuckets {
     run: i64,
     /// In the order of [`WIDTHS_S`], then the whole run.
     widths: [Width; WIDTHS_S.len() + 1],
+    /// Approximate memory of this value.
     bytes: usize,
+    /// Number of the transaction that last wrote this run.
     transaction: u64,
 }
 
@@ -38,7 +40,7 @@ impl GrowingBuckets {
         let newest = table::newest_buckets(connection, run).await?;
         let widths = newest.map(|newest| Width {
             buckets: BTreeMap::new(),
-            known_from: newest.map_or(i64::MIN, |newest| newest.saturating_add(1)),
+            complete_from_s: newest.map_or(i64::MIN, |newest| newest.saturating_add(1)),
         });
         Ok(Self { run, widths, bytes: OVERHEAD, transaction: 0 })
     }
@@ -47,47 +49,47 @@ impl GrowingBuckets {
         self.bytes
     }
 
-    /// Returns the number of the transaction that last wrote it.
+    /// Returns the number of the transaction that last wrote this run.
     pub(super) const fn last_transaction(&self) -> u64 {
         self.transaction
     }
 
-    /// Adds to the buckets of a width, and appends their new rows to `rows`.
+    /// Adds to the buckets of a width, and appends the changed rows to `rows`.
     pub(super) async fn add(
         &mut self,
         connection: &mut SqliteConnection,
         width_s: i64,
-        added: &[Added],
+        additions: &[Addition],
         rows: &mut Vec<RollupRow>,
     ) -> Result<(), sqlx::Error> {
-        let at = WIDTHS_S.iter().position(|known| *known == width_s).unwrap_or(WIDTHS_S.len());
-        let width = &mut self.widths[at];
-        let mut unknown: Vec<i64> = added
+        let index = WIDTHS_S.iter().position(|other| *other == width_s).unwrap_or(WIDTHS_S.len());
+        let width = &mut self.widths[index];
+        let mut missing_buckets: Vec<i64> = additions
             .iter()
             .map(|(_, bucket_s, _)| *bucket_s)
-            .filter(|bucket_s| *bucket_s < width.known_from && !width.buckets.contains_key(bucket_s))
+            .filter(|bucket_s| *bucket_s < width.complete_from_s && !width.buckets.contains_key(bucket_s))
             .collect();
-        unknown.sort_unstable();
-        unknown.dedup();
-        if !unknown.is_empty() {
-            for row in table::read_buckets(connection, self.run, width_s, &unknown).await? {
+        missing_buckets.sort_unstable();
+        missing_buckets.dedup();
+        if !missing_buckets.is_empty() {
+            for row in table::read_buckets(connection, self.run, width_s, &missing_buckets).await? {
                 let (bucket_s, series, packed) = row.into_parts();
                 width.buckets.entry(bucket_s).or_default().push((series, packed));
             }
         }
-        for (series, bucket_s, summary) in added {
+        for (series, bucket_s, summary) in additions {
             let bucket = width.buckets.entry(*bucket_s).or_default();
-            let at = match bucket.binary_search_by_key(series, |(series, _)| *series) {
-                Ok(at) => {
-                    bucket[at].1.add(summary)?;
-                    at
+            let index = match bucket.binary_search_by_key(series, |(series, _)| *series) {
+                Ok(index) => {
+                    bucket[index].1.add(summary)?;
+                    index
                 }
-                Err(at) => {
-                    bucket.insert(at, (*series, PackedSummary::pack(summary)));
-                    at
+                Err(index) => {
+                    bucket.insert(index, (*series, PackedSummary::pack(summary)));
+                    index
                 }
             };
-            let packed = bucket[at].1.clone();
+            let packed = bucket[index].1.clone();
             rows.push(RollupRow::new((self.run, width_s, *bucket_s), *series, packed));
         }
         Ok(())
@@ -97,10 +99,10 @@ impl GrowingBuckets {
     pub(super) fn shrink(&mut self, transaction: u64) {
         self.transaction = transaction;
         for width in &mut self.widths {
-            while width.buckets.len() > OLDER_BUCKETS
+            while width.buckets.len() > KEPT_BUCKETS
                 && let Some((bucket_s, _)) = width.buckets.pop_first()
             {
-                width.known_from = width.known_from.max(bucket_s.saturating_add(1));
+                width.complete_from_s = width.complete_from_s.max(bucket_s.saturating_add(1));
             }
         }
         let rows = self.widths.iter().flat_map(|width| width.buckets.values().flatten());

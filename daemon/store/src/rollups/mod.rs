@@ -1,12 +1,12 @@
-//! Roll-ups: statistics that grow with the nodes, in the same transaction.
+//! Roll-ups: statistics that are updated in the same transaction in which nodes are stored.
 //!
 //! They are moments and sketches in buckets of 1 s, 10 s, 1 min, 1 h and the whole run, by the iteration's start. Their key is
-//! run, width, bucket, name, so that a commit appends and a page reads one range.
+//! run, width, bucket, name, so that a commit appends rows and a page reads one range of rows.
 //!
-//! The cost of a row limits a thousand agents: each of them changes a bucket of every width and name in each commit. So a
-//! commit's numbers are summed up before the rows are changed; nothing is read for a bucket that is certainly new; the buckets
-//! that still grow are kept in memory in their stored form; and all rows go into a few large statements, in the order of the
-//! table's key.
+//! With a thousand agents the cost per row matters, because each agent changes a bucket of every width and name in each commit.
+//! Four measures keep this cost low: the values of a commit are summed up before rows are changed; no rows are read for a bucket that
+//! is certainly new; the buckets that still grow are kept in memory in their stored form; and all rows are written with a few
+//! large statements, in the order of the table's key.
 
 mod growing;
 mod packed;
@@ -29,24 +29,24 @@ use self::table::Upserts;
 pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
 /// Width that stands for the whole run.
 pub(crate) const WHOLE_RUN: i64 = 0;
-/// Bytes of growing buckets kept in memory; beyond, the runs that were written least recently are read again when needed. It
-/// is enough for some thousand runs with usual trees.
+/// Maximum memory for growing buckets, bytes. Beyond it, the buckets of the runs that were written least recently are removed and
+/// read again when needed. It is enough for some thousand runs with usual trees.
 const MAX_BYTES: usize = 96 << 20;
 
-/// Quantity of a node that is summed up.
+/// Quantity of a node of which statistics are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) enum Quantity {
-    /// Its value.
+    /// Value of the node.
     Value = 0,
-    /// Half the width of its bounds.
+    /// Half the width of the bounds of the node's value.
     HalfWidth = 1,
 }
 
-/// Name and quantity whose values are summed up together within a bucket.
+/// Name and quantity whose values have one summary within a bucket.
 type Series = (i64, Quantity);
 
-/// Addition to a bucket: series, the bucket's start, numbers.
-type Added = (Series, i64, Arc<Summary>);
+/// Addition to a bucket: series, the bucket's start, values.
+type Addition = (Series, i64, Arc<Summary>);
 
 /// Returns the start of the bucket of a width that contains a second.
 pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
@@ -58,8 +58,9 @@ pub(crate) const fn bucket(second_s: i64, width_s: i64) -> i64 {
 pub(crate) struct Rollups {
     /// Additions of the current transaction, by run, second and series.
     pending: HashMap<(i64, i64, Series), Summary>,
+    /// Number of delays of the current transaction, by run, name and verdict.
     verdicts: HashMap<(i64, i64, u8), i64>,
-    /// By run, as in the database after the current transaction.
+    /// Buckets by run, as in the database after the current transaction.
     growing: HashMap<i64, GrowingBuckets>,
     /// Memory of all of `growing`, bytes.
     bytes: usize,
@@ -75,9 +76,9 @@ pub(crate) enum Scope {
     /// All buckets.
     #[default]
     All,
-    /// Buckets that begin at this second or later, but not the whole run: the nodes before are deleted.
+    /// Buckets that begin at this second or later, but not the whole run, because nodes before this second are deleted.
     From(i64),
-    /// Minutes and hours only: the finer buckets exist already.
+    /// Buckets of minutes and hours only, because the finer buckets exist already.
     Coarser,
 }
 
@@ -110,9 +111,9 @@ impl Rollups {
             return;
         }
         match self.pending.entry((run, second_s, (name, quantity))) {
-            Entry::Occupied(mut known) => known.get_mut().merge(summary),
-            Entry::Vacant(place) => {
-                place.insert(summary.clone());
+            Entry::Occupied(mut entry) => entry.get_mut().merge(summary),
+            Entry::Vacant(entry) => {
+                entry.insert(summary.clone());
             }
         }
     }
@@ -130,15 +131,15 @@ impl Rollups {
     /// Writes the additions since the last call.
     pub(crate) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
         self.transaction += 1;
-        let mut pending: Vec<(i64, Added)> = self
+        let mut pending: Vec<(i64, Addition)> = self
             .pending
             .drain()
             .map(|((run, second_s, series), summary)| (run, (series, second_s, Arc::new(summary))))
             .collect();
         pending.sort_unstable_by_key(|(run, (series, second_s, _))| (*run, *series, *second_s));
         let mut rows = Vec::with_capacity(pending.len() * (WIDTHS_S.len() + 1));
-        for of_run in pending.chunk_by(|(a, _), (b, _)| a == b) {
-            let Some((run, _)) = of_run.first() else { continue };
+        for run_additions in pending.chunk_by(|(a, _), (b, _)| a == b) {
+            let Some((run, _)) = run_additions.first() else { continue };
             let mut growing = match self.growing.remove(run) {
                 Some(growing) => {
                     self.bytes -= growing.bytes();
@@ -146,15 +147,16 @@ impl Rollups {
                 }
                 None => GrowingBuckets::read(connection, *run).await?,
             };
-            let begin = rows.len();
-            let mut added: Vec<Added> = of_run.iter().map(|(_, added)| added.clone()).collect();
+            let first_row = rows.len();
+            let mut additions: Vec<Addition> =
+                run_additions.iter().map(|(_, addition)| addition.clone()).collect();
             for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
-                added = merge_into_width(&added, width_s);
-                let covered = |(_, bucket_s, _): &&Added| self.scope.covers(width_s, *bucket_s);
-                let covered: Vec<Added> = added.iter().filter(covered).cloned().collect();
+                additions = merge_into_width(&additions, width_s);
+                let is_covered = |(_, bucket_s, _): &&Addition| self.scope.covers(width_s, *bucket_s);
+                let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }
-            rows[begin..].sort_unstable_by_key(RollupRow::key);
+            rows[first_row..].sort_unstable_by_key(RollupRow::key);
             growing.shrink(self.transaction);
             self.bytes += growing.bytes();
             self.growing.insert(*run, growing);
@@ -175,9 +177,10 @@ impl Rollups {
         self.bytes = 0;
     }
 
-    /// Removes the runs that were written least recently from memory, until memory is a tenth below the limit.
-    fn evict(&mut self, most: usize) {
-        if self.bytes <= most {
+    /// If the buckets take more than `max_bytes` of memory, removes the runs that were written least recently, until the memory is a
+    /// tenth below the limit.
+    fn evict(&mut self, max_bytes: usize) {
+        if self.bytes <= max_bytes {
             return;
         }
         let mut by_age: Vec<_> = self
@@ -187,7 +190,7 @@ impl Rollups {
             .collect();
         by_age.sort_unstable();
         for (_, run, bytes) in by_age {
-            if self.bytes <= most - most / 10 {
+            if self.bytes <= max_bytes - max_bytes / 10 {
                 break;
             }
             self.growing.remove(&run);
@@ -208,20 +211,20 @@ impl Rollups {
     }
 }
 
-/// Merges narrower buckets into buckets of a width; both are in the order of series and time.
-fn merge_into_width(finer: &[Added], width_s: i64) -> Vec<Added> {
-    let key = |(series, bucket_s, _): &Added| (*series, bucket(*bucket_s, width_s));
+/// Merges narrower buckets into buckets of a width. The argument and the result are in the order of series and time.
+fn merge_into_width(finer: &[Addition], width_s: i64) -> Vec<Addition> {
+    let key = |(series, bucket_s, _): &Addition| (*series, bucket(*bucket_s, width_s));
     finer
         .chunk_by(|a, b| key(a) == key(b))
-        .filter_map(|of_bucket| {
-            let [first, others @ ..] = of_bucket else { return None };
+        .filter_map(|additions| {
+            let [first, others @ ..] = additions else { return None };
             let (series, bucket_s) = key(first);
-            let mut all = Arc::clone(&first.2);
+            let mut sum = Arc::clone(&first.2);
             if !others.is_empty() {
-                let all = Arc::make_mut(&mut all);
-                others.iter().for_each(|(_, _, summary)| all.merge(summary));
+                let sum = Arc::make_mut(&mut sum);
+                others.iter().for_each(|(_, _, summary)| sum.merge(summary));
             }
-            Some((series, bucket_s, all))
+            Some((series, bucket_s, sum))
         })
         .collect()
 }

@@ -26,7 +26,7 @@ impl PackedSummary {
         Ok(())
     }
 
-    /// Returns its approximate memory in a bucket, bytes.
+    /// Returns the approximate memory of the summary in a bucket, bytes.
     pub(super) fn bytes(&self) -> usize {
         size_of::<(Series, Self)>() + self.sketch.capacity()
     }

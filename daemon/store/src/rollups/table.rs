@@ -30,10 +30,10 @@ impl RollupRow {
         packed: PackedSummary,
     ) -> Self {
         let Moments { count, mean, m2, min, max } = packed.moments;
-        // An earlier version accepted numbers close to infinity. The table rejects NaN, and later values must not be refused because
-        // of them: such a row stays unbounded until a rebuild.
-        let known = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
-        let (mean, m2) = (known(mean), known(m2));
+        // An earlier version accepted numbers close to infinity, from which NaN may result. The table rejects NaN, but later values
+        // must not be refused because of it. Such a row has an infinite mean until a rebuild.
+        let without_nan = |number: f64| if number.is_nan() { f64::INFINITY } else { number };
+        let (mean, m2) = (without_nan(mean), without_nan(m2));
         Self {
             run,
             resolution_s,
@@ -102,7 +102,7 @@ impl Default for Upserts {
 }
 
 impl Upserts {
-    /// Writes rows; replaces existing rows with the same keys.
+    /// Writes rows, and replaces existing rows with the same keys.
     pub(super) async fn rollups(
         &self,
         connection: &mut SqliteConnection,
@@ -142,7 +142,7 @@ impl Upserts {
     }
 }
 
-/// ?1 run.
+/// Newest bucket of each width: ?1 run.
 const NEWEST: &str = "SELECT (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 1), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 10), \
      (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = 60), \

@@ -87,9 +87,9 @@ async fn clock_sample_is_read_as_sent() {
 #[tokio::test]
 async fn two_networks_of_pair_are_two_links() {
     let mut test_store = TestStore::new().await;
-    let other: NetworkName = "zmq-udp".parse().expect("a name");
-    let over_other = |second| ClockSample { network: other.clone(), ..sample(test_store.cloud, second, 60) };
-    let samples = [over_other(1), over_other(2)];
+    let udp: NetworkName = "zmq-udp".parse().expect("a name");
+    let over_udp = |second| ClockSample { network: udp.clone(), ..sample(test_store.cloud, second, 60) };
+    let samples = [over_udp(1), over_udp(2)];
     store(&mut test_store, samples.clone()).await;
     let [first, last] = [1, 2].map(|second| sample(test_store.cloud, second, 40));
     store(&mut test_store, [first.clone(), last.clone()]).await;
@@ -99,7 +99,7 @@ async fn two_networks_of_pair_are_two_links() {
         keys,
         [
             key(test_store.edge, test_store.cloud),
-            LinkKey { network: other, ..key(test_store.edge, test_store.cloud) }
+            LinkKey { network: udp, ..key(test_store.edge, test_store.cloud) }
         ]
     );
     for (key, expected) in keys.iter().zip([[first, last], samples]) {
@@ -115,26 +115,26 @@ async fn series_holds_only_requested_link_and_time() {
     let cloud = test_store.cloud;
     store(&mut test_store, (1..=100).map(|second| sample(cloud, second, 40))).await;
     let (from, to) = (generate::at(10.0), generate::at(19.0));
-    let some =
+    let in_range =
         test_store.store.clock_series(&key(test_store.edge, cloud), from, to, 10).await.expect("answers");
-    assert_eq!((some.bucket_s, some.points.len()), (1, 10));
-    assert_eq!((some.points[0].at, some.points[9].at), (from, to));
-    let strange =
+    assert_eq!((in_range.bucket_s, in_range.points.len()), (1, 10));
+    assert_eq!((in_range.points[0].at, in_range.points[9].at), (from, to));
+    let reversed =
         test_store.store.clock_series(&key(cloud, test_store.edge), from, to, 10).await.expect("answers");
-    assert_eq!(strange, ClockSeries { bucket_s: 1, points: vec![] });
+    assert_eq!(reversed, ClockSeries { bucket_s: 1, points: vec![] });
     let later =
         test_store.store.clock_series(&key(test_store.edge, cloud), generate::at(200.0), ALWAYS.1, 10).await;
     assert!(later.expect("answers").points.is_empty());
 }
 
 #[tokio::test]
-async fn repeated_second_replaces_only_sample_of_its_window() {
+async fn sample_of_same_second_replaces_only_one_with_same_window() {
     let mut test_store = TestStore::new().await;
-    let mut again = sample(test_store.cloud, 1, 60);
-    again.probes.lost = 5;
+    let mut repeated = sample(test_store.cloud, 1, 60);
+    repeated.probes.lost = 5;
     let mut stepped = sample(test_store.cloud, 1, 70);
     stepped.window = 7;
-    let samples = [sample(test_store.cloud, 1, 40), again, stepped];
+    let samples = [sample(test_store.cloud, 1, 40), repeated, stepped];
     store(&mut test_store, samples.clone()).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 2);
     assert_eq!(test_store.count("SELECT probes_lost FROM clock_sample WHERE window <> 7").await, 5);
@@ -146,7 +146,7 @@ async fn repeated_second_replaces_only_sample_of_its_window() {
 }
 
 #[tokio::test]
-async fn seconds_of_window_survive_wall_clock_set_back() {
+async fn seconds_of_window_are_kept_after_wall_clock_set_back() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
     // The free-running clock continues, and the wall clock shows seconds 6 to 10 three times.
@@ -169,36 +169,40 @@ async fn seconds_of_window_survive_wall_clock_set_back() {
 }
 
 #[tokio::test]
-async fn later_window_counts_for_repeated_seconds() {
+async fn later_window_is_used_for_repeated_seconds() {
     // Numbers of windows are random: the window that arrived later counts, also if its number is smaller.
-    for (before, after) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
+    for (first_window, second_window) in [(1, u64::MAX), (u64::MAX, 1), (3, 2)] {
         let mut test_store = TestStore::new().await;
         let cloud = test_store.cloud;
-        let of = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
-        store(&mut test_store, (1..=10).map(|second| of(before, second, 90))).await;
+        let sample_with = |window, second, width| ClockSample { window, ..sample(cloud, second, width) };
+        store(&mut test_store, (1..=10).map(|second| sample_with(first_window, second, 90))).await;
         // The clock was set back by five seconds.
-        let set_back: Vec<_> = (6..=12).map(|second| of(after, second, 40)).collect();
+        let set_back: Vec<_> = (6..=12).map(|second| sample_with(second_window, second, 40)).collect();
         store(&mut test_store, set_back.clone()).await;
         let read = series(&test_store, 1_000).await.points;
-        let expected = (1..=5).map(|second| of(before, second, 90)).chain(set_back);
+        let expected = (1..=5).map(|second| sample_with(first_window, second, 90)).chain(set_back);
         assert_eq!(read, expected.map(point).collect::<Vec<_>>());
         // A bucket with the step shows the time after it.
         for point in series(&test_store, 2).await.points {
             let width = point.offset.as_ref().map(|offset| offset.bounds.width());
-            let own = if point.window == before { 90 } else { 40 };
-            assert_eq!(width, of(1, 1, own).offset.map(|offset| offset.bounds.width()), "{point:?}");
+            let expected_width = if point.window == first_window { 90 } else { 40 };
+            assert_eq!(
+                width,
+                sample_with(1, 1, expected_width).offset.map(|offset| offset.bounds.width()),
+                "{point:?}"
+            );
         }
     }
 }
 
 #[tokio::test]
-async fn samples_from_1970_hide_no_later_ones() {
+async fn samples_from_1970_hide_no_later_samples() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
-    let of = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
+    let sample_with = |window, second| ClockSample { window, ..sample(cloud, second, 40) };
     // The clock of a host without a battery begins far back, and is set when the host finds a time server.
     for (window, seconds) in [(1, 1_000..1_010), (2, 10..20), (3, 1_020..1_030)] {
-        store(&mut test_store, seconds.map(|second| of(window, second))).await;
+        store(&mut test_store, seconds.map(|second| sample_with(window, second))).await;
     }
     let windows: Vec<u64> =
         series(&test_store, 10_000).await.points.iter().map(|point| point.window).collect();
@@ -217,12 +221,12 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
         sample
     });
     store(&mut test_store, samples).await;
-    for (most, width) in
+    for (max_points, width) in
         [(1_000, 1), (999, 2), (500, 2), (200, 5), (199, 10), (34, 30), (1, 1_800), (0, 1_800)]
     {
-        let series = series(&test_store, most).await;
+        let series = series(&test_store, max_points).await;
         assert_eq!(series.bucket_s, width);
-        assert!(series.points.len() <= most.max(1) as usize);
+        assert!(series.points.len() <= max_points.max(1) as usize);
         let sent: u32 = series.points.iter().map(|point| point.probes.sent).sum();
         assert_eq!(sent, 10_000);
     }
@@ -239,60 +243,61 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     assert_eq!((up.count, down.count), (50, 40));
     let median = up.median.expect("has one");
     assert_eq!(median.value, Span::from_micros(3_994));
-    let rate = |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|it| it.bits_per_second);
+    let rate =
+        |point: &ClockPoint| point.up.and_then(|up| up.median).and_then(|sample| sample.bits_per_second);
     let (read, sent) = (median.bits_per_second, rate(&point(sample(cloud, 14, 44))));
     assert_eq!(read, sent.map(f64::trunc), "to the bit");
     assert_eq!((up.verdict, down.verdict), (Verdict::Stale, Verdict::Limited), "a tenth is enough");
-    let wide = test_store
+    let wide_series = test_store
         .store
         .clock_series(&key(test_store.edge, cloud), generate::at(1.0), ALWAYS.1, 20)
         .await
         .expect("answers");
-    assert_eq!(wide.points[1].up.expect("judged").verdict, Verdict::Stale);
+    assert_eq!(wide_series.points[1].up.expect("judged").verdict, Verdict::Stale);
 }
 
 #[tokio::test]
-async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
+async fn impossible_clock_values_are_stored_as_unknown() {
     let mut test_store = TestStore::new().await;
     let cloud = test_store.cloud;
-    let of = |second, change: fn(&mut ClockSample)| {
+    let sample_with = |second, change: fn(&mut ClockSample)| {
         let mut sample = sample(cloud, second, 40);
         change(&mut sample);
         sample
     };
-    let extreme = WallTime::from_unix_nanos(i64::MIN);
-    let mut wild = sample(cloud, 9, 40);
-    wild.at = WallTime::from_unix_nanos(i64::MAX);
-    for exchange in [&mut wild.upper, &mut wild.lower].into_iter().flatten() {
+    let earliest = WallTime::from_unix_nanos(i64::MIN);
+    let mut extreme = sample(cloud, 9, 40);
+    extreme.at = WallTime::from_unix_nanos(i64::MAX);
+    for exchange in [&mut extreme.upper, &mut extreme.lower].into_iter().flatten() {
         (exchange.sent, exchange.replied, exchange.uncertainty) =
-            (RawTime::from_wall(extreme), RawTime::from_wall(extreme), Span::from_nanos(i64::MIN));
+            (RawTime::from_wall(earliest), RawTime::from_wall(earliest), Span::from_nanos(i64::MIN));
     }
-    wild.exchanges.accepted = u64::MAX;
+    extreme.exchanges.accepted = u64::MAX;
     let samples = [
-        of(1, |it| {
-            it.max_drift_ppm = f64::NAN;
-            it.offset.as_mut().expect("known").skew_ppm = Some(f64::INFINITY);
+        sample_with(1, |sample| {
+            sample.max_drift_ppm = f64::NAN;
+            sample.offset.as_mut().expect("known").skew_ppm = Some(f64::INFINITY);
         }),
-        of(2, |it| it.offset.as_mut().expect("known").bounds = micros(9, -9)),
-        of(3, |it| it.offset.as_mut().expect("known").estimate = Span::from_nanos(i64::MAX)),
-        of(4, |it| {
-            let sources = &mut it.offset.as_mut().expect("known").sources;
+        sample_with(2, |sample| sample.offset.as_mut().expect("known").bounds = micros(9, -9)),
+        sample_with(3, |sample| sample.offset.as_mut().expect("known").estimate = Span::from_nanos(i64::MAX)),
+        sample_with(4, |sample| {
+            let sources = &mut sample.offset.as_mut().expect("known").sources;
             let one = sources[0];
             sources.extend((0..100_000).map(|_| one));
             sources.push((DelaySource::Kernel, micros(9, -9)));
         }),
-        of(5, |it| {
-            for second in [&mut it.up, &mut it.down].into_iter().flatten() {
+        sample_with(5, |sample| {
+            for second in [&mut sample.up, &mut sample.down].into_iter().flatten() {
                 let median = second.median.as_mut().expect("has one");
                 (median.value, median.bounds) = (Span::from_millis(-4), micros(-4_001, -3_999));
             }
         }),
-        of(6, |it| {
-            it.up.as_mut().expect("judged").median.as_mut().expect("has one").bits_per_second =
+        sample_with(6, |sample| {
+            sample.up.as_mut().expect("judged").median.as_mut().expect("has one").bits_per_second =
                 Some(f64::NAN);
         }),
-        ClockSample { at: extreme, ..sample(cloud, 7, 40) },
-        wild,
+        ClockSample { at: earliest, ..sample(cloud, 7, 40) },
+        extreme,
     ];
     store(&mut test_store, samples).await;
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 8);
@@ -305,10 +310,10 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
         .await
         .expect("answers")
         .points;
-    let known = |at: usize| points[at].offset.as_ref();
-    assert_eq!(known(0).expect("known").skew_ppm, None);
-    assert_eq!((known(1), known(2)), (None, None));
-    assert_eq!(known(3).expect("known").sources.len(), 2);
+    let offset_at = |at: usize| points[at].offset.as_ref();
+    assert_eq!(offset_at(0).expect("known").skew_ppm, None);
+    assert_eq!((offset_at(1), offset_at(2)), (None, None));
+    assert_eq!(offset_at(3).expect("known").sources.len(), 2);
     assert_eq!((points[4].up.expect("judged").median, points[4].down.expect("judged").median), (None, None));
     assert_eq!(points[5].up.expect("judged").median.expect("has one").bits_per_second, None);
     // The whole range of time is also answered in few points.
@@ -320,11 +325,11 @@ async fn impossible_clock_values_are_unknown_and_quarantine_nothing() {
 async fn silent_cloud_has_last_name_given_by_edge() {
     let mut test_store = TestStore::new().await;
     test_store.cloud = HostId::random();
-    let named = |name: &str, second| ClockSample {
+    let sample_of_cloud = |name: &str, second| ClockSample {
         peer_name: name.parse().expect("a name"),
         ..sample(test_store.cloud, second, 40)
     };
-    let samples = [named("far", 1), named("farther", 2)];
+    let samples = [sample_of_cloud("far", 1), sample_of_cloud("farther", 2)];
     store(&mut test_store, samples).await;
     let name = async |test_store: &TestStore| {
         let links = test_store.store.links().await.expect("answers");

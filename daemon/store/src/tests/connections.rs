@@ -21,7 +21,7 @@ fn connection_report(test_store: &TestStore, cloud: HostId, at: WallTime, bytes:
         reordered: Some(5),
         retransmitted: Some(6),
     };
-    let trip =
+    let round_trip =
         TransportRoundTrip { min: None, smoothed: Span::from_micros(520), variation: Span::from_micros(33) };
     ConnectionSample {
         edge: test_store.edge,
@@ -41,7 +41,7 @@ fn connection_report(test_store: &TestStore, cloud: HostId, at: WallTime, bytes:
                 sent,
                 received: DirectionStatistics { bytes: u64::MAX, ..DirectionStatistics::default() },
                 lost_messages: 7,
-                round_trip: Some(trip),
+                round_trip: Some(round_trip),
                 ..ConnectionStatistics::default()
             },
             cloud: None,
@@ -58,7 +58,7 @@ async fn connections_are_stored_within_time_of_clock_samples() {
     assert_eq!(
         test_store.count("SELECT count(*) FROM connection_sample").await,
         0,
-        "the link is not known yet"
+        "the link is not stored yet"
     );
 
     let clocks = (1..=3).map(|second| Event::Clock(Box::new(sample(test_store.cloud, second, 40)))).collect();
@@ -83,12 +83,12 @@ async fn connections_are_stored_within_time_of_clock_samples() {
         .await,
         1
     );
-    let untold = "SELECT count(*) FROM connection_sample WHERE coalesce(cloud_received_bytes, cloud_sent_messages, \
+    let without_cloud_counts = "SELECT count(*) FROM connection_sample WHERE coalesce(cloud_received_bytes, cloud_sent_messages, \
                   cloud_lost_messages, cloud_round_trip_ns) IS NULL";
-    assert_eq!(test_store.count(untold).await, 3, "the cloud told nothing");
-    let within = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
+    assert_eq!(test_store.count(without_cloud_counts).await, 3, "the cloud reported no counts");
+    let within_clock_samples = "SELECT count(*) FROM connection_sample WHERE at_ns BETWEEN (SELECT min(at_ns) FROM clock_sample) \
                   AND (SELECT max(at_ns) FROM clock_sample)";
-    assert_eq!(test_store.count(within).await, 3, "whatever time was told");
+    assert_eq!(test_store.count(within_clock_samples).await, 3, "whatever time was reported");
 }
 
 #[tokio::test]

@@ -17,10 +17,19 @@ async fn store(test_store: &mut TestStore, configuration: &str, ends: &[(Outcome
     let configuration = configuration.to_owned();
     let mut events = vec![Event::RunStarted(RunDescription { configuration, ..description })];
     for (number, (outcome, missed)) in (1..).zip(ends) {
-        let mut one =
+        let mut iteration =
             generate::iteration(run, number, test_store.hosts(), &mut generate::Numbers::new(number));
-        one.tree.add(NodeId::ROOT, "deadline-missed".into(), Span::ZERO, Measure::Value(*missed, Unit::NONE));
-        events.push(Event::Iteration(Iteration { outcome: outcome.clone(), warm_up: number == 1, ..one }));
+        iteration.tree.add(
+            NodeId::ROOT,
+            "deadline-missed".into(),
+            Span::ZERO,
+            Measure::Value(*missed, Unit::NONE),
+        );
+        events.push(Event::Iteration(Iteration {
+            outcome: outcome.clone(),
+            warm_up: number == 1,
+            ..iteration
+        }));
     }
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
@@ -42,9 +51,9 @@ async fn misses_are_late_and_unanswered_iterations() {
     store(&mut test_store, "name = \"line\"\n[sensor]\ndeadline_ms = 9\n", &ends).await;
     let runs =
         test_store.store.runs(&RunFilter { limit: 10, ..RunFilter::default() }).await.expect("answers");
-    let found: Vec<_> = runs.iter().rev().map(|run| (run.deadline_s, run.misses)).collect();
-    let of = |missed, iterations| Some(Misses { missed, iterations });
-    assert_eq!(found, [(Some(0.1), of(3, 4)), (Some(0.25), of(1, 1)), (None, None)]);
+    let deadlines: Vec<_> = runs.iter().rev().map(|run| (run.deadline_s, run.misses)).collect();
+    let misses = |missed, iterations| Some(Misses { missed, iterations });
+    assert_eq!(deadlines, [(Some(0.1), misses(3, 4)), (Some(0.25), misses(1, 1)), (None, None)]);
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
-    assert_eq!(detail.summary.misses, of(3, 4), "as in the list");
+    assert_eq!(detail.summary.misses, misses(3, 4), "the same as in the list of runs");
 }

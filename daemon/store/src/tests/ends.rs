@@ -7,7 +7,7 @@ use super::{NOW, STAMP, TestStore, Work, generate, open};
 use crate::stored::StoredCounts;
 use crate::write::{RunName, UnstorableBatch, read_host_counts, read_unnamed_runs};
 
-const LEFT: &str = "the agent ended without saying so";
+const END_WITHOUT_REPORT: &str = "the agent ended without saying so";
 
 fn iterations(test_store: &TestStore, run: RunId, numbers: std::ops::RangeInclusive<u64>) -> Vec<Event> {
     let mut random = generate::Numbers::new(*numbers.start());
@@ -29,17 +29,17 @@ async fn ends(test_store: &TestStore) -> Vec<Option<(f64, String)>> {
 async fn new_process_ends_runs_of_previous_one_only() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(10).await;
-    let (same, after_restart) = (hello(&test_store, 1), hello(&test_store, 1));
-    test_store.commit(&[same]).await;
+    let (repeated_hello, after_restart) = (hello(&test_store, 1), hello(&test_store, 1));
+    test_store.commit(&[repeated_hello]).await;
     test_store.writer = open(&test_store.path).await;
     test_store.commit(&[after_restart]).await;
     assert_eq!(ends(&test_store).await, [None]);
 
     // The hello of the next process and its first run are in one transaction.
     let (greeting, run) = (hello(&test_store, u64::MAX), RunId::random());
-    let begun = test_store.batch(vec![generate::run_started(run, "other", NOW)]);
-    test_store.commit(&[greeting, begun]).await;
-    assert_eq!(ends(&test_store).await, [Some((2.0, LEFT.to_owned())), None]);
+    let run_started = test_store.batch(vec![generate::run_started(run, "other", NOW)]);
+    test_store.commit(&[greeting, run_started]).await;
+    assert_eq!(ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None]);
 }
 
 #[tokio::test]
@@ -50,9 +50,13 @@ async fn goodbye_ends_open_runs() {
     assert_eq!(ends(&test_store).await, [None]);
     let end = RunEnded { run: first, ended: generate::at(9.0), reason: EndReason::Stopped };
     let ended = test_store.batch(vec![Event::RunEnded(end)]);
-    let begun = test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(10.0))]);
-    test_store.commit(&[ended, begun, Work::Goodbye(test_store.edge)]).await;
-    assert_eq!(ends(&test_store).await, [Some((9.0, "stopped".to_owned())), Some((10.0, LEFT.to_owned()))]);
+    let run_started =
+        test_store.batch(vec![generate::run_started(RunId::random(), "line", generate::at(10.0))]);
+    test_store.commit(&[ended, run_started, Work::Goodbye(test_store.edge)]).await;
+    assert_eq!(
+        ends(&test_store).await,
+        [Some((9.0, "stopped".to_owned())), Some((10.0, END_WITHOUT_REPORT.to_owned()))]
+    );
 }
 
 #[tokio::test]
@@ -60,25 +64,25 @@ async fn new_run_of_pipeline_ends_previous_one() {
     let mut test_store = TestStore::new().await;
     let first = test_store.run_of(10).await;
     let (second, other) = (RunId::random(), RunId::random());
-    let begun = test_store.batch(vec![
+    let run_started = test_store.batch(vec![
         generate::run_started(other, "other", NOW),
         generate::run_started(second, "line", NOW),
         generate::run_started(second, "line", NOW),
     ]);
-    test_store.commit(&[begun]).await;
-    assert_eq!(ends(&test_store).await, [Some((2.0, LEFT.to_owned())), None, None]);
+    test_store.commit(&[run_started]).await;
+    assert_eq!(ends(&test_store).await, [Some((2.0, END_WITHOUT_REPORT.to_owned())), None, None]);
 
     // Late iterations are stored and move the end; the reported end replaces it.
     let late = iterations(&test_store, first, 11..=15);
     let late = test_store.batch(late);
     test_store.commit(&[late]).await;
-    assert_eq!(ends(&test_store).await[0], Some((3.0, LEFT.to_owned())));
+    assert_eq!(ends(&test_store).await[0], Some((3.0, END_WITHOUT_REPORT.to_owned())));
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 1").await, 15);
     let end = RunEnded { run: first, ended: generate::at(2.5), reason: EndReason::Stopped };
     let later = iterations(&test_store, first, 16..=16);
-    let real = test_store.batch(vec![Event::RunEnded(end)]);
+    let reported_end = test_store.batch(vec![Event::RunEnded(end)]);
     let later = test_store.batch(later);
-    test_store.commit(&[real, later]).await;
+    test_store.commit(&[reported_end, later]).await;
     assert_eq!(ends(&test_store).await[0], Some((2.5, "stopped".to_owned())));
 }
 
@@ -97,15 +101,15 @@ async fn live_event_names_run_known_by_iterations_once() {
         Work::Name(Box::new(RunName { host, run, pipeline, placement: generate::remote() }))
     };
     let (foreign, first) = (name(test_store.cloud, "stolen"), name(test_store.edge, "line"));
-    let (second, unheard) = (name(test_store.edge, "later"), RunId::random());
-    let nobody = Work::Name(Box::new(RunName {
+    let (second, unknown_run) = (name(test_store.edge, "later"), RunId::random());
+    let name_of_unknown_run = Work::Name(Box::new(RunName {
         host: test_store.edge,
-        run: unheard,
+        run: unknown_run,
         pipeline: "line".parse().expect("a name"),
         placement: generate::remote(),
     }));
     test_store.commit(&[foreign, first]).await;
-    test_store.commit(&[second, nobody]).await;
+    test_store.commit(&[second, name_of_unknown_run]).await;
     let detail = test_store.store.run(1).await.expect("answers").expect("exists");
     assert_eq!((detail.summary.pipeline.as_str(), &detail.summary.placement), ("line", &generate::remote()));
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
@@ -117,8 +121,8 @@ async fn events_of_quarantined_batches_count_as_missing() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(5).await;
     // A batch with an iteration three times, a truncated batch, and one whose head claims more events than it has bytes.
-    let twice = [6, 6, 6].map(|n| iterations(&test_store, run, n..=n)).concat();
-    let twice = test_store.batch(twice);
+    let repeated = [6, 6, 6].map(|n| iterations(&test_store, run, n..=n)).concat();
+    let repeated = test_store.batch(repeated);
     let mut unreadable = |events: u32| {
         let body = generate::body(&vec![generate::run_started(run, "line", NOW); 2]);
         let number = test_store.next;
@@ -130,7 +134,7 @@ async fn events_of_quarantined_batches_count_as_missing() {
         Work::UnstorableBatch(Box::new(UnstorableBatch { head, frame: frame.into(), body: None, reason }))
     };
     let (short, impossible) = (unreadable(2), unreadable(u32::MAX));
-    let committed = test_store.commit(&[twice, short, impossible]).await;
+    let committed = test_store.commit(&[repeated, short, impossible]).await;
     assert_eq!(committed.quarantined.len(), 3);
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.quarantined, stored.gaps, stored.missing), (3, 3, 5));
@@ -141,8 +145,8 @@ async fn events_of_quarantined_batches_count_as_missing() {
 
     let mut connection = crate::database::open(&test_store.path).await.expect("opens");
     let hosts = read_host_counts(&mut connection, 10).await.expect("reads");
-    let known = hosts.iter().find(|(host, _)| *host == test_store.edge).map(|(_, stored)| *stored);
-    assert_eq!(known, Some(StoredCounts { duplicates: 0, ..stored }));
+    let stored_counts = hosts.iter().find(|(host, _)| *host == test_store.edge).map(|(_, stored)| *stored);
+    assert_eq!(stored_counts, Some(StoredCounts { duplicates: 0, ..stored }));
 }
 
 #[tokio::test]

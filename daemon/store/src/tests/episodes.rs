@@ -8,13 +8,13 @@ use super::{TestStore, generate};
 use crate::types::Episodes;
 
 /// Sets episode and step as an agent does.
-fn placed(iteration: &mut Iteration, steps: u64) {
-    let before = iteration.number - 1;
-    (iteration.episode, iteration.step) = ((before / steps) as u32, (before % steps) as u32);
+fn set_episode(iteration: &mut Iteration, steps: u64) {
+    let preceding = iteration.number - 1;
+    (iteration.episode, iteration.step) = ((preceding / steps) as u32, (preceding % steps) as u32);
 }
 
 /// Stores a run of `iterations` iterations, five a second. `change` may change each one, or return `false` to leave it out.
-async fn stored(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
+async fn store_run(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mut Iteration) -> bool) {
     let (run, hosts, mut numbers) = (RunId::random(), test_store.hosts(), generate::Numbers::new(7));
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
     for number in 1..=iterations {
@@ -28,30 +28,30 @@ async fn stored(test_store: &mut TestStore, iterations: u64, change: impl Fn(&mu
     test_store.commit(&work).await;
 }
 
-fn began(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
+fn start_times(numbers: impl IntoIterator<Item = u64>) -> Vec<WallTime> {
     numbers.into_iter().map(|number| generate::at(number as f64 * 0.2)).collect()
 }
 
 #[tokio::test]
 async fn borders_are_at_starts_of_episodes() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 95, |iteration| {
-        placed(iteration, 30);
+    store_run(&mut test_store, 95, |iteration| {
+        set_episode(iteration, 30);
         iteration.warm_up = iteration.number <= 30 || iteration.step == 0;
         true
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
+    let episodes = test_store.store.episodes(1).await.expect("answers");
     let expected = Episodes {
         first: Some(generate::at(0.2)),
         count: 4,
         steps: Some(30),
-        borders: began([31, 61, 91]),
+        borders: start_times([31, 61, 91]),
         warm_up_until: Some(generate::at(32.0 * 0.2)),
         unanswered: Vec::new(),
         without_answer: 0,
     };
-    assert_eq!(known, expected);
+    assert_eq!(episodes, expected);
     assert_eq!(
         test_store.store.episodes(9).await.expect("answers"),
         Episodes::default(),
@@ -62,11 +62,14 @@ async fn borders_are_at_starts_of_episodes() {
 #[tokio::test]
 async fn run_of_one_episode_has_no_border() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 40, |_| true).await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.borders.len(), known.warm_up_until), (1, None, 0, None));
+    store_run(&mut test_store, 40, |_| true).await;
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(
+        (episodes.count, episodes.steps, episodes.borders.len(), episodes.warm_up_until),
+        (1, None, 0, None)
+    );
     // The whole run is warm-up.
-    stored(&mut test_store, 5, |iteration| {
+    store_run(&mut test_store, 5, |iteration| {
         iteration.warm_up = true;
         true
     })
@@ -75,73 +78,79 @@ async fn run_of_one_episode_has_no_border() {
 }
 
 #[tokio::test]
-async fn missing_border_is_left_out() {
+async fn border_of_missing_iteration_is_left_out() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 95, |iteration| {
-        placed(iteration, 30);
+    store_run(&mut test_store, 95, |iteration| {
+        set_episode(iteration, 30);
         ![1, 61].contains(&iteration.number)
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.first, known.borders), (4, None, began([31, 91])));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((episodes.count, episodes.first, episodes.borders), (4, None, start_times([31, 91])));
 }
 
 #[tokio::test]
 async fn deleted_iterations_have_no_border() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 95, |iteration| {
-        placed(iteration, 30);
+    store_run(&mut test_store, 95, |iteration| {
+        set_episode(iteration, 30);
         if [4, 70].contains(&iteration.number) {
             iteration.outcome = Outcome::Timeout(String::new());
         }
         true
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.unanswered, known.without_answer), (began([4, 70]), 2));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((episodes.unanswered, episodes.without_answer), (start_times([4, 70]), 2));
     let mut other = test_store.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
         .await
         .expect("deletes");
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.first), (4, Some(30), None));
-    assert_eq!((known.borders, known.unanswered, known.without_answer), (began([61, 91]), began([70]), 1));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((episodes.count, episodes.steps, episodes.first), (4, Some(30), None));
+    assert_eq!(
+        (episodes.borders, episodes.unanswered, episodes.without_answer),
+        (start_times([61, 91]), start_times([70]), 1)
+    );
 }
 
 #[tokio::test]
 async fn inconsistent_step_numbers_have_no_border() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 40, |iteration| {
+    store_run(&mut test_store, 40, |iteration| {
         (iteration.episode, iteration.step) = (iteration.number as u32 / 10, iteration.number as u32 % 7);
         true
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.borders), (5, None, Vec::new()));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((episodes.count, episodes.steps, episodes.borders), (5, None, Vec::new()));
 }
 
 #[tokio::test]
 async fn too_many_episodes_are_only_counted() {
     let mut test_store = TestStore::new().await;
     for iterations in [93, 94] {
-        stored(&mut test_store, iterations, |iteration| {
-            placed(iteration, 3);
+        store_run(&mut test_store, iterations, |iteration| {
+            set_episode(iteration, 3);
             true
         })
         .await;
     }
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.borders), (31, Some(3), began((1..=30).map(|n| n * 3 + 1))));
-    let known = test_store.store.episodes(2).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.borders), (32, Some(3), Vec::new()));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(
+        (episodes.count, episodes.steps, episodes.borders),
+        (31, Some(3), start_times((1..=30).map(|n| n * 3 + 1)))
+    );
+    let episodes = test_store.store.episodes(2).await.expect("answers");
+    assert_eq!((episodes.count, episodes.steps, episodes.borders), (32, Some(3), Vec::new()));
 }
 
 #[tokio::test]
 async fn sample_of_unanswered_iterations_covers_whole_run() {
     let mut test_store = TestStore::new().await;
     // Every second one at first, then a single one at the end.
-    stored(&mut test_store, 2_000, |iteration| {
+    store_run(&mut test_store, 2_000, |iteration| {
         let is_lost = iteration.number % 2 == 0 && iteration.number <= 1_200 || iteration.number == 1_990;
         if is_lost {
             iteration.outcome = Outcome::Lost("connection broke".into());
@@ -150,9 +159,9 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
         true
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(known.without_answer, 601, "those of the warm-up too");
-    let shown = known.unanswered;
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.without_answer, 601, "including the warm-up");
+    let shown = episodes.unanswered;
     assert!((150..=Episodes::MAX_UNANSWERED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
     assert!(shown.is_sorted());
@@ -161,23 +170,23 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
 #[tokio::test]
 async fn unanswered_iterations_are_counted_up_to_limit() {
     let mut test_store = TestStore::new().await;
-    stored(&mut test_store, 1, |_| true).await;
+    store_run(&mut test_store, 1, |_| true).await;
     let mut other = test_store.other().await;
     let columns = sqlx::query_scalar::<_, String>("SELECT name FROM pragma_table_info('iteration')");
     let columns = columns.fetch_all(&mut other).await.expect("the columns");
     let values = columns.iter().map(|name| match name.as_str() {
         "number" => "2 + value",
         "outcome" => "1",
-        same => same,
+        column => column,
     });
-    let more = format!(
+    let insert_copies = format!(
         "WITH RECURSIVE counted(value) AS (SELECT 0 UNION ALL SELECT value + 1 FROM counted WHERE value < 10499) \
          INSERT INTO iteration ({}) SELECT {} FROM iteration, counted WHERE run = 1 AND number = 1",
         columns.join(", "),
         values.collect::<Vec<_>>().join(", ")
     );
-    sqlx::query(sqlx::AssertSqlSafe(more)).execute(&mut other).await.expect("inserts");
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(known.without_answer, Episodes::MAX_COUNTED + 1);
-    assert!(known.unanswered.len() <= Episodes::MAX_UNANSWERED);
+    sqlx::query(sqlx::AssertSqlSafe(insert_copies)).execute(&mut other).await.expect("inserts");
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.without_answer, Episodes::MAX_COUNTED + 1);
+    assert!(episodes.unanswered.len() <= Episodes::MAX_UNANSWERED);
 }

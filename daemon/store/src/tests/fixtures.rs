@@ -23,7 +23,7 @@ fn fixture(version: i64) -> PathBuf {
 }
 
 /// Returns what pages show of a database, as text.
-async fn answers(store: &Store) -> String {
+async fn page_content(store: &Store) -> String {
     let run = store.runs(&RunFilter::default()).await.expect("answers").remove(0).number;
     format!(
         "{:#?}\n{:#?}\n{:#?}\n{:#?}\n{:#?}\n",
@@ -37,9 +37,14 @@ async fn answers(store: &Store) -> String {
 
 /// Migrates the newest fixture to a version, so that all of them hold the same data.
 async fn migrated(folder: &Path, version: i64) -> PathBuf {
-    let before =
-        database::MIGRATIONS.iter().map(|migration| migration.version).filter(|known| *known < version);
-    let newest = before.filter(|known| fixture(*known).exists()).max().expect("the first ones are there");
+    let earlier = database::MIGRATIONS
+        .iter()
+        .map(|migration| migration.version)
+        .filter(|version_before| *version_before < version);
+    let newest = earlier
+        .filter(|version_before| fixture(*version_before).exists())
+        .max()
+        .expect("the first fixtures exist");
     let text = fs::read_to_string(fixture(newest)).expect("reads");
     let path = folder.join(format!("{version}.sqlite"));
     let mut connection = database::write_options(&path).connect().await.expect("makes");
@@ -80,9 +85,9 @@ async fn database_of_each_migration_is_readable() {
 
         // Migrates to the newest version; sqlx compares the text of each migration with the applied text.
         drop(open(&path).await);
-        let found = answers(&Store::new(readers(&path))).await;
-        let expected = expected.get_or_insert_with(|| found.clone());
-        let differs = |(found, expected): &(&str, &str)| found != expected;
-        assert_eq!(found.lines().zip(expected.lines()).find(differs), None, "migration {version}");
+        let content = page_content(&Store::new(readers(&path))).await;
+        let expected = expected.get_or_insert_with(|| content.clone());
+        let differs = |(content, expected): &(&str, &str)| content != expected;
+        assert_eq!(content.lines().zip(expected.lines()).find(differs), None, "migration {version}");
     }
 }

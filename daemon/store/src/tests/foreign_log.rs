@@ -36,7 +36,7 @@ async fn iterations(path: &Path) -> i64 {
 }
 
 /// Returns the number in the file itself.
-fn id(path: &Path) -> [u8; 4] {
+fn file_number(path: &Path) -> [u8; 4] {
     fs::read(path).expect("reads")[60..64].try_into().expect("four bytes")
 }
 
@@ -45,7 +45,7 @@ fn log_of(path: &Path) -> PathBuf {
 }
 
 /// Copies the files in the state in which a killed process leaves them.
-fn killed(test_store: &TestStore) -> (TempDir, PathBuf) {
+fn copy_as_killed(test_store: &TestStore) -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("peernet.sqlite");
     fs::copy(&test_store.path, &path).expect("copies");
@@ -80,7 +80,7 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     checkpoint(&test_store).await;
     let copy = backup(&test_store, "copy.sqlite").await;
     test_store.run_of(100).await;
-    let (_folder, path) = killed(&test_store);
+    let (_folder, path) = copy_as_killed(&test_store);
     fs::copy(&copy, path.with_file_name("copy.sqlite")).expect("copies");
     fs::rename(path.with_file_name("copy.sqlite"), &path).expect("takes its place");
     let files = || (fs::read(&path).expect("is there"), fs::read(log_of(&path)).expect("is there"));
@@ -88,12 +88,12 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
 
     let refused = start(&path).await.expect_err("refuses");
     assert!(matches!(refused, OpenError::ForeignLog(_)), "{refused}");
-    let words = refused.to_string();
+    let message = refused.to_string();
     assert!(
-        words.contains("peernet.sqlite-wal belongs to another database, which was at this path before"),
-        "{words}"
+        message.contains("peernet.sqlite-wal belongs to another database, which was at this path before"),
+        "{message}"
     );
-    assert!(words.contains("delete it"), "{words}");
+    assert!(message.contains("delete it"), "{message}");
     let examined = examine(&path, Examination { full: false, now: NOW }).await;
     assert!(matches!(examined, Err(DoctorError::ForeignLog(_))), "{examined:?}");
     let repaired = repair(&path, NOW, "now", |_| {}).await;
@@ -102,8 +102,8 @@ async fn backup_is_not_spoilt_by_log_of_previous_database() {
     assert!(matches!(rebuilt, Err(RebuildError::Open(OpenError::ForeignLog(_)))), "{rebuilt:?}");
     let cleared = clear_host_secret(&path, "edge").await;
     assert!(matches!(cleared, Err(ClearSecretError::ForeignLog(_))), "{cleared:?}");
-    let again = Backup::prepare(&path, &path.with_file_name("again.sqlite")).await;
-    assert!(matches!(again, Err(BackupError::ForeignLog(_))), "{again:?}");
+    let second_backup = Backup::prepare(&path, &path.with_file_name("again.sqlite")).await;
+    assert!(matches!(second_backup, Err(BackupError::ForeignLog(_))), "{second_backup:?}");
     assert!(files() == before, "nothing was written");
 
     fs::remove_file(log_of(&path)).expect("removes");
@@ -121,8 +121,8 @@ async fn log_of_idle_aggregator_identifies_its_database() {
     test_store.writer.close().await.1.expect("closes");
     test_store.store.close().await;
     test_store.writer = open(&test_store.path).await;
-    test_store.writer.keep_clocks(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
-    let (_folder, path) = killed(&test_store);
+    test_store.writer.store_clock_readings(STAMP, &mut PendingIncidents::new(STAMP)).await.expect("stores");
+    let (_folder, path) = copy_as_killed(&test_store);
     fs::copy(&copy, &path).expect("takes its place");
     assert!(matches!(start(&path).await, Err(OpenError::ForeignLog(_))));
 
@@ -138,15 +138,15 @@ async fn database_of_killed_process_opens_with_its_log() {
     let mut test_store = TestStore::new().await;
     // The file itself has no number yet.
     test_store.run_of(100).await;
-    let (_first, path) = killed(&test_store);
-    assert_eq!(id(&path), [0; 4]);
+    let (_first, path) = copy_as_killed(&test_store);
+    assert_eq!(file_number(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 100);
 
     checkpoint(&test_store).await;
     test_store.run_of(50).await;
-    let (_second, path) = killed(&test_store);
-    assert_ne!(id(&path), [0; 4]);
+    let (_second, path) = copy_as_killed(&test_store);
+    assert_ne!(file_number(&path), [0; 4]);
     start(&path).await.expect("opens");
     assert_eq!(iterations(&path).await, 150);
 
@@ -160,10 +160,10 @@ async fn database_of_killed_process_opens_with_its_log() {
         .write_all_at(&[0; 4], 60)
         .expect("writes");
     test_store.writer = open(&test_store.path).await;
-    let (_third, path) = killed(&test_store);
-    assert_eq!(id(&path), [0; 4]);
+    let (_third, path) = copy_as_killed(&test_store);
+    assert_eq!(file_number(&path), [0; 4]);
     start(&path).await.expect("opens");
-    assert_ne!(id(&path), [0; 4]);
+    assert_ne!(file_number(&path), [0; 4]);
     assert_eq!(iterations(&path).await, 150);
 }
 
@@ -172,22 +172,24 @@ async fn each_file_has_own_number_and_keeps_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let fresh = folder.path().join("peernet.sqlite");
     start(&fresh).await.expect("makes it");
-    let first = id(&fresh);
+    let first = file_number(&fresh);
     assert_ne!(first, [0; 4]);
     start(&fresh).await.expect("opens");
-    assert_eq!(id(&fresh), first);
+    assert_eq!(file_number(&fresh), first);
 
     let mut test_store = TestStore::new().await;
     test_store.run_of(100).await;
-    let (one, other) = (backup(&test_store, "one.sqlite").await, backup(&test_store, "other.sqlite").await);
+    let (first_copy, second_copy) =
+        (backup(&test_store, "one.sqlite").await, backup(&test_store, "other.sqlite").await);
     checkpoint(&test_store).await;
-    let mut ids = vec![first, id(&test_store.path), id(&one), id(&other)];
-    let root = number(&one, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
-    let file = fs::File::options().write(true).open(&one).expect("opens");
+    let mut ids =
+        vec![first, file_number(&test_store.path), file_number(&first_copy), file_number(&second_copy)];
+    let root = number(&first_copy, "SELECT rootpage FROM sqlite_schema WHERE name = 'node'").await;
+    let file = fs::File::options().write(true).open(&first_copy).expect("opens");
     file.write_all_at(&[0xa5; 4096], (root.cast_unsigned() - 1) * 4096).expect("writes");
     drop(file);
-    repair(&one, NOW, "now", |_| {}).await.expect("repairs").expect("was damaged");
-    ids.push(id(&one));
+    repair(&first_copy, NOW, "now", |_| {}).await.expect("repairs").expect("was damaged");
+    ids.push(file_number(&first_copy));
     assert!(!ids.contains(&[0; 4]), "{ids:?}");
     ids.sort_unstable();
     ids.dedup();

@@ -14,7 +14,7 @@ use crate::readers::Readers;
 /// A query without an end.
 const ENDLESS: &str = "WITH RECURSIVE endless (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM endless) SELECT count(*) FROM endless";
 
-fn impatient(path: &Path) -> Readers {
+fn open_impatient_readers(path: &Path) -> Readers {
     let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Readers::open(
         path,
@@ -28,7 +28,7 @@ fn impatient(path: &Path) -> Readers {
 #[tokio::test]
 async fn endless_query_is_stopped_while_writer_commits() {
     let mut test_store = TestStore::new().await;
-    let readers = impatient(&test_store.path);
+    let readers = open_impatient_readers(&test_store.path);
     let pool = readers.pool();
     let endless = sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&pool);
     // The writer finishes; the query would not.
@@ -40,11 +40,11 @@ async fn endless_query_is_stopped_while_writer_commits() {
 
     // The only connection is still usable, and each query has the whole time limit.
     for _ in 0..3 {
-        let seen: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
+        let iterations: i64 = sqlx::query_scalar("SELECT count(*) FROM iteration")
             .fetch_one(&readers.pool())
             .await
             .expect("answers");
-        assert_eq!(seen, 50);
+        assert_eq!(iterations, 50);
         sqlx::query_scalar::<_, i64>(ENDLESS).fetch_one(&readers.pool()).await.expect_err("it has no end");
     }
 }
@@ -52,7 +52,8 @@ async fn endless_query_is_stopped_while_writer_commits() {
 #[tokio::test]
 async fn readers_cannot_write() {
     let test_store = TestStore::new().await;
-    let refused = sqlx::query("DELETE FROM host").execute(&impatient(&test_store.path).pool()).await;
+    let refused =
+        sqlx::query("DELETE FROM host").execute(&open_impatient_readers(&test_store.path).pool()).await;
     assert!(refused.is_err_and(|error| error.to_string().contains("readonly")));
 }
 
@@ -60,7 +61,7 @@ async fn readers_cannot_write() {
 async fn log_is_emptied_after_last_reader() {
     let mut test_store = TestStore::new().await;
     let log = test_store.path.with_extension("sqlite-wal");
-    let bytes = || std::fs::metadata(&log).expect("it is there").len();
+    let bytes = || std::fs::metadata(&log).expect("the log exists").len();
     let mut reader = test_store.other().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
     test_store.run_of(200).await;

@@ -22,8 +22,8 @@ async fn count(path: &Path, table: &str) -> i64 {
 }
 
 fn problems(report: &Report) -> Vec<&str> {
-    let all = report.findings.iter().filter(|finding| finding.severity == Severity::Problem);
-    all.map(|finding| finding.what.as_str()).collect()
+    let problem_findings = report.findings.iter().filter(|finding| finding.severity == Severity::Problem);
+    problem_findings.map(|finding| finding.what.as_str()).collect()
 }
 
 #[tokio::test]
@@ -35,8 +35,8 @@ async fn copy_is_consistent_and_overwrites_no_file() {
     std::fs::write(target.with_file_name("copy.sqlite.partial"), b"left behind").expect("writable");
     let backup = Backup::prepare(&test_store.path, &target).await.expect("can be read");
     assert!(backup.expected_bytes() > 100_000);
-    let twice = Backup::prepare(&test_store.path, &target).await.expect_err("one is under way");
-    assert!(matches!(twice, BackupError::UnderWay(_)), "{twice}");
+    let second_backup = Backup::prepare(&test_store.path, &target).await.expect_err("one is under way");
+    assert!(matches!(second_backup, BackupError::UnderWay(_)), "{second_backup}");
     let copied = backup.run(CancellationToken::new()).await.expect("copies");
     test_store.run_of(100).await;
 
@@ -47,8 +47,8 @@ async fn copy_is_consistent_and_overwrites_no_file() {
     let report = examine(&target, FULL).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
 
-    let again = Backup::prepare(&test_store.path, &target).await.expect_err("it exists");
-    assert!(matches!(again, BackupError::Exists(_)), "{again}");
+    let repeated_backup = Backup::prepare(&test_store.path, &target).await.expect_err("it exists");
+    assert!(matches!(repeated_backup, BackupError::Exists(_)), "{repeated_backup}");
     // A file that was created under the name meanwhile is not replaced.
     let other = test_store.path.with_file_name("other.sqlite");
     let backup = Backup::prepare(&test_store.path, &other).await.expect("can be read");
@@ -74,12 +74,12 @@ async fn stopped_copy_leaves_nothing() {
 }
 
 #[tokio::test]
-async fn healthy_database_is_described_during_writing() {
+async fn healthy_database_is_examined_during_writing() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(100).await;
     let report = examine(&test_store.path, QUICK).await.expect("opens");
     assert!(report.is_healthy(), "{report:?}");
-    let rows = |wanted: &str| report.tables.iter().find(|rows| rows.table == wanted).expect("is there");
+    let rows = |table: &str| report.tables.iter().find(|rows| rows.table == table).expect("is there");
     assert_eq!((rows("run").rows, rows("run").estimated), (1, false));
     assert_eq!((rows("iteration").rows, rows("iteration").estimated), (100, true));
     assert_eq!(rows("node").rows, count(&test_store.path, "node").await.cast_unsigned());
@@ -100,11 +100,11 @@ async fn row_counts_are_exact_after_deletions() {
         .await
         .expect("deletes");
     let report = examine(&test_store.path, QUICK).await.expect("opens");
-    let left = count(&test_store.path, "iteration").await;
-    assert!((1..100).contains(&left), "{left}");
+    let iterations = count(&test_store.path, "iteration").await;
+    assert!((1..100).contains(&iterations), "{iterations}");
     for table in ["iteration", "node"] {
-        let told = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
-        assert_eq!(told, count(&test_store.path, table).await.cast_unsigned(), "{table}");
+        let reported_rows = report.tables.iter().find(|rows| rows.table == table).expect("is there").rows;
+        assert_eq!(reported_rows, count(&test_store.path, table).await.cast_unsigned(), "{table}");
     }
 }
 
@@ -133,7 +133,7 @@ async fn spool_is_distinguished_from_database() {
 }
 
 #[tokio::test]
-async fn damaged_page_is_found_and_named() {
+async fn damaged_page_is_reported() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(200).await;
     let copy = test_store.path.with_file_name("copy.sqlite");

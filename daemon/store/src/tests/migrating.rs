@@ -44,21 +44,22 @@ pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathB
             .fetch_all(&mut old)
             .await
             .expect("describes");
-        let kept: Vec<String> = sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'new')")
+        let new_columns: Vec<String> = sqlx::query_scalar("SELECT name FROM pragma_table_info(?, 'new')")
             .bind(&name)
             .fetch_all(&mut old)
             .await
             .expect("describes");
         // Columns and tables that later versions dropped keep their defaults.
-        let columns: Vec<String> = columns.into_iter().filter(|column| kept.contains(column)).collect();
+        let columns: Vec<String> =
+            columns.into_iter().filter(|column| new_columns.contains(column)).collect();
         if columns.is_empty() {
             continue;
         }
         let columns = columns.join(", ");
-        let which =
+        let condition =
             if name == "rollup" && version <= LAST_COARSE { "WHERE resolution_s IN (0, 10)" } else { "" };
         let copy = format!(
-            "INSERT OR REPLACE INTO main.{name} ({columns}) SELECT {columns} FROM new.{name} {which}"
+            "INSERT OR REPLACE INTO main.{name} ({columns}) SELECT {columns} FROM new.{name} {condition}"
         );
         sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut old).await.expect("copies");
     }
@@ -67,7 +68,7 @@ pub(super) async fn as_of_version(test_store: &TestStore, version: i64) -> PathB
 }
 
 /// Returns what pages show of a run, as text. Series have points of ten seconds, which all versions stored.
-async fn answers(test_store: &TestStore) -> String {
+async fn page_content(test_store: &TestStore) -> String {
     let store = &test_store.store;
     let series = store.series(1, &[stage::UPLOAD, stage::TOTAL], 21).await.expect("answers");
     assert_eq!(series.bucket_s, 10);
@@ -97,15 +98,15 @@ async fn database_without_experiments_is_migrated_unchanged() {
         test_store.store.run(1).await.expect("answers"),
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
-    let grown = table(&mut test_store.other().await).await;
+    let original_rollups = table(&mut test_store.other().await).await;
     let path = as_of_version(&test_store, 5).await;
     let mut connection = reopen(&mut test_store, &path).await;
-    let found = (
+    let migrated = (
         test_store.store.run(1).await.expect("answers"),
         test_store.store.statistics_of(1).await.expect("answers").stages,
     );
-    assert_eq!(found, expected);
-    assert_same(&table(&mut connection).await, &grown);
+    assert_eq!(migrated, expected);
+    assert_same(&table(&mut connection).await, &original_rollups);
     test_store.run_of(20).await;
     assert_eq!(test_store.store.runs(&RunFilter::default()).await.expect("answers").len(), 2);
 }
@@ -121,8 +122,8 @@ async fn skipped_starts_of_stored_runs_are_counted_once() {
         assert_eq!(test_store.skipped_starts().await, [super::skipped::SKIPPED, 0], "version {version}");
         reopen(&mut test_store, &path).await;
         test_store.run_that_skips().await;
-        let both = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
-        assert_eq!(test_store.skipped_starts().await, both, "version {version}");
+        let expected = [super::skipped::SKIPPED, 0, super::skipped::SKIPPED];
+        assert_eq!(test_store.skipped_starts().await, expected, "version {version}");
     }
 }
 
@@ -133,17 +134,17 @@ async fn database_with_coarse_statistics_is_migrated_unchanged() {
         test_store.run_of(1_000).await;
         let work = test_store.batch(vec![Event::Clock(Box::new(sample(test_store.cloud, 0, 40)))]);
         test_store.commit(&[work]).await;
-        let expected = answers(&test_store).await;
+        let expected = page_content(&test_store).await;
         let links = test_store.store.links().await.expect("answers");
         let recomputed = test_store.store.recompute(1).await.expect("answers").expect("exists");
-        let grown = table(&mut test_store.other().await).await;
+        let original_rollups = table(&mut test_store.other().await).await;
         let path = as_of_version(&test_store, version).await;
 
         let mut connection = reopen(&mut test_store, &path).await;
-        assert_eq!(answers(&test_store).await, expected, "version {version}");
+        assert_eq!(page_content(&test_store).await, expected, "version {version}");
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 1_000 * 21);
         // The coarser statistics were made from the stored statistics; finer statistics did not exist.
-        let coarser = grown.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
+        let coarser = original_rollups.into_iter().filter(|((_, width_s, ..), _)| *width_s != 1).collect();
         assert_same(&table(&mut connection).await, &coarser);
         assert_eq!(test_store.count("SELECT count(*) FROM rollup_debt").await, 0);
         let minutes = test_store.store.series(1, &[stage::TOTAL], 4).await.expect("answers");

@@ -30,7 +30,7 @@ fn as_other(test_store: &mut TestStore) {
 async fn foreign_events_do_not_change_run() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(3).await;
-    let victim = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+    let unchanged_run_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
                   WHERE run.number = 1 AND host.name = 'edge' AND pipeline.name = 'line' AND run.ok = 3 \
                   AND run.end_reason IS NULL";
     as_other(&mut test_store);
@@ -39,20 +39,20 @@ async fn foreign_events_do_not_change_run() {
     for event in [gap(run), incident(run), Event::Iteration(iteration), ended(run), start] {
         let work = test_store.batch(vec![event]);
         assert!(test_store.commit(&[work]).await.quarantined.is_empty());
-        assert_eq!(test_store.count(victim).await, 1);
+        assert_eq!(test_store.count(unchanged_run_query).await, 1);
     }
     assert_eq!(test_store.count("SELECT count(*) FROM gap WHERE run = 1").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE run = 1").await, 0);
     let incidents_query = "SELECT count(*) FROM incident JOIN host ON host.id = incident.host \
                 WHERE host.name = 'cloud' AND incident.kind = 'refused'";
-    assert_eq!(test_store.count(incidents_query).await, 1, "once for each run");
-    let own = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
+    assert_eq!(test_store.count(incidents_query).await, 1, "one incident for each run");
+    let own_run_query = "SELECT count(*) FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
                WHERE host.name = 'cloud' AND run.ok = 1 AND run.end_reason = 'taken' AND run.reported_uuid IS NOT NULL";
-    assert_eq!(test_store.count(own).await, 1);
+    assert_eq!(test_store.count(own_run_query).await, 1);
 }
 
 #[tokio::test]
-async fn run_claimed_by_another_host_is_stored_for_its_owner() {
+async fn run_claimed_by_other_host_is_stored_for_owner() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
     as_other(&mut test_store);
@@ -74,10 +74,10 @@ async fn run_claimed_by_another_host_is_stored_for_its_owner() {
     test_store.stream = StreamId::random();
     test_store.next = 1;
     let mut numbers = generate::Numbers::new(1);
-    let again =
+    let repeated =
         (4..=6).map(|n| Event::Iteration(generate::iteration(run, n, test_store.hosts(), &mut numbers)));
-    let again = test_store.batch(again.collect());
-    assert!(test_store.commit(&[again]).await.quarantined.is_empty());
+    let repeated = test_store.batch(repeated.collect());
+    assert!(test_store.commit(&[repeated]).await.quarantined.is_empty());
     assert_eq!(test_store.count("SELECT ok FROM run WHERE number = 2").await, 6);
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 2);
 }
@@ -97,11 +97,11 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
         test_store.commit(&[Work::Hello(greeting)]).await;
     }
     let mut connection = test_store.other().await;
-    let known = read_host_secrets(&mut connection).await.expect("reads");
+    let known_hosts = read_host_secrets(&mut connection).await.expect("reads");
     assert_eq!(
-        known,
+        known_hosts,
         [(test_store.edge, Some(first.clone()))],
-        "a host of which nothing is stored is not known"
+        "a host without stored events is not known"
     );
     assert_eq!(
         test_store.commit(&[Work::Secret(test_store.edge)]).await.secrets,
@@ -111,8 +111,8 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
     let cleared = clear_host_secret(&test_store.path, "edge").await.expect("clears");
     assert!(cleared.existed && cleared.host == test_store.edge.to_string());
     assert_eq!(test_store.commit(&[Work::Secret(test_store.edge)]).await.secrets, [(test_store.edge, None)]);
-    let again = clear_host_secret(&test_store.path, &test_store.edge.to_string()).await.expect("clears");
-    assert!(!again.existed);
+    let repeated = clear_host_secret(&test_store.path, &test_store.edge.to_string()).await.expect("clears");
+    assert!(!repeated.existed);
     let unknown = clear_host_secret(&test_store.path, "nobody").await;
     assert!(matches!(unknown, Err(ClearSecretError::NoHost { .. })), "{unknown:?}");
 }
@@ -130,7 +130,7 @@ async fn hosts_named_only_by_others_are_unknown() {
         assert!(test_store.commit(&[work]).await.quarantined.is_empty());
     }
     assert_eq!(test_store.count("SELECT count(*) FROM host WHERE name IS NULL").await, 5);
-    let known = read_host_secrets(&mut test_store.other().await).await.expect("reads");
-    let known: Vec<HostId> = known.into_iter().map(|(host, _)| host).collect();
-    assert_eq!(known, [test_store.edge], "only known hosts count against max_hosts");
+    let known_hosts = read_host_secrets(&mut test_store.other().await).await.expect("reads");
+    let known_hosts: Vec<HostId> = known_hosts.into_iter().map(|(host, _)| host).collect();
+    assert_eq!(known_hosts, [test_store.edge], "only known hosts count against max_hosts");
 }

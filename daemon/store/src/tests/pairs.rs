@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_logger::{Measure, NodeId, RunId, Unit, stage};
 use peernet_stream::{Event, Iteration, Outcome};
 
-use super::retention::{day, short, two_runs, work_off};
+use super::retention::{day, short_retention, two_runs, work_off};
 use super::{NOW, TestStore, generate};
 use crate::retention::Retention;
 use crate::types::ValuePairs;
@@ -14,7 +14,7 @@ const SLOW: f64 = 1_000.0;
 
 impl TestStore {
     /// Makes an iteration whose answer has ten bytes and two tokens times its number, and takes as many seconds.
-    fn talking(&self, run: RunId, number: u64) -> Iteration {
+    fn iteration_with_answer(&self, run: RunId, number: u64) -> Iteration {
         let mut iteration =
             generate::iteration(run, number, self.hosts(), &mut generate::Numbers::new(number));
         let tree = &mut iteration.tree;
@@ -30,7 +30,7 @@ impl TestStore {
         iteration
     }
 
-    async fn store_talking(&mut self, iterations: impl Iterator<Item = Iteration>) {
+    async fn store_iterations(&mut self, iterations: impl Iterator<Item = Iteration>) {
         let mut work = Vec::new();
         for iteration in iterations {
             work.push(self.batch(vec![Event::Iteration(iteration)]));
@@ -38,17 +38,17 @@ impl TestStore {
         self.commit(&work).await;
     }
 
-    async fn run_that_talks(&mut self, numbers: std::ops::RangeInclusive<u64>) -> RunId {
+    async fn run_with_answers(&mut self, numbers: std::ops::RangeInclusive<u64>) -> RunId {
         let run = RunId::random();
         let work = self.batch(vec![generate::run_started(run, "line", NOW)]);
         self.commit(&[work]).await;
-        let all: Vec<Iteration> = numbers.map(|number| self.talking(run, number)).collect();
-        self.store_talking(all.into_iter()).await;
+        let all: Vec<Iteration> = numbers.map(|number| self.iteration_with_answer(run, number)).collect();
+        self.store_iterations(all.into_iter()).await;
         run
     }
 
-    async fn pairs(&self, x: &str, most: u32) -> ValuePairs {
-        self.store.value_pairs(1, [x, "inference"], most).await.expect("answers")
+    async fn pairs(&self, x: &str, max_points: u32) -> ValuePairs {
+        self.store.value_pairs(1, [x, "inference"], max_points).await.expect("answers")
     }
 }
 
@@ -56,18 +56,21 @@ impl TestStore {
 async fn sample_is_spread_over_run_and_reports_total() {
     let mut test_store = TestStore::new().await;
     assert_eq!(test_store.pairs("download-bytes", 10).await, ValuePairs::default(), "no such run");
-    test_store.run_that_talks(1..=400).await;
-    for (name, each) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
-        let whole = test_store.pairs(name, 400).await;
-        assert!(whole.is_complete());
-        let wanted: Vec<(f64, f64)> = (1..=400).map(|n| (f64::from(n) * each, f64::from(n))).collect();
-        assert_eq!((whole.points, whole.read_iterations, whole.stored_iterations), (wanted, 400, 400));
-        let some = test_store.pairs(name, 40).await;
-        assert!(!some.is_complete());
-        assert_eq!((some.points.len(), some.read_iterations, some.stored_iterations), (40, 40, 400));
-        for (stretch, (x, y)) in some.points.iter().enumerate() {
-            assert_eq!(x / each, *y);
-            assert_eq!((y - 1.0) as usize / 10, stretch, "one of each ten");
+    test_store.run_with_answers(1..=400).await;
+    for (name, factor) in [("download-bytes", 10.0), ("completion-tokens", 2.0)] {
+        let complete = test_store.pairs(name, 400).await;
+        assert!(complete.is_complete());
+        let expected: Vec<(f64, f64)> = (1..=400).map(|n| (f64::from(n) * factor, f64::from(n))).collect();
+        assert_eq!(
+            (complete.points, complete.read_iterations, complete.stored_iterations),
+            (expected, 400, 400)
+        );
+        let sample = test_store.pairs(name, 40).await;
+        assert!(!sample.is_complete());
+        assert_eq!((sample.points.len(), sample.read_iterations, sample.stored_iterations), (40, 40, 400));
+        for (index, (x, y)) in sample.points.iter().enumerate() {
+            assert_eq!(x / factor, *y);
+            assert_eq!((y - 1.0) as usize / 10, index, "one of every ten iterations");
         }
     }
     assert_eq!(test_store.pairs("download-bytes", 0).await.points, []);
@@ -77,46 +80,57 @@ async fn sample_is_spread_over_run_and_reports_total() {
 #[tokio::test]
 async fn values_outside_statistics_are_not_sampled() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_that_talks(1..=4).await;
-    let warm_up = Iteration { warm_up: true, ..test_store.talking(run, 5) };
+    let run = test_store.run_with_answers(1..=4).await;
+    let warm_up = Iteration { warm_up: true, ..test_store.iteration_with_answer(run, 5) };
     let ends = [Outcome::Failed("no".into()), Outcome::Lost("gone".into()), Outcome::Timeout(String::new())];
-    let ends =
-        (6..).zip(ends).map(|(number, outcome)| Iteration { outcome, ..test_store.talking(run, number) });
-    let mut without = test_store.talking(run, 9);
-    let (id, _) = without.tree.find(&["download-bytes"]).expect("a node");
-    *without.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
-    let all: Vec<Iteration> = [warm_up, without].into_iter().chain(ends).collect();
-    test_store.store_talking(all.into_iter()).await;
-    let found = test_store.pairs("download-bytes", 100).await;
-    assert_eq!(found.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
-    assert_eq!((found.read_iterations, found.stored_iterations), (9, 9));
+    let ends = (6..)
+        .zip(ends)
+        .map(|(number, outcome)| Iteration { outcome, ..test_store.iteration_with_answer(run, number) });
+    let mut without_bytes = test_store.iteration_with_answer(run, 9);
+    let (id, _) = without_bytes.tree.find(&["download-bytes"]).expect("a node");
+    *without_bytes.tree.measure_mut(id).expect("a node") = Measure::Custom("value".into(), Unit::BYTES, None);
+    let all: Vec<Iteration> = [warm_up, without_bytes].into_iter().chain(ends).collect();
+    test_store.store_iterations(all.into_iter()).await;
+    let pairs = test_store.pairs("download-bytes", 100).await;
+    assert_eq!(pairs.points, [(10.0, 1.0), (20.0, 2.0), (30.0, 3.0), (40.0, 4.0)]);
+    assert_eq!((pairs.read_iterations, pairs.stored_iterations), (9, 9));
     assert_eq!(
         test_store.pairs("completion-tokens", 100).await.points.len(),
         5,
-        "one has no bytes, but tokens"
+        "one iteration has tokens and no bytes"
     );
 }
 
 #[tokio::test]
 async fn nodes_of_one_name_are_combined_as_in_results() {
     let mut test_store = TestStore::new().await;
-    let run = test_store.run_that_talks(1..=1).await;
-    let mut twice = test_store.talking(run, 2);
-    let (model, _) = twice.tree.find(&["inference"]).expect("a stage");
+    let run = test_store.run_with_answers(1..=1).await;
+    let mut repeated_nodes = test_store.iteration_with_answer(run, 2);
+    let (model, _) = repeated_nodes.tree.find(&["inference"]).expect("a stage");
     let seconds = Measure::Timer(Some(Span::from_millis(SLOW as i64)));
-    twice.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
+    repeated_nodes.tree.add(NodeId::ROOT, stage::INFERENCE, Span::ZERO, seconds.clone());
     // A child of the stage with the same name counts once.
-    twice.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
+    repeated_nodes.tree.add(model, stage::INFERENCE, Span::ZERO, seconds);
     for (parent, value) in [(model, 77.0), (NodeId::ROOT, 99.0)] {
-        twice.tree.add(parent, "completion-tokens".into(), Span::ZERO, Measure::Value(value, Unit::NONE));
+        repeated_nodes.tree.add(
+            parent,
+            "completion-tokens".into(),
+            Span::ZERO,
+            Measure::Value(value, Unit::NONE),
+        );
     }
-    twice.tree.add(NodeId::ROOT, "download-bytes".into(), Span::ZERO, Measure::Value(5.0, Unit::BYTES));
-    test_store.store_talking([twice].into_iter()).await;
+    repeated_nodes.tree.add(
+        NodeId::ROOT,
+        "download-bytes".into(),
+        Span::ZERO,
+        Measure::Value(5.0, Unit::BYTES),
+    );
+    test_store.store_iterations([repeated_nodes].into_iter()).await;
     assert_eq!(test_store.pairs("download-bytes", 9).await.points, [(10.0, 1.0), (25.0, 3.0)], "sums");
     assert_eq!(
         test_store.pairs("completion-tokens", 9).await.points,
         [(2.0, 1.0), (4.0, 3.0)],
-        "the first one"
+        "the value of the first node"
     );
 }
 
@@ -124,17 +138,17 @@ async fn nodes_of_one_name_are_combined_as_in_results() {
 async fn deleted_iterations_are_not_sampled() {
     let (test_store, _) = two_runs().await;
     let mut connection = test_store.other().await;
-    let mut retention = Retention::new(short());
+    let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(0.0)).await;
     let before = test_store.pairs("upload-bytes", 20).await;
     assert_eq!((before.points.len(), before.stored_iterations), (20, 288));
     work_off(&mut retention, &mut connection, day(4.0)).await;
-    let left = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
-    assert!((50..200).contains(&left), "{left}");
+    let remaining = test_store.count("SELECT 288 - nodes_from FROM run WHERE number = 1").await;
+    assert!((50..200).contains(&remaining), "{remaining}");
     let after = test_store.pairs("upload-bytes", 20).await;
     assert_eq!(
         (after.points.len(), after.stored_iterations),
-        (20, left as u64),
-        "each of those asked for is there"
+        (20, remaining as u64),
+        "every requested iteration is stored"
     );
 }

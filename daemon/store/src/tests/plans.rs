@@ -9,8 +9,8 @@ use sqlx::AssertSqlSafe;
 use super::TestStore;
 use crate::read::sql;
 
-/// Tables that grow with every iteration or second, and what a look-up must name at least to find a few rows of them:
-/// one of these lists of columns, in the order of a key.
+/// Tables that grow with every iteration or second. A look-up in such a table must use at least one of these lists of
+/// columns, in the order of a key, so that it finds a few rows only.
 const LARGE: [(&str, &[&str]); 7] = [
     ("node", &["run=? AND iteration=?"]),
     ("transit", &["run=? AND iteration=?", "(run,iteration)"]),
@@ -21,19 +21,19 @@ const LARGE: [(&str, &[&str]); 7] = [
     ("clock_sample", &["link=? AND at_ns", "link=? AND window=? AND at_raw_ns"]),
 ];
 
-/// Statements that read more than they return on purpose, with the reason why that is bounded.
+/// Statements that read more than they return on purpose: name, table, and the reason why the number of rows is bounded.
 const EXCEPTIONS: [(&str, &str, &str); 4] = [
     ("SHAPES", "node", "the nodes of a few thousand iterations, from one number to another"),
     ("RUN_EXTENT", "iteration", "the first and the last row of the run, LIMIT 1"),
-    ("RUN_DELAYS", "transit", "goes on behind the last row of the page before, LIMIT"),
+    ("RUN_DELAYS", "transit", "continues after the last row of the previous page, LIMIT"),
     ("LINKS", "clock_sample", "min and max of a key: one row each"),
 ];
 
-/// Queries that sort, and why that is a small thing.
+/// Queries that sort, and the reason why few rows are sorted.
 const SORTING: [(&str, &str); 11] = [
     ("SHAPES", "one row for each of a few thousand iterations"),
     ("SUMS_OVER_TIME", "at most a thousand buckets of a few names, without their sketches"),
-    ("RUNS_FILTERED", "the runs of the pipelines asked for, without anything of theirs"),
+    ("RUNS_FILTERED", "the rows of the runs of the requested pipelines only"),
     ("VERDICTS", "at most a handful of rows"),
     ("EXPERIMENTS", "one row for each experiment; their runs come in the order of an index"),
     ("HOSTS", "all hosts are shown"),
@@ -55,18 +55,20 @@ async fn plan(test_store: &TestStore, name: &str, statement: &str) -> Vec<String
 }
 
 /// Returns the faults of a plan, and the exceptions that it needed.
-fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
+fn check_plan(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
     let (mut faults, mut needed) = (Vec::new(), HashSet::new());
     for step in steps {
-        for (table, enough) in LARGE {
+        for (table, column_lists) in LARGE {
             if step.split(' ').nth(1) != Some(table) {
                 continue;
             }
-            let named = enough.iter().any(|columns| step.contains(&format!("({columns}")));
-            if named && !step.starts_with("SCAN") {
+            let uses_key = column_lists.iter().any(|columns| step.contains(&format!("({columns}")));
+            if uses_key && !step.starts_with("SCAN") {
                 continue;
             }
-            let excepted = EXCEPTIONS.iter().any(|(known, of, _)| (*known, *of) == (name, table));
+            let excepted = EXCEPTIONS
+                .iter()
+                .any(|(query, exception_table, _)| (*query, *exception_table) == (name, table));
             if excepted && !step.starts_with("SCAN") {
                 needed.insert(format!("{name} of {table}"));
             } else {
@@ -74,7 +76,7 @@ fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
             }
         }
         if step.contains("TEMP B-TREE") {
-            if SORTING.iter().any(|(known, _)| *known == name) {
+            if SORTING.iter().any(|(query, _)| *query == name) {
                 needed.insert(format!("{name} sorts"));
             } else {
                 faults.push(format!("{name} sorts: {step}"));
@@ -85,24 +87,28 @@ fn judged(name: &str, steps: &[String]) -> (Vec<String>, HashSet<String>) {
 }
 
 #[tokio::test]
-async fn every_query_finds_its_rows_by_an_index() {
+async fn every_query_finds_its_rows_by_index() {
     let test_store = TestStore::new().await;
     let (mut wrong, mut needed) = (Vec::new(), HashSet::new());
     for (name, statement) in sql::ALL {
-        let (faults, exceptions) = judged(name, &plan(&test_store, name, statement).await);
+        let (faults, exceptions) = check_plan(name, &plan(&test_store, name, statement).await);
         wrong.extend(faults);
         needed.extend(exceptions);
     }
     let excepted = EXCEPTIONS.iter().map(|(name, table, _)| format!("{name} of {table}"));
     let allowed = excepted.chain(SORTING.iter().map(|(name, _)| format!("{name} sorts")));
-    wrong.extend(allowed.filter(|one| !needed.contains(one)).map(|one| format!("nobody needs: {one}")));
+    wrong.extend(
+        allowed
+            .filter(|exception| !needed.contains(exception))
+            .map(|exception| format!("an exception is not needed: {exception}")),
+    );
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[tokio::test]
 async fn query_that_reads_whole_run_or_sorts_is_detected() {
     let test_store = TestStore::new().await;
-    for bad in [
+    for statement in [
         "SELECT count(*) FROM node",
         "SELECT max(value) FROM node WHERE run = ?1",
         "SELECT min(started_ns) FROM iteration WHERE run = ?1",
@@ -111,7 +117,7 @@ async fn query_that_reads_whole_run_or_sorts_is_detected() {
         "SELECT number FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY started_ns LIMIT 10",
         "SELECT * FROM clock_sample WHERE link = ?1",
     ] {
-        assert!(!judged("BAD", &plan(&test_store, "BAD", bad).await).0.is_empty(), "{bad}");
+        assert!(!check_plan("BAD", &plan(&test_store, "BAD", statement).await).0.is_empty(), "{statement}");
     }
 }
 
@@ -120,7 +126,7 @@ async fn query_that_reads_whole_run_or_sorts_is_detected() {
 fn all_queries_are_constants_of_sql_module() {
     let read = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/read");
     let mut folders = vec![read];
-    let mut seen = 0;
+    let mut query_count = 0;
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(folder).expect("a folder of this crate") {
             let path = entry.expect("an entry").path();
@@ -133,7 +139,7 @@ fn all_queries_are_constants_of_sql_module() {
                 let rest = &text[at + "sqlx::query".len()..];
                 let argument = rest.split_once('(').map_or("", |(_, argument)| argument.trim_start());
                 // `statement` is one of two constants.
-                seen += 1;
+                query_count += 1;
                 !argument.starts_with("sql::") && !argument.starts_with("statement)")
             });
             let wrong: Vec<&str> =
@@ -141,7 +147,7 @@ fn all_queries_are_constants_of_sql_module() {
             assert!(wrong.is_empty(), "{}: {wrong:?}", path.display());
         }
     }
-    assert!(seen > 20, "only {seen} queries were found");
+    assert!(query_count > 20, "only {query_count} queries were found");
 }
 
 #[tokio::test]
@@ -192,7 +198,7 @@ async fn instructions(test_store: &TestStore, statement: &'static str, numbers: 
 
 /// The plan alone does not show whether a `min` or a `LIMIT` ends early: the instructions do.
 #[tokio::test]
-async fn extents_cost_the_same_in_a_long_run() {
+async fn extents_cost_the_same_in_long_run() {
     let mut test_store = TestStore::new().await;
     let mut costs = Vec::new();
     for iterations in [20, 1_000] {

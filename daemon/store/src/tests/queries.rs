@@ -19,7 +19,7 @@ fn values(test_store: &TestStore, run: RunId, iterations: u64, name: &str) -> Ve
         .collect()
 }
 
-fn close(a: f64, b: f64) -> bool {
+fn is_close(a: f64, b: f64) -> bool {
     (a - b).abs() <= 1e-9 * a.abs().max(b.abs()).max(1e-12)
 }
 
@@ -28,7 +28,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(400).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    for (name, statistics) in stages.iter().map(|known| (&known.stage, known)) {
+    for (name, statistics) in stages.iter().map(|statistics| (&statistics.stage, statistics)) {
         let Some(exact) = Some(values(&test_store, run, 400, name)).filter(|values| !values.is_empty())
         else {
             continue;
@@ -39,7 +39,7 @@ async fn statistics_of_run_are_those_of_its_iterations() {
         let std = (exact.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (exact.len() - 1) as f64).sqrt();
         let figures = statistics.figures;
         assert_eq!(figures.count, 400, "{name}");
-        assert!(close(figures.mean, mean), "{name}: {} {mean}", figures.mean);
+        assert!(is_close(figures.mean, mean), "{name}: {} {mean}", figures.mean);
         assert!((figures.std.expect("many") - std).abs() <= 1e-9 * mean.abs(), "{name}");
         assert_eq!((figures.min, figures.max), (sorted[0], sorted[399]), "{name}");
         for (q, figure) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
@@ -48,16 +48,20 @@ async fn statistics_of_run_are_those_of_its_iterations() {
             assert!((figure - exact).abs() <= 0.0101 * exact.abs(), "{name} at {q}: {figure} {exact}");
         }
     }
-    let names: Vec<&str> = stages.iter().map(|known| known.stage.as_str()).collect();
+    let names: Vec<&str> = stages.iter().map(|statistics| statistics.stage.as_str()).collect();
     assert_eq!(&names[..4], ["sensing", "capture", "transform", "encode"]);
     assert!(names.contains(&"total") && !names.contains(&"tokens-per-second"));
-    let upload = stages.iter().find(|known| known.stage == "upload").expect("there");
+    let upload = stages.iter().find(|statistics| statistics.stage == "upload").expect("there");
     let bound = upload.bound.as_ref().expect("judged");
-    assert!(close(bound.half_width.expect("bounded").mean, 40e-6));
+    assert!(is_close(bound.half_width.expect("bounded").mean, 40e-6));
     assert_eq!(bound.verdicts, [(peernet_clock::Verdict::Limited, 400)]);
     assert!(test_store.store.statistics_of(1).await.expect("answers").bounds.contains(bound));
-    let of_total: f64 = stages.iter().filter(|known| known.is_stage).filter_map(|known| known.share).sum();
-    assert!(close(of_total, 1.0), "{of_total}");
+    let total_share: f64 = stages
+        .iter()
+        .filter(|statistics| statistics.is_stage)
+        .filter_map(|statistics| statistics.share)
+        .sum();
+    assert!(is_close(total_share, 1.0), "{total_share}");
 }
 
 #[tokio::test]
@@ -72,8 +76,8 @@ async fn runs_read_together_equal_runs_read_alone() {
         alone.push(test_store.store.statistics_of(run).await.expect("answers"));
     }
     assert_eq!(together, alone);
-    let total = |known: &RunStatistics| {
-        known.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.figures.count)
+    let total = |statistics: &RunStatistics| {
+        statistics.stages.iter().find(|stage| stage.stage == stage::TOTAL).map(|total| total.figures.count)
     };
     let counts: Vec<Option<u64>> = together.iter().map(total).collect();
     assert_eq!(counts, [Some(20), None, Some(40), Some(30), Some(40)]);
@@ -81,7 +85,7 @@ async fn runs_read_together_equal_runs_read_alone() {
     assert_eq!(together[1], RunStatistics::default(), "there is no such run");
     let listed = test_store.store.runs(&RunFilter::default()).await.expect("answers");
     let totals: Vec<Option<u64>> = listed.iter().map(|run| run.total.map(|total| total.count)).collect();
-    assert_eq!(totals, [Some(20), Some(30), Some(40)], "each has its own total");
+    assert_eq!(totals, [Some(20), Some(30), Some(40)], "each run has its own total");
 }
 
 #[tokio::test]
@@ -123,9 +127,11 @@ async fn warm_up_and_failures_are_stored_outside_statistics() {
     let all = test_store.store.iterations(1, &IterationFilter::default()).await.expect("answers");
     assert_eq!(all.iter().map(|row| row.number).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
     let filter = IterationFilter { without_answer: true, after: 3, limit: 10 };
-    let bad = test_store.store.iterations(1, &filter).await.expect("answers");
-    let failures: Vec<_> =
-        bad.iter().map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref())).collect();
+    let rows_without_answer = test_store.store.iterations(1, &filter).await.expect("answers");
+    let failures: Vec<_> = rows_without_answer
+        .iter()
+        .map(|row| (row.number, row.outcome.as_str(), row.reason.as_deref()))
+        .collect();
     assert_eq!(
         failures,
         [(4, "timeout", Some("no answer within 5 s")), (5, "failed", Some("not a picture"))]
@@ -163,19 +169,26 @@ async fn slowest_iterations_come_first_with_causes() {
     let numbers: Vec<u64> = slowest.iter().map(|row| row.number).collect();
     assert_eq!(numbers, totals.iter().take(10).map(|(_, number)| *number).collect::<Vec<_>>());
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let median =
-        |name: &Name| stages.iter().find(|known| known.stage == *name).map(|known| known.figures.p50);
+    let median = |name: &Name| {
+        stages.iter().find(|statistics| statistics.stage == *name).map(|statistics| statistics.figures.p50)
+    };
     for row in &slowest {
         assert!(row.factor.expect("known") > 1.0);
         let excess = |(name, value): &(Name, f64)| value - median(name).expect("in the run");
         let mut excesses: Vec<f64> = row.stages.iter().map(excess).filter(|seconds| *seconds > 0.0).collect();
         excesses.sort_by(|a, b| b.total_cmp(a));
-        let named: Vec<f64> = row.causes.iter().map(Cause::excess).collect();
-        assert!(named.iter().zip(&excesses).all(|(named, most)| close(*named, *most)), "{row:?}");
-        let wanted = 0.8 * (row.total.expect("known") - median(&stage::TOTAL).expect("in the run"));
-        let explained: f64 = named.iter().sum();
-        assert!(explained >= wanted || named.len() == excesses.len(), "{row:?}");
-        assert!(explained - named.last().expect("something took longer") < wanted, "{row:?}");
+        let cause_excesses: Vec<f64> = row.causes.iter().map(Cause::excess).collect();
+        assert!(
+            cause_excesses
+                .iter()
+                .zip(&excesses)
+                .all(|(cause_excesses, excess)| is_close(*cause_excesses, *excess)),
+            "{row:?}"
+        );
+        let min_explained = 0.8 * (row.total.expect("known") - median(&stage::TOTAL).expect("in the run"));
+        let explained: f64 = cause_excesses.iter().sum();
+        assert!(explained >= min_explained || cause_excesses.len() == excesses.len(), "{row:?}");
+        assert!(explained - cause_excesses.last().expect("something took longer") < min_explained, "{row:?}");
     }
     let first = test_store.store.iteration(1, numbers[0]).await.expect("answers").expect("exists");
     let tenth = test_store.store.iteration(1, numbers[9]).await.expect("answers").expect("exists");
@@ -199,10 +212,10 @@ async fn slowest_iterations_come_first_with_causes() {
         .iter()
         .map(|row| row.number)
         .collect();
-    for (place, number) in order.iter().enumerate().take(4) {
+    for (index, number) in order.iter().enumerate().take(4) {
         let detail = test_store.store.iteration(1, *number).await.expect("answers").expect("exists");
-        let slower = place.checked_sub(1).map(|place| order[place]);
-        assert_eq!((detail.slower, detail.faster), (slower, Some(order[place + 1])), "{order:?}");
+        let slower = index.checked_sub(1).map(|index| order[index]);
+        assert_eq!((detail.slower, detail.faster), (slower, Some(order[index + 1])), "{order:?}");
     }
 }
 
@@ -222,7 +235,7 @@ async fn series_adds_up_to_run_for_any_buckets() {
             let mean = stage.points.iter().map(|p| p.mean * p.count as f64).sum::<f64>() / 1_000.0;
             let run =
                 test_store.store.histogram(1, &stage.stage, 10).await.expect("answers").expect("exists");
-            assert!(close(mean, run.figures.mean));
+            assert!(is_close(mean, run.figures.mean));
         }
     }
 }
@@ -303,8 +316,8 @@ async fn listed_iterations_have_delays_or_their_sum() {
     if let Some(Measure::Timer(total)) = stepped.tree.measure_mut(total) {
         *total = Some(Span::from_seconds(10));
     }
-    let known = Measure::Timer(Some(Span::from_millis(1)));
-    stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, known);
+    let unattributed = Measure::Timer(Some(Span::from_millis(1)));
+    stepped.tree.add(NodeId::ROOT, stage::UNATTRIBUTED, Span::ZERO, unattributed);
     let work = test_store.batch(vec![Event::Iteration(stepped)]);
     test_store.commit(&[work]).await;
 
@@ -316,11 +329,11 @@ async fn listed_iterations_have_delays_or_their_sum() {
         let names: Vec<_> = row.delays.iter().map(|delay| delay.stage.as_str().to_owned()).collect();
         assert_eq!(names, ["upload", "download"]);
         for delay in &row.delays {
-            let found = detail.tree.find(&[&delay.stage]).expect("there").1;
-            let Measure::Transit(transit) = &found.measure else { panic!("{found:?}") };
+            let node = detail.tree.find(&[&delay.stage]).expect("there").1;
+            let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
             let sent = transit.delay.expect("judged");
             let (lo, hi) = delay.bounds.expect("bounds");
-            assert!(close(lo, sent.bounds.expect("bounds").lo.seconds()) && lo <= hi);
+            assert!(is_close(lo, sent.bounds.expect("bounds").lo.seconds()) && lo <= hi);
             assert_eq!(
                 (delay.raw, delay.source, delay.verdict),
                 (sent.raw.seconds(), sent.source, sent.verdict)
@@ -330,11 +343,11 @@ async fn listed_iterations_have_delays_or_their_sum() {
     }
     let slowest = test_store.store.slowest_iterations(1, 1).await.expect("answers").remove(0);
     assert_eq!(slowest.number, 101);
-    let ways = slowest.both_ways.expect("not known apart");
-    let others: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
-    assert!(close(others + ways + 0.001, 10.0), "{slowest:?}");
+    let both_ways = slowest.both_ways.expect("not known apart");
+    let other_stages_s: f64 = slowest.stages.iter().map(|(_, seconds)| seconds).sum();
+    assert!(is_close(other_stages_s + both_ways + 0.001, 10.0), "{slowest:?}");
     let cause = slowest.causes.first().expect("something took longer");
-    assert_eq!((cause.name.as_str(), cause.value), ("upload + download", ways));
+    assert_eq!((cause.name.as_str(), cause.value), ("upload + download", both_ways));
     let verdicts: Vec<_> =
         slowest.delays.iter().map(|delay| (delay.value, delay.bounds, delay.verdict)).collect();
     assert_eq!(verdicts, [(None, None, Verdict::Stepped); 2]);
@@ -376,10 +389,10 @@ async fn incidents_are_in_order_of_time() {
         test_store.store.incidents(&filter).await.expect("answers").len()
     };
     let reporter = all[0].host_name.as_ref().map(ToString::to_string);
-    let of_kind = (count(Some("disconnected"), None).await, count(Some("gap"), None).await);
-    assert_eq!(of_kind, (3, 0));
-    let of_host = (count(None, reporter.as_deref()).await, count(None, Some("nobody")).await);
-    assert_eq!(of_host, (3, 0));
+    let kind_counts = (count(Some("disconnected"), None).await, count(Some("gap"), None).await);
+    assert_eq!(kind_counts, (3, 0));
+    let host_counts = (count(None, reporter.as_deref()).await, count(None, Some("nobody")).await);
+    assert_eq!(host_counts, (3, 0));
 }
 
 #[tokio::test]
@@ -417,5 +430,5 @@ fn merged_summary_equals_summary_of_whole() {
         (whole.count, whole.p50, whole.p95, whole.max),
         (parts.count, parts.p50, parts.p95, parts.max)
     );
-    assert!(close(whole.mean, parts.mean));
+    assert!(is_close(whole.mean, parts.mean));
 }

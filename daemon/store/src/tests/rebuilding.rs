@@ -33,7 +33,7 @@ fn iterations(test_store: &TestStore, run: RunId, count: u64, numbers: &mut Numb
 }
 
 /// Makes a database with two runs whose iterations arrived in random order, in commits of random sizes.
-async fn mixed(seed: u64) -> TestStore {
+async fn store_with_random_arrivals(seed: u64) -> TestStore {
     let mut test_store = TestStore::new().await;
     let mut numbers = Numbers::new(seed);
     let runs = [RunId::random(), RunId::random()];
@@ -45,8 +45,8 @@ async fn mixed(seed: u64) -> TestStore {
     loop {
         let mut work = Vec::new();
         for list in &mut lists {
-            let some = usize::try_from(numbers.between(1, 60)).expect("few");
-            let events: Vec<Event> = list.by_ref().take(some).collect();
+            let batch_length = usize::try_from(numbers.between(1, 60)).expect("few");
+            let events: Vec<Event> = list.by_ref().take(batch_length).collect();
             if !events.is_empty() {
                 work.push(test_store.batch(events));
             }
@@ -59,16 +59,20 @@ async fn mixed(seed: u64) -> TestStore {
 }
 
 #[tokio::test]
-async fn rebuilt_statistics_equal_incremental_ones() {
+async fn rebuilt_statistics_equal_incremental_statistics() {
     for seed in 1..=4 {
-        let test_store = mixed(seed).await;
+        let test_store = store_with_random_arrivals(seed).await;
         let mut connection = test_store.other().await;
         let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
-        let judged: Vec<(i64, i64, i64, i64)> =
+        let verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-        let grown = table(&mut connection).await;
-        assert!(grown.len() > 10_000 && judged.len() == 4, "{} {judged:?}", grown.len());
-        // All of them are wrong, and there is one too many.
+        let incremental = table(&mut connection).await;
+        assert!(
+            incremental.len() > 10_000 && verdict_counts.len() == 4,
+            "{} {verdict_counts:?}",
+            incremental.len()
+        );
+        // Make all statistics wrong, and add a row that should not exist.
         sqlx::raw_sql("UPDATE rollup SET count = count + 1, mean = 7; UPDATE verdict_count SET count = 1")
             .execute(&mut connection)
             .await
@@ -79,10 +83,10 @@ async fn rebuilt_statistics_equal_incremental_ones() {
             .expect("spoils");
         let mut reports = Vec::new();
         let rebuilt = rebuild(&mut connection, None, |so_far| reports.push(*so_far)).await.expect("rebuilds");
-        assert_same(&table(&mut connection).await, &grown);
-        let again: Vec<(i64, i64, i64, i64)> =
+        assert_same(&table(&mut connection).await, &incremental);
+        let rebuilt_verdict_counts: Vec<(i64, i64, i64, i64)> =
             sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-        assert_eq!(again, judged);
+        assert_eq!(rebuilt_verdict_counts, verdict_counts);
         let ok = test_store.count("SELECT sum(ok) FROM run").await.unsigned_abs();
         assert_eq!(rebuilt, Rebuilt { runs: 2, iterations: ok, in_part: 0 });
         assert_eq!(reports.last(), Some(&rebuilt));
@@ -92,25 +96,25 @@ async fn rebuilt_statistics_equal_incremental_ones() {
 
 #[tokio::test]
 async fn rebuild_of_one_run_changes_no_other() {
-    let test_store = mixed(9).await;
+    let test_store = store_with_random_arrivals(9).await;
     let mut connection = test_store.other().await;
-    let grown = table(&mut connection).await;
+    let incremental = table(&mut connection).await;
     sqlx::query("DELETE FROM rollup").execute(&mut connection).await.expect("empties");
     let rebuilt = rebuild(&mut connection, Some(2), |_| {}).await.expect("rebuilds");
     assert_eq!((rebuilt.runs, rebuilt.in_part), (1, 0));
-    let second = grown.into_iter().filter(|((run, ..), _)| *run == 2).collect();
+    let second = incremental.into_iter().filter(|((run, ..), _)| *run == 2).collect();
     assert_same(&table(&mut connection).await, &second);
     let rebuilt = rebuild(&mut connection, Some(3), |_| {}).await.expect("looks");
     assert_eq!(rebuilt, Rebuilt::default());
 }
 
 #[tokio::test]
-async fn extreme_values_are_stored_and_spare_statistics() {
+async fn extreme_values_are_stored_outside_statistics() {
     let mut test_store = TestStore::new().await;
     let (run, mut numbers) = (RunId::random(), Numbers::new(3));
     let work = test_store.batch(vec![generate::run_started(run, "line", NOW)]);
     test_store.commit(&[work]).await;
-    // Numbers that drivers report for "nothing there", among readings.
+    // Numbers that drivers report if there is no reading, among valid readings.
     for (at, range) in [f64::MAX, 1.0, -f64::MAX, f64::INFINITY, 3.0].into_iter().enumerate() {
         let mut iteration = generate::iteration(run, at as u64 + 1, test_store.hosts(), &mut numbers);
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, Measure::Value(range, Unit::new("m")));
@@ -118,19 +122,19 @@ async fn extreme_values_are_stored_and_spare_statistics() {
         let committed = test_store.commit(&[work]).await;
         assert!(committed.quarantined.is_empty(), "{range}: {:?}", committed.quarantined);
     }
-    let known = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let range = known.iter().find(|known| known.stage == *"range").expect("known");
+    let statistics = test_store.store.statistics_of(1).await.expect("answers").stages;
+    let range = statistics.iter().find(|statistics| statistics.stage == *"range").expect("known");
     assert_eq!((range.figures.count, range.figures.mean, range.figures.max), (2, 2.0, 3.0));
 
     let mut connection = test_store.other().await;
-    let grown = table(&mut connection).await;
+    let incremental = table(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_same(&grown, &table(&mut connection).await);
+    assert_same(&incremental, &table(&mut connection).await);
 }
 
 /// An earlier version counted readings close to infinity.
 #[tokio::test]
-async fn spoilt_statistics_block_nothing_and_are_repaired() {
+async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
     let mut test_store = TestStore::new().await;
     let run = test_store.run_of(60).await;
     let mut connection = test_store.other().await;
@@ -152,15 +156,15 @@ async fn spoilt_statistics_block_nothing_and_are_repaired() {
         assert!(committed.quarantined.is_empty(), "{number}: {:?}", committed.quarantined);
     }
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    assert!(stages.iter().any(|known| known.figures.max > 1e140), "it was not changed");
+    assert!(stages.iter().any(|statistics| statistics.figures.max > 1e140), "it was not changed");
 
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let total = stages.iter().find(|known| known.stage == stage::TOTAL).expect("known").figures;
+    let total = stages.iter().find(|statistics| statistics.stage == stage::TOTAL).expect("known").figures;
     assert_eq!(total.count, 160);
-    for known in stages {
-        let figures = known.figures;
+    for statistics in stages {
+        let figures = statistics.figures;
         let all = [Some(figures.mean), figures.std, Some(figures.min), Some(figures.p50), Some(figures.max)];
-        assert!(all.iter().flatten().all(|number| number.abs() < 1e140), "{}: {figures:?}", known.stage);
+        assert!(all.iter().flatten().all(|number| number.abs() < 1e140), "{}: {figures:?}", statistics.stage);
     }
 }

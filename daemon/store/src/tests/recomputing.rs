@@ -14,8 +14,8 @@ pub(super) const SECONDS: (i64, i64, i64) = (5, 60, 60);
 
 pub(super) struct Simulated {
     pub(super) iterations: Vec<Iteration>,
-    /// The true delays of each iteration: up, down.
-    pub(super) truths: Vec<(Span, Span)>,
+    /// The true one-way delays of each iteration: up, down.
+    pub(super) true_delays: Vec<(Span, Span)>,
 }
 
 /// Stores a run of a simulation that `change` changes at the start of each second of the run.
@@ -27,7 +27,7 @@ async fn simulate(
     simulate_by(test_store, RelatedClocks::Wall, seconds, change).await
 }
 
-/// Does the same for hosts whose clocks are related by `clocks`.
+/// Stores a run of a simulation of hosts whose clocks are related by `clocks`.
 pub(super) async fn simulate_by(
     test_store: &mut TestStore,
     clocks: RelatedClocks,
@@ -35,11 +35,11 @@ pub(super) async fn simulate_by(
     change: impl FnMut(i64, &mut Simulation),
 ) -> Simulated {
     let simulation = Simulation::new(test_store.hosts(), clocks);
-    go_on(test_store, simulation, seconds, change).await
+    simulate_further(test_store, simulation, seconds, change).await
 }
 
 /// Stores a run of an existing simulation.
-pub(super) async fn go_on(
+pub(super) async fn simulate_further(
     test_store: &mut TestStore,
     mut simulation: Simulation,
     seconds: (i64, i64, i64),
@@ -48,11 +48,11 @@ pub(super) async fn go_on(
     let run = RunId::random();
     let mut all = Vec::new();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
-    let (before, within, after) = seconds;
-    for second in -before..within + after {
+    let (before, during, after) = seconds;
+    for second in -before..during + after {
         change(second, &mut simulation);
-        let running = (0..within).contains(&second);
-        let (iterations, sample) = simulation.second(running.then_some(run));
+        let is_running = (0..during).contains(&second);
+        let (iterations, sample) = simulation.second(is_running.then_some(run));
         events.extend(iterations.iter().cloned().map(Event::Iteration));
         events.push(sample);
         all.extend(iterations);
@@ -61,7 +61,7 @@ pub(super) async fn go_on(
         events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
     let committed = test_store.commit(&work).await;
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
-    Simulated { iterations: all, truths: simulation.truths }
+    Simulated { iterations: all, true_delays: simulation.true_delays }
 }
 
 pub(super) async fn recompute(test_store: &TestStore) -> Recomputed {
@@ -73,7 +73,7 @@ pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recompute
     // The judgement before agrees with the statistics.
     let stages = test_store.store.statistics_of(run).await.expect("answers").stages;
     for RecomputedStage { stage, before, .. } in &recomputed.stages {
-        let stored = stages.iter().find(|known| known.stage == *stage).expect("has statistics");
+        let stored = stages.iter().find(|candidate| candidate.stage == *stage).expect("has statistics");
         let bound = stored.bound.as_ref().expect("judged");
         assert_eq!(before.verdicts, bound.verdicts);
         let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
@@ -86,15 +86,19 @@ pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recompute
 }
 
 pub(super) fn stage<'a>(recomputed: &'a Recomputed, name: &str) -> (&'a Judgement, &'a Judgement) {
-    let of_name = recomputed.stages.iter().find(|known| known.stage == name);
-    of_name.map(|known| (&known.before, &known.after)).expect("has the stage")
+    let found_stage = recomputed.stages.iter().find(|candidate| candidate.stage == name);
+    found_stage.map(|candidate| (&candidate.before, &candidate.after)).expect("has the stage")
 }
 
-pub(super) fn times(judgement: &Judgement, verdict: Verdict) -> u64 {
-    judgement.verdicts.iter().find(|(known, _)| *known == verdict).map_or(0, |(_, times)| *times)
+pub(super) fn verdict_count(judgement: &Judgement, verdict: Verdict) -> u64 {
+    judgement
+        .verdicts
+        .iter()
+        .find(|(candidate, _)| *candidate == verdict)
+        .map_or(0, |(_, verdict_count)| *verdict_count)
 }
 
-/// Asserts that every delay that was judged again contains the truth, within the bounds before.
+/// Asserts that the bounds of every delay that is judged again contain the true delay and lie within the bounds before.
 pub(super) async fn assert_sound(test_store: &TestStore, simulated: &Simulated) {
     assert_run_is_sound(test_store, 1, simulated).await;
 }
@@ -103,12 +107,12 @@ pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simula
     let mut judged = 0;
     let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };
-        let (up, down) = simulated.truths[judged / 2];
-        let truth = if delay.direction == Direction::Up { up } else { down };
+        let (up, down) = simulated.true_delays[judged / 2];
+        let true_delay = if delay.direction == Direction::Up { up } else { down };
         if let Some(bounds) = after.bounds {
-            assert!(bounds.contains(truth), "{judged}: {truth} is outside: {delay:?}");
+            assert!(bounds.contains(true_delay), "{judged}: {true_delay} is outside: {delay:?}");
             assert!(after.value.is_some_and(|value| bounds.contains(value)), "{delay:?}");
-            assert!(before.bounds.is_none_or(|known| known.hull(bounds) == known), "{delay:?}");
+            assert!(before.bounds.is_none_or(|previous| previous.hull(bounds) == previous), "{delay:?}");
         } else {
             assert_eq!(after, before);
         }
@@ -133,7 +137,7 @@ async fn later_clock_samples_narrow_delays() {
     let (before, after) = stage(&recomputed, "upload");
     let widest = |judgement: &Judgement| judgement.half_width.expect("has bounds").max;
     assert!(widest(before) > 1e-3 && widest(after) < 0.7e-3, "{before:?} {after:?}");
-    assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok));
+    assert!(verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok));
     // The stamps and judgements are stored as they were sent.
     for iteration in simulated.iterations.iter().step_by(100) {
         let stored = test_store.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
@@ -150,7 +154,7 @@ async fn long_run_is_judged_in_pages() {
     assert_sound(&test_store, &simulated).await;
     let (_, after) = stage(&recomputed, "download");
     assert_eq!(after.delay.expect("has values").count, 15_000);
-    assert_eq!(times(after, Verdict::Stale), 0);
+    assert_eq!(verdict_count(after, Verdict::Stale), 0);
 }
 
 #[tokio::test]
@@ -193,7 +197,7 @@ async fn warm_up_and_unanswered_iterations_are_left_out() {
     let recomputed = recompute(&test_store).await;
     for RecomputedStage { before, after, .. } in &recomputed.stages {
         for judgement in [before, after] {
-            assert_eq!(judgement.verdicts.iter().map(|(_, times)| times).sum::<u64>(), 60);
+            assert_eq!(judgement.verdicts.iter().map(|(_, verdict_count)| verdict_count).sum::<u64>(), 60);
         }
     }
 }
@@ -225,7 +229,10 @@ async fn sides_of_step_are_judged_separately() {
         let recomputed = recompute(&test_store).await;
         assert_sound(&test_store, &simulated).await;
         for stage in &recomputed.stages {
-            assert_eq!(times(&stage.before, Verdict::Stepped), times(&stage.after, Verdict::Stepped));
+            assert_eq!(
+                verdict_count(&stage.before, Verdict::Stepped),
+                verdict_count(&stage.after, Verdict::Stepped)
+            );
         }
         let (before, after) = stage(&recomputed, "upload");
         let mean = |judgement: &Judgement| judgement.half_width.expect("has bounds").mean;
@@ -233,10 +240,10 @@ async fn sides_of_step_are_judged_separately() {
     }
 }
 
-/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents begin another window then; those
-/// of earlier versions did not, and what they stored is judged by exchanges alone.
+/// The cloud's clock jumps by less than a round trip, and the cloud does not report it. Agents then begin another window.
+/// Agents of earlier versions did not; their stored samples are judged by exchanges alone.
 #[tokio::test]
-async fn unannounced_jump_moves_no_earlier_delay() {
+async fn unreported_jump_does_not_change_earlier_delays() {
     for (is_one_window, jump) in [(false, 3), (false, -3), (true, 3), (true, -3)] {
         let mut test_store = TestStore::new().await;
         let simulated = simulate(&mut test_store, (5, 60, 20), |second, simulation| {
@@ -244,8 +251,9 @@ async fn unannounced_jump_moves_no_earlier_delay() {
             // Only exchanges of data show it.
             simulation.congestion = Span::from_millis(20);
             if second == 30 {
-                let forward: fn(&mut Simulation) = |it| it.cloud_ahead += Span::from_millis(3);
-                let back: fn(&mut Simulation) = |it| it.cloud_ahead += Span::from_millis(-3);
+                let forward: fn(&mut Simulation) =
+                    |simulation| simulation.cloud_ahead += Span::from_millis(3);
+                let back: fn(&mut Simulation) = |simulation| simulation.cloud_ahead += Span::from_millis(-3);
                 simulation.halfway = Some(if jump > 0 { forward } else { back });
             }
         })
@@ -253,47 +261,47 @@ async fn unannounced_jump_moves_no_earlier_delay() {
         assert_sound(&test_store, &simulated).await;
         let recomputed = recompute(&test_store).await;
         let (_, after) = stage(&recomputed, "upload");
-        assert_eq!(times(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
+        assert_eq!(verdict_count(after, Verdict::Inconsistent), 0, "{jump} ms, one window: {is_one_window}");
     }
 }
 
 #[tokio::test]
-async fn time_daemon_claims_count_as_in_first_judgement() {
+async fn time_daemon_claims_are_used_as_in_first_judgement() {
     let claim = |interval| Some(Discipline { source: DelaySource::Chrony, error: interval });
-    for wrong in [0, 50] {
+    for error_ms in [0, 50] {
         let mut test_store = TestStore::new().await;
         let judged = simulate(&mut test_store, (5, 30, 5), |second, simulation| {
             simulation.congestion = Span::from_millis(40);
             let mut interval = simulation.offset_within(200);
-            let off = Span::from_millis(wrong);
-            (interval.lo, interval.hi) = (interval.lo + off, interval.hi + off);
+            let claim_error = Span::from_millis(error_ms);
+            (interval.lo, interval.hi) = (interval.lo + claim_error, interval.hi + claim_error);
             simulation.claim((second >= 10).then_some(interval).and_then(claim));
         })
         .await;
         let recomputed = recompute(&test_store).await;
         let (before, after) = stage(&recomputed, "upload");
-        if wrong == 0 {
+        if error_ms == 0 {
             assert_sound(&test_store, &judged).await;
-            assert_eq!(times(after, Verdict::Inconsistent), 0);
-            assert_eq!(times(after, Verdict::Ok), 200);
+            assert_eq!(verdict_count(after, Verdict::Inconsistent), 0);
+            assert_eq!(verdict_count(after, Verdict::Ok), 200);
             assert!(after.half_width.expect("has bounds").min < 0.21e-3);
         } else {
             let inconsistent = |delay: &OneWayDelay| delay.verdict == Verdict::Inconsistent;
             assert_eq!(judged.iterations.iter().flat_map(delays).filter(inconsistent).count(), 400);
-            assert_eq!(times(before, Verdict::Inconsistent), 200);
-            assert_eq!(times(after, Verdict::Inconsistent), 200);
+            assert_eq!(verdict_count(before, Verdict::Inconsistent), 200);
+            assert_eq!(verdict_count(after, Verdict::Inconsistent), 200);
             assert_eq!(after.delay.expect("has values").count, 100);
         }
     }
 }
 
 #[tokio::test]
-async fn only_link_over_network_of_run_counts() {
+async fn only_link_over_network_of_run_is_used() {
     let mut test_store = TestStore::new().await;
     simulate(&mut test_store, SECONDS, |_, _| {}).await;
     assert_eq!(recompute(&test_store).await.samples, 125);
-    let over_another = "UPDATE link SET network = 'zmq-udp'";
-    sqlx::query(over_another).execute(&mut test_store.other().await).await.expect("changes");
+    let change_network = "UPDATE link SET network = 'zmq-udp'";
+    sqlx::query(change_network).execute(&mut test_store.other().await).await.expect("changes");
     let recomputed = recompute(&test_store).await;
     assert_eq!(recomputed.samples, 0);
     for RecomputedStage { before, after, .. } in recomputed.stages {

@@ -1,11 +1,12 @@
-//! Judging runs with raw stamps again: by these alone, whatever happens to wall clocks, and separately for each start of a
-//! machine.
+//! Judging runs with raw stamps again: by the raw stamps alone, whatever happens to wall clocks, and separately for each
+//! start of a machine.
 
 use peernet_clock::{RelatedClocks, Span, Verdict};
 
 use super::TestStore;
 use super::recomputing::{
-    SECONDS, assert_run_is_sound, assert_sound, go_on, recompute, recompute_run, simulate_by, stage, times,
+    SECONDS, assert_run_is_sound, assert_sound, recompute, recompute_run, simulate_by, simulate_further,
+    stage, verdict_count,
 };
 use super::simulation::Simulation;
 use crate::types::{DelayAssumptions, RecomputedStage};
@@ -13,7 +14,7 @@ use crate::types::{DelayAssumptions, RecomputedStage};
 const PAIRS: [RelatedClocks; 2] = [RelatedClocks::Raw, RelatedClocks::RawToWall];
 
 /// Makes probes slow until the fifth second, so that later exchanges improve the delays before.
-fn slow_begin(second: i64, simulation: &mut Simulation) {
+fn slow_first_seconds(second: i64, simulation: &mut Simulation) {
     simulation.congestion = if second < 5 { Span::from_millis(40) } else { Span::ZERO };
 }
 
@@ -21,12 +22,15 @@ fn slow_begin(second: i64, simulation: &mut Simulation) {
 async fn delays_are_judged_by_stored_raw_stamps() {
     for clocks in PAIRS {
         let mut test_store = TestStore::new().await;
-        let simulated = simulate_by(&mut test_store, clocks, SECONDS, slow_begin).await;
+        let simulated = simulate_by(&mut test_store, clocks, SECONDS, slow_first_seconds).await;
         let recomputed = recompute(&test_store).await;
         assert_eq!((recomputed.samples, recomputed.clocks.as_slice()), (125, &[clocks][..]));
         assert_sound(&test_store, &simulated).await;
         let (before, after) = stage(&recomputed, "upload");
-        assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "{before:?} {after:?}");
+        assert!(
+            verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok),
+            "{before:?} {after:?}"
+        );
         for iteration in simulated.iterations.iter().step_by(100) {
             let stored =
                 test_store.store.iteration(1, iteration.number).await.expect("answers").expect("stored");
@@ -47,7 +51,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
     for step in steps {
         let mut test_store = TestStore::new().await;
         let simulated = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, |second, simulation| {
-            slow_begin(second, simulation);
+            slow_first_seconds(second, simulation);
             if second == 30 {
                 simulation.halfway = Some(step);
             }
@@ -58,7 +62,7 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
         assert_sound(&test_store, &simulated).await;
         let (_, after) = stage(&recomputed, "upload");
         assert_eq!(
-            (times(after, Verdict::Stepped), times(after, Verdict::Inconsistent)),
+            (verdict_count(after, Verdict::Stepped), verdict_count(after, Verdict::Inconsistent)),
             (0, 0),
             "{after:?}"
         );
@@ -68,37 +72,38 @@ async fn wall_clock_steps_leave_delays_by_raw_stamps_unchanged() {
 
 /// Makes a simulation in which both machines were restarted `after` the start of the first one, with free-running clocks that
 /// show the same times.
-fn started_again(test_store: &TestStore, after: Span) -> Simulation {
-    let mut again = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
-    again.now = after;
-    again.raw_zeros = (again.raw_zeros.0 + after, again.raw_zeros.1 + after + Span::from_seconds(12));
-    again.first_window += 100;
-    again
+fn simulation_after_restart(test_store: &TestStore, after: Span) -> Simulation {
+    let mut restarted = Simulation::new(test_store.hosts(), RelatedClocks::Raw);
+    restarted.now = after;
+    restarted.raw_zeros =
+        (restarted.raw_zeros.0 + after, restarted.raw_zeros.1 + after + Span::from_seconds(12));
+    restarted.first_window += 100;
+    restarted
 }
 
 #[tokio::test]
 async fn runs_of_two_starts_are_judged_by_their_own_windows() {
     let mut test_store = TestStore::new().await;
-    let first = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_begin).await;
-    let again = started_again(&test_store, Span::from_seconds(1_000));
-    let second = go_on(&mut test_store, again, SECONDS, slow_begin).await;
+    let first = simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
+    let restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
+    let second = simulate_further(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
     for (run, simulated) in [(1, &first), (2, &second)] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!(recomputed.samples, 125, "run {run}");
         assert_run_is_sound(&test_store, run, simulated).await;
         let (before, after) = stage(&recomputed, "upload");
-        assert!(times(after, Verdict::Ok) > times(before, Verdict::Ok), "run {run}");
+        assert!(verdict_count(after, Verdict::Ok) > verdict_count(before, Verdict::Ok), "run {run}");
     }
 }
 
 #[tokio::test]
 async fn ambiguous_time_of_two_starts_is_not_judged() {
     let mut test_store = TestStore::new().await;
-    simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_begin).await;
+    simulate_by(&mut test_store, RelatedClocks::Raw, SECONDS, slow_first_seconds).await;
     // A machine without a battery: after its second start both of its clocks show the same times again.
-    let mut again = started_again(&test_store, Span::from_seconds(1_000));
-    again.edge_ahead = Span::from_seconds(-1_000);
-    go_on(&mut test_store, again, SECONDS, slow_begin).await;
+    let mut restarted = simulation_after_restart(&test_store, Span::from_seconds(1_000));
+    restarted.edge_ahead = Span::from_seconds(-1_000);
+    simulate_further(&mut test_store, restarted, SECONDS, slow_first_seconds).await;
     for run in [1, 2] {
         let recomputed = recompute_run(&test_store, run).await;
         assert_eq!((recomputed.samples, recomputed.clocks.len()), (0, 0), "run {run}");
@@ -109,7 +114,7 @@ async fn ambiguous_time_of_two_starts_is_not_judged() {
 }
 
 #[tokio::test]
-async fn windows_of_other_clocks_or_starts_judge_nothing() {
+async fn windows_of_other_clocks_or_starts_are_not_used() {
     for other in [
         "UPDATE clock_sample SET clocks = 1",
         "UPDATE clock_sample SET clocks = NULL",
@@ -118,7 +123,7 @@ async fn windows_of_other_clocks_or_starts_judge_nothing() {
         "UPDATE clock_sample SET at_ns = at_ns + 5500000000",
     ] {
         let mut test_store = TestStore::new().await;
-        simulate_by(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_begin).await;
+        simulate_by(&mut test_store, RelatedClocks::Raw, (5, 20, 0), slow_first_seconds).await;
         assert!(recompute(&test_store).await.samples > 0);
         sqlx::raw_sql(other).execute(&mut test_store.other().await).await.expect("changes");
         let recomputed = recompute(&test_store).await;
@@ -128,24 +133,25 @@ async fn windows_of_other_clocks_or_starts_judge_nothing() {
 }
 
 #[tokio::test]
-async fn each_delay_names_basis_of_its_bounds() {
-    let by_raw = DelayAssumptions {
+async fn each_delay_states_assumptions_of_its_bounds() {
+    let raw_assumptions = DelayAssumptions {
         clocks: RelatedClocks::Raw,
         max_drift_ppm: Some(50.0),
         max_drift_change_ppm_per_s: Some(1.0),
         claims_trusted: Some(true),
         probes_authenticated: Some(true),
     };
-    let earlier = DelayAssumptions {
+    let wall_assumptions = DelayAssumptions {
         clocks: RelatedClocks::Wall,
         max_drift_change_ppm_per_s: None,
         claims_trusted: None,
         probes_authenticated: None,
-        ..by_raw
+        ..raw_assumptions
     };
-    for (clocks, expected) in [(RelatedClocks::Raw, by_raw), (RelatedClocks::Wall, earlier)] {
+    for (clocks, expected) in [(RelatedClocks::Raw, raw_assumptions), (RelatedClocks::Wall, wall_assumptions)]
+    {
         let mut test_store = TestStore::new().await;
-        simulate_by(&mut test_store, clocks, (5, 20, 0), slow_begin).await;
+        simulate_by(&mut test_store, clocks, (5, 20, 0), slow_first_seconds).await;
         let rows = test_store.store.slowest_iterations(1, 50).await.expect("answers");
         let delays = || rows.iter().flat_map(|row| &row.delays);
         assert_eq!(delays().count(), 100);
@@ -153,13 +159,17 @@ async fn each_delay_names_basis_of_its_bounds() {
         let key = test_store.store.links().await.expect("answers")[0].key();
         assert_eq!(test_store.store.link_assumptions(&key).await.expect("answers"), Some(expected));
         // One sample without authentication counts for its whole window.
-        let unsigned = "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
-        sqlx::raw_sql(unsigned).execute(&mut test_store.other().await).await.expect("changes");
-        let known = test_store.store.link_assumptions(&key).await.expect("answers").expect("stored");
-        assert_eq!(known.probes_authenticated, expected.probes_authenticated.map(|_| false));
+        let clear_authentication =
+            "UPDATE clock_window SET probes_authenticated = 0 WHERE probes_authenticated = 1";
+        sqlx::raw_sql(clear_authentication).execute(&mut test_store.other().await).await.expect("changes");
+        let assumptions = test_store.store.link_assumptions(&key).await.expect("answers").expect("stored");
+        assert_eq!(assumptions.probes_authenticated, expected.probes_authenticated.map(|_| false));
     }
     let mut test_store = TestStore::new().await;
     test_store.run_of(3).await;
     let rows = test_store.store.slowest_iterations(1, 3).await.expect("answers");
-    assert!(rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()), "one clock");
+    assert!(
+        rows.iter().flat_map(|row| &row.delays).all(|delay| delay.assumptions.is_none()),
+        "both hosts have one clock"
+    );
 }

@@ -30,11 +30,11 @@ async fn database_is_whole_after_repair_of_any_page() {
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
     // A connection that is only dropped closes later, and keeps the others from carrying the log over into the file.
     other.close().await.expect("closes");
-    let TestStore { _folder, path: whole, writer, store, .. } = test_store;
+    let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;
     let (_, closed) = writer.close().await;
     closed.expect("takes its log over");
-    let mut connection = connect(&whole).await;
+    let mut connection = connect(&intact_path).await;
     let pages: Vec<(i64, String)> = sqlx::query_as("SELECT pageno, name FROM dbstat ORDER BY pageno")
         .fetch_all(&mut connection)
         .await
@@ -44,11 +44,11 @@ async fn database_is_whole_after_repair_of_any_page() {
 
     let mut stored = Vec::new();
     for (page, table) in &pages {
-        let path = whole.with_file_name(format!("{page}.sqlite"));
-        std::fs::copy(&whole, &path).expect("copies");
+        let path = intact_path.with_file_name(format!("{page}.sqlite"));
+        std::fs::copy(&intact_path, &path).expect("copies");
         let file = std::fs::File::options().write(true).open(&path).expect("opens");
-        let at = (page.cast_unsigned() - 1) * 4096;
-        file.write_all_at(&[0xa5; 4096], at).expect("writes");
+        let offset = (page.cast_unsigned() - 1) * 4096;
+        file.write_all_at(&[0xa5; 4096], offset).expect("writes");
         let repaired = repair(&path, NOW, "now", |_| {}).await;
         if *page == 1 {
             assert!(matches!(repaired, Err(RepairError::Unreadable { .. })), "{repaired:?}");
@@ -64,7 +64,7 @@ async fn database_is_whole_after_repair_of_any_page() {
         let report = examine(&path, Examination { full: true, now: NOW }).await.expect("opens");
         assert!(report.is_healthy(), "page {page} of {table}: {:?}", report.findings);
         let mut connection = connect(&path).await;
-        let (rows, counted, gaps, missing, torn, nodes): (i64, i64, i64, i64, i64, i64) =
+        let (rows, counted, gaps, missing, incomplete_trees, nodes): (i64, i64, i64, i64, i64, i64) =
             sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
         let context = format!("page {page} of {table}: {repaired:?}");
         // The losses of a run whose own row is lost are unknown.
@@ -72,28 +72,28 @@ async fn database_is_whole_after_repair_of_any_page() {
             assert_eq!((rows + gaps, gaps), (120, missing), "{context}");
             assert_eq!(counted, rows, "{context}");
         }
-        assert_eq!((torn, nodes), (0, 0), "{context}");
+        assert_eq!((incomplete_trees, nodes), (0, 0), "{context}");
         let elapsed: i64 = sqlx::query_scalar("SELECT elapsed_ns FROM storage_clock")
             .fetch_one(&mut connection)
             .await
             .expect("reads");
         assert!(elapsed == 123_456_789 || table == "storage_clock", "{context}");
-        let kept: i64 =
+        let arrival_kinds: i64 =
             sqlx::query_scalar("SELECT count(DISTINCT owner || kind) FROM arrival WHERE kind >= 0")
                 .fetch_one(&mut connection)
                 .await
                 .expect("reads");
-        assert!(table != "arrival" || kept == 10, "everything is kept for its time: {context}");
+        assert!(table != "arrival" || arrival_kinds == 10, "an arrival of every kind exists: {context}");
         stored.push(rows);
         assert_eq!(repair(&path, NOW, "later", |_| {}).await.expect("checks"), None);
         let _writer = super::open(&path).await;
     }
-    let most = stored.iter().filter(|rows| **rows >= 100).count();
-    assert!(most * 10 > stored.len() * 8, "a page costs a few iterations: {stored:?}");
+    let little_damaged = stored.iter().filter(|rows| **rows >= 100).count();
+    assert!(little_damaged * 10 > stored.len() * 8, "a page costs a few iterations: {stored:?}");
 }
 
 /// Returns pseudo-random bytes, the same for the same seed.
-fn noise(seed: u64, bytes: usize) -> Vec<u8> {
+fn random_bytes(seed: u64, bytes: usize) -> Vec<u8> {
     let mut state = seed;
     let next = |_| {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -107,10 +107,10 @@ fn noise(seed: u64, bytes: usize) -> Vec<u8> {
 async fn trees_are_whole_after_repair_of_single_rows() {
     let mut test_store = TestStore::new().await;
     test_store.run_of(60).await;
-    let TestStore { _folder, path: whole, writer, store, .. } = test_store;
+    let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;
     writer.close().await.1.expect("takes its log over");
-    let mut connection = connect(&whole).await;
+    let mut connection = connect(&intact_path).await;
     let pages: Vec<i64> = sqlx::query_scalar(
         "SELECT pageno FROM dbstat WHERE name = 'node' AND pagetype = 'leaf' ORDER BY pageno",
     )
@@ -120,13 +120,14 @@ async fn trees_are_whole_after_repair_of_single_rows() {
     connection.close().await.expect("closes");
     let mut repaired = 0;
     for seed in 0..80_u64 {
-        let path = whole.with_file_name(format!("{seed}.sqlite"));
-        std::fs::copy(&whole, &path).expect("copies");
+        let path = intact_path.with_file_name(format!("{seed}.sqlite"));
+        std::fs::copy(&intact_path, &path).expect("copies");
         let page = pages[seed as usize % pages.len()];
         // An offset in the second half of a page, where its rows are.
-        let (at, bytes) = (2048 + (seed * 137) % 2000, 1 + (seed % 40) as usize);
+        let (offset, bytes) = (2048 + (seed * 137) % 2000, 1 + (seed % 40) as usize);
         let file = std::fs::File::options().write(true).open(&path).expect("opens");
-        file.write_all_at(&noise(seed, bytes), (page.cast_unsigned() - 1) * 4096 + at).expect("writes");
+        file.write_all_at(&random_bytes(seed, bytes), (page.cast_unsigned() - 1) * 4096 + offset)
+            .expect("writes");
         // A changed value is not detected, but the sums of a repaired database agree.
         if repair(&path, NOW, "now", |_| {}).await.expect("repairs").is_none() {
             continue;
@@ -135,10 +136,10 @@ async fn trees_are_whole_after_repair_of_single_rows() {
         let report = examine(&path, Examination { full: true, now: NOW }).await.expect("opens");
         assert!(report.is_healthy(), "seed {seed}: {:?}", report.findings);
         let mut connection = connect(&path).await;
-        let (rows, counted, gaps, missing, torn, nodes): (i64, i64, i64, i64, i64, i64) =
+        let (rows, counted, gaps, missing, incomplete_trees, nodes): (i64, i64, i64, i64, i64, i64) =
             sqlx::query_as(SUMS).fetch_one(&mut connection).await.expect("reads");
         assert_eq!((rows + gaps, gaps, counted), (60, missing, rows), "seed {seed}");
-        assert_eq!((torn, nodes), (0, 0), "seed {seed}");
+        assert_eq!((incomplete_trees, nodes), (0, 0), "seed {seed}");
     }
     assert!(repaired > 20, "{repaired}");
 }

@@ -1,4 +1,4 @@
-//! Retention deletes old data at its time, a little at a time, and nothing else. Age is time on the storage clock.
+//! Retention deletes data after its period, in small steps, and no other data. Age is time on the storage clock.
 
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, stage};
@@ -18,13 +18,13 @@ use crate::types::{IncidentFilter, IterationFilter};
 
 const DAY: f64 = 86_400.0;
 /// Seconds between two iterations: each of them has almost its own bucket of each width.
-const EVERY: f64 = 1_200.0;
+const INTERVAL_S: f64 = 1_200.0;
 /// Number of iterations that arrive together.
-const TOGETHER: u64 = 3;
+const ARRIVAL_ITERATIONS: u64 = 3;
 /// Length of the parts by which arrivals are distinguished.
 const RESOLUTION_S: i64 = 3_600;
 
-/// Makes iterations of a run, one every [`EVERY`] seconds.
+/// Makes iterations of a run, one every [`INTERVAL_S`] seconds.
 pub(super) fn iterations(
     test_store: &TestStore,
     run: RunId,
@@ -33,7 +33,7 @@ pub(super) fn iterations(
     let mut random = Numbers::new(*numbers.start());
     numbers
         .map(|number| {
-            let started = generate::at(number as f64 * EVERY);
+            let started = generate::at(number as f64 * INTERVAL_S);
             Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), started, &mut random))
         })
         .collect()
@@ -71,20 +71,20 @@ pub(super) async fn work_off(
     connection: &mut SqliteConnection,
     now: WallTime,
 ) -> usize {
-    // After the second in which a step with nothing to do is not repeated.
+    // After a step with nothing to do, the next step is made a second later.
     let now = now + Span::from_seconds(2);
     for steps in 0..10_000 {
         if step(retention, connection, now).await == Step::Done {
             return steps;
         }
     }
-    panic!("there is no end");
+    panic!("retention does not end");
 }
 
 /// Stores events at a time of the storage clock. Events that arrived an hour earlier are a separate arrival by then.
 pub(super) async fn arrive(test_store: &mut TestStore, events: Vec<Event>, at: WallTime) {
     let mut connection = test_store.other().await;
-    work_off(&mut Retention::new(for_ever()), &mut connection, at).await;
+    work_off(&mut Retention::new(unlimited_retention()), &mut connection, at).await;
     let work = test_store.batch(events);
     test_store.commit(&[work]).await;
 }
@@ -93,21 +93,21 @@ pub(super) async fn arrive(test_store: &mut TestStore, events: Vec<Event>, at: W
 pub(super) async fn two_runs() -> (TestStore, [RunId; 2]) {
     let mut test_store = TestStore::new().await;
     let runs = [RunId::random(), RunId::random()];
-    let begin = runs.into_iter().zip(["line", "arm"]);
-    let begin = begin.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
-    arrive(&mut test_store, begin, day(0.0)).await;
+    let run_starts = runs.into_iter().zip(["line", "arm"]);
+    let run_starts = run_starts.map(|(run, name)| generate::run_started(run, name, day(0.0))).collect();
+    arrive(&mut test_store, run_starts, day(0.0)).await;
     let mut connection = test_store.other().await;
     assert!(pin(&mut connection, 2, true).await.expect("pins"));
     assert!(!pin(&mut connection, 3, true).await.expect("looks"));
-    for first in (1..=288).step_by(TOGETHER as usize) {
-        let last = first + TOGETHER - 1;
+    for first in (1..=288).step_by(ARRIVAL_ITERATIONS as usize) {
+        let last = first + ARRIVAL_ITERATIONS - 1;
         let events = runs.iter().flat_map(|run| iterations(&test_store, *run, first..=last)).collect();
-        arrive(&mut test_store, events, generate::at(last as f64 * EVERY)).await;
+        arrive(&mut test_store, events, generate::at(last as f64 * INTERVAL_S)).await;
     }
     (test_store, runs)
 }
 
-pub(super) fn for_ever() -> RetentionConfig {
+pub(super) fn unlimited_retention() -> RetentionConfig {
     RetentionConfig {
         nodes_days: 0,
         seconds_days: 0,
@@ -118,7 +118,7 @@ pub(super) fn for_ever() -> RetentionConfig {
     }
 }
 
-pub(super) fn short() -> RetentionConfig {
+pub(super) fn short_retention() -> RetentionConfig {
     RetentionConfig {
         nodes_days: 2,
         seconds_days: 1,
@@ -134,7 +134,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     let mut connection = test_store.other().await;
     let before = table(&mut connection).await;
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let mut retention = Retention::new(short());
+    let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(4.0)).await;
 
     let now_s = (day(4.0) + Span::from_seconds(2)).unix_seconds();
@@ -144,7 +144,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
         60 => 3 * 86_400,
         _ => 1_000 * 86_400,
     };
-    let left = table(&mut connection).await;
+    let remaining = table(&mut connection).await;
     let must_stay = |((run, width_s, bucket_s, ..), _): &(&(i64, i64, i64, i64, i64), &_)| {
         *run == 2 || *width_s == 0 || bucket_s + width_s > now_s - period_s(*width_s)
     };
@@ -157,17 +157,17 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
         .filter(must_stay)
         .map(|(key, row)| (*key, row.clone()))
         .collect::<std::collections::BTreeMap<_, _>>();
-    let gone: Vec<_> = before.iter().filter(|(key, _)| !left.contains_key(*key)).collect();
-    assert!(gone.iter().all(|row| !must_stay(row)), "{gone:?}");
-    assert!(gone.len() > 1_000, "{}", gone.len());
-    let too_old: Vec<_> = left.iter().filter(|row| !must_stay(row) && !may_stay(row)).collect();
+    let deleted: Vec<_> = before.iter().filter(|(key, _)| !remaining.contains_key(*key)).collect();
+    assert!(deleted.iter().all(|row| !must_stay(row)), "{deleted:?}");
+    assert!(deleted.len() > 1_000, "{}", deleted.len());
+    let too_old: Vec<_> = remaining.iter().filter(|row| !must_stay(row) && !may_stay(row)).collect();
     assert!(too_old.is_empty(), "{too_old:?}");
-    let stayed = left
+    let remaining_expected = remaining
         .iter()
         .filter(|(key, _)| expected.contains_key(*key))
         .map(|(key, row)| (*key, row.clone()))
         .collect();
-    assert_same(&stayed, &expected);
+    assert_same(&remaining_expected, &expected);
 
     let cutoff_ns = (now_s - 2 * 86_400) * 1_000_000_000;
     let oldest = test_store.count("SELECT min(started_ns) FROM iteration WHERE run = 1").await;
@@ -178,11 +178,11 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     );
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert_eq!(test_store.count("SELECT nodes_from FROM run WHERE number = 1").await, first - 1);
-    let left = 288 - (first - 1);
-    assert_eq!(test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await, left);
-    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, left * 21);
-    assert_eq!(test_store.count("SELECT count(*) FROM transit WHERE run = 1").await, left * 2);
-    assert_eq!(test_store.count("SELECT count(*) FROM anchor WHERE run = 1").await, left);
+    let remaining = 288 - (first - 1);
+    assert_eq!(test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await, remaining);
+    assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, remaining * 21);
+    assert_eq!(test_store.count("SELECT count(*) FROM transit WHERE run = 1").await, remaining * 2);
+    assert_eq!(test_store.count("SELECT count(*) FROM anchor WHERE run = 1").await, remaining);
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 2").await, 288 * 21);
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
@@ -207,23 +207,28 @@ async fn deletions_are_one_incident_with_counts() {
     let mut connection = test_store.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
-    let mut retention = Retention::new(RetentionConfig { seconds_days: 1, nodes_days: 2, ..for_ever() });
+    let mut retention =
+        Retention::new(RetentionConfig { seconds_days: 1, nodes_days: 2, ..unlimited_retention() });
     assert!(work_off(&mut retention, &mut connection, day(4.0)).await > 10);
-    let gone = before - test_store.count(seconds).await;
+    let deleted = before - test_store.count(seconds).await;
     let iterations = 288 - test_store.count("SELECT count(*) FROM iteration WHERE run = 1").await;
-    assert!(gone > 0 && iterations > 0, "{gone} {iterations}");
+    assert!(deleted > 0 && iterations > 0, "{deleted} {iterations}");
     let incidents = test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers");
     let [incident] = &incidents[..] else { panic!("one for all of it: {incidents:?}") };
     assert_eq!((incident.kind.as_str(), incident.host), ("retention", None));
     assert_eq!(
         incident.text,
         format!(
-            "deleted {iterations} iterations with their trees of 1 run (nodes_days = 2), {gone} statistics per second of \
+            "deleted {iterations} iterations with their trees of 1 run (nodes_days = 2), {deleted} statistics per second of \
              1 run (seconds_days = 1)"
         )
     );
     let report = examine(&test_store.path, Examination { full: false, now: NOW }).await.expect("opens");
-    assert!(report.findings.iter().any(|it| it.what.contains(&incident.text)), "{:?}", report.findings);
+    assert!(
+        report.findings.iter().any(|finding| finding.what.contains(&incident.text)),
+        "{:?}",
+        report.findings
+    );
     // A day later another incident begins.
     work_off(&mut retention, &mut connection, day(5.0)).await;
     assert_eq!(test_store.store.incidents(&IncidentFilter::newest(10)).await.expect("answers").len(), 2);
@@ -239,24 +244,28 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
         // The robot's clock is wrong on the second of three days.
         for hour in 0..72_u32 {
             let arrived = generate::at(f64::from(hour) * 3_600.0);
-            let wrong = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
-            let began = generate::at(f64::from(hour) * 3_600.0 + wrong);
+            let clock_error_s = if (24..48).contains(&hour) { jump * DAY } else { 0.0 };
+            let started = generate::at(f64::from(hour) * 3_600.0 + clock_error_s);
             let number = u64::from(hour) + 1;
-            let iteration = generate::iteration_at(run, number, test_store.hosts(), began, &mut random);
+            let iteration = generate::iteration_at(run, number, test_store.hosts(), started, &mut random);
             arrive(&mut test_store, vec![Event::Iteration(iteration)], arrived).await;
         }
         let mut connection = test_store.other().await;
-        let config = RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..for_ever() };
+        let config =
+            RetentionConfig { nodes_days: 3, seconds_days: 3, ten_seconds_days: 3, ..unlimited_retention() };
         let mut retention = Retention::new(config);
         let stored = "SELECT count(DISTINCT bucket_s) FROM rollup WHERE resolution_s = 1";
         // From the third day on, data that arrived three days before is deleted each hour, up to two hours late.
         for hour in 72..150_i64 {
             work_off(&mut retention, &mut connection, generate::at(hour as f64 * 3_600.0)).await;
-            let young = (72 - (hour - 72) - 1).clamp(0, 72);
-            for left in
+            let expected_rows = (72 - (hour - 72) - 1).clamp(0, 72);
+            for remaining in
                 [test_store.count("SELECT count(*) FROM iteration").await, test_store.count(stored).await]
             {
-                assert!((young..=young + 4).contains(&left), "{jump} days, hour {hour}: {left} of {young}");
+                assert!(
+                    (expected_rows..=expected_rows + 4).contains(&remaining),
+                    "{jump} days, hour {hour}: {remaining} of {expected_rows}"
+                );
             }
         }
         assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
@@ -269,21 +278,21 @@ async fn jump_of_robot_clock_deletes_nothing_early() {
 async fn step_is_bounded_and_idle_step_writes_nothing() {
     let (test_store, _) = two_runs().await;
     let mut connection = test_store.other().await;
-    let mut retention = Retention::new(short());
+    let mut retention = Retention::new(short_retention());
     let rows = "SELECT (SELECT count(*) FROM node) + (SELECT count(*) FROM rollup)";
-    let mut left = test_store.count(rows).await;
+    let mut remaining = test_store.count(rows).await;
     let mut steps = 0;
     while step(&mut retention, &mut connection, day(5.0)).await == Step::More {
         let now = test_store.count(rows).await;
-        assert!(left - now <= 400, "{left} {now}");
-        left = now;
+        assert!(remaining - now <= 400, "{remaining} {now}");
+        remaining = now;
         steps += 1;
     }
     assert!(steps > 40, "{steps}");
     // SQLite reports to each connection whether others have written.
-    let mut onlooker = test_store.other().await;
+    let mut observer = test_store.other().await;
     let mut version = async || -> i64 {
-        sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut onlooker).await.expect("tells")
+        sqlx::query_scalar("PRAGMA data_version").fetch_one(&mut observer).await.expect("tells")
     };
     let before = version().await;
     let mut clock = StorageClock::default();
@@ -300,13 +309,13 @@ async fn step_is_bounded_and_idle_step_writes_nothing() {
 async fn late_arrivals_are_kept_for_their_period() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    // It was older than any period when it was stored.
+    // The run was older than any period when it was stored.
     let mut events = vec![generate::run_started(run, "line", day(0.0))];
     events.extend(iterations(&test_store, run, 1..=288));
     events.push(Event::RunEnded(RunEnded { run, ended: day(4.0), reason: EndReason::Stopped }));
     arrive(&mut test_store, events, day(100.0)).await;
     let mut connection = test_store.other().await;
-    let mut retention = Retention::new(short());
+    let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(100.9)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 288 * 21);
     assert!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await > 288);
@@ -344,16 +353,16 @@ async fn rebuilt_statistics_are_deleted_after_their_period() {
     let mut connection = test_store.other().await;
     let seconds = "SELECT count(*) FROM rollup WHERE run = 1 AND resolution_s = 1";
     let before = test_store.count(seconds).await;
-    let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..for_ever() });
+    let mut retention = Retention::new(RetentionConfig { seconds_days: 1, ..unlimited_retention() });
     work_off(&mut retention, &mut connection, day(4.0)).await;
-    let left = test_store.count(seconds).await;
-    assert!(left < before / 3, "{left} of {before}");
+    let remaining = test_store.count(seconds).await;
+    assert!(remaining < before / 3, "{remaining} of {before}");
     rebuild(&mut connection, Some(1), |_| {}).await.expect("rebuilds");
     assert_eq!(test_store.count(seconds).await, before);
     // The latest arrivals are recorded within the hour.
     work_off(&mut retention, &mut connection, day(4.05)).await;
     work_off(&mut retention, &mut connection, day(4.9)).await;
-    assert!(test_store.count(seconds).await >= before - left);
+    assert!(test_store.count(seconds).await >= before - remaining);
     work_off(&mut retention, &mut connection, day(5.2)).await;
     assert_eq!(test_store.count(seconds).await, 0);
 }
@@ -364,7 +373,7 @@ async fn unpinned_run_is_kept_for_whole_period() {
     let mut connection = test_store.other().await;
     // Pinned without the store, as with the sqlite3 shell.
     sqlx::query("UPDATE run SET pinned = 1 WHERE number = 1").execute(&mut connection).await.expect("pins");
-    let mut retention = Retention::new(short());
+    let mut retention = Retention::new(short_retention());
     work_off(&mut retention, &mut connection, day(50.0)).await;
     assert!(pin(&mut connection, 2, false).await.expect("lets go"));
     work_off(&mut retention, &mut connection, day(51.5)).await;
@@ -400,7 +409,7 @@ async fn clock_samples_are_deleted_except_for_pinned_runs() {
     .execute(&mut connection)
     .await
     .expect("stores");
-    let config = RetentionConfig { clock_samples_days: 1, ..for_ever() };
+    let config = RetentionConfig { clock_samples_days: 1, ..unlimited_retention() };
     let mut retention = Retention::new(config);
     // The pinned run may continue: all samples of its edge stay from its start on.
     work_off(&mut retention, &mut connection, day(12.0)).await;

@@ -7,7 +7,7 @@ use peernet_stream::Event;
 
 use super::TestStore;
 use super::generate::{self, Numbers, at};
-use super::retention::{arrive, day, for_ever, iterations, step, two_runs, work_off};
+use super::retention::{arrive, day, iterations, step, two_runs, unlimited_retention, work_off};
 use crate::retention::{Retention, Step};
 use crate::retention_config::RetentionConfig;
 use crate::types::IncidentFilter;
@@ -15,17 +15,17 @@ use crate::types::IncidentFilter;
 const USED: &str = "SELECT (page_count - freelist_count) * page_size \
      FROM pragma_page_count, pragma_freelist_count, pragma_page_size";
 
-fn limited(size_limit_bytes: u64) -> Retention {
-    Retention::new(RetentionConfig { size_limit_bytes, ..for_ever() })
+fn retention_with_size_limit(size_limit_bytes: u64) -> Retention {
+    Retention::new(RetentionConfig { size_limit_bytes, ..unlimited_retention() })
 }
 
 #[tokio::test]
 async fn oldest_unpinned_rows_are_deleted_above_limit() {
     let (mut test_store, [run, _]) = two_runs().await;
     let mut connection = test_store.other().await;
-    let full = test_store.count(USED).await.unsigned_abs();
-    let limit = full - full / 20;
-    let mut retention = limited(limit);
+    let used_bytes = test_store.count(USED).await.unsigned_abs();
+    let limit = used_bytes - used_bytes / 20;
+    let mut retention = retention_with_size_limit(limit);
     work_off(&mut retention, &mut connection, day(4.0)).await;
     let first = test_store.count("SELECT min(number) FROM iteration WHERE run = 1").await;
     assert!((2..288).contains(&first), "{first}");
@@ -45,8 +45,8 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
     );
     assert_eq!(incidents.iter().map(|row| row.text.as_str()).collect::<Vec<_>>(), [expected.as_str()]);
 
-    // No size is small enough: everything that may be deleted is deleted, and then it stops.
-    let mut retention = limited(1);
+    // The limit cannot be reached: all data that may be deleted is deleted, and then retention stops.
+    let mut retention = retention_with_size_limit(1);
     work_off(&mut retention, &mut connection, day(4.1)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node WHERE run = 1").await, 0);
     assert_eq!(
@@ -70,25 +70,29 @@ async fn oldest_unpinned_rows_are_deleted_above_limit() {
 
 /// Stores concurrent runs: their names, the hours in which they are measured, and the iterations per hour. All iterations of an
 /// hour arrive at its end.
-async fn side_by_side(test_store: &mut TestStore, runs: &[(&str, std::ops::Range<u32>, u32)], hours: u32) {
+async fn store_concurrent_runs(
+    test_store: &mut TestStore,
+    runs: &[(&str, std::ops::Range<u32>, u32)],
+    hours: u32,
+) {
     let ids: Vec<RunId> = runs.iter().map(|_| RunId::random()).collect();
     let mut random = Numbers::new(7);
     for hour in 0..hours {
         let mut events = Vec::new();
-        for ((name, during, count), run) in runs.iter().zip(&ids) {
-            let begin = f64::from(hour) * 3_600.0;
-            if during.start == hour {
-                events.push(generate::run_started(*run, name, at(begin)));
+        for ((name, hours_of_run, count), run) in runs.iter().zip(&ids) {
+            let hour_start_s = f64::from(hour) * 3_600.0;
+            if hours_of_run.start == hour {
+                events.push(generate::run_started(*run, name, at(hour_start_s)));
             }
-            if during.contains(&hour) {
+            if hours_of_run.contains(&hour) {
                 events.extend((0..*count).map(|n| {
-                    let number = (hour - during.start) * count + n + 1;
-                    let began = at(begin + f64::from(n) * 3_600.0 / f64::from(*count) + 0.3);
+                    let number = (hour - hours_of_run.start) * count + n + 1;
+                    let started = at(hour_start_s + f64::from(n) * 3_600.0 / f64::from(*count) + 0.3);
                     Event::Iteration(generate::iteration_at(
                         *run,
                         number.into(),
                         test_store.hosts(),
-                        began,
+                        started,
                         &mut random,
                     ))
                 }));
@@ -99,7 +103,7 @@ async fn side_by_side(test_store: &mut TestStore, runs: &[(&str, std::ops::Range
 }
 
 /// Returns, for each kind, the oldest data of each run and the second before which it is deleted.
-async fn course(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
+async fn trimming_state(test_store: &TestStore) -> BTreeMap<i64, Vec<(Option<i64>, i64)>> {
     let rows: Vec<(i64, Option<i64>, i64)> = sqlx::query_as(
         "SELECT kind.column1, \
            iif(kind.column1 = 0, (SELECT min(started_ns) / 1000000000 FROM iteration WHERE iteration.run = run.number), \
@@ -121,24 +125,24 @@ async fn overlapping_runs_are_trimmed_in_turns() {
     let mut test_store = TestStore::new().await;
     // One run that continues, two runs that ended meanwhile, and one run that began late.
     let runs = [("line", 0..20, 3), ("arm", 0..5, 4), ("belt", 5..15, 2), ("cell", 16..20, 2)];
-    side_by_side(&mut test_store, &runs, 20).await;
+    store_concurrent_runs(&mut test_store, &runs, 20).await;
     let mut connection = test_store.other().await;
-    let mut retention = limited(1);
+    let mut retention = retention_with_size_limit(1);
     // Data that arrives within an hour is deleted together, and a bucket as a whole.
     let tolerance_s = |kind: i64| 2 * 3_600 + 60 + kind;
-    let mut together = 0;
+    let mut states_with_two_partial_runs = 0;
     while step(&mut retention, &mut connection, at(20.0 * 3_600.0)).await == Step::More {
-        for (kind, runs) in course(&test_store).await {
+        for (kind, runs) in trimming_state(&test_store).await {
             let gone_s = runs.iter().map(|(_, gone_s)| *gone_s).max().expect("there are runs");
             let oldest_s = runs.iter().filter_map(|(oldest_s, _)| *oldest_s).min();
             if let Some(oldest_s) = oldest_s {
                 assert!(gone_s - oldest_s <= tolerance_s(kind), "kind {kind}: {runs:?}");
             }
             let in_part = runs.iter().filter(|(oldest_s, gone_s)| oldest_s.is_some() && *gone_s > 0);
-            together += usize::from(in_part.count() >= 2);
+            states_with_two_partial_runs += usize::from(in_part.count() >= 2);
         }
     }
-    assert!(together > 10, "{together}");
+    assert!(states_with_two_partial_runs > 10, "{states_with_two_partial_runs}");
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
 }
@@ -151,13 +155,13 @@ async fn rows_from_future_are_deleted_too() {
         let mut random = Numbers::new(7);
         let mut events = vec![generate::run_started(run, name, at(9_000.0))];
         events.extend((1..50).map(|number| {
-            let began = at(9_000.0 + 2.0 * number as f64);
-            Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), began, &mut random))
+            let started = at(9_000.0 + 2.0 * number as f64);
+            Event::Iteration(generate::iteration_at(run, number, test_store.hosts(), started, &mut random))
         }));
         arrive(&mut test_store, events, at(0.0)).await;
     }
     let mut connection = test_store.other().await;
-    work_off(&mut limited(1), &mut connection, at(0.0)).await;
+    work_off(&mut retention_with_size_limit(1), &mut connection, at(0.0)).await;
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s IN (1, 10, 60)").await, 0);
 }

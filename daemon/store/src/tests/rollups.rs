@@ -1,4 +1,5 @@
-//! Growing roll-ups: the table holds what was added, in any order and with any part of memory forgotten in between.
+//! Growing roll-ups: the table contains the sum of all added values, in any order, and even if any part of the memory is
+//! dropped in between.
 
 use std::collections::BTreeMap;
 
@@ -39,8 +40,8 @@ pub(super) fn assert_same(a: &BTreeMap<Key, Summary>, b: &BTreeMap<Key, Summary>
         assert_eq!((a.count, a.min, a.max), (b.count, b.min, b.max), "{key:?}");
         assert!((a.mean - b.mean).abs() <= 1e-9 * a.mean.abs().max(b.mean.abs()), "{key:?} {a:?} {b:?}");
         // Relative to the size of the numbers: all numbers of a bucket may be equal.
-        let size = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
-        assert!((a.m2 - b.m2).abs() <= 1e-9 * size, "{key:?} {a:?} {b:?}");
+        let magnitude = a.m2.max(b.m2).max(a.count as f64 * a.max.abs().max(a.min.abs()).powi(2) * 1e-6);
+        assert!((a.m2 - b.m2).abs() <= 1e-9 * magnitude, "{key:?} {a:?} {b:?}");
     }
 }
 
@@ -80,8 +81,8 @@ fn summary(value: f64) -> Summary {
 }
 
 fn add(rollups: &mut Rollups, numbers: &[Number]) {
-    for (run, name, second_s, value, half) in numbers {
-        let quantity = if *half { Quantity::HalfWidth } else { Quantity::Value };
+    for (run, name, second_s, value, is_half_width) in numbers {
+        let quantity = if *is_half_width { Quantity::HalfWidth } else { Quantity::Value };
         rollups.merge(*run, *name, quantity, *second_s, &summary(*value));
         rollups.add_verdicts(*run, *name, 1, 1);
     }
@@ -91,12 +92,12 @@ async fn execute(connection: &mut SqliteConnection, sql: &'static str) {
     sqlx::query(sql).execute(connection).await.expect("executes");
 }
 
-async fn play(turns: Vec<Turn>) {
+async fn run_turns(turns: Vec<Turn>) {
     let folder = tempfile::tempdir().expect("a folder");
     let mut connection = database::open(&folder.path().join("peernet.sqlite")).await.expect("opens");
     let mut rollups = Rollups::default();
     let mut expected = BTreeMap::<Key, Summary>::new();
-    let mut judged = 0;
+    let mut verdicts_added = 0;
     for turn in turns {
         match turn {
             Turn::Commit(numbers) => {
@@ -104,10 +105,10 @@ async fn play(turns: Vec<Turn>) {
                 add(&mut rollups, &numbers);
                 rollups.write(&mut connection).await.expect("writes");
                 execute(&mut connection, "COMMIT").await;
-                judged += numbers.len();
-                for (run, name, second_s, value, half) in numbers {
+                verdicts_added += numbers.len();
+                for (run, name, second_s, value, is_half_width) in numbers {
                     for width_s in WIDTHS_S.into_iter().chain([WHOLE_RUN]) {
-                        let key = (run, width_s, bucket(second_s, width_s), name, half.into());
+                        let key = (run, width_s, bucket(second_s, width_s), name, is_half_width.into());
                         expected.entry(key).or_default().merge(&summary(value));
                     }
                 }
@@ -128,7 +129,7 @@ async fn play(turns: Vec<Turn>) {
         .fetch_one(&mut connection)
         .await
         .expect("counts");
-    assert_eq!(verdicts, i64::try_from(judged).expect("few"));
+    assert_eq!(verdicts, i64::try_from(verdicts_added).expect("few"));
     connection.close().await.expect("closes");
 }
 
@@ -138,7 +139,7 @@ proptest! {
     #[test]
     fn table_holds_added_values(turns in prop::collection::vec(turn(), 1..25)) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        runtime.block_on(play(turns));
+        runtime.block_on(run_turns(turns));
     }
 }
 
@@ -197,12 +198,13 @@ async fn rollup_and_retention_queries_use_keys() {
             .await
             .unwrap_or_else(|error| panic!("{name}: {error}"));
         for (_, _, _, step) in &steps {
-            let scans = LARGE.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
+            let is_scan = LARGE.iter().any(|table| step.starts_with(&format!("SCAN {table}")));
             // The few pinned runs have their own index, and so have the aggregator's few incidents.
-            let few = step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");
-            assert!(!scans || few, "{name}: {step}");
-            let sorts = step.contains("TEMP B-TREE");
-            assert!(!sorts || ["PINNED", "BUCKETS"].contains(&name), "{name} sorts: {step}");
+            let is_small_table =
+                step.contains("INDEX run_pinned") || step.contains("INDEX incident_of_aggregator");
+            assert!(!is_scan || is_small_table, "{name}: {step}");
+            let is_sorting = step.contains("TEMP B-TREE");
+            assert!(!is_sorting || ["PINNED", "BUCKETS"].contains(&name), "{name} sorts: {step}");
         }
     }
 }

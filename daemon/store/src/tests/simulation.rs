@@ -26,7 +26,7 @@ pub(super) struct Simulation {
     relation: Relation,
     /// True time since the zero of [`generate::at`].
     pub(super) now: Span,
-    /// The cloud's wall clock minus true time, without its drift of 20 ppm, and the edge's.
+    /// The cloud's wall clock minus true time, without its drift of 20 ppm; and the edge's wall clock minus true time.
     pub(super) cloud_ahead: Span,
     pub(super) edge_ahead: Span,
     epochs: (u32, u32),
@@ -41,7 +41,7 @@ pub(super) struct Simulation {
     pub(super) first_window: u64,
     window: u64,
     /// True delays of each iteration: up, down.
-    pub(super) truths: Vec<(Span, Span)>,
+    pub(super) true_delays: Vec<(Span, Span)>,
 }
 
 impl Simulation {
@@ -69,17 +69,17 @@ impl Simulation {
             best: (None, None),
             first_window: 1 << 63,
             window: 1 << 63,
-            truths: Vec::new(),
+            true_delays: Vec::new(),
         }
     }
 
-    /// Sets the cloud's clock; the cloud reports it.
+    /// Sets the cloud's clock; the cloud reports the step.
     pub(super) fn step_cloud(&mut self, by: Span) {
         self.cloud_ahead += by;
         self.epochs.1 += 1;
     }
 
-    /// Sets the edge's clock; the edge notices it.
+    /// Sets the edge's clock; the edge detects the step.
     pub(super) fn step_edge(&mut self, by: Span) {
         self.edge_ahead += by;
         self.epochs.0 += 1;
@@ -100,7 +100,7 @@ impl Simulation {
             }
             let probe = self.exchange((self.congestion, self.congestion), Span::from_micros(20)).stamps;
             let learned = self.relation.learn(&self.observation(probe));
-            self.note(probe, learned);
+            self.record_exchange(probe, learned);
             self.now += Span::from_millis(37);
             if let Some(run) = run {
                 iterations.push(self.iteration(run));
@@ -113,10 +113,10 @@ impl Simulation {
     fn iteration(&mut self, run: RunId) -> Iteration {
         let started = self.edge(self.now);
         let Passage { stamps, wall, delays } = self.exchange((UP, DOWN), Span::from_millis(10));
-        self.truths.push(delays);
-        let number = self.truths.len() as u64;
+        self.true_delays.push(delays);
+        let number = self.true_delays.len() as u64;
         let JudgedExchange { learned, up, down } = self.relation.judge(&self.observation(stamps));
-        self.note(stamps, learned);
+        self.record_exchange(stamps, learned);
         let mut random = Numbers::new(number);
         let mut iteration = generate::iteration_at(run, number, self.hosts, started, &mut random);
         let [left, arrived, answered, back] = wall;
@@ -138,11 +138,11 @@ impl Simulation {
     }
 
     /// Simulates a message and its answer with these delays plus jitter. Returns the stamps and the true delays.
-    fn exchange(&mut self, (up, down): (Span, Span), at_cloud: Span) -> Passage {
+    fn exchange(&mut self, (up, down): (Span, Span), processing_time: Span) -> Passage {
         let base = Span::from_micros(50);
-        let mut jitter = |of: Span| of + Span::from_nanos(self.numbers.between(0, JITTER.nanos()));
+        let mut jitter = |delay: Span| delay + Span::from_nanos(self.numbers.between(0, JITTER.nanos()));
         let (up, down) = (jitter(up.max(base)), jitter(down.max(base)));
-        let (arrived, left) = (self.now + up, self.now + up + at_cloud);
+        let (arrived, left) = (self.now + up, self.now + up + processing_time);
         let stamps = Exchange {
             sent: self.edge_stamp(self.now),
             received: self.cloud_stamp(arrived),
@@ -160,34 +160,34 @@ impl Simulation {
     }
 
     /// Returns the reading of the edge's related clock.
-    fn edge_stamp(&self, truth: Span) -> RawTime {
+    fn edge_stamp(&self, true_time: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall => RawTime::from_wall(self.edge(truth)),
+            RelatedClocks::Wall => RawTime::from_wall(self.edge(true_time)),
             RelatedClocks::Raw | RelatedClocks::RawToWall => {
-                RawTime::from_nanos((truth - self.raw_zeros.0).nanos())
+                RawTime::from_nanos((true_time - self.raw_zeros.0).nanos())
             }
         }
     }
 
     /// Returns the reading of the cloud's related clock. Its free-running clock drifts as its wall clock does.
-    fn cloud_stamp(&self, truth: Span) -> RawTime {
+    fn cloud_stamp(&self, true_time: Span) -> RawTime {
         match self.clocks {
-            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::from_wall(self.cloud(truth)),
+            RelatedClocks::Wall | RelatedClocks::RawToWall => RawTime::from_wall(self.cloud(true_time)),
             RelatedClocks::Raw => RawTime::from_nanos(
-                (truth - self.raw_zeros.1 + Span::from_nanos(truth.nanos() / 50_000)).nanos(),
+                (true_time - self.raw_zeros.1 + Span::from_nanos(true_time.nanos() / 50_000)).nanos(),
             ),
         }
     }
 
-    fn edge(&self, truth: Span) -> WallTime {
-        generate::at(0.0) + truth + self.edge_ahead
+    fn edge(&self, true_time: Span) -> WallTime {
+        generate::at(0.0) + true_time + self.edge_ahead
     }
 
-    fn cloud(&self, truth: Span) -> WallTime {
-        generate::at(0.0) + truth + self.cloud_ahead + Span::from_nanos(truth.nanos() / 50_000)
+    fn cloud(&self, true_time: Span) -> WallTime {
+        generate::at(0.0) + true_time + self.cloud_ahead + Span::from_nanos(true_time.nanos() / 50_000)
     }
 
-    fn note(&mut self, exchange: Exchange, learned: LearnResult) {
+    fn record_exchange(&mut self, exchange: Exchange, learned: LearnResult) {
         let restarts = if self.is_one_window { 0 } else { self.relation.counts().restarts };
         let window = self.first_window + u64::from(restarts);
         if window != self.window {
@@ -232,7 +232,7 @@ impl Simulation {
             up: None,
             down: None,
             network: NetworkName::default(),
-            // A release before 0.3 sends none.
+            // Releases before 0.3 send no basis.
             basis: (self.clocks != RelatedClocks::Wall).then_some(basis),
         }))
     }

@@ -33,14 +33,14 @@ impl TestStore {
             Outcome::Failed("no".into()),
             Outcome::Lost("gone".into()),
         ];
-        let rest = (3..).zip(ends).map(|(number, outcome)| {
+        let later_events = (3..).zip(ends).map(|(number, outcome)| {
             Event::Iteration(Iteration { outcome, ..self.late_iteration(run, number, number as f64) })
         });
-        let rest: Vec<Event> = rest.collect();
+        let later_events: Vec<Event> = later_events.collect();
         let first = [warm_up, late_warm_up].map(Event::Iteration);
         let work = self.batch([vec![generate::run_started(run, "line", NOW)], first.to_vec()].concat());
         self.commit(&[work]).await;
-        for events in rest.chunks(3) {
+        for events in later_events.chunks(3) {
             let work = self.batch(events.to_vec());
             self.commit(&[work]).await;
         }
@@ -82,11 +82,11 @@ async fn rebuild_counts_skipped_starts_again() {
 }
 
 #[tokio::test]
-async fn invalid_counts_of_skipped_starts_block_nothing() {
+async fn invalid_counts_of_skipped_starts_are_limited() {
     let mut test_store = TestStore::new().await;
     let run = RunId::random();
-    let odd = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
-    for (number, skipped) in (1..).zip(odd) {
+    let invalid_counts = [f64::MAX, f64::MAX, f64::INFINITY, -5.0, f64::NAN, 2.0];
+    for (number, skipped) in (1..).zip(invalid_counts) {
         let iteration = Event::Iteration(test_store.late_iteration(run, number, skipped));
         let work = test_store.batch(vec![iteration]);
         let committed = test_store.commit(&[work]).await;

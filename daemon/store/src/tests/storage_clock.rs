@@ -12,7 +12,7 @@ use crate::{IncidentRow, RetentionConfig};
 const ELAPSED_S: &str = "SELECT elapsed_ns / 1000000000 FROM storage_clock";
 
 /// Returns the clocks' readings some seconds after the start of the test.
-fn after(seconds: i64) -> Stamp {
+fn stamp_after(seconds: i64) -> Stamp {
     STAMP + Span::from_seconds(seconds)
 }
 
@@ -25,45 +25,52 @@ async fn storage_clock_ignores_wall_clock_and_pauses() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
     for seconds in (1..=100).step_by(3) {
-        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.store_clock_readings(stamp_after(seconds), &mut pending).await.expect("stores");
     }
     let elapsed = test_store.count(ELAPSED_S).await;
     assert!((70..=100).contains(&elapsed), "{elapsed}");
     // Other transactions also store it.
     let work = [hello(generate::host(test_store.edge, "edge"), 1)];
-    test_store.writer.commit(&work, after(100)).await.expect("commits");
+    test_store.writer.commit(&work, stamp_after(100)).await.expect("commits");
     assert_eq!(test_store.count(ELAPSED_S).await, 100);
     // Only the wall clock moves.
     let month = Span::from_seconds(30 * 86_400);
-    for wall in [after(101).wall + month, after(101).wall - month] {
-        test_store.writer.keep_clocks(Stamp { wall, ..after(101) }, &mut pending).await.expect("stores");
+    for wall in [stamp_after(101).wall + month, stamp_after(101).wall - month] {
+        test_store
+            .writer
+            .store_clock_readings(Stamp { wall, ..stamp_after(101) }, &mut pending)
+            .await
+            .expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 101);
     // The aggregator did not store for a day.
-    test_store.writer.keep_clocks(after(86_400), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(stamp_after(86_400), &mut pending).await.expect("stores");
     assert_eq!(test_store.count(ELAPSED_S).await, 161);
     // Another process, on a machine that booted later: the clock continues with its first transaction.
     test_store.writer = open(&test_store.path).await;
     for seconds in [0, 40] {
-        test_store.writer.keep_clocks(after(seconds), &mut pending).await.expect("stores");
+        test_store.writer.store_clock_readings(stamp_after(seconds), &mut pending).await.expect("stores");
     }
     assert_eq!(test_store.count(ELAPSED_S).await, 201);
 }
 
 #[tokio::test]
-async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
+async fn step_of_wall_clock_is_incident_of_aggregator() {
     let mut test_store = TestStore::new().await;
     let mut pending = PendingIncidents::new(STAMP);
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(stamp_after(1), &mut pending).await.expect("stores");
     test_store
         .writer
-        .keep_clocks(Stamp { wall: after(2).wall + Span::from_seconds(9), ..after(2) }, &mut pending)
+        .store_clock_readings(
+            Stamp { wall: stamp_after(2).wall + Span::from_seconds(9), ..stamp_after(2) },
+            &mut pending,
+        )
         .await
         .expect("stores");
     assert_eq!(incidents(&test_store).await, []);
     test_store
         .writer
-        .keep_clocks(Stamp { wall: NOW + Span::from_seconds(3_600), ..after(3) }, &mut pending)
+        .store_clock_readings(Stamp { wall: NOW + Span::from_seconds(3_600), ..stamp_after(3) }, &mut pending)
         .await
         .expect("stores");
     let stored = incidents(&test_store).await;
@@ -76,7 +83,7 @@ async fn step_of_wall_clock_is_an_incident_of_the_aggregator() {
     let config = RetentionConfig::default();
     test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
     let mut pending = PendingIncidents::new(STAMP);
-    test_store.writer.keep_clocks(STAMP, &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(STAMP, &mut pending).await.expect("stores");
     let stored = incidents(&test_store).await;
     assert_eq!(stored.len(), 2);
     assert!(stored.iter().any(|step| step.text.contains("3600.0 s less")), "{stored:?}");
@@ -89,10 +96,10 @@ async fn incident_waits_until_database_is_writable() {
     let mut other = test_store.other().await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.expect("locks");
     pending.add(AggregatorIncidentKind::Storage, NOW, "it refused".to_owned());
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect_err("locked");
+    test_store.writer.store_clock_readings(stamp_after(1), &mut pending).await.expect_err("locked");
     other.close().await.expect("unlocks");
-    test_store.writer.keep_clocks(after(2), &mut pending).await.expect("stores");
-    test_store.writer.keep_clocks(after(3), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(stamp_after(2), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(stamp_after(3), &mut pending).await.expect("stores");
     let stored = incidents(&test_store).await;
     assert_eq!(
         stored.iter().map(|row| (row.kind.as_str(), row.text.as_str())).collect::<Vec<_>>(),
@@ -114,7 +121,7 @@ async fn newest_ten_thousand_aggregator_incidents_stay() {
     .await
     .expect("inserts");
     pending.add(AggregatorIncidentKind::Storage, NOW, "new".to_owned());
-    test_store.writer.keep_clocks(after(1), &mut pending).await.expect("stores");
+    test_store.writer.store_clock_readings(stamp_after(1), &mut pending).await.expect("stores");
     assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NULL").await, 10_000);
     assert_eq!(test_store.count("SELECT count(*) FROM incident WHERE host IS NOT NULL").await, 1);
     assert_eq!(incidents(&test_store).await[0].text, "new");
@@ -129,19 +136,19 @@ async fn data_is_deleted_after_its_period_of_running_time() {
     let connection = database::open(&test_store.path).await.expect("opens");
     test_store.writer = Writer::new(test_store.path.clone(), connection, config).await.expect("reads");
     test_store.run_of(50).await;
-    let mut look = async |test_store: &mut TestStore, minutes: std::ops::Range<i64>| {
+    let mut check_each_minute = async |test_store: &mut TestStore, minutes: std::ops::Range<i64>| {
         for minute in minutes {
             // The wall clock runs a thousand times as fast.
-            let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..after(60 * minute) };
+            let stamp = Stamp { wall: NOW + Span::from_seconds(60_000 * minute), ..stamp_after(60 * minute) };
             while test_store.writer.retain(stamp).await.expect("steps") == Step::More {}
-            test_store.writer.keep_clocks(stamp, &mut pending).await.expect("stores");
+            test_store.writer.store_clock_readings(stamp, &mut pending).await.expect("stores");
         }
     };
-    look(&mut test_store, 1..24 * 60).await;
+    check_each_minute(&mut test_store, 1..24 * 60).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 50);
     let seconds = test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await;
     // Data that arrives within a sixty-fourth of the period is deleted together.
-    look(&mut test_store, 24 * 60..24 * 60 + 26).await;
+    check_each_minute(&mut test_store, 24 * 60..24 * 60 + 26).await;
     assert_eq!(test_store.count("SELECT count(*) FROM iteration").await, 0);
     assert_eq!(test_store.count("SELECT count(*) FROM rollup WHERE resolution_s = 1").await, 0);
     let stored = test_store.store.incidents(&IncidentFilter::newest(1_000)).await.expect("answers");

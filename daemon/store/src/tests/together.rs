@@ -11,8 +11,8 @@ use crate::types::RunStatistics;
 async fn store(test_store: &mut TestStore, readings: &[f64]) {
     let (run, mut numbers) = (RunId::random(), generate::Numbers::new(11));
     let mut events = vec![generate::run_started(run, "line", NOW)];
-    for (at, reading) in readings.iter().enumerate() {
-        let mut iteration = generate::iteration(run, at as u64 + 1, test_store.hosts(), &mut numbers);
+    for (index, reading) in readings.iter().enumerate() {
+        let mut iteration = generate::iteration(run, index as u64 + 1, test_store.hosts(), &mut numbers);
         let measure = Measure::Value(*reading, Unit::new("m"));
         iteration.tree.add(NodeId::ROOT, "range".into(), Span::ZERO, measure);
         events.push(Event::Iteration(iteration));
@@ -37,35 +37,41 @@ async fn merged_quantiles_are_within_one_percent() {
         store(&mut test_store, run).await;
     }
     let statistics = test_store.store.statistics(&[3, 1, 2]).await.expect("answers");
-    let of = |known: &RunStatistics| {
+    let range_statistics = |known: &RunStatistics| {
         let range = known.stages.iter().find(|known| known.stage == *"range").expect("stored");
         assert_eq!(range.unit, "m");
         range.figures
     };
-    assert_eq!((of(&statistics[0]).p95, of(&statistics[1]).p99), (None, None), "too few of each");
+    assert_eq!(
+        (range_statistics(&statistics[0]).p95, range_statistics(&statistics[1]).p99),
+        (None, None),
+        "each run has too few readings"
+    );
     let together = RunStatistics::merged(&statistics);
-    let figures = of(&together);
+    let figures = range_statistics(&together);
 
-    let mut all = runs.concat();
-    all.sort_by(f64::total_cmp);
-    let mean = all.iter().sum::<f64>() / all.len() as f64;
-    let std = (all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (all.len() - 1) as f64).sqrt();
-    assert_eq!((figures.count, figures.min, figures.max), (390, all[0], all[389]));
+    let mut all_readings = runs.concat();
+    all_readings.sort_by(f64::total_cmp);
+    let mean = all_readings.iter().sum::<f64>() / all_readings.len() as f64;
+    let std = (all_readings.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+        / (all_readings.len() - 1) as f64)
+        .sqrt();
+    assert_eq!((figures.count, figures.min, figures.max), (390, all_readings[0], all_readings[389]));
     assert!((figures.mean - mean).abs() < 1e-9 * mean, "{figures:?} {mean}");
     assert!((figures.std.expect("many") - std).abs() < 1e-9 * std, "{figures:?} {std}");
-    for (q, found) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
+    for (q, quantile) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
         let rank = q * 389.0_f64;
-        let (below, above) = (all[rank.floor() as usize], all[rank.ceil() as usize]);
-        let (exact, found) = (below + (above - below) * rank.fract(), found.expect("enough together"));
-        assert!((found - exact).abs() <= 0.0101 * exact, "{q}: {found} {exact}");
+        let (below, above) = (all_readings[rank.floor() as usize], all_readings[rank.ceil() as usize]);
+        let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough together"));
+        assert!((quantile - exact).abs() <= 0.0101 * exact, "{q}: {quantile} {exact}");
     }
     let kept = together.kept.known("range").expect("kept");
-    assert_eq!((kept.count(), kept.moments.max), (390, all[389]));
+    assert_eq!((kept.count(), kept.moments.max), (390, all_readings[389]));
 
     // Bounds of delays are also merged.
     let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
-    let each: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
-    assert_eq!(bound.verdicts[0].1, each.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());
+    let bounds_of_runs: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
+    assert_eq!(bound.verdicts[0].1, bounds_of_runs.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());
     assert_eq!(bound.half_width.map(|width| width.count), Some(390));
     assert!(together.bounds.contains(&bound));
 }

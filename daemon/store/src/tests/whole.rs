@@ -12,43 +12,50 @@ async fn run(test_store: &TestStore) -> RunSummary {
 }
 
 /// Stores a run of `iterations` iterations, then a lost one and one with an additional node; returns them all.
-async fn stored(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
+async fn store_iterations(test_store: &mut TestStore, iterations: u64) -> Vec<Iteration> {
     let run = test_store.run_of(iterations).await;
     let mut numbers = generate::Numbers::new(7);
     let mut next = |number| generate::iteration(run, number, test_store.hosts(), &mut numbers);
-    let mut all: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
+    let mut sent_iterations: Vec<Iteration> = (1..=iterations).map(&mut next).collect();
     let lost = Outcome::Lost("the cable".to_owned());
-    all.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..next(iterations + 1) });
-    let mut more = next(iterations + 3);
-    more.tree.add(NodeId(1), "debayer".into(), Span::ZERO, Measure::Timer(Some(Span::from_micros(70))));
-    all.push(more);
-    let last = all[iterations as usize..].iter().cloned().map(Event::Iteration).collect();
+    sent_iterations.push(Iteration { outcome: lost, warm_up: true, episode: 2, ..next(iterations + 1) });
+    let mut with_extra_node = next(iterations + 3);
+    with_extra_node.tree.add(
+        NodeId(1),
+        "debayer".into(),
+        Span::ZERO,
+        Measure::Timer(Some(Span::from_micros(70))),
+    );
+    sent_iterations.push(with_extra_node);
+    let last = sent_iterations[iterations as usize..].iter().cloned().map(Event::Iteration).collect();
     let work = test_store.batch(last);
     test_store.commit(&[work]).await;
-    all
+    sent_iterations
 }
 
 #[tokio::test]
 async fn whole_iterations_are_read_as_sent() {
     let mut test_store = TestStore::new().await;
-    let sent = stored(&mut test_store, 450).await;
-    let (run, mut read, mut after, mut pages) = (run(&test_store).await, Vec::new(), 0, 0);
-    while let Some((last, some)) = test_store.store.full_iterations(&run, after).await.expect("answers") {
-        read.extend(some);
-        (after, pages) = (last, pages + 1);
+    let sent = store_iterations(&mut test_store, 450).await;
+    let (run, mut read, mut after_number, mut pages) = (run(&test_store).await, Vec::new(), 0, 0);
+    while let Some((last, page)) =
+        test_store.store.full_iterations(&run, after_number).await.expect("answers")
+    {
+        read.extend(page);
+        (after_number, pages) = (last, pages + 1);
     }
     assert!(read == sent, "{:?}", read.iter().zip(&sent).find(|(read, sent)| read != sent));
-    assert_eq!((pages, after), (3, 453));
+    assert_eq!((pages, after_number), (3, 453));
 }
 
 #[tokio::test]
 async fn each_tree_shape_is_found_once_per_page() {
     let mut test_store = TestStore::new().await;
-    let sent = stored(&mut test_store, 40).await;
+    let sent = store_iterations(&mut test_store, 40).await;
     let run = run(&test_store).await;
-    let (last, firsts) =
+    let (last, first_of_each_shape) =
         test_store.store.iterations_by_shape(&run, 0).await.expect("answers").expect("there are some");
-    assert_eq!((last, firsts), (43, vec![sent[0].clone(), sent[41].clone()]));
+    assert_eq!((last, first_of_each_shape), (43, vec![sent[0].clone(), sent[41].clone()]));
     assert_eq!(test_store.store.iterations_by_shape(&run, 43).await.expect("answers"), None);
     assert_eq!(test_store.store.full_iterations(&run, 43).await.expect("answers"), None);
 }
@@ -57,9 +64,9 @@ async fn each_tree_shape_is_found_once_per_page() {
 #[tokio::test]
 async fn silent_server_has_name_given_by_run() {
     let mut test_store = TestStore::new().await;
-    let (run, silent) = (RunId::random(), HostId::random());
+    let (run, server) = (RunId::random(), HostId::random());
     let mut numbers = generate::Numbers::new(5);
-    let iteration = generate::iteration(run, 1, (test_store.edge, silent), &mut numbers);
+    let iteration = generate::iteration(run, 1, (test_store.edge, server), &mut numbers);
     let started = generate::run_started(run, "line", generate::at(0.0));
     let work = test_store.batch(vec![started, Event::Iteration(iteration)]);
     test_store.commit(&[work]).await;
@@ -67,5 +74,5 @@ async fn silent_server_has_name_given_by_run() {
     let names: Vec<Option<String>> =
         detail.hosts.iter().map(|host| host.as_ref().map(ToString::to_string)).collect();
     assert_eq!(names, [Some("edge".to_owned()), Some("cloud".to_owned())]);
-    assert_eq!(detail.tree.anchors()[1].host, silent);
+    assert_eq!(detail.tree.anchors()[1].host, server);
 }

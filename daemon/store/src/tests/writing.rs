@@ -28,17 +28,17 @@ async fn repeated_batch_is_stored_once() {
     let mut events = vec![generate::run_started(run, "line", NOW)];
     events.extend(iterations(&test_store, run, 1..=10));
     let work = test_store.batch_numbered(1, events.clone());
-    let again = test_store.batch_numbered(1, events.clone());
+    let repeated = test_store.batch_numbered(1, events.clone());
     // Twice in one transaction, then in another one, then by another process.
-    let committed = test_store.commit(&[work, again]).await;
+    let committed = test_store.commit(&[work, repeated]).await;
     assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 210));
-    let again = test_store.batch_numbered(1, events.clone());
-    assert_eq!(test_store.commit(&[again]).await.marks[&test_store.stream].stored, 1);
+    let repeated = test_store.batch_numbered(1, events.clone());
+    assert_eq!(test_store.commit(&[repeated]).await.marks[&test_store.stream].stored, 1);
     test_store.writer = open(&test_store.path).await;
     let mark = test_store.writer.streams().marks[&test_store.stream];
     assert_eq!(mark, Mark::from(test_store.head(1, &generate::body(&events), 11)));
-    let again = test_store.batch_numbered(1, events);
-    let committed = test_store.commit(&[again]).await;
+    let repeated = test_store.batch_numbered(1, events);
+    let committed = test_store.commit(&[repeated]).await;
     assert_eq!((committed.marks[&test_store.stream].stored, committed.nodes), (1, 0));
 
     assert_eq!(test_store.count("SELECT count(*) FROM node").await, 210);
@@ -64,15 +64,15 @@ async fn rollups_do_not_depend_on_commits_and_restarts() {
         }
     }
     let stages = test_store.store.statistics_of(1).await.expect("answers").stages;
-    let mut one = TestStore::new().await;
-    (one.edge, one.cloud) = test_store.hosts();
+    let mut single_commit_store = TestStore::new().await;
+    (single_commit_store.edge, single_commit_store.cloud) = test_store.hosts();
     let mut events = vec![generate::run_started(run, "line", NOW)];
     for n in 0..10 {
         events.extend(iterations(&test_store, run, n * 20 + 1..=n * 20 + 20));
     }
-    let work = one.batch(events);
-    one.commit(&[work]).await;
-    let at_once = one.store.statistics_of(1).await.expect("answers").stages;
+    let work = single_commit_store.batch(events);
+    single_commit_store.commit(&[work]).await;
+    let at_once = single_commit_store.store.statistics_of(1).await.expect("answers").stages;
     assert_eq!(stages.len(), at_once.len());
     for (a, b) in stages.iter().zip(&at_once) {
         assert_eq!(
@@ -95,11 +95,12 @@ async fn bad_batch_is_quarantined_and_others_are_stored() {
     let good = vec![generate::run_started(run, "line", NOW)];
     let first = iterations(&test_store, run, 1..=5);
     // One iteration twice in one batch; and an iteration that began on another host.
-    let twice = [iterations(&test_store, run, 6..=6), iterations(&test_store, run, 6..=6)].concat();
+    let repeated_iterations =
+        [iterations(&test_store, run, 6..=6), iterations(&test_store, run, 6..=6)].concat();
     let mut numbers = generate::Numbers::new(1);
     let foreign: Iteration = generate::iteration(run, 9, (HostId::random(), test_store.cloud), &mut numbers);
     let last = iterations(&test_store, run, 7..=8);
-    let work: Vec<Work> = [good, first, twice, vec![Event::Iteration(foreign)], last]
+    let work: Vec<Work> = [good, first, repeated_iterations, vec![Event::Iteration(foreign)], last]
         .into_iter()
         .map(|events| test_store.batch(events))
         .collect();
@@ -149,14 +150,14 @@ async fn iterations_repeated_in_another_stream_are_left_out() {
     );
     let mut connection = test_store.other().await;
     let verdicts = "SELECT run, name, verdict, count FROM verdict_count ORDER BY run, name, verdict";
-    let judged: Vec<(i64, i64, i64, i64)> =
+    let verdict_counts: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-    let grown = table(&mut connection).await;
+    let incremental = table(&mut connection).await;
     rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
-    assert_same(&table(&mut connection).await, &grown);
-    let again: Vec<(i64, i64, i64, i64)> =
+    assert_same(&table(&mut connection).await, &incremental);
+    let repeated: Vec<(i64, i64, i64, i64)> =
         sqlx::query_as(verdicts).fetch_all(&mut connection).await.expect("reads");
-    assert_eq!(again, judged);
+    assert_eq!(repeated, verdict_counts);
 }
 
 #[tokio::test]
@@ -178,7 +179,7 @@ async fn commit_without_log_is_not_acknowledged() {
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has checkpointed the log that it had open; what was refused is not stored.
+    // SQLite has checkpointed the log that it had open; the refused commit is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -190,8 +191,8 @@ async fn unreadable_batch_is_quarantined_unchanged() {
     let batch =
         UnstorableBatch { head, frame: vec![0x81, 0xa5].into(), body: None, reason: "cut off".into() };
     let unreadable = Work::UnstorableBatch(Box::new(batch));
-    let after = test_store.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
-    let committed = test_store.commit(&[unreadable, after]).await;
+    let next_batch = test_store.batch_numbered(2, vec![generate::run_started(RunId::random(), "line", NOW)]);
+    let committed = test_store.commit(&[unreadable, next_batch]).await;
     assert_eq!(committed.marks[&test_store.stream].stored, 2);
     assert_eq!(committed.quarantined, [(head, "cut off".to_owned())]);
     assert_eq!(
@@ -240,8 +241,8 @@ async fn gap_is_stored_with_run_missing_batches_with_host() {
     let (from, through, chain, process) = (3, 9, Chain::START, 7);
     let (events, events_through) = (Some(40), 700);
     let missing = MissingBatches { host, stream, from, through, chain, process, events, events_through };
-    let after = test_store.batch_numbered(10, vec![]);
-    let committed = test_store.commit(&[Work::MissingBatches(missing), after]).await;
+    let next_batch = test_store.batch_numbered(10, vec![]);
+    let committed = test_store.commit(&[Work::MissingBatches(missing), next_batch]).await;
     assert_eq!(committed.marks[&test_store.stream].stored, 10);
     let (stored, _) = committed.hosts[&test_store.edge];
     assert_eq!((stored.gaps, stored.missing), (2, 1_090));
@@ -259,7 +260,7 @@ async fn gap_is_stored_with_run_missing_batches_with_host() {
 async fn replaced_spool_leaves_one_gap() {
     let mut test_store = TestStore::new().await;
     let (old, new) = (test_store.stream, StreamId::random());
-    let greeting = |stream, previous, replaced| {
+    let hello_work = |stream, previous, replaced| {
         let (host, process, first, missing_previous) = (generate::host(test_store.edge, "edge"), 1, 5, None);
         let secret = None;
         Work::Hello(Box::new(Introduction {
@@ -274,9 +275,9 @@ async fn replaced_spool_leaves_one_gap() {
         }))
     };
     let (first, renewed, replaced) = (
-        greeting(old, None, None),
-        greeting(new, Some(old), None),
-        greeting(StreamId::from_bytes([9; 16]), None, Some(new)),
+        hello_work(old, None, None),
+        hello_work(new, Some(old), None),
+        hello_work(StreamId::from_bytes([9; 16]), None, Some(new)),
     );
     test_store.commit(&[first, renewed]).await;
     assert_eq!(test_store.count("SELECT count(*) FROM gap").await, 0);
@@ -295,7 +296,7 @@ async fn replaced_spool_leaves_one_gap() {
         1
     );
     test_store.writer = open(&test_store.path).await;
-    assert!(test_store.writer.streams().marks.is_empty(), "nothing of any is stored");
+    assert!(test_store.writer.streams().marks.is_empty(), "no batch of any stream is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
     let known = StreamRecord { was_used: true, last: Some(hello.stream), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().record(&hello, None), known);
@@ -314,7 +315,7 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));
     let (process, previous, first, replaced) = (1, Some(old), 5, None);
-    let came = Introduction {
+    let introduction = Introduction {
         host,
         process,
         stream: new,
@@ -325,7 +326,7 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
         secret: None,
     };
     for _ in 0..2 {
-        let committed = test_store.commit(&[Work::Hello(Box::new(came.clone()))]).await;
+        let committed = test_store.commit(&[Work::Hello(Box::new(introduction.clone()))]).await;
         assert_eq!(committed.hosts[&test_store.edge].0.gaps, 1);
     }
     let gaps = "SELECT count(*) FROM gap WHERE count = 17 AND reason LIKE 'batches 2 to 4 of stream % stored in a newer %'";
@@ -358,8 +359,8 @@ async fn claimed_missing_counts_do_not_overflow() {
     let committed = test_store.commit(&work).await;
     assert_eq!((committed.quarantined.len(), committed.hosts[&test_store.edge].0.missing), (0, 4 << 40));
     assert_eq!(test_store.count("SELECT sum(count) FROM gap").await, 4 << 40, "sums do not overflow");
-    let after = test_store.batch(vec![Event::Gap(gap)]);
-    assert!(test_store.commit(&[after]).await.quarantined.is_empty());
+    let next_batch = test_store.batch(vec![Event::Gap(gap)]);
+    assert!(test_store.commit(&[next_batch]).await.quarantined.is_empty());
 }
 
 #[tokio::test]

@@ -2,32 +2,31 @@
 
 use peernet_clock::WallTime;
 
-/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock and come from stored
-/// iterations; deleted or lost iterations have none.
+/// Episodes, warm-up and iterations without an answer of a run. Times are on the edge's wall clock. They come from stored
+/// iterations, so there are no times of deleted or lost iterations.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Episodes {
     /// Start of the first iteration, if it is still stored.
     pub first: Option<WallTime>,
     /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
-    /// Iterations of each episode but the last; `None` if there is only one.
+    /// Number of iterations of each episode except the last; `None` if there is only one episode.
     pub steps: Option<u64>,
-    /// Starts of the episodes but the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
+    /// Starts of all episodes except the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// Start of the first iteration after the warm-up; `None` if no stored iteration shows it.
+    /// Start of the first iteration after the warm-up; `None` if the run has no warm-up, or its end is not stored.
     pub warm_up_until: Option<WallTime>,
     /// Starts of iterations without an answer, including the warm-up. If there are more than [`Episodes::MAX_UNANSWERED`], the
     /// run is divided into this number of parts, and the list has the first such start of each part.
     pub unanswered: Vec<WallTime>,
-    /// Number of stored iterations without an answer, of which `unanswered` holds all or some. At most one more than
-    /// [`Episodes::MAX_COUNTED`].
+    /// Number of stored iterations without an answer. At most one more than [`Episodes::MAX_COUNTED`], which means "more than that".
     pub without_answer: u64,
 }
 
 impl Episodes {
-    /// Most episodes whose borders are shown: more would cover the chart.
+    /// Maximum number of episodes whose borders are shown. More borders would cover the chart.
     pub const MAX_BORDERS: u32 = 30;
-    /// Most unanswered iterations in a chart: more could not be distinguished.
+    /// Maximum number of unanswered iterations in a chart. More could not be distinguished.
     pub const MAX_UNANSWERED: usize = 300;
     /// Limit of the count of unanswered iterations, which bounds the time of the query in a run without any answer.
     pub const MAX_COUNTED: u64 = 10_000;

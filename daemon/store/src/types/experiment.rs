@@ -1,4 +1,4 @@
-//! Runs that were declared together, and what comparing and judging runs needs of their course.
+//! Experiments, and the values of runs over time that are needed to compare and judge runs.
 
 use peernet_analysis::run_selection::{Candidate, Repeat, RunState};
 use peernet_clock::WallTime;
@@ -11,17 +11,17 @@ use super::RunSummary;
 /// An experiment in a list: runs that were declared together.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ExperimentSummary {
-    /// Random, the same for all runs of one execution.
+    /// Random id; the same for all runs of one execution of the experiment.
     pub id: String,
-    /// The name in its file.
+    /// Name in the experiment's file.
     pub name: String,
     /// Number of runs that started.
     pub runs: u64,
-    /// Number of them that have not ended.
+    /// Number of runs that have not ended.
     pub open: u64,
-    /// The number of its first run.
+    /// Number of the experiment's first run.
     pub oldest: i64,
-    /// The number of its last run.
+    /// Number of the experiment's last run.
     pub newest: i64,
     /// Start of the first run, on its edge's wall clock.
     pub started: WallTime,
@@ -64,10 +64,10 @@ pub struct StageMeans {
 /// Summary of one bucket without its sketch.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanBucket {
-    /// Its begin, on the edge's wall clock; a multiple of the bucket's width.
+    /// Start of the bucket, on the edge's wall clock; a multiple of the bucket's width.
     pub at: WallTime,
-    /// Samples.
+    /// Number of samples.
     pub count: u64,
-    /// Their mean.
+    /// Mean of the samples.
     pub mean: f64,
 }

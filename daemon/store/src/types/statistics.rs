@@ -18,23 +18,24 @@ pub struct StageStatistics {
     pub stage: Name,
     /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
     pub unit: String,
-    /// `true` if it is one of the stages that add up to `stages-total`.
+    /// `true` if the name is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
     /// The figures.
     pub figures: QuantityStatistics,
-    /// Its sum divided by the sum of `total`, 0 to 1, for durations. The share of a child is also part of its parent's.
+    /// Sum of the name's values divided by the sum of `total`, 0 to 1; `None` if the name is no duration. The share of a child is also
+    /// part of its parent's share.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<DelayAccuracy>,
 }
 
-/// Statistics of a whole run, or of several taken together.
+/// Statistics of a whole run, or of several runs together.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunStatistics {
     /// Statistics of each node name, in the order of tables.
     pub stages: Vec<StageStatistics>,
-    /// Accuracy of the one-way delays: `upload`, `download`. Also present if no delay had a value and `stages` lacks the
-    /// name.
+    /// Accuracy of the one-way delays: `upload`, `download`. It is also present if no delay had a value, so that `stages` does not
+    /// contain the name.
     pub bounds: Vec<DelayAccuracy>,
     /// The mergeable sums from which `stages` and `bounds` were made.
     pub kept: Arc<MergeableStatistics>,
@@ -46,16 +47,16 @@ impl RunStatistics {
         if let [only] = runs {
             return only.clone();
         }
-        let mut all = MergeableStatistics::default();
-        runs.iter().for_each(|run| all.merge(&run.kept));
-        Self::from(all)
+        let mut sum = MergeableStatistics::default();
+        runs.iter().for_each(|run| sum.merge(&run.kept));
+        Self::from(sum)
     }
 
     /// Returns the sums of bytes sent and of their delays.
     pub fn transfers(&self) -> Transfers {
         Transfers::from_statistics(|name| {
-            let found = self.stages.iter().find(|stage| stage.stage == *name)?;
-            Some((found.figures.count, found.figures.mean))
+            let stage = self.stages.iter().find(|stage| stage.stage == *name)?;
+            Some((stage.figures.count, stage.figures.mean))
         })
     }
 }
@@ -66,7 +67,8 @@ impl From<MergeableStatistics> for RunStatistics {
     }
 }
 
-/// Mergeable statistics of runs: counts, values, widths of intervals. Merging loses nothing.
+/// Mergeable statistics of runs: counts, values, widths of intervals. Merged statistics are the same as if all values had been added to
+/// one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MergeableStatistics {
     values: HashMap<Name, NameSummary>,
@@ -94,7 +96,7 @@ impl NameSummary {
 impl MergeableStatistics {
     /// Returns the values of a node name in its SI unit; `None` if there are no values.
     pub fn known(&self, name: &str) -> Option<&Summary> {
-        self.values.get(name).map(|known| &known.summary)
+        self.values.get(name).map(|entry| &entry.summary)
     }
 
     /// Adds values of a node name. Values of a name that was used with several kinds are merged.
@@ -107,38 +109,38 @@ impl MergeableStatistics {
         self.half_widths.entry(stage).or_default().merge(widths);
     }
 
-    /// Adds `times` delays of one direction with this verdict.
-    pub fn add_verdicts(&mut self, stage: Name, verdict: Verdict, times: u64) {
-        let known = self.verdicts.entry(stage).or_default();
-        match known.iter_mut().find(|(one, _)| *one == verdict) {
-            Some((_, sum)) => *sum += times,
-            None => known.push((verdict, times)),
+    /// Adds `count` delays of one direction with this verdict.
+    pub fn add_verdicts(&mut self, stage: Name, verdict: Verdict, count: u64) {
+        let counts = self.verdicts.entry(stage).or_default();
+        match counts.iter_mut().find(|(other, _)| *other == verdict) {
+            Some((_, sum)) => *sum += count,
+            None => counts.push((verdict, count)),
         }
     }
 
-    /// Adds all statistics of another.
+    /// Adds all values of other statistics.
     pub fn merge(&mut self, other: &Self) {
-        for (name, known) in &other.values {
-            self.add(name.clone(), &known.unit, &known.summary);
+        for (name, values) in &other.values {
+            self.add(name.clone(), &values.unit, &values.summary);
         }
         for (stage, widths) in &other.half_widths {
             self.add_half_widths(stage.clone(), widths);
         }
         for (stage, verdicts) in &other.verdicts {
-            verdicts.iter().for_each(|(verdict, times)| self.add_verdicts(stage.clone(), *verdict, *times));
+            verdicts.iter().for_each(|(verdict, count)| self.add_verdicts(stage.clone(), *verdict, *count));
         }
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sum = |known: &NameSummary| known.summary.moments.sum();
+        let sum = |values: &NameSummary| values.summary.moments.sum();
         let total = self.values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
-        let stages = self.values.iter().filter_map(|(stage, known)| {
+        let stages = self.values.iter().filter_map(|(stage, values)| {
             Some(StageStatistics {
                 stage: stage.clone(),
-                unit: known.unit.clone(),
+                unit: values.unit.clone(),
                 is_stage: stage::ORDER.contains(stage),
-                figures: known.figures()?,
-                share: total.filter(|_| known.unit == "s").map(|total| sum(known) / total),
+                figures: values.figures()?,
+                share: total.filter(|_| values.unit == "s").map(|total| sum(values) / total),
                 bound: self.bound(stage),
             })
         });
@@ -148,9 +150,9 @@ impl MergeableStatistics {
     }
 
     fn bounds(&self) -> Vec<DelayAccuracy> {
-        let more = self.half_widths.keys().filter(|name| !self.verdicts.contains_key(*name));
+        let without_verdicts = self.half_widths.keys().filter(|name| !self.verdicts.contains_key(*name));
         let mut bounds: Vec<DelayAccuracy> =
-            self.verdicts.keys().chain(more).filter_map(|name| self.bound(name)).collect();
+            self.verdicts.keys().chain(without_verdicts).filter_map(|name| self.bound(name)).collect();
         bounds.sort_by(|a, b| rank(&a.stage).cmp(&rank(&b.stage)));
         bounds
     }
@@ -160,7 +162,7 @@ impl MergeableStatistics {
         let (half_width, verdicts) = (self.half_widths.get(stage), self.verdicts.get(stage));
         (half_width.is_some() || verdicts.is_some()).then(|| {
             let mut verdicts = verdicts.cloned().unwrap_or_default();
-            verdicts.sort_by_key(|(one, _)| Verdict::ALL.iter().position(|known| known == one));
+            verdicts.sort_by_key(|(verdict, _)| Verdict::ALL.iter().position(|other| other == verdict));
             DelayAccuracy {
                 stage: stage.clone(),
                 half_width: half_width.and_then(QuantityStatistics::from_summary),
@@ -189,19 +191,19 @@ mod tests {
     #[test]
     fn merged_runs_equal_one_run_of_all_samples() {
         let all: Vec<f64> = (0..400).map(|n| 0.01 + f64::from(n % 13) * 1e-3).collect();
-        let part = |some: &[f64], verdict| run(some.iter().copied(), verdict);
+        let part = |values: &[f64], verdict| run(values.iter().copied(), verdict);
         let parts = [part(&all[..150], Verdict::Stale), part(&all[150..], Verdict::Ok)];
         let (whole, parts) = (part(&all, Verdict::Ok), RunStatistics::merged(&parts));
-        let names: Vec<&Name> = parts.stages.iter().map(|known| &known.stage).collect();
+        let names: Vec<&Name> = parts.stages.iter().map(|stage| &stage.stage).collect();
         assert_eq!(names, [&stage::UPLOAD, &stage::TOTAL]);
-        let (one, other) = (whole.stages[1].figures, parts.stages[1].figures);
-        assert!((one.mean - other.mean).abs() < 1e-12);
-        assert!((one.std.expect("many") - other.std.expect("many")).abs() < 1e-12);
+        let (single, merged) = (whole.stages[1].figures, parts.stages[1].figures);
+        assert!((single.mean - merged.mean).abs() < 1e-12);
+        assert!((single.std.expect("many") - merged.std.expect("many")).abs() < 1e-12);
         assert_eq!(
-            (one.count, one.min, one.p50, one.p95, one.p99, one.max),
-            (other.count, other.min, other.p50, other.p95, other.p99, other.max)
+            (single.count, single.min, single.p50, single.p95, single.p99, single.max),
+            (merged.count, merged.min, merged.p50, merged.p95, merged.p99, merged.max)
         );
-        assert!(one.p99.is_some(), "four hundred are enough");
+        assert!(single.p99.is_some(), "four hundred are enough");
         let share = 400.0 * 0.002 / all.iter().sum::<f64>();
         assert!((parts.stages[0].share.expect("a duration") - share).abs() < 1e-9);
         let bound = parts.stages[0].bound.clone().expect("a delay");
@@ -213,9 +215,9 @@ mod tests {
     #[test]
     fn quantiles_need_enough_samples_over_all_runs() {
         let short = run((0..40).map(|_| 0.01), Verdict::Ok);
-        let of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].figures;
-        assert_eq!(of(std::slice::from_ref(&short)).p95, None);
-        assert!(of(&[short.clone(), short]).p95.is_some(), "eighty together");
+        let total_of = |runs: &[RunStatistics]| RunStatistics::merged(runs).stages[1].figures;
+        assert_eq!(total_of(std::slice::from_ref(&short)).p95, None);
+        assert!(total_of(&[short.clone(), short]).p95.is_some(), "eighty together");
         assert_eq!(RunStatistics::merged(&[]), RunStatistics::default());
     }
 }

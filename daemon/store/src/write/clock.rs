@@ -18,10 +18,11 @@ use crate::column::column;
 use crate::extent::Extent;
 use crate::plausible;
 
-/// Maximum number of links in memory; beyond it, all are forgotten and read again when needed.
+/// Maximum number of links in memory. When it is reached, all are discarded and read again when needed.
 const MAX_CACHED_LINKS: usize = 10_000;
 
-/// A second that arrives again replaces its row, as in the live state: each report of a second is complete up to its time.
+/// The row of a second replaces an earlier row of the same second, as in the live state: each report of a second is complete up to the
+/// time of the report.
 const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, max_drift_ppm, \
      upper_sent_ns, upper_received_ns, upper_replied_ns, upper_returned_ns, upper_uncertainty_ns, \
      lower_sent_ns, lower_received_ns, lower_replied_ns, lower_returned_ns, lower_uncertainty_ns, \
@@ -34,15 +35,16 @@ const INSERT: &str = "INSERT OR REPLACE INTO clock_sample (link, at_ns, window, 
      VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, \
      ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
 
-/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again while
-/// the window of free-running clocks continues: each further sample of such a time is stored a nanosecond before the last
-/// one, which is still in the same second.
-/// ?1 link, ?2 its time, ?3 window, ?4 the free-running clock then.
+/// Selects the time at which a sample of a window is stored. A wall clock that was set back shows the same times again, while the
+/// window of free-running clocks continues. Each further sample with such a time is stored a nanosecond earlier than the previous
+/// one; this time is still in the same second.
+/// ?1 link, ?2 the sample's time, ?3 window, ?4 the reading of the free-running clock at that time.
 const FREE_TIME: &str = "SELECT coalesce( \
      (SELECT max(at_ns) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns = ?4), \
      ?2 - (SELECT count(*) FROM clock_sample WHERE link = ?1 AND at_ns BETWEEN ?2 - 999 AND ?2 AND window = ?3 AND at_raw_ns <> ?4))";
 
-/// The assumptions come from the newest sample. Probes count as authenticated only if the probes of all samples were.
+/// The assumptions of a window are those of its newest sample. Probes count as authenticated only if the probes of all samples were
+/// authenticated.
 const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns, clocks, max_drift_ppm, \
      max_drift_change_ppm_per_s, claims_trusted, probes_authenticated) VALUES (?1, ?2, ?3, ?3, ?4, ?5, ?6, ?7, ?8) \
      ON CONFLICT (link, window) DO UPDATE SET first_ns = min(first_ns, excluded.first_ns), \
@@ -51,7 +53,7 @@ const WINDOW: &str = "INSERT INTO clock_window (link, window, first_ns, last_ns,
      probes_authenticated = min(coalesce(probes_authenticated, excluded.probes_authenticated), \
        coalesce(excluded.probes_authenticated, probes_authenticated))";
 
-/// ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
+/// Records arrived samples: ?1 link, ?2 the storage clock, ?3 and ?4 the first and the last time.
 const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_s, ?2), \
      arriving_first_ns = min(coalesce(arriving_first_ns, ?3), ?3), \
      arriving_last_ns = max(coalesce(arriving_last_ns, ?4), ?4) WHERE id = ?1";
@@ -59,14 +61,14 @@ const ARRIVED: &str = "UPDATE link SET arriving_from_s = coalesce(arriving_from_
 /// The writer's cache of the table `link`.
 #[derive(Debug, Default)]
 pub(super) struct Links {
-    /// Row of the link and name of the cloud, by the edge's row, the cloud and the network.
+    /// Id of the link and name of the cloud, by the edge's row, the cloud and the network.
     rows: HashMap<(i64, HostId, NetworkName), (i64, Slug)>,
     /// Range of times of the samples that the transaction stores, by link.
     arrived: HashMap<i64, Extent>,
 }
 
 impl Links {
-    /// Stores one second of the relation between an edge's clock and a cloud's. The cloud may be unknown so far.
+    /// Stores one second of the relation between an edge's clock and a cloud's clock. If the cloud is unknown, it is added.
     pub(super) async fn store(
         &mut self,
         connection: &mut SqliteConnection,
@@ -96,7 +98,7 @@ impl Links {
         Ok(())
     }
 
-    /// Records for retention which samples of each link arrived; `storage_s` is the storage clock.
+    /// Records for retention which samples of each link arrived. `storage_s` is the reading of the storage clock.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -120,6 +122,7 @@ impl Links {
         self.arrived.clear();
     }
 
+    /// Returns the id of a sample's link. Adds the link if it is missing.
     async fn link(
         &mut self,
         connection: &mut SqliteConnection,
@@ -181,7 +184,7 @@ fn values(
     let mut to = SqliteArguments::default();
     to.add(link)?;
     to.add(at)?;
-    // SQLite's integers are signed: the bits are kept.
+    // SQLite's integers are signed, so the same bits are stored as a signed number.
     to.add(sample.window.cast_signed())?;
     to.add(sample.max_drift_ppm)?;
     exchange(sample.upper, &mut to)?;
@@ -210,8 +213,8 @@ fn values(
 }
 
 fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let stamps = |it: Exchange| {
-        let Exchange { sent, received, replied, returned, uncertainty } = it;
+    let stamps = |exchange: Exchange| {
+        let Exchange { sent, received, replied, returned, uncertainty } = exchange;
         let [sent, received, replied, returned] = [sent, received, replied, returned].map(RawTime::nanos);
         [sent, received, replied, returned, uncertainty.nanos()].map(Some)
     };
@@ -219,24 +222,25 @@ fn exchange(exchange: Option<Exchange>, to: &mut SqliteArguments) -> Result<(), 
 }
 
 fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let nanos = |of: fn(&Offset) -> i64| offset.map(of);
-    to.add(nanos(|it| it.estimate.nanos()))?;
-    to.add(nanos(|it| it.bounds.lo.nanos()))?;
-    to.add(nanos(|it| it.bounds.hi.nanos()))?;
-    to.add(offset.and_then(|it| position(DelaySource::ALL, it.source)))?;
-    to.add(offset.and_then(|it| position(Verdict::ALL, it.verdict)))?;
-    to.add(offset.and_then(sources).map(|it| serde_json::to_string(&it)).transpose()?)?;
-    to.add(offset.and_then(|it| it.skew_ppm))?;
-    to.add(offset.map(|it| column(it.exchanges)))?;
-    to.add(offset.and_then(|it| it.age).map(|age| age.nanos()))
+    to.add(offset.map(|offset| offset.estimate.nanos()))?;
+    to.add(offset.map(|offset| offset.bounds.lo.nanos()))?;
+    to.add(offset.map(|offset| offset.bounds.hi.nanos()))?;
+    to.add(offset.and_then(|offset| position(DelaySource::ALL, offset.source)))?;
+    to.add(offset.and_then(|offset| position(Verdict::ALL, offset.verdict)))?;
+    to.add(offset.and_then(sources).map(|sources| serde_json::to_string(&sources)).transpose()?)?;
+    to.add(offset.and_then(|offset| offset.skew_ppm))?;
+    to.add(offset.map(|offset| column(offset.exchanges)))?;
+    to.add(offset.and_then(|offset| offset.age).map(|age| age.nanos()))
 }
 
-/// Returns the interval of each source alone; `None` if this is the offset's own interval.
+/// Returns the interval of each source alone; `None` if the only source has the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;
     }
-    let row = |(source, of): &(DelaySource, Interval)| (source.name(), of.lo.nanos(), of.hi.nanos());
+    let row = |(source, interval): &(DelaySource, Interval)| {
+        (source.name(), interval.lo.nanos(), interval.hi.nanos())
+    };
     Some(offset.sources.iter().map(row).collect())
 }
 

@@ -22,8 +22,8 @@ pub struct ConnectionSample {
     pub connection: Connection,
 }
 
-/// A link has its row from the first sample of its clocks on. The time comes from a live update, which may claim any time: it
-/// is moved into the range of the link's stored samples, with which retention deletes it.
+/// A link has a row in `link` from the first sample of its clocks on. The time comes from a live update, which may claim any time. It
+/// is therefore moved into the range of the link's stored clock samples, because retention deletes both together.
 const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pipeline, local_address, remote_address, \
      interface, interface_type, mtu_bytes, \
      sent_bytes, sent_messages, sent_datagrams, sent_lost, sent_duplicated, sent_reordered, sent_retransmitted, \
@@ -40,7 +40,7 @@ const INSERT: &str = "INSERT OR REPLACE INTO connection_sample (link, at_ns, pip
      FROM link JOIN host AS edge ON edge.id = link.edge JOIN host AS cloud ON cloud.id = link.cloud \
      WHERE edge.uuid = ?1 AND cloud.uuid = ?2 AND link.network = ?3 AND EXISTS (SELECT 1 FROM clock_sample WHERE clock_sample.link = link.id)";
 
-/// Stores samples. Those of a link that is not stored are omitted.
+/// Stores samples. Samples of a link that is not stored are omitted.
 pub(super) async fn store(
     connection: &mut SqliteConnection,
     samples: &[ConnectionSample],

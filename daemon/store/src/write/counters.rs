@@ -16,36 +16,41 @@ use crate::insert::Insert;
 use crate::stored::StoredCounts;
 
 /// Maximum number of hosts whose counters are in memory: the largest value of `[aggregator] max_hosts`. If there are more,
-/// all are forgotten and read again when needed.
+/// all are discarded and read again when needed.
 const MAX_CACHED_HOSTS: usize = 65_536;
 
-/// Maximum number of skipped starts of a run: an agent may claim any number, and neither the column nor a sum of runs may
+/// Maximum number of skipped starts of a run. An agent may report any number, and neither the column nor a sum of runs may
 /// overflow.
 const MAX_SKIPPED_STARTS: u64 = 1 << 53;
 
 /// Additions of a transaction to the counters of a host.
 #[derive(Debug, Default)]
 pub(super) struct HostCounts {
+    /// Id of the host's row.
     id: i64,
     added: StoredCounts,
+    /// Time of the newest event.
     pub(super) newest: Option<WallTime>,
 }
 
+/// Additions of a transaction to the counters of a run.
 #[derive(Debug, Default)]
 struct RunCounts {
     outcomes: OutcomeCounts,
     warm_up: u64,
     skipped_starts: u64,
+    /// Start of the newest iteration.
     last: WallTime,
     /// Ranges of the iterations' numbers and of the seconds in which they started; `None` without an iteration.
     number_and_second_ranges: Option<(Extent, Extent)>,
 }
 
-/// Additions of a transaction, and the hosts' counters as they will be after it.
+/// Additions of a transaction, and the hosts' counters as they will be after the transaction.
 #[derive(Debug)]
 pub(super) struct Counters {
     hosts: HashMap<HostId, HostCounts>,
     runs: HashMap<i64, RunCounts>,
+    /// Counters of the hosts, by row.
     totals: HashMap<i64, StoredCounts>,
     write_hosts: Insert,
     write_runs: Insert,
@@ -57,7 +62,7 @@ impl Default for Counters {
             hosts: HashMap::new(),
             runs: HashMap::new(),
             totals: HashMap::new(),
-            // An agent may claim any number of missing events, and the column may not overflow. So the totals are added in Rust,
+            // An agent may report any number of missing events, and the column may not overflow. So the totals are added in Rust,
             // where the addition saturates, and the statement only writes them.
             write_hosts: Insert::new(
                 "UPDATE host SET last_seen_ns = now.column2, events = now.column3, nodes = now.column4, \
@@ -66,18 +71,18 @@ impl Default for Counters {
                 ") AS now WHERE host.id = now.column1",
             ),
             write_runs: Insert::new(
-                "UPDATE run SET warm_up = warm_up + more.column2, ok = ok + more.column3, \
-                 failed = failed + more.column4, lost = lost + more.column5, timeout = timeout + more.column6, \
-                 last_iteration_ns = max(coalesce(last_iteration_ns, more.column7), more.column7), \
-                 ended_ns = iif(end_reason = more.column8, max(ended_ns, more.column7), ended_ns), \
-                 skipped_starts = min(skipped_starts + more.column9, more.column10), \
-                 arriving_from_s = coalesce(arriving_from_s, more.column11), \
-                 arriving_first_number = min(coalesce(arriving_first_number, more.column12), more.column12), \
-                 arriving_last_number = max(coalesce(arriving_last_number, more.column13), more.column13), \
-                 arriving_first_s = min(coalesce(arriving_first_s, more.column14), more.column14), \
-                 arriving_last_s = max(coalesce(arriving_last_s, more.column15), more.column15) FROM (",
+                "UPDATE run SET warm_up = warm_up + added.column2, ok = ok + added.column3, \
+                 failed = failed + added.column4, lost = lost + added.column5, timeout = timeout + added.column6, \
+                 last_iteration_ns = max(coalesce(last_iteration_ns, added.column7), added.column7), \
+                 ended_ns = iif(end_reason = added.column8, max(ended_ns, added.column7), ended_ns), \
+                 skipped_starts = min(skipped_starts + added.column9, added.column10), \
+                 arriving_from_s = coalesce(arriving_from_s, added.column11), \
+                 arriving_first_number = min(coalesce(arriving_first_number, added.column12), added.column12), \
+                 arriving_last_number = max(coalesce(arriving_last_number, added.column13), added.column13), \
+                 arriving_first_s = min(coalesce(arriving_first_s, added.column14), added.column14), \
+                 arriving_last_s = max(coalesce(arriving_last_s, added.column15), added.column15) FROM (",
                 15,
-                ") AS more WHERE run.number = more.column1",
+                ") AS added WHERE run.number = added.column1",
             ),
         }
     }
@@ -103,7 +108,7 @@ impl Counters {
         counts.number_and_second_ranges = Some((numbers.hull(part.numbers), seconds.hull(part.seconds)));
     }
 
-    /// Writes all additions. Returns the hosts' totals in the database, and the time of their newest iteration.
+    /// Writes all additions. Returns the hosts' totals in the database, and the time of the newest event of each host.
     pub(super) async fn write(
         &mut self,
         connection: &mut SqliteConnection,
@@ -136,8 +141,8 @@ impl Counters {
         let mut hosts = Vec::with_capacity(self.hosts.len());
         for (host, counts) in self.hosts.drain() {
             let total = match self.totals.entry(counts.id) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(place) => place.insert(total(connection, counts.id).await?),
+                Entry::Occupied(entry) => entry.into_mut(),
+                Entry::Vacant(entry) => entry.insert(total(connection, counts.id).await?),
             };
             total.add(&counts.added);
             hosts.push((host, counts.id, *total, counts.newest));
@@ -156,7 +161,7 @@ impl Counters {
         Ok(hosts.into_iter().map(|(host, _, total, newest)| (host, (total, newest))).collect())
     }
 
-    /// Discards the state that is only in memory: the transaction was rolled back.
+    /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
         self.hosts.clear();
         self.runs.clear();
@@ -165,13 +170,13 @@ impl Counters {
 }
 
 impl HostCounts {
-    pub(super) fn add(&mut self, more: &StoredCounts) {
-        self.added.add(more);
+    pub(super) fn add(&mut self, counts: &StoredCounts) {
+        self.added.add(counts);
     }
 }
 
 impl StoredCounts {
-    /// Makes it from the columns of `host`: events, nodes, gaps, missing, quarantined.
+    /// Makes the counts from the columns of `host`: events, nodes, gaps, missing, quarantined.
     pub(super) fn from_columns(
         (events, nodes, gaps, missing, quarantined): (i64, i64, i64, i64, i64),
     ) -> Self {
@@ -180,8 +185,8 @@ impl StoredCounts {
         Self { events, nodes, gaps, missing, duplicates: 0, quarantined }
     }
 
-    pub(super) fn add(&mut self, more: &Self) {
-        let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = more;
+    pub(super) fn add(&mut self, other: &Self) {
+        let Self { events, nodes, gaps, missing, duplicates: _, quarantined } = other;
         self.events = self.events.saturating_add(*events);
         self.nodes = self.nodes.saturating_add(*nodes);
         self.gaps = self.gaps.saturating_add(*gaps);
@@ -190,6 +195,7 @@ impl StoredCounts {
     }
 }
 
+/// Reads the counters of a host.
 async fn total(connection: &mut SqliteConnection, host: i64) -> Result<StoredCounts, sqlx::Error> {
     let counts: (i64, i64, i64, i64, i64) =
         sqlx::query_as("SELECT events, nodes, gaps, missing, quarantined FROM host WHERE id = ?")

@@ -4,18 +4,19 @@ use sqlx::SqliteConnection;
 
 use super::Refusal;
 
-/// Reason of an end that was not reported. It is stored and compared, so the text never changes. If a new run of the
-/// pipeline shows that the previous one has ended, the agent may be running.
+/// Reason of an end that was not reported. It is stored and compared, so the text must never change. It is also used if a new run of
+/// a pipeline shows that the previous run has ended, although the agent may still be running then.
 ///
 /// Iterations of the run that arrive later move this end. A reported end that arrives later replaces it.
 pub(super) const UNREPORTED_END: &str = "the agent ended without saying so";
 
-/// Ends of runs that follow from the events of a transaction. They are written at its end, after the last iterations are counted.
+/// Ends of runs that follow from the events of a transaction. They are written at the end of the transaction, after the last
+/// iterations are counted.
 #[derive(Debug, Default)]
 pub(super) struct RunEnds {
-    /// Hosts whose process ended, with the newest run that may belong to it.
+    /// Hosts whose process ended, with the newest run that may belong to that process.
     processes: Vec<(i64, i64)>,
-    /// Pipelines with a new run, with its number.
+    /// Pipelines with a new run, with the number of the run.
     pipelines: Vec<(i64, i64)>,
 }
 
@@ -28,16 +29,16 @@ impl RunEnds {
         host: i64,
         process: u64,
     ) -> Result<(), Refusal> {
-        // SQLite's integers are signed: the bits are kept.
+        // SQLite's integers are signed, so the same bits are stored as a signed number.
         let process = process.cast_signed();
-        let before: Option<i64> = sqlx::query_scalar("SELECT process FROM host WHERE id = ?")
+        let previous_process: Option<i64> = sqlx::query_scalar("SELECT process FROM host WHERE id = ?")
             .bind(host)
             .fetch_one(&mut *connection)
             .await?;
-        if before == Some(process) {
+        if previous_process == Some(process) {
             return Ok(());
         }
-        if before.is_some() {
+        if previous_process.is_some() {
             self.end_process(connection, host).await?;
         }
         sqlx::query("UPDATE host SET process = ? WHERE id = ?")
@@ -48,7 +49,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that the process of a host has ended, and with it the runs that are stored so far.
+    /// Records that the process of a host has ended, so that the host's runs that are stored so far have ended, too.
     pub(super) async fn end_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -60,12 +61,12 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that a run of a pipeline started: the pipeline's earlier runs have ended.
+    /// Records that a run of a pipeline started, so that the pipeline's earlier runs have ended.
     pub(super) fn record_next_run(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }
 
-    /// Ends the noted runs that are still open.
+    /// Ends the recorded runs that are still open.
     pub(super) async fn write(&mut self, connection: &mut SqliteConnection) -> Result<(), Refusal> {
         for (host, newest) in self.processes.drain(..) {
             sqlx::query(

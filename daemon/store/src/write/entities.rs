@@ -12,7 +12,7 @@ use sqlx::SqliteConnection;
 use super::{Refusal, RunName};
 use crate::stored::StoredCounts;
 
-/// Maximum number of runs in memory; beyond it, all are forgotten and read again when needed.
+/// Maximum number of runs in memory. When it is reached, all are discarded and read again when needed.
 const MAX_CACHED_RUNS: usize = 10_000;
 /// Pipeline and model of a run whose start never arrived.
 pub(crate) const UNKNOWN: &str = "unknown";
@@ -23,19 +23,20 @@ pub(crate) const UNKNOWN: &str = "unknown";
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reporter {
     pub(super) id: HostId,
-    /// Its row in the table `host`.
+    /// Id of the host's row in the table `host`.
     pub(super) row: i64,
 }
 
-/// The writer's memory of the small tables.
+/// The writer's cache of the small tables.
 #[derive(Debug, Default)]
 pub(super) struct Entities {
+    /// Ids of the rows of hosts.
     hosts: HashMap<HostId, i64>,
-    /// By the reporting host's row and the id under which it reports the run.
+    /// Runs by the reporting host's row and the id under which it reports the run.
     runs: HashMap<(i64, RunId), KnownRun>,
     /// Runs that were added to `runs` since `take_loaded_runs` was last called.
     loaded_runs: Vec<(HostId, RunId, i64)>,
-    /// Runs that were created without their beginning since `take_unnamed_runs` was last called.
+    /// Runs that were created without a start event since `take_unnamed_runs` was last called.
     unnamed_runs: Vec<(HostId, RunId)>,
 }
 
@@ -43,17 +44,17 @@ pub(super) struct Entities {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownRun {
     pub(super) number: i64,
-    /// Id under which it is stored. It differs from the reported id if another host used that id first, so that no host can
-    /// take an id before its owner comes.
+    /// Id under which the run is stored. It differs from the reported id if another host used that id first. So no host can prevent
+    /// another host from storing a run by using the run's id first.
     uuid: RunId,
 }
 
 /// Result of looking up a run id.
 #[derive(Clone, Copy, Debug)]
 struct Lookup {
-    /// The reporter's run of this id.
+    /// The reporter's run with this id.
     reporters_run: Option<KnownRun>,
-    /// `true` if a run of this id is stored, whoever reported it; used only if the reporter has none.
+    /// `true` if any host has a run with this id. Valid only if `reporters_run` is `None`.
     is_taken: bool,
 }
 
@@ -68,7 +69,7 @@ impl Entities {
         if let Some(id) = self.hosts.get(&host) {
             return Ok(*id);
         }
-        // The update changes nothing: it makes RETURNING answer for a row that exists already.
+        // The update changes nothing. Without it, RETURNING would return no row for a host that exists already.
         let id = sqlx::query_scalar(
             "INSERT INTO host (uuid, first_seen_ns, last_seen_ns) VALUES (?1, ?2, ?2) \
              ON CONFLICT (uuid) DO UPDATE SET uuid = uuid RETURNING id",
@@ -81,8 +82,8 @@ impl Entities {
         Ok(id)
     }
 
-    /// Returns the row of a host, if there is one.
-    pub(super) async fn known_host(
+    /// Returns the row of a host, if the host is stored.
+    pub(super) async fn find_host(
         &self,
         connection: &mut SqliteConnection,
         host: HostId,
@@ -113,19 +114,19 @@ impl Entities {
         Ok(id)
     }
 
-    /// Returns the run to which rows of the reporter refer. It is created if its beginning never arrived.
-    pub(super) async fn run_of(
+    /// Returns the run to which rows of the reporter refer. The run is created if its start event never arrived.
+    pub(super) async fn find_or_create_run(
         &mut self,
         connection: &mut SqliteConnection,
         reporter: Reporter,
         run: RunId,
-        seen: WallTime,
+        seen_at: WallTime,
     ) -> Result<KnownRun, Refusal> {
-        let found = self.look_up(connection, reporter, run).await?;
-        if let Some(reporters_run) = found.reporters_run {
+        let lookup = self.look_up(connection, reporter, run).await?;
+        if let Some(reporters_run) = lookup.reporters_run {
             return Ok(reporters_run);
         }
-        let (uuid, reported) = found.ids(run);
+        let (uuid, reported) = lookup.ids(run);
         let pipeline = pipeline(connection, reporter.row, UNKNOWN).await?;
         let number = sqlx::query_scalar(
             "INSERT INTO run (uuid, reported_uuid, pipeline, started_ns, placement, model, facts, configuration, version) \
@@ -134,7 +135,7 @@ impl Entities {
         .bind(uuid.to_string())
         .bind(reported.map(|run| run.to_string()))
         .bind(pipeline)
-        .bind(seen.unix_nanos())
+        .bind(seen_at.unix_nanos())
         .bind(UNKNOWN)
         .fetch_one(connection)
         .await?;
@@ -142,8 +143,8 @@ impl Entities {
         Ok(self.remember(reporter, run, KnownRun { number, uuid }))
     }
 
-    /// Returns the reporter's run of this id, if it exists.
-    pub(super) async fn known_run(
+    /// Returns the reporter's run with this id, if it exists.
+    pub(super) async fn find_run(
         &mut self,
         connection: &mut SqliteConnection,
         reporter: Reporter,
@@ -152,17 +153,18 @@ impl Entities {
         Ok(self.look_up(connection, reporter, run).await?.reporters_run)
     }
 
-    /// Returns whether a run of this id belongs to another host and none to the reporter.
+    /// Returns whether a run with this id belongs to another host and no run with this id belongs to the reporter.
     pub(super) async fn is_foreign(
         &mut self,
         connection: &mut SqliteConnection,
         reporter: Reporter,
         run: RunId,
     ) -> Result<bool, Refusal> {
-        let found = self.look_up(connection, reporter, run).await?;
-        Ok(found.reporters_run.is_none() && found.is_taken)
+        let lookup = self.look_up(connection, reporter, run).await?;
+        Ok(lookup.reporters_run.is_none() && lookup.is_taken)
     }
 
+    /// Looks up a run id.
     async fn look_up(
         &mut self,
         connection: &mut SqliteConnection,
@@ -231,7 +233,8 @@ impl Entities {
         Ok((self.remember(reporter, run.run, KnownRun { number, uuid }), pipeline))
     }
 
-    /// Stores a run's name from the live lane. The description in the run's beginning takes precedence, earlier or later.
+    /// Stores a run's name from a live update. The description in the run's start event takes precedence, whether it arrived before or
+    /// arrives later.
     pub(super) async fn name_run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -239,7 +242,7 @@ impl Entities {
         now: WallTime,
     ) -> Result<(), Refusal> {
         let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
-        let Some(known) = self.known_run(connection, reporter, name.run).await? else { return Ok(()) };
+        let Some(known) = self.find_run(connection, reporter, name.run).await? else { return Ok(()) };
         let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
         let placement = &name.placement;
         sqlx::query(
@@ -267,7 +270,7 @@ impl Entities {
         reporter: Reporter,
         end: &RunEnded,
     ) -> Result<(), Refusal> {
-        let run = self.run_of(connection, reporter, end.run, end.ended).await?;
+        let run = self.find_or_create_run(connection, reporter, end.run, end.ended).await?;
         sqlx::query("UPDATE run SET ended_ns = ?, end_reason = ? WHERE number = ?")
             .bind(end.ended.unix_nanos())
             .bind(end.reason.as_str())
@@ -285,6 +288,7 @@ impl Entities {
         self.unnamed_runs.clear();
     }
 
+    /// Adds a run to the cache.
     fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
         if self.runs.len() >= MAX_CACHED_RUNS {
             self.runs.clear();
@@ -294,12 +298,12 @@ impl Entities {
         known
     }
 
-    /// Returns the runs that were added to memory since the last call, with their numbers.
+    /// Returns the runs that were added to the cache since the last call, with their numbers.
     pub(super) fn take_loaded_runs(&mut self) -> Vec<(HostId, RunId, i64)> {
         std::mem::take(&mut self.loaded_runs)
     }
 
-    /// Returns the runs that were created without their beginning since the last call.
+    /// Returns the runs that were created without a start event since the last call.
     pub(super) fn take_unnamed_runs(&mut self) -> Vec<(HostId, RunId)> {
         std::mem::take(&mut self.unnamed_runs)
     }
@@ -321,6 +325,7 @@ fn json<T: Serialize>(value: &T) -> Result<String, Refusal> {
     serde_json::to_string(value).map_err(|error| Refusal::Batch(error.to_string()))
 }
 
+/// Returns the id of a pipeline. Adds the pipeline if it is missing.
 async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> Result<i64, Refusal> {
     let id = sqlx::query_scalar(
         "INSERT INTO pipeline (host, name) VALUES (?, ?) ON CONFLICT DO UPDATE SET name = name RETURNING id",
@@ -332,7 +337,7 @@ async fn pipeline(connection: &mut SqliteConnection, host: i64, name: &str) -> R
     Ok(id)
 }
 
-/// Returns the newest runs: their hosts, the ids under which these report them, and their numbers.
+/// Returns the newest runs: for each run its host, the id under which the host reports the run, and the run's number.
 pub(crate) async fn read_newest_runs(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -348,7 +353,7 @@ pub(crate) async fn read_newest_runs(
     rows.into_iter().map(|(host, run, number)| Ok((id(&host)?, id(&run)?, number))).collect()
 }
 
-/// Returns open runs whose start is not stored, but iterations are, with their hosts.
+/// Returns open runs that have stored iterations but no stored start, with their hosts.
 pub(crate) async fn read_unnamed_runs(
     connection: &mut SqliteConnection,
     limit: u32,
@@ -383,6 +388,7 @@ pub(crate) async fn read_host_counts(
         .collect()
 }
 
+/// Parses a stored id.
 pub(super) fn id<T: FromStr<Err = uuid::Error>>(text: &str) -> Result<T, sqlx::Error> {
     text.parse().map_err(|error: uuid::Error| sqlx::Error::Decode(error.into()))
 }

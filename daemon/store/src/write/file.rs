@@ -1,14 +1,14 @@
 //! Check that the paths of the database and of its log still name the open files.
 //!
-//! The writer checks before and after each commit, and once a second: data that is written to a file that was moved or deleted
-//! would be lost.
+//! The writer makes this check before and after each commit, and once a second, because data that is written to a moved or deleted
+//! file would be lost.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use crate::database_error::DatabaseError;
 
-/// Reason why a commit did not count.
+/// Reason why a commit failed, or why its data may be lost.
 #[derive(Debug, thiserror::Error)]
 pub enum CommitError {
     /// The path names another file or no file: data that is written now is lost when this process ends.
@@ -28,9 +28,9 @@ pub enum CommitError {
 impl CommitError {
     /// Returns whether the connection is still usable: the database is full, or another program locks it.
     ///
-    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file is opened
-    /// again: the error may come from the descriptors, which stay read-only or lead to a file system that is gone, even if the path
-    /// is usable again.
+    /// A connection to a damaged file is kept until another file is put in its place. After any other error the file has to be opened
+    /// again. The error may come from the descriptors: they stay read-only, or lead to a file system that is no longer mounted, even if
+    /// the path is usable again.
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),
@@ -49,21 +49,22 @@ pub(super) struct DatabaseFile {
     path: PathBuf,
     identity: Identity,
     log_path: PathBuf,
-    /// Identity of the log. SQLite creates it with the first connection and removes it with the last: while the writer is
-    /// connected it stays the same, even if it is checkpointed and restarted.
+    /// Identity of the log. SQLite creates the log with the first connection and removes it with the last connection. While the writer
+    /// is connected, the log is the same file, even if it is checkpointed and written from its start again.
     log: Log,
 }
 
+/// State of the log file.
 #[derive(Debug)]
 enum Log {
-    /// Not examined since the connection was made.
+    /// The log was not examined since the connection was made.
     Unknown,
-    /// Identity when it was examined; `None` if there was no log although something had been committed.
-    Found(Option<Identity>),
+    /// Identity when the log was examined; `None` if there was no log although something had been committed.
+    Examined(Option<Identity>),
 }
 
 impl DatabaseFile {
-    /// Records the identities of the present files. A connection must have read from the database before.
+    /// Records the identities of the current files. A connection must have read from the database before.
     pub(super) fn open(path: PathBuf) -> std::io::Result<Self> {
         let identity = identity(&path)?;
         let mut log_path = path.clone().into_os_string();
@@ -81,19 +82,19 @@ impl DatabaseFile {
     /// Records the identity of the log. The connection must have committed or read before.
     pub(super) fn record_log(&mut self) {
         if matches!(self.log, Log::Unknown) {
-            self.log = Log::Found(identity(&self.log_path).ok());
+            self.log = Log::Examined(identity(&self.log_path).ok());
         }
     }
 
-    /// Checks that the paths still name the files. It reads the file system's cache only, which is cheap compared with a commit.
+    /// Checks that the paths still name the files. The check reads only the file system's cache, which is cheap compared with a commit.
     pub(super) fn check(&self) -> Result<(), CommitError> {
         if identity(&self.path).ok() != Some(self.identity) {
             return Err(CommitError::Moved(self.path.clone()));
         }
         match self.log {
             Log::Unknown => Ok(()),
-            Log::Found(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
-            Log::Found(_) => Err(CommitError::LogMoved(self.log_path.clone())),
+            Log::Examined(Some(log)) if identity(&self.log_path).ok() == Some(log) => Ok(()),
+            Log::Examined(_) => Err(CommitError::LogMoved(self.log_path.clone())),
         }
     }
 }
@@ -107,14 +108,14 @@ impl FormerFiles {
         Self(file)
     }
 
-    /// Returns the path of the log if it is unchanged and not empty although the database was replaced.
+    /// Returns the path of the log if another file is at the database's path but the log is still the former one and not empty.
     pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
-        let replaced = identity(&file.path).ok() != Some(file.identity);
-        let Log::Found(Some(log)) = file.log else { return None };
-        let there = std::fs::metadata(&file.log_path).ok()?;
-        let same = (there.dev(), there.ino()) == log && there.len() > 0;
-        (replaced && same).then(|| file.log_path.clone())
+        let is_replaced = identity(&file.path).ok() != Some(file.identity);
+        let Log::Examined(Some(log)) = file.log else { return None };
+        let current_log = std::fs::metadata(&file.log_path).ok()?;
+        let is_same_log = (current_log.dev(), current_log.ino()) == log && current_log.len() > 0;
+        (is_replaced && is_same_log).then(|| file.log_path.clone())
     }
 }
 

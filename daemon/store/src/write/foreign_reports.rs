@@ -1,7 +1,7 @@
 //! Reports of hosts on runs of other hosts.
 //!
-//! They do not change these runs, because runs are looked up by their reporter ([`Reporter`]). The attempt becomes an
-//! incident of the reporting host.
+//! Such reports do not change the runs of other hosts, because runs are looked up by their reporter ([`Reporter`]). The attempt is
+//! recorded as an incident of the reporting host.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 
@@ -13,34 +13,34 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::entities::{Entities, Reporter};
 
-/// Maximum number of runs that are remembered as reported; beyond it, all are forgotten and reported again.
+/// Maximum number of runs that are remembered as reported. When it is reached, all are discarded and may be reported again.
 const MAX_REMEMBERED_REPORTS: usize = 10_000;
 
-/// Reports that a transaction found, and reports that earlier transactions recorded as incidents.
+/// Foreign runs that the current transaction found, and foreign runs that are already recorded in incidents.
 #[derive(Debug, Default)]
 pub(super) struct ForeignReports {
-    /// By the row of the host: its id, one of the runs, and their number.
-    found: HashMap<i64, (HostId, RunId, u64)>,
-    /// Rows of hosts with the foreign runs that they named.
-    reported: HashSet<(i64, RunId)>,
+    /// By the row of the reporting host: the host's id, one of the foreign runs, and the number of foreign runs.
+    new_reports: HashMap<i64, (HostId, RunId, u64)>,
+    /// Rows of reporting hosts with the foreign runs that they named.
+    known_reports: HashSet<(i64, RunId)>,
 }
 
 impl ForeignReports {
-    /// Finds runs of other hosts among the runs that a batch names.
+    /// Finds runs of other hosts among the runs that a batch names (`named_runs`).
     pub(super) async fn check(
         &mut self,
         connection: &mut SqliteConnection,
         entities: &mut Entities,
         reporter: Reporter,
-        claimed: &BTreeSet<RunId>,
+        named_runs: &BTreeSet<RunId>,
     ) -> Result<(), Refusal> {
-        for run in claimed {
+        for run in named_runs {
             if entities.is_foreign(connection, reporter, *run).await? {
-                if self.reported.len() >= MAX_REMEMBERED_REPORTS {
-                    self.reported.clear();
+                if self.known_reports.len() >= MAX_REMEMBERED_REPORTS {
+                    self.known_reports.clear();
                 }
-                if self.reported.insert((reporter.row, *run)) {
-                    self.found.entry(reporter.row).or_insert((reporter.id, *run, 0)).2 += 1;
+                if self.known_reports.insert((reporter.row, *run)) {
+                    self.new_reports.entry(reporter.row).or_insert((reporter.id, *run, 0)).2 += 1;
                 }
             }
         }
@@ -53,7 +53,7 @@ impl ForeignReports {
         connection: &mut SqliteConnection,
         now: WallTime,
     ) -> Result<(), sqlx::Error> {
-        for (row, (host, run, runs)) in self.found.drain() {
+        for (row, (host, run, runs)) in self.new_reports.drain() {
             let text = format!(
                 "this host reported on {runs} runs that belong to other hosts, such as {run}: its reports are stored as runs \
                  of this host, and the runs of the other hosts are unchanged"
@@ -72,7 +72,7 @@ impl ForeignReports {
 
     /// Discards the state that is only in memory, because the transaction failed.
     pub(super) fn forget(&mut self) {
-        self.found.clear();
-        self.reported.clear();
+        self.new_reports.clear();
+        self.known_reports.clear();
     }
 }

@@ -1,8 +1,8 @@
 //! The only writing connection: it stores many batches in one transaction and returns the streams' new marks.
 //!
-//! A batch and the number up to which its stream is stored (the mark) are committed together, and a batch at or below the mark
-//! is acknowledged but not stored: so each batch is stored exactly once. Below `iteration` there are no foreign keys: they would
-//! cost a check per node, and one writer owns the tables.
+//! The mark of a stream is the number up to which its batches are stored. A batch and the new mark are committed together, and a
+//! batch at or below the mark is acknowledged but not stored. So each batch is stored exactly once. The tables of an iteration's tree
+//! have no foreign keys: they would cost a check per node, and they are not needed, because one writer owns the tables.
 
 mod clock;
 mod connections;
@@ -53,7 +53,7 @@ use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::stored::StoredCounts;
 
-/// Carries the whole log over into the file and empties it, unless a reader is active.
+/// Checkpoints the whole log into the file and empties the log, unless a reader is active.
 const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
 /// Result of a transaction.
@@ -65,7 +65,7 @@ pub struct Committed {
     pub hosts: HashMap<HostId, (StoredCounts, Option<WallTime>)>,
     /// Numbers of runs that were created or read since the last commit.
     pub runs: Vec<(HostId, RunId, i64)>,
-    /// Runs that were created without their beginning.
+    /// Runs that were created without a start event.
     pub unnamed_runs: Vec<(HostId, RunId)>,
     /// Number of nodes stored.
     pub nodes: u64,
@@ -77,8 +77,8 @@ pub struct Committed {
 
 /// Owner of the writing connection.
 ///
-/// The connection is never replaced: after an error that may be the connection's own the whole writer is replaced, and with it
-/// everything that memory holds of the database.
+/// The connection is never replaced. After an error that may come from the connection, the whole writer is replaced, together with all
+/// its caches of the database.
 #[derive(Debug)]
 pub struct Writer {
     file: DatabaseFile,
@@ -86,7 +86,7 @@ pub struct Writer {
     staging: Staging,
     retention: Retention,
     storage_clock: StorageClock,
-    /// The aggregator's wall clock at the last commit before this writer; taken once it is compared.
+    /// The aggregator's wall clock at the last commit before this writer. `None` after it was compared with the current time.
     last_wall: Option<WallTime>,
     /// State of the streams as committed.
     streams: Streams,
@@ -100,7 +100,7 @@ impl Writer {
     pub async fn new(
         path: PathBuf,
         mut connection: SqliteConnection,
-        keep: RetentionConfig,
+        retention: RetentionConfig,
     ) -> Result<Self, sqlx::Error> {
         let streams = Streams::load(&mut connection).await?;
         let names = Names::load(&mut connection).await?;
@@ -109,7 +109,7 @@ impl Writer {
             file: DatabaseFile::open(path)?,
             connection,
             staging: Staging::new(names),
-            retention: Retention::new(keep),
+            retention: Retention::new(retention),
             storage_clock: StorageClock::default(),
             last_wall,
             streams,
@@ -117,12 +117,12 @@ impl Writer {
         })
     }
 
-    /// Closes the connection. Returns which files it was connected to.
+    /// Closes the connection. Returns the identities of its files.
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.finish();
         if self.file.check().is_err() {
-            // SQLite leaves the log of a moved file in place, and would apply it to any file that takes its place. Carried over
-            // now, through the descriptors, each file is complete by itself.
+            // SQLite leaves the log of a moved file behind, and would apply it to any file that takes the place of the moved file. The
+            // log is therefore checkpointed now, through the open descriptors, so that the moved file is complete without it.
             if let Err(error) = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await {
                 tracing::warn!(%error, log = %self.file.log_path().display(), "cannot checkpoint the write-ahead log into the database that was moved");
             }
@@ -140,9 +140,9 @@ impl Writer {
     /// iterations, its other iterations are stored.
     ///
     /// # Errors
-    /// When the database cannot store anything now: the same work may be handed in again if the error
-    /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise to a new writer. Also when the file
-    /// or its log is no longer at its path: then nothing of the work counts as stored.
+    /// When the database cannot store anything now. The same work may be committed again: with this writer if the error
+    /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise with a new writer. Also when the file
+    /// or its log is no longer at its path; the work then does not count as stored.
     pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
         self.check_file()?;
         // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its part.
@@ -175,19 +175,19 @@ impl Writer {
         }
         let result = retention::pin(&mut self.connection, run, pinned).await;
         let result = self.roll_back_on_error(result).await.map_err(DatabaseError::new);
-        result.inspect_err(|error| integrity.note(error)).map_err(StoreError::pin_failed)
+        result.inspect_err(|error| integrity.record_if_damage(error)).map_err(StoreError::pin_failed)
     }
 
     /// Deletes a small amount of old data, if there is any. Returns whether more remains.
     pub async fn retain(&mut self, now: Stamp) -> Result<Step, DatabaseError> {
         let Self { connection, storage_clock, .. } = self;
-        let result = self.retention.step(connection, storage_clock, now, retention::ROWS).await;
+        let result = self.retention.step(connection, storage_clock, now, retention::MAX_STEP_COST).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)
     }
 
-    /// Checks the wall clock, stores waiting incidents of the aggregator, and stores the storage clock if nothing else was stored
-    /// for a while.
-    pub async fn keep_clocks(
+    /// Checks the wall clock for steps. Stores the pending incidents of the aggregator together with the readings of the storage clock
+    /// and the wall clock. Without pending incidents, stores the readings only if nothing was stored for a while.
+    pub async fn store_clock_readings(
         &mut self,
         now: Stamp,
         incidents: &mut PendingIncidents,
@@ -199,15 +199,19 @@ impl Writer {
         if incidents.is_empty() && !self.storage_clock.is_due(now.mono) {
             return Ok(());
         }
-        let result = self.store_clocks(now, incidents).await;
+        let result = self.store_incidents_and_clocks(now, incidents).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
-        self.storage_clock.committed(now.mono);
+        self.storage_clock.record_commit(now.mono);
         incidents.clear();
         self.file.record_log();
         Ok(())
     }
 
-    async fn store_clocks(&mut self, now: Stamp, incidents: &PendingIncidents) -> Result<(), sqlx::Error> {
+    async fn store_incidents_and_clocks(
+        &mut self,
+        now: Stamp,
+        incidents: &PendingIncidents,
+    ) -> Result<(), sqlx::Error> {
         let connection = &mut self.connection;
         raw_transaction::begin(connection).await?;
         incidents.store(connection).await?;
@@ -215,17 +219,17 @@ impl Writer {
         raw_transaction::commit(connection).await
     }
 
-    /// Stores statistics of connections. Those of a link that is not stored are omitted.
+    /// Stores statistics of connections. Samples of a link that is not stored are omitted.
     ///
     /// # Errors
     /// When the database cannot store anything now.
     pub async fn store_connections(&mut self, samples: &[ConnectionSample]) -> Result<(), DatabaseError> {
-        let stored = async {
+        let storing = async {
             raw_transaction::begin(&mut self.connection).await?;
             connections::store(&mut self.connection, samples).await?;
             raw_transaction::commit(&mut self.connection).await
         };
-        let result = stored.await;
+        let result = storing.await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.file.record_log();
         Ok(())
@@ -233,8 +237,8 @@ impl Writer {
 
     /// Checkpoints the log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
     ///
-    /// SQLite restarts the log only if no reader uses it at the moment of a commit: one long reader, or many short readers that
-    /// overlap, let it grow, and without further commits it keeps its size.
+    /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long reader, or many
+    /// short readers that overlap, therefore make the log grow. Without further commits the log keeps its size.
     pub async fn bound_log(&mut self, max_bytes: u64) -> Result<(), CommitError> {
         let bytes = std::fs::metadata(self.file.log_path()).map_or(0, |log| log.len());
         if bytes <= max_bytes {
@@ -244,15 +248,15 @@ impl Writer {
     }
 
     async fn checkpoint(&mut self) -> Result<(), sqlx::Error> {
-        // It is tried again soon: waiting for readers would delay the next commit.
+        // The checkpoint does not wait for readers, which would delay the next commit. It is tried again soon.
         sqlx::query("PRAGMA busy_timeout = 0").execute(&mut self.connection).await?;
-        let carried_over = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await;
-        let wait = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
-        sqlx::raw_sql(sqlx::AssertSqlSafe(wait)).execute(&mut self.connection).await?;
-        carried_over.map(drop)
+        let result = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await;
+        let restore_timeout = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
+        sqlx::raw_sql(sqlx::AssertSqlSafe(restore_timeout)).execute(&mut self.connection).await?;
+        result.map(drop)
     }
 
-    /// Writes without a change, to check that the database can be written.
+    /// Writes without changing anything, to check that the database can be written.
     pub async fn write_nothing(&mut self) -> Result<(), DatabaseError> {
         assign_id(&mut self.connection).await.map_err(DatabaseError::new)?;
         self.file.record_log();
@@ -262,12 +266,12 @@ impl Writer {
     /// Checks that the paths of the database and of its log still name the open files.
     ///
     /// # Errors
-    /// When they do not.
+    /// When a path names another file or no file.
     pub fn check_file(&self) -> Result<(), CommitError> {
         self.file.check()
     }
 
-    /// Prevents others from writing, as a program that opened the file might.
+    /// Locks the database, as another program that opened the file might.
     #[cfg(test)]
     pub async fn lock(&mut self) {
         sqlx::query("BEGIN EXCLUSIVE").execute(&mut self.connection).await.expect("locks");
@@ -280,7 +284,8 @@ impl Writer {
         sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut self.connection).await.expect("limits");
     }
 
-    /// Stores one batch that was refused: without the iterations that are already stored, or in the quarantine.
+    /// Stores one batch that was refused because of `reason`. If some of its iterations are already stored, the other iterations are
+    /// stored. Otherwise the batch is quarantined.
     async fn store_single_batch(
         &mut self,
         part: &[Work],
@@ -288,14 +293,14 @@ impl Writer {
         mut reason: String,
     ) -> Result<Committed, CommitError> {
         if let [Work::Batch(batch)] = part {
-            let stored =
+            let repeated =
                 repeated_iterations::find(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
-            if !stored.is_empty()
-                && let Ok(rest) = PreparedBatch::without(batch.head, batch.body.clone(), &stored)
+            if !repeated.is_empty()
+                && let Ok(rest) = PreparedBatch::without(batch.head, batch.body.clone(), &repeated)
             {
                 match self.attempt(&[Work::Batch(Box::new(rest))], now, None).await {
                     Ok(committed) => {
-                        let (host, number, left_out) = (batch.head.host, batch.head.number, stored.len());
+                        let (host, number, left_out) = (batch.head.host, batch.head.number, repeated.len());
                         tracing::warn!(
                             %host, number, left_out,
                             "iterations that are already stored arrived in another batch and were skipped: two copies of \
@@ -304,7 +309,7 @@ impl Writer {
                         return Ok(committed);
                     }
                     Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
-                    Err(Refusal::Batch(also)) => reason = also,
+                    Err(Refusal::Batch(other_reason)) => reason = other_reason,
                 }
             }
         }
@@ -328,7 +333,7 @@ impl Writer {
         };
         match result {
             Ok(committed) => {
-                self.storage_clock.committed(now.mono);
+                self.storage_clock.record_commit(now.mono);
                 self.streams.marks.extend(&committed.marks);
                 Ok(committed)
             }

@@ -1,4 +1,4 @@
-//! Numbers of node names: one number stands for name, kind and unit together.
+//! Ids of node names. One id stands for a name together with its kind and unit.
 
 use std::collections::HashMap;
 
@@ -8,8 +8,8 @@ use sqlx::SqliteConnection;
 use super::Refusal;
 use super::prepared::NameKey;
 
-/// Maximum number of distinct names in the store; beyond it, batches with new names are quarantined. A program that puts
-/// numbers into its names would otherwise fill memory and table.
+/// Maximum number of distinct names in the store. Beyond it, batches with new names are quarantined. A program that puts
+/// numbers into its names would otherwise fill the memory and the table.
 const MAX_NAMES: usize = 65_536;
 
 /// The writer's copy of the table `name`.
@@ -40,7 +40,7 @@ impl Names {
         Ok(names)
     }
 
-    /// Returns the number of a name with its kind and unit, and stores it if it is new.
+    /// Returns the id of a name with its kind and unit, and stores the name if it is new.
     pub(super) async fn id(
         &mut self,
         connection: &mut SqliteConnection,
@@ -72,6 +72,7 @@ impl Names {
         Ok(id)
     }
 
+    /// Adds a stored name.
     fn remember(&mut self, name: Name, entry: Entry) {
         self.entries.entry(name).or_default().push(entry);
         self.count += 1;

@@ -1,4 +1,4 @@
-//! Quarantine of batches that cannot be stored: they are kept as they arrived, and their events are recorded as missing.
+//! Quarantine of batches that cannot be stored. Such a batch is kept as it arrived, and its events are recorded as missing.
 
 use std::collections::BTreeMap;
 
@@ -22,27 +22,28 @@ pub(super) struct RejectedBatch<'a> {
 }
 
 impl<'a> RejectedBatch<'a> {
-    /// Makes it of a batch that was found invalid before it reached the database.
+    /// Creates the value for a batch that was found invalid before it reached the database.
     pub(super) fn from_unstorable(unstorable: &'a UnstorableBatch) -> Self {
         let events =
             unstorable.body.as_ref().and_then(|body| codec::decode_events(body, unstorable.head.events).ok());
         Self { head: unstorable.head, frame: unstorable.frame.clone(), events, reason: &unstorable.reason }
     }
 
-    /// Makes it of a batch that the database refused.
+    /// Creates the value for a batch that the database refused.
     pub(super) fn from_refused(batch: &PreparedBatch, reason: &'a str) -> Self {
         let (head, body) = (batch.head, &batch.body);
         let frame = Bytes::from(codec::encode_batch(&head, body, false));
         Self { head, frame, events: codec::decode_events(body, head.events).ok(), reason }
     }
 
-    /// Returns the reason why it cannot be stored.
+    /// Returns the reason why the batch cannot be stored.
     pub(super) fn reason(&self) -> &str {
         self.reason
     }
 
-    /// Stores the frame and records its events as missing: by run if they can be decoded, otherwise as many as its head claims,
-    /// if it is long enough for them. Returns the additions to the counters of its host.
+    /// Stores the frame and records its events as missing. If the events can be decoded, there is a gap for each run. Otherwise there is
+    /// one gap with the number of events in the head, or without a number if the frame is too short for so many events. Returns
+    /// the additions to the counters of the host.
     pub(super) async fn store(
         self,
         connection: &mut SqliteConnection,
@@ -50,8 +51,8 @@ impl<'a> RejectedBatch<'a> {
         reporter: Reporter,
         now: WallTime,
     ) -> Result<StoredCounts, Refusal> {
-        let kept = (self.events.as_ref().map(Vec::len), &self.frame);
-        records::insert_quarantined_batch(connection, reporter.row, self.head, kept, self.reason, now)
+        let content = (self.events.as_ref().map(Vec::len), &self.frame);
+        records::insert_quarantined_batch(connection, reporter.row, self.head, content, self.reason, now)
             .await?;
         let gap = |run, at, count| Gap {
             pipeline: None,
@@ -67,20 +68,20 @@ impl<'a> RejectedBatch<'a> {
                 for event in events {
                     let (run, at) = (event.claim().run, event_time(event));
                     let run = match run {
-                        Some(run) => entities.known_run(connection, reporter, run).await?.and(Some(run)),
+                        Some(run) => entities.find_run(connection, reporter, run).await?.and(Some(run)),
                         None => None,
                     };
                     let at = at.unwrap_or(now);
-                    let known = runs.entry(run).or_insert_with(|| gap(run, at, 0));
-                    (known.from, known.to) = (known.from.min(at), known.to.max(at));
-                    known.count += 1;
+                    let gap = runs.entry(run).or_insert_with(|| gap(run, at, 0));
+                    (gap.from, gap.to) = (gap.from.min(at), gap.to.max(at));
+                    gap.count += 1;
                 }
                 runs.into_values().collect()
             }
             None => {
-                let claimed = self.head.events as usize;
+                let stated_count = self.head.events as usize;
                 // An event takes at least one byte.
-                let count = if claimed <= self.frame.len() { claimed as u64 } else { 0 };
+                let count = if stated_count <= self.frame.len() { stated_count as u64 } else { 0 };
                 vec![gap(None, now, count)]
             }
         };

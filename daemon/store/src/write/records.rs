@@ -11,7 +11,7 @@ use super::entities::{Entities, Reporter};
 use crate::column::column;
 use crate::stored::StoredCounts;
 
-/// Number of quarantined batches that are kept.
+/// Number of quarantined batches that are kept. Older ones are deleted.
 const MAX_QUARANTINED: i64 = 1_000;
 
 /// Stores an incident of a host.
@@ -22,7 +22,7 @@ pub(super) async fn insert_incident(
     incident: &Incident,
     now: WallTime,
 ) -> Result<(), Refusal> {
-    let run = known_number(connection, entities, reporter, incident.run).await?;
+    let run = run_number(connection, entities, reporter, incident.run).await?;
     let peer = match incident.peer {
         Some(peer) => Some(entities.host(connection, peer, now).await?),
         None => None,
@@ -49,7 +49,7 @@ pub(super) async fn insert_gap(
     reporter: Reporter,
     gap: &Gap,
 ) -> Result<(), Refusal> {
-    let run = known_number(connection, entities, reporter, gap.run).await?;
+    let run = run_number(connection, entities, reporter, gap.run).await?;
     sqlx::query(
         "INSERT INTO gap (host, pipeline, run, from_ns, to_ns, count, reason) VALUES (?, ?, ?, ?, ?, ?, ?)",
     )
@@ -65,14 +65,15 @@ pub(super) async fn insert_gap(
     Ok(())
 }
 
-async fn known_number(
+/// Returns the number of the reporter's run with this id, if the run is stored.
+async fn run_number(
     connection: &mut SqliteConnection,
     entities: &mut Entities,
     reporter: Reporter,
     run: Option<RunId>,
 ) -> Result<Option<i64>, Refusal> {
     match run {
-        Some(run) => Ok(entities.known_run(connection, reporter, run).await?.map(|run| run.number)),
+        Some(run) => Ok(entities.find_run(connection, reporter, run).await?.map(|run| run.number)),
         None => Ok(None),
     }
 }
@@ -92,8 +93,8 @@ pub(super) async fn insert_missing_batches(
     insert_unattributed_gap(connection, host, &reason, *events, now).await
 }
 
-/// Stores a gap of `events` events whose runs are unknown; `None` if their number is unknown, which the table holds as 0.
-/// Returns the additions to the counters of its host.
+/// Stores a gap of `events` events whose runs are unknown. If the number of events is unknown (`None`), the table has 0. Returns the
+/// additions to the counters of the host.
 pub(super) async fn insert_unattributed_gap(
     connection: &mut SqliteConnection,
     host: i64,
@@ -101,7 +102,7 @@ pub(super) async fn insert_unattributed_gap(
     events: Option<u64>,
     now: WallTime,
 ) -> Result<StoredCounts, Refusal> {
-    // Batches that are missing in an agent's spool: the agent itself reports the events as lost.
+    // There is no gap without events. The agent itself reports the events of batches that are missing in its spool.
     if events == Some(0) {
         return Ok(StoredCounts::default());
     }
@@ -116,7 +117,7 @@ pub(super) async fn insert_unattributed_gap(
     Ok(StoredCounts { gaps: 1, missing, ..StoredCounts::default() })
 }
 
-/// Stores a batch that cannot be stored otherwise; `events` is their number if they can be decoded.
+/// Stores a batch whose events cannot be stored. `events` is the number of events if they can be decoded.
 pub(super) async fn insert_quarantined_batch(
     connection: &mut SqliteConnection,
     host: i64,

@@ -1,8 +1,8 @@
-//! Detection of iterations that arrived before under another batch number. Two copies of one spool that are used alternately send
-//! the same iterations in two streams.
+//! Detection of iterations that are already stored although their batch is new. Two copies of one spool that are used alternately
+//! send the same iterations in two streams.
 //!
-//! The rest of such a batch is stored unchanged: runs and clock samples replace the same rows; incidents and gaps have
-//! nothing to identify them, and appear twice.
+//! The other events of such a batch are stored. Runs and clock samples replace the rows that are already stored. Incidents and gaps
+//! cannot be identified as repeated, so they appear twice.
 
 use std::collections::HashSet;
 
@@ -11,11 +11,12 @@ use sqlx::SqliteConnection;
 
 use super::prepared::PreparedBatch;
 
-/// The run's key leads to its iterations one by one.
+/// Selects the stored iterations among some numbers: ?1 run, ?2 host, ?3 numbers, a JSON array. Each number is looked up by the key of
+/// the table.
 const STORED: &str = "SELECT iteration.number FROM run \
      JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
-     CROSS JOIN json_each(?3) AS asked \
-     CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = asked.value \
+     CROSS JOIN json_each(?3) AS requested \
+     CROSS JOIN iteration ON iteration.run = run.number AND iteration.number = requested.value \
      WHERE (run.uuid = ?1 OR run.reported_uuid = ?1) AND host.uuid = ?2";
 
 /// Returns the iterations of a batch that are already stored in runs of the same host.
@@ -29,14 +30,14 @@ pub(super) async fn find(
     }
     let mut stored = HashSet::new();
     for (run, numbers) in batch.runs.iter().zip(numbers) {
-        let searched = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
-        let found: Vec<i64> = sqlx::query_scalar(STORED)
+        let requested = serde_json::to_string(&numbers).map_err(|error| sqlx::Error::Encode(error.into()))?;
+        let stored_numbers: Vec<i64> = sqlx::query_scalar(STORED)
             .bind(run.id.to_string())
             .bind(batch.head.host.to_string())
-            .bind(searched)
+            .bind(requested)
             .fetch_all(&mut *connection)
             .await?;
-        stored.extend(found.into_iter().map(|number| (run.id, number)));
+        stored.extend(stored_numbers.into_iter().map(|number| (run.id, number)));
     }
     Ok(stored)
 }

@@ -8,7 +8,7 @@ use super::prepared::{AnchorRow, IterationRow, NodeRow, PreparedBatch, TransitRo
 use crate::insert::Insert;
 use crate::rollups::Rollups;
 
-/// A batch with the numbers of its runs, names and hosts.
+/// A batch with the ids of its runs, names and hosts in the database.
 #[derive(Debug)]
 pub(super) struct ResolvedBatch<'a> {
     pub(super) batch: &'a PreparedBatch,
@@ -19,7 +19,7 @@ pub(super) struct ResolvedBatch<'a> {
 
 impl ResolvedBatch<'_> {
     /// Adds the statistics of the batch to the roll-ups.
-    fn sum_up(&self, rollups: &mut Rollups) {
+    fn add_to_rollups(&self, rollups: &mut Rollups) {
         for part in &self.batch.summaries {
             let (run, name) = (self.runs[part.run as usize], self.names[part.name as usize]);
             rollups.merge(run, name, part.quantity, part.second_s, &part.summary);
@@ -29,9 +29,9 @@ impl ResolvedBatch<'_> {
         }
     }
 
-    /// Returns run and number of the iteration at a position.
-    fn iteration(&self, at: u32) -> (i64, i64) {
-        let row = &self.batch.iterations[at as usize];
+    /// Returns the run and the number of the iteration at a position in the batch.
+    fn iteration(&self, position: u32) -> (i64, i64) {
+        let row = &self.batch.iterations[position as usize];
         (self.runs[row.run as usize], row.number)
     }
 }
@@ -80,12 +80,13 @@ impl Inserts {
         let iterations = Rows::new(batches, |batch| &batch.iterations);
         self.iterations.run(connection, iterations, bind_iteration).await?;
         let nodes = Rows::new(batches, |batch| &batch.nodes);
-        let bind = |(of, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
-            // The first node of a batch: sums are made here, because the next statement is bound while SQLite executes one.
+        let bind = |(batch, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments| {
+            // At its first node the statistics of a batch are added to the roll-ups. This is done while values are bound, because
+            // the values of the next statement are bound while SQLite executes the current one.
             if (row.iteration, row.node) == (0, 0) {
-                of.sum_up(rollups);
+                batch.add_to_rollups(rollups);
             }
-            bind_node((of, row), to)
+            bind_node((batch, row), to)
         };
         self.nodes.run(connection, nodes, bind).await?;
         let anchors = Rows::new(batches, |batch| &batch.anchors);
@@ -96,10 +97,10 @@ impl Inserts {
 }
 
 fn bind_iteration(
-    (of, row): (&ResolvedBatch<'_>, &IterationRow),
+    (batch, row): (&ResolvedBatch<'_>, &IterationRow),
     to: &mut SqliteArguments,
 ) -> Result<(), BoxDynError> {
-    to.add(of.runs[row.run as usize])?;
+    to.add(batch.runs[row.run as usize])?;
     to.add(row.number)?;
     to.add(row.episode)?;
     to.add(row.step)?;
@@ -110,13 +111,16 @@ fn bind_iteration(
     to.add(row.total)
 }
 
-fn bind_node((of, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments) -> Result<(), BoxDynError> {
-    let (run, iteration) = of.iteration(row.iteration);
+fn bind_node(
+    (batch, row): (&ResolvedBatch<'_>, &NodeRow),
+    to: &mut SqliteArguments,
+) -> Result<(), BoxDynError> {
+    let (run, iteration) = batch.iteration(row.iteration);
     to.add(run)?;
     to.add(iteration)?;
     to.add(row.node)?;
     to.add(row.parent)?;
-    to.add(of.names[row.name as usize])?;
+    to.add(batch.names[row.name as usize])?;
     to.add(row.host)?;
     to.add(row.start_ns)?;
     to.add(row.value)?;
@@ -125,22 +129,22 @@ fn bind_node((of, row): (&ResolvedBatch<'_>, &NodeRow), to: &mut SqliteArguments
 }
 
 fn bind_anchor(
-    (of, row): (&ResolvedBatch<'_>, &AnchorRow),
+    (batch, row): (&ResolvedBatch<'_>, &AnchorRow),
     to: &mut SqliteArguments,
 ) -> Result<(), BoxDynError> {
-    let (run, iteration) = of.iteration(row.iteration);
+    let (run, iteration) = batch.iteration(row.iteration);
     to.add(run)?;
     to.add(iteration)?;
     to.add(row.position)?;
-    to.add(of.hosts[row.host as usize])?;
+    to.add(batch.hosts[row.host as usize])?;
     to.add(row.wall_ns)
 }
 
 fn bind_transit(
-    (of, row): (&ResolvedBatch<'_>, &TransitRow),
+    (batch, row): (&ResolvedBatch<'_>, &TransitRow),
     to: &mut SqliteArguments,
 ) -> Result<(), BoxDynError> {
-    let (run, iteration) = of.iteration(row.iteration);
+    let (run, iteration) = batch.iteration(row.iteration);
     to.add(run)?;
     to.add(iteration)?;
     to.add(row.node)?;
@@ -157,14 +161,16 @@ fn bind_transit(
 struct Rows<'a, R, F> {
     batches: std::slice::Iter<'a, ResolvedBatch<'a>>,
     rows: F,
-    now: Option<(&'a ResolvedBatch<'a>, std::slice::Iter<'a, R>)>,
+    /// The current batch with its remaining rows.
+    current: Option<(&'a ResolvedBatch<'a>, std::slice::Iter<'a, R>)>,
+    /// Number of remaining rows of all batches.
     remaining: usize,
 }
 
 impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Rows<'a, R, F> {
     fn new(batches: &'a [ResolvedBatch<'a>], rows: F) -> Self {
         let remaining = batches.iter().map(|batch| rows(batch.batch).len()).sum();
-        Self { batches: batches.iter(), rows, now: None, remaining }
+        Self { batches: batches.iter(), rows, current: None, remaining }
     }
 }
 
@@ -173,14 +179,14 @@ impl<'a, R, F: Fn(&'a PreparedBatch) -> &'a Vec<R>> Iterator for Rows<'a, R, F> 
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            if let Some((batch, rows)) = &mut self.now
+            if let Some((batch, rows)) = &mut self.current
                 && let Some(row) = rows.next()
             {
                 self.remaining -= 1;
                 return Some((*batch, row));
             }
             let batch = self.batches.next()?;
-            self.now = Some((batch, (self.rows)(batch.batch).iter()));
+            self.current = Some((batch, (self.rows)(batch.batch).iter()));
         }
     }
 

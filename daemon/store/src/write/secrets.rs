@@ -1,4 +1,5 @@
-//! Secrets of hosts: stored with a host's first events (trust on first use), read at the start and after a wrong proof.
+//! Secrets of hosts. A secret is stored with the host's first events (trust on first use), and read at the start and after a wrong
+//! proof.
 
 use std::collections::HashMap;
 
@@ -9,7 +10,7 @@ use sqlx::SqliteConnection;
 
 use super::entities::id;
 
-/// Stores the secret of a host unless it has one.
+/// Stores the secret of a host unless the host has a stored secret.
 pub(super) async fn enrol(
     connection: &mut SqliteConnection,
     host: i64,
@@ -27,7 +28,7 @@ pub(super) async fn enrol(
     Ok(())
 }
 
-/// Reads the secret of one host again: an operator may have cleared it.
+/// Reads the secret of one host again, because an operator may have cleared it.
 pub(super) async fn read_host_secret(
     connection: &mut SqliteConnection,
     host: HostId,
@@ -41,8 +42,8 @@ pub(super) async fn read_host_secret(
     row.map(secret).transpose()
 }
 
-/// Returns the named hosts with stored events, gaps or quarantined batches, by ascending row id, with their secrets. A host
-/// gets its row when it is first stored or when another host's event first names it.
+/// Returns the hosts that have introduced themselves and have stored events, gaps or quarantined batches, by ascending row id, with
+/// their secrets. Other rows are of hosts that only other hosts' events name.
 pub(crate) async fn read_host_secrets(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(HostId, Option<HostSecret>)>, sqlx::Error> {
@@ -59,6 +60,7 @@ pub(crate) async fn read_host_secrets(
     hosts.into_iter().map(|(row, uuid)| Ok((id(&uuid)?, secrets.remove(&row)))).collect()
 }
 
+/// Decodes a stored secret.
 fn secret(bytes: Vec<u8>) -> Result<HostSecret, sqlx::Error> {
     let bytes = bytes
         .try_into()

@@ -1,4 +1,4 @@
-//! Streams of batches: up to which number each is stored, and which stream a host uses.
+//! Streams of batches: the number up to which each stream is stored, and the stream that each host uses.
 
 use std::collections::{HashMap, HashSet};
 
@@ -13,21 +13,21 @@ use crate::column::{column, count};
 use crate::insert::Insert;
 use crate::stored::StoredCounts;
 
-/// The database's knowledge of streams.
+/// The streams in the database.
 #[derive(Clone, Debug, Default)]
 pub struct Streams {
     /// Mark of each stream with stored batches.
     pub marks: HashMap<StreamId, Mark>,
-    /// All streams with which a host ever introduced itself.
-    seen: HashSet<StreamId>,
+    /// All streams with which any host ever introduced itself.
+    introduced: HashSet<StreamId>,
     /// The stream with which each host introduced itself last.
-    last: HashMap<HostId, StreamId>,
+    last_streams: HashMap<HostId, StreamId>,
 }
 
 /// The streams that a transaction advances.
 #[derive(Debug)]
 pub(super) struct AdvancedStreams {
-    /// By stream: the host's row and the head of the last batch.
+    /// The host's row and the head of the last batch, by stream.
     marks: HashMap<StreamId, (i64, BatchHead)>,
     upsert: Insert,
 }
@@ -58,13 +58,13 @@ struct Row {
 }
 
 impl Streams {
-    /// Returns the record that the answer to a hello needs; `seniority` is the rank of the host among the stored hosts.
+    /// Returns the record from which a hello is answered. `seniority` is the rank of the host by age among the stored hosts.
     pub fn record(&self, hello: &Hello, seniority: Option<u64>) -> StreamRecord {
         let mark_of = |stream| self.marks.get(&stream).copied();
         StreamRecord {
             mark: mark_of(hello.stream),
-            was_used: self.seen.contains(&hello.stream),
-            last: self.last.get(&hello.host.id).copied(),
+            was_used: self.introduced.contains(&hello.stream),
+            last: self.last_streams.get(&hello.host.id).copied(),
             previous: hello.previous.and_then(mark_of),
             seniority,
         }
@@ -72,8 +72,8 @@ impl Streams {
 
     /// Records that a host introduced itself with a stream.
     pub fn record_hello(&mut self, host: HostId, stream: StreamId) {
-        self.seen.insert(stream);
-        self.last.insert(host, stream);
+        self.introduced.insert(stream);
+        self.last_streams.insert(host, stream);
     }
 
     /// Reads the table.
@@ -88,7 +88,7 @@ impl Streams {
         for Row { uuid, host, stored, chain, process, events } in rows {
             let (stream, host) = (id(&uuid)?, id(&host)?);
             streams.record_hello(host, stream);
-            // A row without a chain has nothing stored, or is of a version whose streams ended with their agents.
+            // A stream without a chain has no stored batches, or was stored by a version in which a stream ended with its agent.
             let Some(chain) = chain else { continue };
             let chain = <[u8; 16]>::try_from(chain)
                 .map_err(|_| invalid_column("a chain that is not 16 bytes long"))?;
@@ -104,8 +104,8 @@ impl Streams {
 impl AdvancedStreams {
     /// Stores that a host introduced itself with a stream.
     ///
-    /// A new stream leaves a gap if it does not continue the previous stream, or if batches before its start are missing here.
-    /// Returns their additions to the counters.
+    /// For a new stream a gap is stored if the stream does not continue the host's previous stream, or if batches of the previous stream
+    /// are missing here. Returns the additions of the gaps to the counters.
     pub(super) async fn introduce(
         &mut self,
         connection: &mut SqliteConnection,
@@ -113,12 +113,12 @@ impl AdvancedStreams {
         introduction: &Introduction,
         now: WallTime,
     ) -> Result<StoredCounts, Refusal> {
-        let known = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
+        let update = sqlx::query("UPDATE stream SET last_seen_ns = ? WHERE uuid = ?")
             .bind(now.unix_nanos())
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
-        if known.rows_affected() > 0 {
+        if update.rows_affected() > 0 {
             return Ok(StoredCounts::default());
         }
         sqlx::query(
@@ -152,13 +152,13 @@ impl AdvancedStreams {
         Ok(added)
     }
 
-    /// Records that this transaction stores all batches of a stream up to this one.
-    pub(super) fn mark(&mut self, host: i64, head: BatchHead) {
+    /// Records that this transaction stores all batches of a stream up to the batch with this head.
+    pub(super) fn advance(&mut self, host: i64, head: BatchHead) {
         self.marks.insert(head.stream, (host, head));
     }
 
-    /// Returns the mark that this transaction gives to a stream, if it advances it.
-    pub(super) fn stored(&self, stream: StreamId) -> Option<Mark> {
+    /// Returns the new mark of a stream, if this transaction advances the stream.
+    pub(super) fn new_mark(&self, stream: StreamId) -> Option<Mark> {
         self.marks.get(&stream).map(|(_, head)| Mark::from(*head))
     }
 

@@ -21,7 +21,7 @@ use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
 
-/// State that transactions share: memory of the small tables, and additions that are written at the end.
+/// State that transactions share: caches of the small tables, and additions that are written at the end of a transaction.
 #[derive(Debug, Default)]
 pub(super) struct Staging {
     pub(super) names: Names,
@@ -40,8 +40,8 @@ impl Staging {
         Self { names, ..Self::default() }
     }
 
-    /// Stores all of `work`, and advances the storage clock. With `quarantine_reason` its batches are quarantined for that reason.
-    /// `marks` are the committed marks.
+    /// Stores all of `work`, and advances the storage clock. If `quarantine_reason` is given, the batches are quarantined for that
+    /// reason instead. `marks` are the committed marks.
     pub(super) async fn run(
         &mut self,
         connection: &mut SqliteConnection,
@@ -69,21 +69,21 @@ impl Staging {
                     let MissingBatches {
                         host, stream, through: number, chain, process, events_through, ..
                     } = *missing;
-                    // Only the fields that identify it and its mark are used.
+                    // Only the fields that identify the batch and its mark are used.
                     let (before, events, events_before) = (chain, 0, events_through);
                     let head =
                         BatchHead { host, stream, process, number, before, chain, events, events_before };
                     (head, None)
                 }
-                // Greetings cannot be quarantined: the batches that follow create the host's row.
+                // Only batches are quarantined. Other work is stored in another transaction.
                 (Work::Hello(_) | Work::Goodbye(_) | Work::Name(_), Some(_)) => continue,
                 (Work::Hello(introduction), None) => {
                     self.introduce(connection, introduction, now).await?;
                     continue;
                 }
                 (Work::Goodbye(host), None) => {
-                    // The host is unknown to a database that has taken the place of another.
-                    if let Some(id) = self.entities.known_host(connection, *host).await? {
+                    // The host may be missing in a database that has replaced another database.
+                    if let Some(id) = self.entities.find_host(connection, *host).await? {
                         self.ends.end_process(connection, id).await?;
                     }
                     continue;
@@ -97,9 +97,10 @@ impl Staging {
                     continue;
                 }
             };
-            let mark = self.advanced_streams.stored(head.stream).or_else(|| marks.get(&head.stream).copied());
+            let mark =
+                self.advanced_streams.new_mark(head.stream).or_else(|| marks.get(&head.stream).copied());
             if let Some(mark) = mark.filter(|mark| head.number <= mark.stored) {
-                // It was sent again before its acknowledgement: it is already stored.
+                // The batch is already stored. The agent sent it again because it had no acknowledgement yet.
                 committed.marks.insert(head.stream, mark);
                 continue;
             }
@@ -124,10 +125,10 @@ impl Staging {
                 _ => continue,
             };
             self.counters.host(head.host, host).add(&added);
-            self.advanced_streams.mark(host, head);
+            self.advanced_streams.advance(host, head);
         }
         committed.nodes = batches.iter().map(|batch| batch.batch.nodes.len() as u64).sum();
-        // Rows of one run are adjacent in the tables.
+        // The batches of one run are inserted one after the other, because the rows of one run are adjacent in the tables.
         batches.sort_by_key(|batch| batch.runs.first().copied());
         self.inserts.run(connection, &batches, &mut self.rollups).await?;
         self.rollups.write(connection).await?;
@@ -158,7 +159,7 @@ impl Staging {
         Ok(())
     }
 
-    /// Stores the events of a batch that are no iterations, and looks up the numbers to which its rows refer.
+    /// Stores the events of a batch that are not iterations, and looks up the ids to which the batch's rows refer.
     async fn resolve<'a>(
         &mut self,
         connection: &mut SqliteConnection,
@@ -166,15 +167,17 @@ impl Staging {
         reporter: Reporter,
         now: WallTime,
     ) -> Result<ResolvedBatch<'a>, Refusal> {
-        // Checked before anything of the batch is stored.
-        self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.claimed).await?;
+        // Checked before any event of the batch is stored, because an event may create a run with the same id.
+        self.foreign_reports.check(connection, &mut self.entities, reporter, &batch.named_runs).await?;
         let mut runs = vec![0; batch.runs.len()];
         for step in &batch.steps {
             match step {
                 Step::Event(event) => self.event(connection, event, reporter, now).await?,
                 Step::Run(run, started) => {
-                    let (place, part) = (&mut runs[*run as usize], &batch.runs[*run as usize]);
-                    *place = self.entities.run_of(connection, reporter, part.id, *started).await?.number;
+                    let part = &batch.runs[*run as usize];
+                    let known =
+                        self.entities.find_or_create_run(connection, reporter, part.id, *started).await?;
+                    runs[*run as usize] = known.number;
                 }
             }
         }
@@ -213,7 +216,7 @@ impl Staging {
             Event::Clock(sample) => {
                 self.links.store(connection, &mut self.entities, reporter.row, sample, now).await
             }
-            // Iterations were made into rows before.
+            // The rows of iterations were prepared before.
             Event::Iteration(_) => Ok(()),
         }
     }

@@ -1,4 +1,4 @@
-//! Input of the writer, and reasons why a part of it is not stored.
+//! Input of the writer, and reasons why the writer does not store a part of it.
 
 use bytes::Bytes;
 use peernet_logger::{HostId, RunId, Slug};
@@ -9,22 +9,22 @@ use peernet_stream::{
 
 use super::prepared::PreparedBatch;
 
-/// Something to be stored, in the order of arrival.
+/// A piece of work for the writer. Work is done in the order of arrival.
 #[derive(Debug)]
 pub enum Work {
     /// A host introduced itself.
     Hello(Box<Introduction>),
-    /// A host said goodbye: no events of its runs follow, unless it kept some in its spool.
+    /// A host said goodbye, so that its runs have ended. Events in its spool may still follow.
     Goodbye(HostId),
-    /// The live lane names a run of which the store has only iterations.
+    /// A live update contains the name of a run of which the store has only iterations.
     Name(Box<RunName>),
     /// A batch of events.
     Batch(Box<PreparedBatch>),
-    /// A batch that can never be stored: quarantined as it arrived.
+    /// A batch that can never be stored. It is quarantined as it arrived.
     UnstorableBatch(Box<UnstorableBatch>),
-    /// Batches that no longer exist anywhere.
+    /// Batches that are not in the database and that the agent no longer has. They are recorded as a gap.
     MissingBatches(MissingBatches),
-    /// Request to read the secret of a host again: an operator may have cleared it.
+    /// Request to read the secret of a host again, because an operator may have cleared it.
     Secret(HostId),
 }
 
@@ -33,11 +33,11 @@ pub enum Work {
 pub struct Introduction {
     /// The host.
     pub host: HostDescription,
-    /// Random number of its process, made at the start.
+    /// Random number that the agent's process drew at its start.
     pub process: u64,
-    /// The stream that its batches belong to.
+    /// The stream that the host's batches belong to.
     pub stream: StreamId,
-    /// The stream that this one continues.
+    /// The earlier stream that this stream continues.
     pub previous: Option<StreamId>,
     /// Number of the stream's first batch.
     pub first: u64,
@@ -56,27 +56,27 @@ pub struct UnstorableBatch {
     pub head: BatchHead,
     /// The frame as it arrived.
     pub frame: Bytes,
-    /// Its events in wire form, if they match their hash.
+    /// The events in wire form, if they match their hash.
     pub body: Option<Bytes>,
-    /// Reason why it cannot be stored.
+    /// Reason why the batch cannot be stored.
     pub reason: String,
 }
 
-/// Name and placement of a run from the live lane.
+/// Name and placement of a run, from a live update.
 #[derive(Clone, Debug)]
 pub struct RunName {
     /// The host of the run.
     pub host: HostId,
     /// The run.
     pub run: RunId,
-    /// Its pipeline.
+    /// Pipeline of the run.
     pub pipeline: Slug,
     /// Placement: where the pipeline computes.
     pub placement: Placement,
 }
 
 impl Work {
-    /// Prepares events that match their hash to be stored or quarantined.
+    /// Prepares a batch whose events match their hash. A batch that cannot be prepared becomes work for the quarantine.
     pub fn from_batch(head: BatchHead, body: Bytes) -> Self {
         match PreparedBatch::new(head, body.clone()) {
             Ok(batch) => Self::Batch(Box::new(batch)),
@@ -92,13 +92,13 @@ impl Work {
         }
     }
 
-    /// Returns its weight in nodes, by which commits are divided.
+    /// Returns the weight of the work in tree nodes (rows of the table `node`). The sizes of commits are limited by weight.
     pub fn weight(&self) -> usize {
         if let Self::Batch(batch) = self { batch.weight() } else { 1 }
     }
 }
 
-/// Reason why something was not stored.
+/// Reason why work was not stored.
 #[derive(Debug)]
 pub(crate) enum Refusal {
     /// The batch itself cannot be stored. It is quarantined, and the stream continues.
@@ -108,13 +108,13 @@ pub(crate) enum Refusal {
 }
 
 impl From<sqlx::Error> for Refusal {
-    /// Attributes SQLite's errors about data to the batch, all others (full, locked, read-only …) to the database.
+    /// Attributes SQLite's errors about data to the batch, and all other errors (full, locked, read-only …) to the database.
     fn from(error: sqlx::Error) -> Self {
         /// Primary result codes: TOOBIG, CONSTRAINT, MISMATCH, RANGE.
         const DATA_ERRORS: [u32; 4] = [18, 19, 20, 25];
         let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
-        let data = matches!(error, sqlx::Error::Encode(_))
+        let is_data_error = matches!(error, sqlx::Error::Encode(_))
             || code.is_some_and(|code| DATA_ERRORS.contains(&(code & 0xff)));
-        if data { Self::Batch(error.to_string()) } else { Self::Database(error) }
+        if is_data_error { Self::Batch(error.to_string()) } else { Self::Database(error) }
     }
 }

@@ -1,10 +1,10 @@
 //! Parts of a batch's frame, for links on which the whole frame would take long.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
 //! | 1, 1 | `0xC1`, 2 |
 //! | 16 | host |
-//! | 4, 4 | bytes of the batch's frame before this part, and in all; big-endian |
+//! | 4, 4 | number of bytes of the batch's frame before this part, and of the whole frame; big-endian |
 //! | rest | the part |
 
 use bytes::{Buf, Bytes};
@@ -50,8 +50,8 @@ pub fn decode_part(frame: &Bytes) -> Option<Part> {
     bytes.advance(PART_HEAD_BYTES);
     // The fields come from an untrusted peer.
     let end = (offset as usize).checked_add(bytes.len())?;
-    let sound = !bytes.is_empty() && end <= total as usize && total as usize <= MAX_MESSAGE_BYTES;
-    sound.then_some(Part { host: HostId::from_bytes(host), offset, total, bytes })
+    let is_valid = !bytes.is_empty() && end <= total as usize && total as usize <= MAX_MESSAGE_BYTES;
+    is_valid.then_some(Part { host: HostId::from_bytes(host), offset, total, bytes })
 }
 
 #[cfg(test)]
@@ -60,17 +60,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn part_is_decoded_as_encoded_and_as_nothing_else() {
+    fn part_is_decoded_as_encoded_and_not_as_batch() {
         let host = HostId::from_bytes([7; 16]);
         let written = Part { host, offset: 300, total: 303, bytes: Bytes::from_static(b"end") };
         let frame = Bytes::from(encode_part(&written));
         assert_eq!(frame.len(), PART_HEAD_BYTES + 3);
         assert_eq!(decode_part(&frame), Some(written.clone()));
         assert_eq!(decode_batch_head(&[&frame[..], &[0; 200]].concat()), None);
-        assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "of nothing");
+        assert_eq!(decode_part(&frame.slice(..PART_HEAD_BYTES)), None, "an empty part");
         let beyond = Part { offset: 301, ..written.clone() };
         assert_eq!(decode_part(&encode_part(&beyond).into()), None, "beyond the end");
         let huge = Part { total: MAX_MESSAGE_BYTES as u32 + 1, ..written };
-        assert_eq!(decode_part(&encode_part(&huge).into()), None, "of more than a message");
+        assert_eq!(
+            decode_part(&encode_part(&huge).into()),
+            None,
+            "a part of a frame that is longer than a message may be"
+        );
     }
 }

@@ -80,7 +80,7 @@ fn host_clock() -> HostClock {
     }
 }
 
-fn some(count: usize) -> Vec<Event> {
+fn some_events(count: usize) -> Vec<Event> {
     let incident = Incident {
         at: WallTime::from_unix_nanos(7),
         kind: IncidentKind::Connected,
@@ -107,18 +107,18 @@ fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
 
 /// Returns a frame of `count` events, its head, and the events.
 fn frame_of(count: usize, compress: bool) -> (Bytes, BatchHead, Vec<Event>) {
-    let events = some(count);
+    let events = some_events(count);
     let body = body_of(&events);
     let head = head_of(5, count as u32, &body);
     (encode_batch(&head, &body, compress).into(), head, events)
 }
 
 #[test]
-fn a_batch_arrives_as_it_was_sent() {
+fn batch_is_decoded_as_encoded() {
     for (number, count, compress) in
         [(1, 0, true), (300, 1, false), (70_000, 40, true), (u64::MAX, 4_000, true)]
     {
-        let sent = some(count);
+        let sent = some_events(count);
         let body = body_of(&sent);
         let head = head_of(number, count as u32, &body);
         let frame = Bytes::from(encode_batch(&head, &body, compress));
@@ -126,9 +126,9 @@ fn a_batch_arrives_as_it_was_sent() {
         if count > 1 {
             assert_eq!(frame.len() < body.len(), compress, "a frame of {} bytes", frame.len());
         }
-        let read = decode_batch_body(frame).expect("what was sent");
-        assert!(read == body);
-        assert_eq!(decode_events(&read, head.events), Ok(sent));
+        let decoded_body = decode_batch_body(frame).expect("an intact body");
+        assert!(decoded_body == body);
+        assert_eq!(decode_events(&decoded_body, head.events), Ok(sent));
     }
 }
 
@@ -142,7 +142,7 @@ fn incompressible_body_is_sent_uncompressed() {
 }
 
 #[test]
-fn a_batch_is_no_message_and_a_message_is_no_batch() {
+fn batch_is_not_decoded_as_message_nor_message_as_batch() {
     let (frame, ..) = frame_of(2, false);
     assert!(matches!(decode::<ToAggregator>(&frame), Err(CodecError::Malformed(_))));
     assert!(matches!(decode::<ToAgent>(&frame), Err(CodecError::Malformed(_))));
@@ -158,11 +158,15 @@ fn compressed_message_is_read_within_size_limit() {
     let frame = encode_compressed(&refused);
     assert!(frame.len() < 200 && decode_batch_head(&[&frame[..], &[0; 200]].concat()).is_none());
     assert_eq!(decode::<ToAgent>(&frame), Ok(refused));
-    assert_eq!(encode_compressed(&ToAgent::Unknown), encode(&ToAgent::Unknown), "shorter as it is");
+    assert_eq!(
+        encode_compressed(&ToAgent::Unknown),
+        encode(&ToAgent::Unknown),
+        "shorter without compression"
+    );
     for length in [MAX_MESSAGE_BYTES as u32 + 1, 100] {
-        let mut lies = frame.clone();
-        lies[2..6].copy_from_slice(&length.to_be_bytes());
-        decode::<ToAgent>(&lies).expect_err("more than it says, or than is read");
+        let mut wrong_length = frame.clone();
+        wrong_length[2..6].copy_from_slice(&length.to_be_bytes());
+        decode::<ToAgent>(&wrong_length).expect_err("longer than stated, or than the limit");
     }
     (0..frame.len()).for_each(|end| drop(decode::<ToAgent>(&frame[..end]).expect_err("cut off")));
 }
@@ -180,8 +184,8 @@ fn head_of_damaged_batch_is_readable() {
 }
 
 #[test]
-fn events_must_be_as_many_as_the_head_says() {
-    let body = body_of(&some(3));
+fn wrong_number_of_events_is_refused() {
+    let body = body_of(&some_events(3));
     assert_eq!(decode_events(&body, 3).map(|events| events.len()), Ok(3));
     for count in [2, 4, body.len() as u32 + 1, u32::MAX] {
         assert!(matches!(decode_events(&body, count), Err(CodecError::Malformed(_))), "{count}");
@@ -258,7 +262,7 @@ proptest! {
         let at_message = at.index(frame.len());
         frame[at_message] = byte;
         let _ = (decode::<ToAggregator>(&frame), decode::<ToAggregator>(&frame[..cut.index(at_message + 1)]));
-        let mut body = body_of(&some(2));
+        let mut body = body_of(&some_events(2));
         let at_body = at.index(body.len());
         body[at_body] = byte;
         let _ = (decode_events(&body, 2), decode_events(&body[..cut.index(at_body + 1)], 2));

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use bytes::Bytes;
 use peernet_clock::{MonoTime, Span, Stamp};
 
-use super::script::{Script, beginning, host};
+use super::script::{Script, host, start_time};
 use crate::codec;
 use crate::{
     Accounting, Action, Arrival, Chain, Event, HelloResult, HostSecret, Incident, IncidentKind, Nonce,
@@ -14,27 +14,27 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Largest number of steps of one script.
-const MOST_STEPS: usize = 2_000;
+/// Largest number of executed steps of one script.
+const MAX_STEPS: usize = 2_000;
 
-/// Runs a script. Its first byte selects the end, and the others are what happens to it: frames, decisions of its
-/// owner, and time.
+/// Runs a script. Its first byte selects the receiving or the sending state machine. The other bytes determine its
+/// inputs: frames, decisions of its owner, and the passage of time.
 ///
 /// # Panics
 /// If a guarantee is violated: batches of a stream are accepted out of order, a window is zero, or events are not
 /// accounted for.
 pub fn any_conversation(data: &[u8]) {
-    let Some((&end, script)) = data.split_first() else { return };
+    let Some((&selector, script)) = data.split_first() else { return };
     let mut script = Script(script);
-    if end & 1 == 0 { at_an_aggregator(&mut script) } else { at_an_agent(&mut script) }
+    if selector & 1 == 0 { drive_receiving(&mut script) } else { drive_sending(&mut script) }
 }
 
-fn at_an_aggregator(script: &mut Script<'_>) {
-    let mut end = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
+fn drive_receiving(script: &mut Script<'_>) {
+    let mut receiving = Receiving::new(ReceivingConfig::new("base".parse().expect("a name")));
     // Last reported accepted number of each stream.
     let mut accepted: BTreeMap<StreamId, u64> = BTreeMap::new();
     let mut now = MonoTime::from_nanos(0);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         if script.is_over() {
             return;
         }
@@ -45,11 +45,13 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 let last = (script.byte() & 1 == 0).then(|| script.stream());
                 let (was_used, previous) =
                     (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
-                let known =
+                let record =
                     StreamRecord { mark, was_used, last, previous, seniority: mark.map(|mark| mark.stored) };
-                if let HelloResult::Welcome { reply, missing, .. } = end.handle_hello(&hello, known, now) {
+                if let HelloResult::Welcome { reply, missing, .. } =
+                    receiving.handle_hello(&hello, record, now)
+                {
                     assert!(matches!(reply, ToAgent::Welcome { window: 1.., .. }));
-                    // The mark may be ahead of the accepted batches. The stream is followed from here on.
+                    // The mark may be ahead of the accepted batches, so the order is checked anew from this hello on.
                     accepted.remove(&hello.stream);
                     if let Some(missing) = missing {
                         assert!(missing.from <= missing.through && missing.through < hello.oldest);
@@ -58,12 +60,15 @@ fn at_an_aggregator(script: &mut Script<'_>) {
                 }
             }
             1..=5 => {
-                let (head, intact) = (script.head(), !script.byte().is_multiple_of(4));
-                let arrival = end.handle_batch(&head, intact, now);
+                let (head, is_intact) = (script.head(), !script.byte().is_multiple_of(4));
+                let arrival = receiving.handle_batch(&head, is_intact, now);
                 if matches!(arrival, Arrival::Accept | Arrival::AcceptDamaged) {
-                    let before = accepted.insert(head.stream, head.number);
-                    assert!(before.is_none_or(|before| head.number == before + 1), "accepted out of order");
-                    assert!(intact == (arrival == Arrival::Accept));
+                    let previous = accepted.insert(head.stream, head.number);
+                    assert!(
+                        previous.is_none_or(|previous| head.number == previous + 1),
+                        "accepted out of order"
+                    );
+                    assert!(is_intact == (arrival == Arrival::Accept));
                 }
                 if let Arrival::Duplicate(reply) = arrival {
                     assert!(
@@ -74,26 +79,26 @@ fn at_an_aggregator(script: &mut Script<'_>) {
             6 => {
                 let (stream, owner) = (script.stream(), script.host());
                 let mark = script.mark(owner);
-                end.handle_stored(stream, mark);
+                receiving.handle_stored(stream, mark);
                 accepted.entry(stream).and_modify(|number| *number = mark.stored.max(*number));
             }
             7 => {
                 let stream = script.stream();
-                end.handle_failed_store(stream);
+                receiving.handle_failed_store(stream);
                 accepted.remove(&stream);
             }
             8 => {
                 let stream = script.stream();
-                end.defer_batch(stream);
-                let most = usize::from(script.byte() % 4);
-                assert!(end.request_deferred(most).len() <= most);
+                receiving.defer_batch(stream);
+                let max_requests = usize::from(script.byte() % 4);
+                assert!(receiving.request_deferred(max_requests).len() <= max_requests);
             }
             _ => {
                 now = now + Span::from_millis(i64::from(script.byte()) * 4);
-                end.forget_silent(Span::from_millis(400), now);
-                end.handle_live(script.host(), now);
+                receiving.forget_silent(Span::from_millis(400), now);
+                receiving.handle_live(script.host(), now);
                 if script.byte() & 1 == 0 {
-                    end.handle_goodbye(script.host());
+                    receiving.handle_goodbye(script.host());
                 }
                 accepted.clear();
             }
@@ -111,7 +116,7 @@ struct Agent {
     echo: u64,
 }
 
-fn at_an_agent(script: &mut Script<'_>) {
+fn drive_sending(script: &mut Script<'_>) {
     let config = SendingConfig {
         batch_nodes: 2,
         spool_bytes: 2_000,
@@ -121,24 +126,24 @@ fn at_an_agent(script: &mut Script<'_>) {
     };
     let stream = StreamId::from_bytes([1; 16]);
     let state = SpoolState::new(stream);
-    let now = Stamp { wall: beginning(), ..Stamp::default() };
+    let now = Stamp { wall: start_time(), ..Stamp::default() };
     let sending =
         Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
     let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
-    let mut sent = (stream, Chain::START, 0);
-    for _ in 0..MOST_STEPS {
+    let mut last_sent = (stream, Chain::START, 0);
+    for _ in 0..MAX_STEPS {
         if script.is_over() {
             return;
         }
-        agent.step(script, sent);
+        agent.step(script, last_sent);
         while let Some(action) = agent.sending.next(agent.now.mono) {
             match action {
                 Action::Send(frame) => match codec::decode_batch_head(&frame) {
-                    Some(head) => sent = (head.stream, head.chain, head.number),
+                    Some(head) => last_sent = (head.stream, head.chain, head.number),
                     None if codec::decode_part(&Bytes::from(frame.clone())).is_some() => {}
                     None => match codec::decode(&frame) {
                         Ok(ToAggregator::Hello(hello)) => {
-                            sent = (hello.stream, hello.before, hello.oldest - 1);
+                            last_sent = (hello.stream, hello.before, hello.oldest - 1);
                         }
                         Ok(ToAggregator::Proof(_)) => {}
                         Ok(ToAggregator::Echo { bytes, .. }) => agent.echo = bytes,
@@ -154,12 +159,12 @@ fn at_an_agent(script: &mut Script<'_>) {
 }
 
 impl Agent {
-    /// Performs one step. `sent` is the stream, chain and number of the last sent batch.
-    fn step(&mut self, script: &mut Script<'_>, sent: (StreamId, Chain, u64)) {
+    /// Performs one step. `last_sent` contains the stream, chain and number of the last sent batch.
+    fn step(&mut self, script: &mut Script<'_>, last_sent: (StreamId, Chain, u64)) {
         let now = self.now;
         match script.byte() % 10 {
             0 | 1 => self.sending.offer(&incident(script.byte()), now),
-            2 | 3 => self.work(script.byte().is_multiple_of(5)),
+            2 | 3 => self.answer_next_action(script.byte().is_multiple_of(5)),
             4 => {
                 let span = Span::from_millis(i64::from(script.byte()) * 8);
                 self.now = now + span;
@@ -178,13 +183,14 @@ impl Agent {
                 }
             }
             _ => {
-                let message = message(script, sent);
+                let message = random_message(script, last_sent);
                 self.sending.on_message(&message, now);
             }
         }
     }
 
-    fn work(&mut self, fails: bool) {
+    /// Answers the next action on the spool, as failed if `fails` is set.
+    fn answer_next_action(&mut self, fails: bool) {
         let now = self.now;
         let reason = || "the disk fails".to_owned();
         match self.jobs.pop_front() {
@@ -195,9 +201,9 @@ impl Agent {
             }
             Some(Action::Load { .. }) if fails => drop(self.sending.on_load_failed(reason(), now)),
             Some(Action::Load { from, .. }) => {
-                let found = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
-                let found: Vec<_> = found.filter(|batch| batch.number <= from + 1).cloned().collect();
-                self.sending.on_loaded(found, now);
+                let next_batches = self.spool.iter().skip_while(|batch| batch.number < from).take(2);
+                let loaded: Vec<_> = next_batches.filter(|batch| batch.number <= from + 1).cloned().collect();
+                self.sending.on_loaded(loaded, now);
             }
             Some(Action::Delete { .. }) if fails => drop(self.sending.on_delete_failed(reason(), now)),
             Some(Action::Delete { through, .. }) => {
@@ -211,7 +217,7 @@ impl Agent {
     }
 }
 
-fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
+fn random_message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chain, u64)) -> ToAgent {
     let choice = script.byte();
     let (mut number, mut chain, window) = (number, Some(chain), u32::from(script.byte()));
     // Usually the answer of an aggregator that stored everything that was sent.
@@ -242,7 +248,7 @@ fn message(script: &mut Script<'_>, (mut stream, chain, number): (StreamId, Chai
 
 fn incident(length: u8) -> Event {
     Event::Incident(Incident {
-        at: beginning(),
+        at: start_time(),
         kind: IncidentKind::Control,
         pipeline: None,
         run: None,

@@ -7,7 +7,7 @@ use crate::{
 };
 use peernet_logger::HostId;
 
-/// Reader of decisions from bytes. After the end it returns zeros.
+/// Reader of decisions from bytes. After the last byte it returns zeros.
 pub(super) struct Script<'a>(pub(super) &'a [u8]);
 
 impl Script<'_> {
@@ -28,7 +28,8 @@ impl Script<'_> {
         bytes.to_vec()
     }
 
-    /// Returns a number that is usually small, so that some numbers follow one another, or is near the end of a range.
+    /// Returns a number that is usually small, so that some numbers are consecutive, and otherwise near the largest value
+    /// of `i64` or `u64`.
     pub(super) fn number(&mut self) -> u64 {
         match self.byte() {
             small @ 0..200 => u64::from(small % 16),
@@ -45,7 +46,7 @@ impl Script<'_> {
         StreamId::from_bytes([self.byte() % 4; 16])
     }
 
-    /// Returns the chain that belongs to `number`, so that chains often agree, or sometimes another chain.
+    /// Returns the chain that belongs to `number`, so that chains often agree; sometimes another chain.
     pub(super) fn chain(&mut self, number: u64) -> Chain {
         let mut bytes = [0; 16];
         let (head, tail) = bytes.split_at_mut(8);
@@ -104,7 +105,7 @@ pub(super) fn host(id: HostId) -> HostDescription {
     }
 }
 
-/// Returns the time at which a script begins.
-pub(super) fn beginning() -> WallTime {
+/// Returns the wall clock time at which a script begins.
+pub(super) fn start_time() -> WallTime {
     WallTime::from_unix_nanos(1_800_000_000_000_000_000)
 }

@@ -15,7 +15,8 @@ pub(super) fn version_mismatch(hello: &Hello) -> Option<String> {
     Some(mismatch.describe("the event stream", "the aggregator", &agent))
 }
 
-/// Returns whether a host has been stored for longer than another. A host that is not stored has the lowest seniority.
+/// Returns whether a host has been in the database for longer than another host. A host that is not in it has the lowest
+/// seniority. Smaller numbers are more senior ([`StreamRecord::seniority`]).
 const fn is_senior(host: Option<u64>, other: Option<u64>) -> bool {
     match (host, other) {
         (Some(host), Some(other)) => host < other,
@@ -54,8 +55,9 @@ impl Session {
 /// Decision about a hello.
 pub(super) enum Admission {
     Granted,
+    /// The host gets no session, for this reason.
     Refused(String),
-    /// The next hello decides.
+    /// No decision yet: the next hello decides.
     Later,
 }
 
@@ -67,7 +69,8 @@ impl Receiving {
         }
     }
 
-    /// Returns the reason to refuse a hello that does not depend on who is connected under its host id.
+    /// Returns the reason to refuse a hello that holds regardless of another process that is connected with the same host
+    /// id.
     fn refusal_reason(&self, hello: &Hello, record: StreamRecord, now: MonoTime) -> Option<String> {
         if let Some(reason) = version_mismatch(hello) {
             return Some(reason);
@@ -79,19 +82,20 @@ impl Receiving {
                  stop the agent, move the spool's files to another folder, keep them, and start the agent again"
             ));
         }
-        let named =
-            // The name belongs to the host that has been stored longer: a name taken by a newcomer must not lock out
-            // its owner.
+        let namesake =
+            // The name belongs to the host that has been in the database longer: a newcomer with the same name must not
+            // lock out that host.
             self.find_namesake(hello, now).filter(|(_, session)| !is_senior(record.seniority, session.seniority));
-        if let Some((other, _)) = named {
+        if let Some((other, _)) = namesake {
             let name = &hello.host.name;
             return Some(format!(
                 "the name {name} is taken by the host with the id {other}: give one of the two another name"
             ));
         }
-        // Batches that wait to be stored decide as well, because their mark is not in the database yet.
-        let here = self.streams.get(&hello.stream).map(|progress| progress.host);
-        let owner = here.or(record.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
+        // The owner of batches that wait to be stored counts as well, because their mark is not in the database yet.
+        let accepted_owner = self.streams.get(&hello.stream).map(|progress| progress.host);
+        let owner =
+            accepted_owner.or(record.mark.map(|mark| mark.host)).filter(|owner| *owner != hello.host.id)?;
         Some(format!(
             "the spool of this agent belongs to the host with the id {owner}: if this agent's state directory is a copy, \
              give this agent another [agent] state_dir; keep the spool for that host, it may hold events that are not \
@@ -102,15 +106,14 @@ impl Receiving {
     /// Returns another host with the same name that was active recently.
     fn find_namesake(&self, hello: &Hello, now: MonoTime) -> Option<(HostId, &Session)> {
         let host = &hello.host;
-        let held = |session: &Session| {
+        let uses_name = |session: &Session| {
             session.name == host.name && now - session.last_message_at <= self.config.name_timeout
         };
-        let named = self.hosts.iter().find(|(other, session)| **other != host.id && held(session));
-        named.map(|(other, session)| (*other, session))
+        let namesake = self.hosts.iter().find(|(other, session)| **other != host.id && uses_name(session));
+        namesake.map(|(other, session)| (*other, session))
     }
 
-    /// Ends the session of another host that uses the name of a host that has been stored for longer. Returns that
-    /// host.
+    /// Ends the session of another host that uses the name of the hello's host. Returns the other host.
     pub(super) fn take_back_name(&mut self, hello: &Hello, now: MonoTime) -> Option<HostId> {
         let (other, _) = self.find_namesake(hello, now)?;
         self.handle_goodbye(other);
@@ -128,7 +131,9 @@ impl Receiving {
         };
         match session.challenger {
             // The old process sent something after the new one's first hello: both are alive.
-            Some((process, since)) if process == hello.process && session.last_message_at > since => {
+            Some((process, first_hello_at))
+                if process == hello.process && session.last_message_at > first_hello_at =>
+            {
                 session.challenger = None;
                 return Admission::Refused(format!(
                     "another agent with the host id {host} is running: one of the two uses a copy of the other's state \

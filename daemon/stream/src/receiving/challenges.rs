@@ -17,16 +17,16 @@ const PROOF_TIMEOUT: Span = Span::from_seconds(15);
 #[derive(Clone, Debug)]
 pub struct Challenges<C> {
     aggregator: Slug,
-    pending: HashMap<C, Pending>,
+    pending: HashMap<C, PendingHello>,
 }
 
 #[derive(Clone, Debug)]
-struct Pending {
+struct PendingHello {
     hello: Box<Hello>,
     nonce: Nonce,
-    /// `true` if the secret was requested.
+    /// `true` if the challenge requests the secret.
     enrol: bool,
-    since: MonoTime,
+    challenged_at: MonoTime,
 }
 
 /// Result of a proof.
@@ -36,10 +36,10 @@ pub enum ProofResult {
     Valid {
         /// Hello that the proof confirms.
         hello: Box<Hello>,
-        /// Secret of the host, if the aggregator had none before.
+        /// Secret of the host, if the aggregator had none of that host before.
         enrolled: Option<HostSecret>,
     },
-    /// The proof was made with another secret than the host's.
+    /// The proof was made with a secret that is not the host's.
     Invalid(Box<Hello>),
     /// The proof answers no challenge of this connection. The agent must send a hello.
     Unsolicited,
@@ -51,11 +51,11 @@ impl<C: Eq + Hash> Challenges<C> {
         Self { aggregator, pending: HashMap::new() }
     }
 
-    /// Records the hello of a connection and returns the challenge to be sent. `enrol` requests the secret, because
-    /// none of the host is known; `nonce` is a new one.
+    /// Records the hello of a connection and returns the challenge to be sent. `enrol` requests the secret, because no
+    /// secret of the host is known; `nonce` is a new random number.
     ///
-    /// The challenge contains the highest version that both ends support. Hellos without such a version are refused
-    /// before ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
+    /// The challenge contains the highest version that both ends support. Hellos without a common version are refused
+    /// before they are challenged ([`Receiving::version_refusal`](super::Receiving::version_refusal)).
     ///
     /// A repeated hello gets the same challenge again, because on a slow link the proof may be in flight. Any other
     /// hello replaces the previous one of its connection.
@@ -67,15 +67,17 @@ impl<C: Eq + Hash> Challenges<C> {
         nonce: Nonce,
         now: MonoTime,
     ) -> ToAgent {
-        let claim = |hello: &Hello| (hello.host.id, hello.process, hello.stream);
-        let before = self.pending.get(&connection);
+        let identity = |hello: &Hello| (hello.host.id, hello.process, hello.stream);
+        let previous = self.pending.get(&connection);
         // A proof for the previous challenge may be in flight; a new nonce would make it invalid.
-        let before = before.filter(|it| claim(&it.hello) == claim(&hello) && it.enrol == enrol);
-        let nonce = before.map_or(nonce, |before| before.nonce);
+        let repeated = previous
+            .filter(|previous| identity(&previous.hello) == identity(&hello) && previous.enrol == enrol);
+        let nonce = repeated.map_or(nonce, |repeated| repeated.nonce);
         let (aggregator, stream) = (self.aggregator.clone(), hello.stream);
         let chosen = STREAM_VERSIONS.highest_common(&hello.versions()).ok();
         let version = chosen.filter(|chosen| *chosen != hello.protocol);
-        self.pending.insert(connection, Pending { hello: Box::new(hello), nonce, enrol, since: now });
+        self.pending
+            .insert(connection, PendingHello { hello: Box::new(hello), nonce, enrol, challenged_at: now });
         ToAgent::Challenge { aggregator, stream, nonce, enrol, version }
     }
 
@@ -84,23 +86,29 @@ impl<C: Eq + Hash> Challenges<C> {
         self.pending.get(connection).map(|pending| &*pending.hello)
     }
 
-    /// Checks the proof that came on a connection. `known` is the secret of the host that [`pending_hello`](Self::pending_hello)
-    /// returns, if the aggregator has one. A challenge is removed by its answer, whether that is valid or not.
-    pub fn check_proof(&mut self, connection: &C, proof: Proof, known: Option<&HostSecret>) -> ProofResult {
-        let answered =
-            |pending: &Pending| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
-        if !self.pending.get(connection).is_some_and(answered) {
+    /// Checks the proof that came on a connection. `known_secret` is the secret of the host in the
+    /// [`pending_hello`](Self::pending_hello), if the aggregator has one. An answer removes its challenge, whether the
+    /// answer is valid or not.
+    pub fn check_proof(
+        &mut self,
+        connection: &C,
+        proof: Proof,
+        known_secret: Option<&HostSecret>,
+    ) -> ProofResult {
+        let is_answered =
+            |pending: &PendingHello| (pending.hello.host.id, pending.nonce) == (proof.host, proof.nonce);
+        if !self.pending.get(connection).is_some_and(is_answered) {
             return ProofResult::Unsolicited;
         }
         // Removed before the check, so that each nonce is answered at most once.
-        let Some(Pending { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
+        let Some(PendingHello { hello, nonce, enrol, .. }) = self.pending.remove(connection) else {
             return ProofResult::Unsolicited;
         };
         // A secret that was not requested is ignored: it could replace the known secret.
-        let told = proof.secret.filter(|_| enrol);
-        let Some(secret) = known.or(told.as_ref()) else { return ProofResult::Unsolicited };
+        let stated_secret = proof.secret.filter(|_| enrol);
+        let Some(secret) = known_secret.or(stated_secret.as_ref()) else { return ProofResult::Unsolicited };
         if secret.verify(&proof.code, &nonce, &hello, &self.aggregator) {
-            ProofResult::Valid { hello, enrolled: told.filter(|_| known.is_none()) }
+            ProofResult::Valid { hello, enrolled: stated_secret.filter(|_| known_secret.is_none()) }
         } else {
             ProofResult::Invalid(hello)
         }
@@ -113,7 +121,7 @@ impl<C: Eq + Hash> Challenges<C> {
 
     /// Removes challenges that were not answered in time.
     pub fn remove_expired(&mut self, now: MonoTime) {
-        self.pending.retain(|_, pending| now - pending.since <= PROOF_TIMEOUT);
+        self.pending.retain(|_, pending| now - pending.challenged_at <= PROOF_TIMEOUT);
     }
 
     /// Returns the number of challenges without an answer.

@@ -60,17 +60,17 @@ pub struct Mark {
     pub host: HostId,
     /// Number up to which all batches are stored.
     pub stored: u64,
-    /// Chain of that batch.
+    /// Chain of the last stored batch.
     pub chain: Chain,
-    /// Process that sent that batch; `None` if it is unknown.
+    /// Process that sent the last stored batch; `None` if it is unknown.
     pub process: Option<u64>,
-    /// Number of events in all batches of the spool up to that batch; `None` if it is unknown, because an earlier
-    /// version stored it.
+    /// Number of events in all batches of the spool up to the last stored batch; `None` if it is unknown, because an
+    /// earlier version wrote the mark.
     pub events: Option<u64>,
 }
 
 impl From<BatchHead> for Mark {
-    /// Returns the mark after this batch is stored.
+    /// Returns the mark of the stream after this batch is stored.
     fn from(head: BatchHead) -> Self {
         Self {
             host: head.host,
@@ -83,7 +83,7 @@ impl From<BatchHead> for Mark {
 }
 
 impl From<MissingBatches> for Mark {
-    /// Returns the mark after this gap is stored.
+    /// Returns the mark of the stream after the gap in place of these batches is stored.
     fn from(missing: MissingBatches) -> Self {
         let MissingBatches { host, through, chain, process, events_through, .. } = missing;
         Self { host, stored: through, chain, process: Some(process), events: Some(events_through) }
@@ -97,11 +97,12 @@ pub struct StreamRecord {
     pub mark: Option<Mark>,
     /// `true` if the host used that stream before.
     pub was_used: bool,
-    /// Stream that the host used last.
+    /// Stream that the host used most recently.
     pub last: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
     pub previous: Option<Mark>,
-    /// Order in which hosts were first stored: smaller for older hosts; `None` for a host of which nothing is stored.
+    /// Position in the order in which hosts were first stored: smaller for older hosts; `None` for a host of which
+    /// nothing is stored.
     pub seniority: Option<u64>,
 }
 
@@ -116,11 +117,11 @@ pub enum HelloResult {
         /// `through`.
         missing: Option<MissingBatches>,
         /// Previous stream of this host, if the new stream does not continue it: the spool was deleted or replaced, and
-        /// the events that it still held are lost. To be stored as a gap of unknown count.
+        /// the events that the old spool still held are lost. To be stored as a gap of unknown count.
         replaced: Option<StreamId>,
-        /// Batches of the previous stream, which this stream continues, that are missing in this database: it is an older
-        /// copy of the database that stored them. To be stored as a gap. The mark of the previous stream stays, because
-        /// another copy of the spool may still hold the batches.
+        /// Batches of the previous stream, which this stream continues, that are missing in this database: this is an
+        /// older copy of the database that stored the batches. To be stored as a gap. The mark of the previous stream does
+        /// not change, because another copy of the spool may still hold the batches.
         missing_previous: Option<MissingPreviousBatches>,
         /// Another host that was connected with the same name. Its session ended, because this host has been stored for
         /// longer.
@@ -135,8 +136,8 @@ pub enum HelloResult {
     },
     /// No decision yet; nothing is to be sent, and the next hello decides. There are three causes:
     ///
-    /// - Another process of the same host was active recently. If that process has ended, the next hello of this process
-    ///   is accepted. Otherwise that process sends something before the next hello.
+    /// - Another process of the same host was active recently. If the other process has ended, the next hello of this
+    ///   process is accepted. Otherwise the other process sends something before the next hello.
     /// - Batches of the stream that an earlier process sent are not stored yet.
     /// - Too many batches of the host are not stored yet.
     Wait,
@@ -155,11 +156,11 @@ pub struct MissingBatches {
     pub through: u64,
     /// Chain of the last batch, as stated by the agent.
     pub chain: Chain,
-    /// Process that states so.
+    /// Process that stated that it no longer holds the batches.
     pub process: u64,
     /// Number of events in the batches; `None` if it is unknown.
     pub events: Option<u64>,
-    /// Number of events in all batches of the spool up to the last of them.
+    /// Number of events in all batches of the spool up to the last of these batches.
     pub events_through: u64,
 }
 
@@ -179,19 +180,20 @@ pub struct MissingPreviousBatches {
 /// Result of the arrival of a batch.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Arrival {
-    /// It is the next batch. Store it, and then call [`Receiving::handle_stored`].
+    /// The batch is the next one of its stream. Store it, and then call [`Receiving::handle_stored`].
     Accept,
-    /// It is the next batch, but its bytes did not match its hash in several attempts. Quarantine it unchanged, like a
-    /// batch that cannot be decoded, and mark it as stored.
+    /// The batch is the next one of its stream, but its bytes did not match its hash in several attempts. Quarantine it
+    /// unchanged, like a batch that cannot be decoded, and mark it as stored.
     AcceptDamaged,
-    /// It is already stored. The acknowledgement was lost and is to be sent again.
+    /// The batch is already stored. The acknowledgement was lost and is to be sent again.
     Duplicate(ToAgent),
-    /// It is already accepted, and about to be stored.
+    /// The batch is already accepted, and about to be stored.
     Pending,
-    /// Batches before it are missing, or it was damaged in transit. The message, if any, requests them again.
+    /// Batches before this batch are missing, or it was damaged in transit. The message, if any, requests the missing or
+    /// damaged batches again.
     Rejected(Option<ToAgent>),
-    /// The process has no session with that stream, or the batch contradicts accepted batches. The message requests a
-    /// hello.
+    /// The process has no session with the batch's stream, or the batch contradicts accepted batches. The message requests
+    /// a hello.
     Unknown(ToAgent),
 }
 
@@ -227,18 +229,18 @@ impl Receiving {
 
     /// Removes all sessions and accepted batches after the marks have changed. Every agent must send a hello again.
     pub fn forget_sessions(&mut self) {
-        // Sessions rest on the marks of the previous database, and its writer drops the accepted batches.
+        // Sessions were decided with the marks of the previous database, and its writer drops the accepted batches.
         *self = Self::new(self.config.clone());
     }
 
-    /// Returns the reason to refuse a hello before anything is proven; `None` for an agent that may be challenged
+    /// Returns the reason to refuse a hello before its host proves anything; `None` for an agent that may be challenged
     /// ([`Challenges`]).
     pub fn version_refusal(hello: &Hello) -> Option<String> {
         admission::version_mismatch(hello)
     }
 
-    /// Decides about a hello whose host has been proven. Missing batches are reported only for a host's first hello
-    /// with a stream.
+    /// Decides about a hello whose host has proven its identity. Missing batches are reported only for a host's first
+    /// hello with a stream.
     ///
     /// The mark takes precedence over the agent's statement. Batches after the mark that the agent does not hold are
     /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest held
@@ -259,7 +261,7 @@ impl Receiving {
         if self.has_too_many_unstored(host, stream) || self.streams.get(&stream).is_some_and(has_unstored) {
             return HelloResult::Wait;
         }
-        // A stream is new only once. So its gap is recorded once, even if the agent reconnects often.
+        // A stream is new only once. Its gap is therefore recorded once, even if the agent reconnects often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
         let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let missing_previous = hello.previous.filter(|_| is_new).and_then(|previous| {
@@ -267,7 +269,7 @@ impl Receiving {
             let through = hello.first - 1;
             let stored = record.previous.map_or(Some(0), |mark| mark.events);
             let events =
-                hello.events_before_first.zip(stored).map(|(all, stored)| all.saturating_sub(stored));
+                hello.events_before_first.zip(stored).map(|(sent, stored)| sent.saturating_sub(stored));
             // A process that died may have sent batches from memory, after the last batch in its spool. The newer
             // database may have stored them.
             let is_missing = from <= through || events.is_some_and(|events| events > 0);
@@ -282,11 +284,11 @@ impl Receiving {
         let replaced_session = self.hosts.insert(host, Session::new(hello, seniority, now));
         // Another process may hold other batches with the same numbers, so batches that its predecessor sent are not
         // confirmed for it.
-        let same = replaced_session
+        let is_same_process = replaced_session
             .as_ref()
             .is_some_and(|session| session.process == hello.process && session.stream == stream);
         let progress = self.streams.entry(stream).or_insert_with(|| Progress::new(hello, mark));
-        let missing = progress.handle_hello(hello, mark, same);
+        let missing = progress.handle_hello(hello, mark, is_same_process);
         let (stored, last) = progress.stored();
         self.deferred.remove(stream);
         self.parts.forget(host);
@@ -303,14 +305,15 @@ impl Receiving {
     /// Returns whether the host must wait for the writer, because its stream or its earlier streams have too many
     /// batches that are not stored.
     fn has_too_many_unstored(&self, host: HostId, stream: StreamId) -> bool {
-        let full = self.streams.get(&stream).is_some_and(Progress::is_full);
-        let others = self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
-        full || others.count() >= MAX_UNSTORED_STREAMS
+        let is_full = self.streams.get(&stream).is_some_and(Progress::is_full);
+        let other_streams =
+            self.streams.iter().filter(|(id, progress)| progress.host == host && **id != stream);
+        is_full || other_streams.count() >= MAX_UNSTORED_STREAMS
     }
 
-    /// Decides about a batch. `intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
+    /// Decides about a batch. `is_intact` tells whether its bytes match its hash ([`super::codec::decode_batch_body`]). An intact
     /// batch is accepted even if it cannot be decoded; it is quarantined later.
-    pub fn handle_batch(&mut self, head: &BatchHead, intact: bool, now: MonoTime) -> Arrival {
+    pub fn handle_batch(&mut self, head: &BatchHead, is_intact: bool, now: MonoTime) -> Arrival {
         let window = self.window(head.host);
         let session = self.hosts.get_mut(&head.host);
         let session =
@@ -320,7 +323,7 @@ impl Receiving {
             return Arrival::Unknown(ToAgent::Unknown);
         };
         session.last_message_at = now;
-        progress.handle_batch(head, intact, window)
+        progress.handle_batch(head, is_intact, window)
     }
 
     /// Adds a part of a batch from a host with a session. Returns the frame of the batch when it is complete.
@@ -329,8 +332,8 @@ impl Receiving {
         self.parts.add(part)
     }
 
-    /// Returns the answer to a request for an echo. It is to be sent at once. `bytes` is the position of the request in the
-    /// connection.
+    /// Returns the answer to a request for an echo; the answer is to be sent at once. `bytes` is the position of the request
+    /// in the connection.
     pub fn handle_echo(&mut self, host: HostId, bytes: u64, now: MonoTime) -> ToAgent {
         self.handle_live(host, now).unwrap_or(ToAgent::Echo { bytes })
     }
@@ -342,14 +345,15 @@ impl Receiving {
             return;
         }
         if let Some(progress) = self.streams.get_mut(&stream) {
-            // The batch may have been the answer to a request; without this it would never be requested again.
+            // The batch may have been the answer to a request. While the request is recorded, the batch would not be
+            // requested again.
             progress.forget_request();
             self.deferred.push(stream);
         }
     }
 
-    /// Returns requests for deferred batches when the queue has capacity for `batches` of them: one request per stream,
-    /// the stream that waits longest first.
+    /// Returns requests for deferred batches when the queue has capacity for `batches` batches: one request per stream,
+    /// beginning with the stream that has waited longest.
     pub fn request_deferred(&mut self, batches: usize) -> Vec<(HostId, ToAgent)> {
         let mut requested = Vec::new();
         while requested.len() < batches
@@ -382,8 +386,7 @@ impl Receiving {
         }
     }
 
-    /// Records that the mark of a stream is on disk. Returns the message and its receiver: an acknowledgement, or a
-    /// request for a hello if the agent holds other batches with these numbers.
+    /// Records that the mark of a stream is on disk. Returns the acknowledgement and the host that receives it.
     ///
     /// Only batches that the connected agent is known to hold are acknowledged. Batches that an earlier process sent may
     /// differ from the connected agent's batches with the same numbers, and an acknowledgement makes the agent delete its
@@ -391,9 +394,9 @@ impl Receiving {
     pub fn handle_stored(&mut self, stream: StreamId, mark: Mark) -> Option<(HostId, ToAgent)> {
         let window = self.window(mark.host);
         let reply = self.streams.get_mut(&stream)?.record_stored(stream, mark, window);
-        let listener = self.current_sender(stream);
+        let receiver = self.current_sender(stream);
         self.forget_if_stored(stream);
-        listener.zip(reply)
+        receiver.zip(reply)
     }
 
     /// Records that storing failed: batches that are accepted and not stored count as not received. The writer must
@@ -401,9 +404,9 @@ impl Receiving {
     /// send them again and its receiver.
     pub fn handle_failed_store(&mut self, stream: StreamId) -> Option<(HostId, ToAgent)> {
         let request = self.streams.get_mut(&stream)?.fail(stream);
-        let listener = self.current_sender(stream);
+        let receiver = self.current_sender(stream);
         self.forget_if_stored(stream);
-        listener.map(|host| (host, request))
+        receiver.map(|host| (host, request))
     }
 
     /// Returns whether the host has a session and was active within the last `within`.
@@ -422,9 +425,9 @@ impl Receiving {
     /// connected hosts and on the host's own batch length, not on the batch lengths of other hosts: a host that has or
     /// claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
-        let batch = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
+        let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
         // An equal share of the memory for each connected host, so that all of them together stay within the budget.
-        let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch;
+        let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_bytes;
         u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }
 
@@ -434,7 +437,8 @@ impl Receiving {
         self.hosts.get(&host).is_some_and(|session| session.stream == stream).then_some(host)
     }
 
-    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark is on disk.
+    /// Removes a stream from memory if no host sends it and all its accepted batches are stored. Its mark remains in the
+    /// database.
     fn forget_if_stored(&mut self, stream: StreamId) {
         if self.current_sender(stream).is_none() {
             self.deferred.remove(stream);

@@ -11,13 +11,16 @@ use peernet_logger::HostId;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PartAssembler {
     incomplete: BTreeMap<HostId, IncompleteBatch>,
+    /// Number of bytes of all incomplete batches.
     bytes: u64,
     max_bytes: u64,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct IncompleteBatch {
+    /// Number of bytes of the whole frame.
     total: u32,
+    /// Bytes that have arrived.
     bytes: Vec<u8>,
 }
 
@@ -34,8 +37,8 @@ impl PartAssembler {
             self.incomplete.insert(part.host, IncompleteBatch { total: part.total, bytes: Vec::new() });
         }
         let incomplete = self.incomplete.get_mut(&part.host)?;
-        let follows = incomplete.total == part.total && incomplete.bytes.len() == part.offset as usize;
-        if !follows || self.bytes + part.bytes.len() as u64 > self.max_bytes {
+        let is_next = incomplete.total == part.total && incomplete.bytes.len() == part.offset as usize;
+        if !is_next || self.bytes + part.bytes.len() as u64 > self.max_bytes {
             self.forget(part.host);
             return None;
         }
@@ -71,7 +74,7 @@ mod tests {
         assert_eq!(parts.add(&part(other, 0, 4, b"12")), None);
         assert_eq!(parts.add(&part(one, 3, 6, b"def")).as_deref(), Some(&b"abcdef"[..]));
         assert_eq!(parts.add(&part(other, 2, 4, b"34")).as_deref(), Some(&b"1234"[..]));
-        assert_eq!(parts, PartAssembler::new(100), "nothing is kept");
+        assert_eq!(parts, PartAssembler::new(100), "complete batches are not kept");
     }
 
     #[test]
@@ -82,7 +85,7 @@ mod tests {
         for wrong in [part(host, 4, 6, b"ef"), part(host, 3, 7, b"def"), part(host, 2, 6, b"cdef")] {
             assert_eq!(parts.add(&part(host, 0, 6, b"abc")), None);
             assert_eq!(parts.add(&wrong), None);
-            assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "it has ended");
+            assert_eq!(parts.add(&part(host, 3, 6, b"def")), None, "the batch was discarded");
         }
         // A batch that is sent again starts with its first part.
         parts.add(&part(host, 0, 6, b"abc"));

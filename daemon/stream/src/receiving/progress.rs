@@ -12,7 +12,8 @@ pub(super) const MAX_BATCH_NUMBER: u64 = i64::MAX as u64;
 /// Number of times that a batch may arrive damaged before it is accepted as damaged.
 const MAX_DAMAGED_ARRIVALS: u32 = 3;
 
-/// Largest number of batches that are accepted and not stored. An agent that respects its window needs half of it.
+/// Largest number of batches that are accepted and not stored. An agent that respects its window causes at most half as
+/// many.
 const MAX_PENDING: usize = 2 * (MAX_IN_FLIGHT_BATCHES + 1);
 
 /// A position in a stream: number of a batch; its chain and the number of events up to it, if they are known.
@@ -35,31 +36,31 @@ pub(super) struct Progress {
     pub(super) host: HostId,
     /// Process that sent the last hello.
     process: u64,
-    /// Mark in the database. Without it, `stored` is the beginning of the stream.
+    /// Mark in the database; if `None`, `stored` is the position before the first batch of the stream.
     mark: Option<Mark>,
     stored: Position,
     accepted: Position,
-    /// Last batch that the connected agent is known to hold in the same form: the agent compared the chains when it was
-    /// welcomed, or sent the batch since.
+    /// Last batch of which the connected agent is known to hold the same content: the agent compared the chains when it
+    /// was welcomed, or has sent the batch since then.
     confirmed: u64,
     /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
     /// number.
     pending: VecDeque<(u64, Chain)>,
-    /// Number from which batches were requested again, until the first of them arrives.
+    /// Number from which on batches were requested again; `None` once the first requested batch arrives.
     requested: Option<u64>,
-    /// The last batch that arrived damaged, and the number of times in a row.
+    /// The last batch that arrived damaged, and the number of its damaged arrivals in a row.
     damaged: Option<(BatchHead, u32)>,
 }
 
 impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
-        let begin = Position {
+        let start = Position {
             number: hello.first.saturating_sub(1),
             // `hello.before` is the chain before the oldest batch, which is the first one only if none was deleted.
             chain: (hello.oldest == hello.first).then_some(hello.before),
             events: hello.events_before_first,
         };
-        let stored = mark.map_or(begin, Position::from);
+        let stored = mark.map_or(start, Position::from);
         Self {
             host: hello.host.id,
             process: hello.process,
@@ -73,13 +74,13 @@ impl Progress {
         }
     }
 
-    /// Updates the progress for the hello of an agent. `same` tells whether it is the process that was connected
-    /// before. Returns the batches that neither end has.
+    /// Updates the progress for the hello of an agent. `is_same_process` is `true` if the process was already connected
+    /// with this stream. Returns the batches that neither end has.
     pub(super) fn handle_hello(
         &mut self,
         hello: &Hello,
         mark: Option<Mark>,
-        same: bool,
+        is_same_process: bool,
     ) -> Option<MissingBatches> {
         if let Some(mark) = mark {
             self.apply_mark(mark);
@@ -88,7 +89,7 @@ impl Progress {
         if self.mark.is_none() && self.is_all_stored() {
             *self = Self::new(hello, None);
         }
-        if !same {
+        if !is_same_process {
             self.confirmed = self.stored.number;
         }
         (self.requested, self.process) = (None, hello.process);
@@ -103,14 +104,14 @@ impl Progress {
         })
     }
 
-    /// Returns the number of the last stored batch (the number before the first batch if none is stored), and the mark for the
-    /// agent to compare.
+    /// Returns the number of the last stored batch, and the mark that the agent compares with its own batches. If no batch
+    /// is stored, the number is the one before the first batch.
     pub(super) const fn stored(&self) -> (u64, Option<Mark>) {
         (self.stored.number, self.mark)
     }
 
     /// Decides about a batch of the stream from the connected agent.
-    pub(super) fn handle_batch(&mut self, head: &BatchHead, intact: bool, window: u32) -> Arrival {
+    pub(super) fn handle_batch(&mut self, head: &BatchHead, is_intact: bool, window: u32) -> Arrival {
         let number = head.number;
         if number <= self.acknowledged_through() {
             Arrival::Duplicate(self.acknowledgement(head.stream, window))
@@ -121,7 +122,7 @@ impl Progress {
             Arrival::Rejected(None)
         } else if number > self.next() {
             Arrival::Rejected(self.request_next(head.stream))
-        } else if !intact {
+        } else if !is_intact {
             self.handle_damaged(head)
         } else if self.follows(head) {
             self.accept(number, head.chain, head.events_through());
@@ -142,7 +143,7 @@ impl Progress {
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
-        // The chain also identifies every batch before it.
+        // The chain of a batch also identifies every earlier batch.
         self.confirmed = self.confirmed.max(number);
         self.drop_acknowledged();
         match number <= self.stored.number {
@@ -153,11 +154,11 @@ impl Progress {
 
     /// Handles the next batch if it does not match its hash: it was damaged in transit or in the spool.
     fn handle_damaged(&mut self, head: &BatchHead) -> Arrival {
-        // Counted for the same head only: a damaged head names another batch.
-        let before = self.damaged.filter(|(damaged, _)| damaged == head);
-        let times = before.map_or(0, |(_, times)| times) + 1;
-        if times < MAX_DAMAGED_ARRIVALS {
-            self.damaged = Some((*head, times));
+        // Only arrivals with the same head count: if the head itself is damaged, it seems to be of another batch.
+        let earlier = self.damaged.filter(|(damaged, _)| damaged == head);
+        let arrivals = earlier.map_or(0, |(_, arrivals)| arrivals) + 1;
+        if arrivals < MAX_DAMAGED_ARRIVALS {
+            self.damaged = Some((*head, arrivals));
             // The batch answered the last request, so that a new request is needed.
             self.requested = None;
             return Arrival::Rejected(self.request_next(head.stream));
@@ -172,10 +173,12 @@ impl Progress {
         }
     }
 
+    /// Returns whether the batch continues the chain of the accepted batches.
     fn follows(&self, head: &BatchHead) -> bool {
         self.accepted.chain == Some(head.before)
     }
 
+    /// Records everything up to a batch as accepted; `events` is the number of events in all batches up to it.
     fn accept(&mut self, number: u64, chain: Chain, events: u64) {
         self.accepted = Position { number, chain: Some(chain), events: Some(events) };
         self.confirmed = number;
@@ -184,11 +187,12 @@ impl Progress {
         self.drop_acknowledged();
     }
 
-    /// Records that the mark is on disk. Returns the acknowledgement for the connected agent, if it advances.
+    /// Records that the mark is on disk. Returns an acknowledgement for the connected agent if more batches can be
+    /// acknowledged.
     pub(super) fn record_stored(&mut self, stream: StreamId, mark: Mark, window: u32) -> Option<ToAgent> {
-        let before = self.acknowledged_through();
+        let previous = self.acknowledged_through();
         self.apply_mark(mark);
-        (self.acknowledged_through() > before).then(|| self.acknowledgement(stream, window))
+        (self.acknowledged_through() > previous).then(|| self.acknowledgement(stream, window))
     }
 
     /// Applies a mark of the database.
@@ -199,7 +203,8 @@ impl Progress {
         self.mark = Some(mark);
         self.stored = mark.into();
         if mark.stored >= self.accepted.number {
-            // The database is ahead of this memory: the batch was stored before a restart of the aggregator.
+            // The database is ahead of the accepted batches in memory: the batch was stored before the aggregator was
+            // restarted.
             if mark.stored > self.accepted.number {
                 self.pending.push_back((mark.stored, mark.chain));
             }
@@ -211,7 +216,7 @@ impl Progress {
     /// Records that storing failed. Returns the request to send the batches again.
     pub(super) fn fail(&mut self, stream: StreamId) -> ToAgent {
         self.accepted = self.stored;
-        // Batches after the stored one have to be sent again, which confirms them again.
+        // Batches after the last stored one must be sent again, and are then confirmed again.
         self.confirmed = self.confirmed.min(self.stored.number);
         self.pending.retain(|(number, _)| *number <= self.stored.number);
         self.damaged = None;
@@ -219,7 +224,7 @@ impl Progress {
         ToAgent::Resend { stream, from: self.next() }
     }
 
-    /// Requests the next batch; `None` if that was done before.
+    /// Returns a request for the next batch; `None` if that batch was already requested.
     pub(super) fn request_next(&mut self, stream: StreamId) -> Option<ToAgent> {
         let from = self.next();
         // One request for each range of missing batches: otherwise each later batch in flight would cause another request.
@@ -248,6 +253,7 @@ impl Progress {
         self.pending.len() >= MAX_PENDING
     }
 
+    /// Returns the number of the next batch to be accepted.
     const fn next(&self) -> u64 {
         self.accepted.number.saturating_add(1)
     }
@@ -257,6 +263,7 @@ impl Progress {
         self.stored.number.min(self.confirmed)
     }
 
+    /// Removes the batches that are both stored and confirmed from `pending`.
     fn drop_acknowledged(&mut self) {
         let acknowledged_through = self.acknowledged_through();
         while self.pending.front().is_some_and(|(number, _)| *number <= acknowledged_through) {

@@ -7,16 +7,17 @@ use crate::spool::SpooledBatch;
 use crate::totals::Totals;
 use peernet_logger::Slug;
 
-/// Action that the owner of the state machine has to perform, in this order. Every action but `Send` is answered by one
-/// of the methods that its description names. Until then no second action of the same kind is returned.
+/// Action that the owner of the state machine has to perform. Actions are performed in the order in which they are
+/// returned. Every action except `Send` is answered by one of the methods that its description names. Until it is
+/// answered, no second action of the same kind is returned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Action {
     /// Write these batches and totals to the spool in one transaction. Answer: [`Sending::on_appended`] or
     /// [`Sending::on_append_failed`].
     ///
     /// Batches that were written while disconnected are sent only after an action without batches has recorded that
-    /// they may be sent ([`Totals::newest_sent`]). It should be on the medium, not only in the system's memory, before
-    /// it is answered.
+    /// they may be sent ([`Totals::newest_sent`]). This record should be on the medium, not only in the system's memory,
+    /// before the action is answered.
     Append {
         /// Batches, contiguous and following the newest in the spool; empty if only the totals changed.
         batches: Vec<SpooledBatch>,
@@ -32,10 +33,10 @@ pub enum Action {
         bytes: usize,
     },
     /// Delete the batches up to a number and keep the chain of that batch. Answer: [`Sending::on_deleted`], or
-    /// [`Sending::on_delete_failed`], after which it is requested again later.
+    /// [`Sending::on_delete_failed`], after which the deletion is requested again later.
     ///
-    /// The number may be beyond the newest in the spool if batches were stored from memory while the spool failed. It
-    /// is then the newest number used so far, and the next appended batch follows it.
+    /// The number may be beyond the newest batch in the spool if batches were sent from memory and stored while the spool
+    /// failed. It is then the newest number used so far, and the next appended batch has the number after it.
     Delete {
         /// Number of the last batch.
         through: u64,
@@ -51,7 +52,7 @@ pub enum Action {
         previous: StreamId,
         /// Number of the first batch of the new stream.
         first: u64,
-        /// Number of events in all batches of the spool before that.
+        /// Number of events in all batches of the spool before that first batch.
         events_before_first: u64,
     },
     /// Send this frame.
@@ -61,7 +62,7 @@ pub enum Action {
 /// Notice that the agent should log and show.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// The aggregator has no secret of this host; it is sent now.
+    /// The aggregator has no secret of this host; the secret is sent now.
     Enrolling {
         /// Name of the aggregator's host.
         aggregator: Slug,
@@ -70,9 +71,9 @@ pub enum Notice {
     Welcomed {
         /// Name of the aggregator's host.
         aggregator: Slug,
-        /// Number of the last batch that it has stored.
+        /// Number of the last batch that the aggregator has stored.
         stored: u64,
-        /// `true` if batches that it acknowledged earlier are missing there: its database is new or an old copy.
+        /// `true` if the aggregator lacks batches that it acknowledged earlier: its database is new or an old copy.
         has_lost_batches: bool,
     },
     /// The aggregator refused the host; the agent tries again later.

@@ -17,10 +17,10 @@ pub(super) struct Appends {
     /// Totals that were written last.
     written: Totals,
     /// `true` if the last attempt failed.
-    fails: bool,
-    /// `true` after a failure to write batches: the number of dropped events is then written alone before they are
+    has_failed: bool,
+    /// `true` after a failure to write batches: the number of dropped events is then written alone before the batches are
     /// tried again.
-    refused: bool,
+    were_batches_refused: bool,
     /// Start of the last transaction.
     started_at: MonoTime,
 }
@@ -28,13 +28,15 @@ pub(super) struct Appends {
 /// A transaction in progress.
 #[derive(Clone, Debug)]
 struct Appending {
+    /// Last batch and its chain; `None` if only the totals are written.
     last: Option<(u64, Chain)>,
+    /// Bytes of the written bodies.
     bytes: u64,
-    /// Number of those bytes whose batches the aggregator stored meanwhile.
-    freed: u64,
+    /// Number of written bytes whose batches the aggregator stored meanwhile.
+    freed_bytes: u64,
     /// Totals up to the last batch, without the additions of [`Totals::with`].
     totals: Totals,
-    resolves: bool,
+    has_resolution: bool,
 }
 
 /// Result of a transaction.
@@ -43,15 +45,21 @@ pub(super) struct Appended {
     /// Last batch and its chain; `None` if only the totals were written.
     pub(super) last: Option<(u64, Chain)>,
     pub(super) bytes: u64,
-    /// Number of those bytes whose batches the aggregator stored meanwhile.
-    pub(super) freed: u64,
+    /// Number of written bytes whose batches the aggregator stored meanwhile.
+    pub(super) freed_bytes: u64,
     /// `true` if the transaction recorded the result for an earlier process.
-    pub(super) resolves: bool,
+    pub(super) has_resolution: bool,
 }
 
 impl Appends {
     pub(super) fn new(written: Totals) -> Self {
-        Self { job: Job::default(), written, fails: false, refused: false, started_at: MonoTime::default() }
+        Self {
+            job: Job::default(),
+            written,
+            has_failed: false,
+            were_batches_refused: false,
+            started_at: MonoTime::default(),
+        }
     }
 
     /// Returns the totals that were written last.
@@ -60,13 +68,13 @@ impl Appends {
     }
 
     /// Returns whether the last attempt failed.
-    pub(super) const fn fails(&self) -> bool {
-        self.fails
+    pub(super) const fn has_failed(&self) -> bool {
+        self.has_failed
     }
 
     /// Returns whether batches could not be written and nothing was written since.
     pub(super) const fn were_refused(&self) -> bool {
-        self.refused
+        self.were_batches_refused
     }
 
     pub(super) const fn is_in_progress(&self) -> bool {
@@ -91,43 +99,49 @@ impl Appends {
     /// Records that the aggregator stored batches which are being written.
     pub(super) fn add_freed(&mut self, bytes: u64) {
         if let Some(appending) = self.job.in_progress_mut() {
-            appending.freed += bytes;
+            appending.freed_bytes += bytes;
         }
     }
 
     /// Begins a transaction.
-    pub(super) fn start(&mut self, batches: &[SpooledBatch], totals: &Totals, resolves: bool, now: MonoTime) {
+    pub(super) fn start(
+        &mut self,
+        batches: &[SpooledBatch],
+        totals: &Totals,
+        has_resolution: bool,
+        now: MonoTime,
+    ) {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
-        (self.started_at, self.refused) = (now, false);
-        self.job.start(Appending { last, bytes, freed: 0, totals: totals.clone(), resolves });
+        (self.started_at, self.were_batches_refused) = (now, false);
+        self.job.start(Appending { last, bytes, freed_bytes: 0, totals: totals.clone(), has_resolution });
     }
 
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
     pub(super) fn finish(&mut self) -> Option<Appended> {
-        let Appending { last, bytes, freed, totals, resolves } = self.job.finish()?;
-        // A transaction without this record keeps the record in the file.
+        let Appending { last, bytes, freed_bytes, totals, has_resolution } = self.job.finish()?;
+        // A transaction without a record of sent batches leaves the record in the file unchanged.
         let newest_sent = totals.newest_sent.or(self.written.newest_sent);
         self.written = Totals { newest_sent, ..totals };
-        Some(Appended { last, bytes, freed, resolves })
+        Some(Appended { last, bytes, freed_bytes, has_resolution })
     }
 
     /// Records that appending works again.
     pub(super) const fn recover(&mut self) {
-        self.fails = false;
+        self.has_failed = false;
     }
 
     /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         // Only a transaction with batches is followed by one with the counts alone, which needs less space.
-        self.refused = self.job.finish()?.last.is_some();
+        self.were_batches_refused = self.job.finish()?.last.is_some();
         self.job.fail(now, pause);
-        self.fails = true;
+        self.has_failed = true;
         Some(())
     }
 
-    /// Returns the time at which the number of dropped events is written alone. A full spool accepts no batch that
-    /// contains it.
+    /// Returns the time at which the number of dropped events is written without batches, because a full spool accepts no
+    /// batch.
     pub(super) fn losses_due(&self, dropped: u64) -> Option<MonoTime> {
         (dropped != self.written.dropped && !self.job.is_in_progress())
             .then(|| self.started_at + LOSS_WRITE_INTERVAL)

@@ -5,12 +5,12 @@ use peernet_clock::{MonoTime, Span};
 use super::Compression;
 
 /// Rate in bytes per second below which a link is slow. An agent at full speed produces a few megabytes of events per
-/// second, which is little for a cable and too much for a poor radio link. Above this rate, compression would use
-/// processor time of a host that is being measured without a benefit.
+/// second, which is little for a cable and too much for a poor radio link. Above this rate, compression would have no
+/// benefit and would use processor time of a host that is being measured.
 const SLOW_BYTES_PER_S: f64 = (4 << 20) as f64;
 
-/// Rate above which a link is no longer slow. It is well above `SLOW_BYTES_PER_S`, so that a link in between does not cause
-/// repeated changes.
+/// Rate above which a link is no longer slow. It is well above `SLOW_BYTES_PER_S`, so that a link with a rate between the
+/// two does not switch compression repeatedly.
 const FAST_BYTES_PER_S: f64 = 2.0 * SLOW_BYTES_PER_S;
 
 /// Minimum time of waiting for acknowledgements over which a rate is computed.
@@ -19,16 +19,16 @@ const MIN_OBSERVATION: Span = Span::from_seconds(1);
 /// Time without waiting for acknowledgements after which compression stops.
 const IDLE_BEFORE_STOP: Span = Span::from_seconds(10);
 
-/// Measures the rate of acknowledged bytes while the window is full, and switches compression. Only while the window is
-/// full does the path to the store limit the rate; otherwise the events do.
+/// Measures the rate of acknowledged bytes while the window is full, and switches compression. The path to the store
+/// limits the rate only while the window is full; otherwise the number of events limits it.
 ///
-/// A slow store looks like a slow link here; compression for it costs some processor time and does no harm. A store
-/// that stopped for a while, because its disk was full, must not count: the longest wait is therefore ignored. A slow
-/// link causes many waits.
+/// A slow store cannot be distinguished from a slow link here; compression then costs some processor time and does no
+/// harm. A pause of the store, for example because its disk was full, must not count: the longest wait is therefore
+/// ignored. A slow link causes many waits.
 #[derive(Clone, Debug)]
 pub(super) struct CompressionControl {
     compression: Compression,
-    compress: bool,
+    is_compressing: bool,
     /// Start of the time in which the window has been full.
     full_since: Option<MonoTime>,
     /// Last time at which the window was full.
@@ -42,11 +42,11 @@ pub(super) struct CompressionControl {
 
 impl CompressionControl {
     pub(super) fn new(compression: Compression) -> Self {
-        let compress = compression == Compression::Always;
+        let is_compressing = compression == Compression::Always;
         let (observed, last_full) = (Span::ZERO, MonoTime::default());
         Self {
             compression,
-            compress,
+            is_compressing,
             full_since: None,
             last_full,
             observed,
@@ -56,7 +56,7 @@ impl CompressionControl {
     }
 
     pub(super) const fn is_compressing(&self) -> bool {
-        self.compress
+        self.is_compressing
     }
 
     /// Records that a batch must wait for an acknowledgement.
@@ -66,19 +66,19 @@ impl CompressionControl {
 
     /// Records that data took too long to arrive.
     pub(super) fn record_slow_link(&mut self) {
-        self.compress |= self.compression == Compression::Auto;
+        self.is_compressing |= self.compression == Compression::Auto;
     }
 
     /// Records that nothing is to be sent. On a slow link compression stays on, because without it batches would soon
     /// wait again.
-    pub(super) fn record_idle(&mut self, slow: bool, now: MonoTime) {
+    pub(super) fn record_idle(&mut self, is_slow: bool, now: MonoTime) {
         self.end_wait(now);
         if self.compression == Compression::Auto
-            && self.compress
-            && !slow
+            && self.is_compressing
+            && !is_slow
             && now - self.last_full >= IDLE_BEFORE_STOP
         {
-            self.compress = false;
+            self.is_compressing = false;
         }
     }
 
@@ -89,28 +89,29 @@ impl CompressionControl {
 
     /// Records that frames were acknowledged.
     pub(super) fn record_ack(&mut self, bytes: u64, now: MonoTime) {
-        let Some(since) = self.full_since else { return };
+        let Some(full_since) = self.full_since else { return };
         self.end_wait(now);
         self.bytes += bytes;
-        if now - since > self.longest_wait.0 {
-            self.longest_wait = (now - since, bytes);
+        if now - full_since > self.longest_wait.0 {
+            self.longest_wait = (now - full_since, bytes);
         }
-        // Without the longest wait, which may be a pause of the store.
+        // The longest wait is subtracted, because it may be a pause of the store.
         let (observed, bytes) = (self.observed - self.longest_wait.0, self.bytes - self.longest_wait.1);
         if observed < MIN_OBSERVATION {
             return;
         }
         let rate = bytes as f64 / observed.seconds();
         if self.compression == Compression::Auto {
-            self.compress = if self.compress { rate < FAST_BYTES_PER_S } else { rate < SLOW_BYTES_PER_S };
+            let threshold = if self.is_compressing { FAST_BYTES_PER_S } else { SLOW_BYTES_PER_S };
+            self.is_compressing = rate < threshold;
         }
         (self.observed, self.bytes, self.longest_wait) = (Span::ZERO, 0, (Span::ZERO, 0));
     }
 
     /// Ends the current wait.
     fn end_wait(&mut self, now: MonoTime) {
-        if let Some(since) = self.full_since.take() {
-            self.observed += now - since;
+        if let Some(full_since) = self.full_since.take() {
+            self.observed += now - full_since;
             self.last_full = now;
         }
     }
@@ -124,8 +125,14 @@ mod tests {
         MonoTime::default() + Span::from_millis(millis)
     }
 
-    /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged.
-    fn wait(compression_control: &mut CompressionControl, from: i64, seconds: i64, rate: u64) -> i64 {
+    /// Simulates a number of seconds in which the window is always full and `rate` bytes per second are acknowledged. Returns
+    /// the time of its end.
+    fn acknowledge_steadily(
+        compression_control: &mut CompressionControl,
+        from: i64,
+        seconds: i64,
+        rate: u64,
+    ) -> i64 {
         for n in 0..10 * seconds {
             compression_control.record_full_window(at(from + 100 * n));
             compression_control.record_ack(rate / 10, at(from + 100 * (n + 1)));
@@ -136,15 +143,15 @@ mod tests {
     #[test]
     fn only_slow_link_compresses_batches() {
         let mut compression_control = CompressionControl::new(Compression::Auto);
-        let now = wait(&mut compression_control, 0, 5, 100 << 20);
+        let now = acknowledge_steadily(&mut compression_control, 0, 5, 100 << 20);
         assert!(!compression_control.is_compressing());
-        let now = wait(&mut compression_control, now, 2, 1 << 20);
+        let now = acknowledge_steadily(&mut compression_control, now, 2, 1 << 20);
         assert!(compression_control.is_compressing());
-        let now = wait(&mut compression_control, now, 5, 6 << 20);
-        assert!(compression_control.is_compressing(), "between the two nothing changes");
-        let now = wait(&mut compression_control, now, 2, 20 << 20);
+        let now = acknowledge_steadily(&mut compression_control, now, 5, 6 << 20);
+        assert!(compression_control.is_compressing(), "nothing changes at a rate between the two limits");
+        let now = acknowledge_steadily(&mut compression_control, now, 2, 20 << 20);
         assert!(!compression_control.is_compressing());
-        wait(&mut compression_control, now, 5, 6 << 20);
+        acknowledge_steadily(&mut compression_control, now, 5, 6 << 20);
         assert!(!compression_control.is_compressing());
     }
 
@@ -157,7 +164,7 @@ mod tests {
             compression_control.record_idle(false, at(100 * n));
         }
         assert!(!compression_control.is_compressing());
-        let now = wait(&mut compression_control, 100_000, 2, 1 << 10);
+        let now = acknowledge_steadily(&mut compression_control, 100_000, 2, 1 << 10);
         compression_control.record_idle(false, at(now + 9_000));
         assert!(compression_control.is_compressing());
         compression_control.record_idle(false, at(now + 10_001));
@@ -178,11 +185,11 @@ mod tests {
     #[test]
     fn stalled_store_does_not_count_as_slow_link() {
         let mut compression_control = CompressionControl::new(Compression::Auto);
-        let now = wait(&mut compression_control, 0, 5, 100 << 20);
+        let now = acknowledge_steadily(&mut compression_control, 0, 5, 100 << 20);
         // The store's disk is full for a minute, and then everything is acknowledged.
         compression_control.record_full_window(at(now));
         compression_control.record_ack(1 << 20, at(now + 60_000));
-        wait(&mut compression_control, now + 60_000, 5, 100 << 20);
+        acknowledge_steadily(&mut compression_control, now + 60_000, 5, 100 << 20);
         assert!(!compression_control.is_compressing());
         // Batches that take three seconds each do count.
         for n in 0..6 {
@@ -196,8 +203,8 @@ mod tests {
     fn configured_compression_overrides_measurements() {
         for (compression, compresses) in [(Compression::Always, true), (Compression::Never, false)] {
             let mut compression_control = CompressionControl::new(compression);
-            let now = wait(&mut compression_control, 0, 3, 1 << 10);
-            let now = wait(&mut compression_control, now, 3, 1 << 30);
+            let now = acknowledge_steadily(&mut compression_control, 0, 3, 1 << 10);
+            let now = acknowledge_steadily(&mut compression_control, now, 3, 1 << 30);
             compression_control.record_idle(false, at(now + 60_000));
             assert_eq!(compression_control.is_compressing(), compresses);
         }

@@ -7,7 +7,7 @@ use super::super::spool::Usage;
 /// Compression of batches.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Compression {
-    /// Compress while batches wait for the link.
+    /// Compress batches while they wait for the link.
     #[default]
     Auto,
     /// Compress every batch.
@@ -25,14 +25,14 @@ pub struct SendingConfig {
     pub batch_bytes: usize,
     /// Age of a batch's first event at which the batch is closed.
     pub batch_age: Span,
-    /// Largest window of batches in flight, in units of `batch_bytes`. The aggregator may allow less.
+    /// Largest window of batches in flight, in units of `batch_bytes`. The aggregator may set a smaller window.
     pub window: u32,
     /// Largest number of bytes of bodies in the spool.
     pub spool_bytes: u64,
     /// Largest number of events and bytes that wait in memory because they are not in the spool yet.
     pub memory: Usage,
-    /// Number of events in memory that are reserved for events other than iterations. It must be well below `memory`,
-    /// or no iteration ever fits.
+    /// Capacity in memory that is reserved for events other than iterations, as a number of events. It must be well below
+    /// `memory`, or no iteration ever fits.
     pub reserve_events: u64,
     /// Compression of batches.
     pub compression: Compression,
@@ -40,7 +40,7 @@ pub struct SendingConfig {
     pub first_pause: Span,
     /// Longest pause before a hello is repeated.
     pub longest_pause: Span,
-    /// First pause after a refusal; further pauses follow the same rule.
+    /// First pause after a refusal; each further pause is twice as long.
     pub refused_pause: Span,
     /// Time without an acknowledgement after which a hello is sent again.
     pub ack_timeout: Span,

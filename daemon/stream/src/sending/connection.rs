@@ -83,22 +83,24 @@ impl Sending {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return None };
         let output = self.lane.next(next, &mut self.spooler, self.host.id, now);
         if output.starts_batch {
-            // The timeout begins when there is something to wait for.
-            let idle = next == self.spooler.backlog.oldest();
-            self.session.state =
-                ConnectionState::Up { next: next + 1, last_progress: if idle { now } else { last_progress } };
+            // The timeout starts with the first batch in flight.
+            let is_idle = next == self.spooler.backlog.oldest();
+            self.session.state = ConnectionState::Up {
+                next: next + 1,
+                last_progress: if is_idle { now } else { last_progress },
+            };
         }
         output.frame
     }
 
     /// Records an answer to a hello or a proof, and its round trip.
     fn record_answer(&mut self, now: MonoTime) {
-        if let Some(took) = self.session.record_answer(now) {
-            self.lane.observe_round_trip(took, now);
+        if let Some(round_trip) = self.session.record_answer(now) {
+            self.lane.observe_round_trip(round_trip, now);
         }
     }
 
-    /// Returns the time at which the connection needs attention without an event.
+    /// Returns the time at which the connection has something to do even if no event or message arrives.
     pub(super) fn connection_deadline(&self) -> Option<MonoTime> {
         if let Some(retry_at) = self.session.hello_at() {
             return (!self.renewal.is_requested()).then_some(retry_at);
@@ -109,7 +111,7 @@ impl Sending {
 
     /// Sends a hello again if nothing was acknowledged for too long.
     pub(super) fn check_ack_timeout(&mut self, now: MonoTime) {
-        if self.ack_deadline().is_some_and(|limit| now >= limit) {
+        if self.ack_deadline().is_some_and(|deadline| now >= deadline) {
             self.schedule_hello(now);
         }
     }
@@ -177,8 +179,8 @@ impl Sending {
     fn handle_resend(&mut self, from: u64, now: MonoTime) {
         let ConnectionState::Up { next, last_progress } = self.session.state else { return };
         if from < self.spooler.backlog.oldest() {
-            // Batches are missing at the aggregator that are no longer here. The hello states so, and the aggregator records the
-            // gap.
+            // The aggregator lacks batches that this agent no longer holds. The hello states so, and the aggregator records
+            // the gap.
             self.schedule_hello(now);
         } else {
             self.session.state = ConnectionState::Up { next: next.min(from), last_progress };
@@ -198,8 +200,7 @@ impl Sending {
         }
     }
 
-    /// Handles a welcome: the aggregator has batches up to a number, and this end's batch with that number must be the
-    /// same.
+    /// Handles a welcome. The aggregator's last batch is compared with this end's batch of the same number.
     fn handle_welcome(&mut self, mut welcome: Welcome, now: Stamp) {
         welcome.stored = welcome.stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
@@ -208,13 +209,13 @@ impl Sending {
             // This is the answer to a second hello that was in flight.
             ConnectionState::Up { .. } if welcome.stored > acknowledged => {
                 return match self.spooler.backlog.chain(welcome.stored) {
-                    ours if ours == welcome.chain => self.handle_ack(welcome.stored, now),
+                    own_chain if own_chain == welcome.chain => self.handle_ack(welcome.stored, now),
                     _ => self.schedule_hello(now.mono),
                 };
             }
             _ => return,
         }
-        // The welcome states whether the batches of an earlier process are stored, also if the stream is left below.
+        // The welcome states whether the batches of an earlier process are stored, even if the stream is left below.
         self.spooler.resolve_earlier(welcome.stored, welcome.process);
         if welcome.stored > self.spooler.backlog.newest() {
             return self.leave_stream(&welcome, now);
@@ -235,7 +236,7 @@ impl Sending {
         }
     }
 
-    /// Continues after the file was read up to `through`. `handle_scan` is `None` if that batch was not in it.
+    /// Continues after the file was read up to batch `through`. `scanned` is `None` if that batch was not in the file.
     fn finish_comparison(
         &mut self,
         through: u64,
@@ -261,19 +262,19 @@ impl Sending {
         }
     }
 
-    /// Starts sending if the aggregator's last batch is the one with the chain `ours`, and leaves the stream otherwise.
+    /// Starts sending if the aggregator's last batch is the one with the chain `own_chain`, and leaves the stream otherwise.
     fn compare_chains(
         &mut self,
         welcome: Welcome,
-        ours: Option<Chain>,
+        own_chain: Option<Chain>,
         scanned: Option<ScanResult>,
         now: Stamp,
     ) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
-        // The aggregator has no batch of this stream, or no chain of the acknowledged one.
+        // The aggregator has no batch of this stream, or does not know the chain of the last acknowledged batch.
         let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
             || welcome.stored == acknowledged && welcome.chain.is_none();
-        if nothing_to_compare || ours.is_some() && ours == welcome.chain {
+        if nothing_to_compare || own_chain.is_some() && own_chain == welcome.chain {
             if welcome.stored > acknowledged {
                 self.free_acknowledged(welcome.stored, scanned, now);
             }
@@ -283,15 +284,16 @@ impl Sending {
         }
     }
 
-    /// Returns whether this process or an earlier one sent the aggregator's last batch, which is no longer here. An
-    /// older database may contain batches from a copy of the spool, which this spool does not continue.
+    /// Returns whether this process or an earlier process of this spool sent the aggregator's last batch, which the spool
+    /// no longer contains. An older database may contain batches from a copy of the spool, which this spool does not
+    /// continue.
     fn has_sent(&self, welcome: &Welcome) -> bool {
-        let by = |newest_sent: &NewestSentBatch| {
+        let is_sender = |newest_sent: &NewestSentBatch| {
             Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.stored
         };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
-            || self.renewal.earlier_newest_sent().iter().any(by)
+            || self.renewal.earlier_newest_sent().iter().any(is_sender)
     }
 
     fn begin_sending(&mut self, welcome: Welcome, has_lost_batches: bool, now: Stamp) {
@@ -318,21 +320,21 @@ impl Sending {
             .earlier_newest_sent()
             .iter()
             .find(|newest_sent| Some(newest_sent.process) == welcome.process);
-        // An aggregator that has less than that, but a different batch, contradicts itself.
-        let common = newest_sent
+        // If the aggregator has a different batch with a number that the process recorded as sent, nothing is certain.
+        let last_common = newest_sent
             .filter(|newest_sent| stored > newest_sent.number)
             .map_or(0, |newest_sent| newest_sent.number.min(newest));
-        // Nothing that the spool still holds is known to be stored.
-        if common < self.spooler.backlog.oldest() {
+        // No batch that the spool still holds is known to be stored.
+        if last_common < self.spooler.backlog.oldest() {
             return self.renew_stream(now.mono);
         }
-        match self.spooler.backlog.find_in_memory(common) {
+        match self.spooler.backlog.find_in_memory(last_common) {
             Some((_, scanned)) => {
-                self.free_acknowledged(common, scanned, now);
+                self.free_acknowledged(last_common, scanned, now);
                 self.renew_stream(now.mono);
             }
             None => {
-                let scan = self.spooler.backlog.scan_to(common);
+                let scan = self.spooler.backlog.scan_to(last_common);
                 self.session.state = ConnectionState::Comparing { scan, purpose: ScanPurpose::Leave };
             }
         }
@@ -344,7 +346,7 @@ impl Sending {
     }
 
     /// Handles batches that were read from the spool.
-    pub(super) fn read(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
+    pub(super) fn handle_loaded(&mut self, loading: LoadPurpose, batches: Vec<SpooledBatch>, now: Stamp) {
         match loading {
             LoadPurpose::Scan(from) => self.handle_scan(from, &batches, now),
             LoadPurpose::Probe(from) => {
@@ -352,16 +354,16 @@ impl Sending {
                     self.pass_gap(now);
                 }
             }
-            LoadPurpose::Ahead(from) => self.read_ahead(from, batches, now),
+            LoadPurpose::Ahead(from) => self.handle_read_ahead(from, batches, now),
         }
     }
 
     /// Handles batches that were read to be sent.
-    fn read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
+    fn handle_read_ahead(&mut self, from: u64, batches: Vec<SpooledBatch>, now: Stamp) {
         let backlog = &mut self.spooler.backlog;
-        let expected = from == backlog.first_unloaded() && from <= backlog.spooled();
+        let is_expected = from == backlog.first_unloaded() && from <= backlog.spooled();
         // The aggregator stored the batches meanwhile, or they are about to be counted.
-        if !expected || self.session.is_comparing() {
+        if !is_expected || self.session.is_comparing() {
             return;
         }
         if backlog.add_loaded(batches) == 0 {
@@ -399,10 +401,10 @@ impl Sending {
     /// Frees the batches up to `through`, which the aggregator stored.
     fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         if scanned.is_some() {
-            // The gap was passed, or will be found again.
+            // The gap is before the acknowledged batches, or it will be found again.
             self.reader.forget_gap();
         }
-        self.spooler.acknowledged(through, scanned, now);
+        self.spooler.free_acknowledged(through, scanned, now);
         self.lane.record_ack(through, now.mono);
     }
 }

@@ -5,19 +5,19 @@ use peernet_clock::{MonoTime, Span};
 use super::job::Job;
 use crate::Chain;
 
-/// Number of stored batches at which they are deleted. Deletions are grouped, because each is a write and the medium is
-/// often a memory card.
+/// Number of stored batches at which a deletion starts. Deletions are grouped, because each deletion is a write and the
+/// medium is often a memory card.
 const MAX_WAITING_BATCHES: u64 = 64;
 /// Longest time that stored batches wait for their deletion.
 const MAX_WAIT: Span = Span::from_seconds(1);
 
-/// Position up to which the spool is deleted, and the batches that wait for deletion.
+/// Number up to which batches are deleted from the spool, and the batches that wait for deletion.
 #[derive(Clone, Debug)]
 pub(super) struct Deletions {
     job: Job<Deleting>,
     /// Number up to which the file contains no batch.
     through: u64,
-    /// Bytes in the file of batches that the aggregator stored.
+    /// Bytes that batches which the aggregator stored still take in the file.
     waiting_bytes: u64,
     /// Time since which a batch waits for deletion.
     waiting_since: Option<MonoTime>,
@@ -60,8 +60,8 @@ impl Deletions {
         self.job.may_start(now)
     }
 
-    /// Returns whether everything up to `through` is to be deleted now: because it has many batches, because it has at
-    /// least `many_bytes`, or because it has waited long enough.
+    /// Returns whether the batches up to `through` are to be deleted now: because they are many, because they have at least
+    /// `many_bytes` bytes, or because they have waited long enough.
     pub(super) fn is_due(&self, through: u64, many_bytes: u64, now: MonoTime) -> bool {
         through - self.through >= MAX_WAITING_BATCHES
             || self.waiting_bytes >= many_bytes
@@ -85,7 +85,8 @@ impl Deletions {
         self.job.start(Deleting { through, bytes });
     }
 
-    /// Ends the deletion successfully. Returns the last batch and the number of bytes; `None` if there is no deletion.
+    /// Ends the deletion successfully. Returns the last batch and the number of deleted bytes; `None` if no deletion is in
+    /// progress.
     pub(super) fn finish(&mut self) -> Option<((u64, Chain), u64)> {
         let Deleting { through, bytes } = self.job.finish()?;
         self.through = through.0;

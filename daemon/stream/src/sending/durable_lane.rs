@@ -11,8 +11,8 @@ use super::partial_batch::PartialBatch;
 use super::spooler::EventSpooler;
 use crate::{ToAggregator, batch_weight, codec};
 
-/// Largest amount of data in flight that is not stored, in units of the allowance. It is larger than 1 because storing
-/// takes time, and because the allowance counts compressed bytes.
+/// Largest number of bytes of batches that are sent and not stored, in units of the allowance. It is larger than 1 because
+/// storing takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
 /// The batches in flight to the aggregator.
@@ -49,8 +49,8 @@ impl DurableLane {
         }
     }
 
-    /// Returns the next frame of the durable lane: batch `next`, a part of the batch before it, or a request for an
-    /// echo.
+    /// Returns the next frame of the durable lane: batch `next` or its first part, a further part of the previous batch, or
+    /// a request for an echo.
     pub(super) fn next(
         &mut self,
         next: u64,
@@ -58,41 +58,41 @@ impl DurableLane {
         host: HostId,
         now: MonoTime,
     ) -> LaneOutput {
-        let only = |frame| LaneOutput { frame, starts_batch: false };
-        let part = self.flow.part_bytes();
-        let frame_bytes = |bytes: usize| bytes.min(part) + PartialBatch::OVERHEAD;
-        if let Some(rest) = self.partial.as_ref().map(PartialBatch::len) {
+        let without_batch_start = |frame| LaneOutput { frame, starts_batch: false };
+        let part_bytes = self.flow.part_bytes();
+        let frame_bytes = |bytes: usize| bytes.min(part_bytes) + PartialBatch::OVERHEAD;
+        if let Some(remaining) = self.partial.as_ref().map(PartialBatch::len) {
             // A batch that was begun is finished first, because the receiver assembles one batch per host at a time.
             let echo_request =
-                self.request_echo(host, !self.flow.has_capacity(frame_bytes(rest)), false, now);
-            return only(echo_request.or_else(|| self.next_part(host, part)));
+                self.request_echo(host, !self.flow.has_capacity(frame_bytes(remaining)), false, now);
+            return without_batch_start(echo_request.or_else(|| self.next_part(host, part_bytes)));
         }
-        let (through, unspooled) = spooler.sendable();
-        let batch = spooler.backlog.get(next, unspooled).filter(|_| next <= through);
-        let Some(body) = batch.map(|batch| batch.body.len()) else {
+        let (through, include_unspooled) = spooler.sendable();
+        let batch = spooler.backlog.get(next, include_unspooled).filter(|_| next <= through);
+        let Some(body_bytes) = batch.map(|batch| batch.body.len()) else {
             self.compression.record_idle(self.flow.is_slow(), now);
             self.flow.clear_durable_share();
-            return only(self.request_echo(host, false, false, now));
+            return without_batch_start(self.request_echo(host, false, false, now));
         };
-        if self.in_flight.is_full(body, self.allowance()) {
+        if self.in_flight.is_full(body_bytes, self.allowance()) {
             self.compression.record_full_window(now);
             self.flow.clear_durable_share();
-            return only(self.request_echo(host, false, false, now));
+            return without_batch_start(self.request_echo(host, false, false, now));
         }
-        let is_waiting = !self.flow.has_capacity(frame_bytes(body));
+        let is_waiting = !self.flow.has_capacity(frame_bytes(body_bytes));
         if is_waiting {
             self.compression.record_full_window(now);
         }
         if let echo_request @ Some(_) = self.request_echo(host, is_waiting, !is_waiting, now) {
-            return only(echo_request);
+            return without_batch_start(echo_request);
         }
-        // An echo request may go out although the batch has to wait: its answer frees the allowance.
-        let sent = if is_waiting { None } else { spooler.send(next, unspooled, host) };
-        let Some((head, body)) = sent else { return only(None) };
+        // While the batch has to wait, only an echo request may be sent: its answer frees the allowance.
+        let sent = if is_waiting { None } else { spooler.send(next, include_unspooled, host) };
+        let Some((head, body)) = sent else { return without_batch_start(None) };
         let frame = codec::encode_batch(&head, &body, self.compression.is_compressing());
         self.in_flight.push(head.number, body.len(), frame.len());
         self.partial = Some(PartialBatch::new(head.number, frame.into()));
-        LaneOutput { frame: self.next_part(host, part), starts_batch: true }
+        LaneOutput { frame: self.next_part(host, part_bytes), starts_batch: true }
     }
 
     /// Returns the next part of a batch if it fits into the allowance.
@@ -143,7 +143,7 @@ impl DurableLane {
     /// Marks batches from a number on as not arrived.
     pub(super) fn mark_lost(&mut self, from: u64) {
         self.in_flight.remove_from(from);
-        self.partial.take_if(|rest| rest.number() >= from);
+        self.partial.take_if(|partial| partial.number() >= from);
     }
 
     /// Records that batches up to a number are stored.
@@ -151,7 +151,7 @@ impl DurableLane {
         let (bytes, end) = self.in_flight.remove_through(through);
         self.compression.record_ack(bytes, now);
         self.flow.record_arrival(end, now);
-        self.partial.take_if(|rest| rest.number() <= through);
+        self.partial.take_if(|partial| partial.number() <= through);
     }
 
     /// Sets the window that the aggregator allows.

@@ -4,7 +4,7 @@ use super::super::unresolved::ResolvedBatches;
 use super::super::{Gap, SentUnspooled, Totals, UnresolvedBatches};
 
 /// The last batches of an earlier process, until it is known whether they are stored. They are unresolved until the
-/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after that, so that
+/// aggregator's first welcome. The result is then written to the spool. Losses are reported only after this write, so that
 /// each loss is reported once even if a process is killed in between.
 #[derive(Clone, Debug)]
 pub(super) struct EarlierProcess {
@@ -29,12 +29,13 @@ impl EarlierProcess {
         self.unwritten.as_ref()
     }
 
-    /// Returns the numbers of events that were submitted and dropped, including the earlier process's events.
+    /// Returns the number of submitted events and the number of dropped events, including events of the earlier process.
     pub(super) const fn add_to(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }
 
+    /// Returns the counts of a sent batch, including the events of the earlier process.
     pub(super) const fn adjust(&self, sent: SentUnspooled) -> SentUnspooled {
         SentUnspooled {
             reported_drops: sent.reported_drops + self.resolved.reported_drops,
@@ -56,7 +57,7 @@ impl EarlierProcess {
     }
 
     /// Sets the result that must be written to the spool, with the losses that no gap reports.
-    pub(super) fn write(&mut self, resolved: ResolvedBatches, unreported: Vec<Gap>) {
+    pub(super) fn set_result(&mut self, resolved: ResolvedBatches, unreported: Vec<Gap>) {
         (self.resolved, self.unwritten) = (resolved, Some(unreported));
     }
 

@@ -10,7 +10,7 @@ struct InFlightBatch {
     number: u64,
     weight: u64,
     /// Number of bytes of its frame.
-    frame: u64,
+    frame_bytes: u64,
     /// Position in the connection after its last byte; 0 while a part of it has not been handed over.
     end: u64,
 }
@@ -18,28 +18,30 @@ struct InFlightBatch {
 /// Contiguous batches in flight, and the sum of their weights.
 #[derive(Clone, Debug, Default)]
 pub(super) struct InFlightBatches {
-    sent: VecDeque<InFlightBatch>,
+    batches: VecDeque<InFlightBatch>,
     weight: u64,
 }
 
 impl InFlightBatches {
-    /// Returns whether a batch with a body of `body` bytes must wait, if at most `window` may be in flight.
-    pub(super) fn is_full(&self, body: usize, window: u64) -> bool {
-        let too_much = self.weight + batch_weight(body) > window || self.sent.len() >= MAX_IN_FLIGHT_BATCHES;
+    /// Returns whether a batch with a body of `body_bytes` must wait, if batches of a total weight of at most `window` may be
+    /// in flight.
+    pub(super) fn is_full(&self, body_bytes: usize, window: u64) -> bool {
+        let exceeds_limit =
+            self.weight + batch_weight(body_bytes) > window || self.batches.len() >= MAX_IN_FLIGHT_BATCHES;
         // One batch may always be in flight, or a batch larger than the window would never be sent.
-        too_much && !self.sent.is_empty()
+        exceeds_limit && !self.batches.is_empty()
     }
 
-    pub(super) fn push(&mut self, number: u64, body: usize, frame: usize) {
-        let weight = batch_weight(body);
+    pub(super) fn push(&mut self, number: u64, body_bytes: usize, frame_bytes: usize) {
+        let weight = batch_weight(body_bytes);
         self.weight += weight;
-        self.sent.push_back(InFlightBatch { number, weight, frame: frame as u64, end: 0 });
+        self.batches.push_back(InFlightBatch { number, weight, frame_bytes: frame_bytes as u64, end: 0 });
     }
 
-    /// Records that the last batch is completely handed over.
+    /// Records that the last batch is completely handed over. `end` is the position in the connection after its last byte.
     pub(super) fn record_handed_over(&mut self, end: u64) {
-        if let Some(sent) = self.sent.back_mut() {
-            sent.end = end;
+        if let Some(batch) = self.batches.back_mut() {
+            batch.end = end;
         }
     }
 
@@ -47,18 +49,18 @@ impl InFlightBatches {
     /// the last of them.
     pub(super) fn remove_through(&mut self, through: u64) -> (u64, u64) {
         let (mut bytes, mut end) = (0, 0);
-        while let Some(sent) = self.sent.pop_front_if(|sent| sent.number <= through) {
-            self.weight -= sent.weight;
-            bytes += sent.frame;
-            end = sent.end;
+        while let Some(batch) = self.batches.pop_front_if(|batch| batch.number <= through) {
+            self.weight -= batch.weight;
+            bytes += batch.frame_bytes;
+            end = batch.end;
         }
         (bytes, end)
     }
 
     /// Removes the batches from `from` on, because they did not arrive.
     pub(super) fn remove_from(&mut self, from: u64) {
-        while let Some(sent) = self.sent.pop_back_if(|sent| sent.number >= from) {
-            self.weight -= sent.weight;
+        while let Some(batch) = self.batches.pop_back_if(|batch| batch.number >= from) {
+            self.weight -= batch.weight;
         }
     }
 }

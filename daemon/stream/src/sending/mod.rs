@@ -76,7 +76,7 @@ impl Sending {
         process: u64,
         mut spool: SpoolState,
     ) -> Self {
-        // Twice the window: one part is in flight while the next is read from the spool.
+        // Twice the window: one window of batches is in flight while the next is read from the spool.
         let budget = 2 * u64::from(config.window.max(1)) * config.batch_bytes as u64;
         Self {
             renewal: StreamRenewal::new(std::mem::take(&mut spool.newest_sent)),
@@ -103,14 +103,14 @@ impl Sending {
         self.spooler.record_loss(gap, now);
     }
 
-    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends
-    /// a hello if no acknowledgement came for too long.
+    /// Handles the passage of time: closes the batch under construction if it is old enough, reports losses, and sends a
+    /// hello if no acknowledgement arrived for too long.
     pub fn tick(&mut self, now: Stamp) {
         self.spooler.tick(now);
         self.check_ack_timeout(now.mono);
     }
 
-    /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called without an event.
+    /// Returns the time at which [`tick`](Self::tick) or [`next`](Self::next) must be called even if nothing else happens.
     pub fn deadline(&self) -> Option<MonoTime> {
         let retry_times = [self.reader.retry_at(), self.renewal.retry_at()];
         let times = [self.spooler.deadline(), self.connection_deadline()].into_iter().chain(retry_times);
@@ -159,9 +159,9 @@ impl Sending {
     /// end the host's session.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
         // Determined before the connection's state is discarded.
-        let known = self.is_up();
+        let was_accepted = self.is_up();
         self.on_disconnected();
-        known.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
+        was_accepted.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
     }
 
     /// Returns whether the aggregator has accepted this host, so that live updates are useful.
@@ -171,7 +171,7 @@ impl Sending {
 
     /// Returns whether a live update may be sent now. It must not wait for long in the connection, and on a link that
     /// is too slow for both lanes the durable lane must have had its share. The next update contains everything that a
-    /// skipped one contained.
+    /// skipped update would have contained.
     pub fn may_send_live(&self) -> bool {
         self.is_up() && self.lane.may_send_live()
     }
@@ -181,7 +181,8 @@ impl Sending {
         self.lane.is_compressing()
     }
 
-    /// Returns the version of the event stream that was chosen for the connection; the oldest one before that.
+    /// Returns the version of the event stream that was chosen for the connection; before it is chosen, the oldest supported
+    /// version.
     pub const fn version(&self) -> u16 {
         self.session.version()
     }
@@ -262,7 +263,7 @@ impl Sending {
     pub fn on_loaded(&mut self, batches: Vec<SpooledBatch>, now: Stamp) -> Option<Notice> {
         let loading = self.reader.finish()?;
         self.record_recovery(SpoolWork::Load);
-        self.read(loading, batches, now);
+        self.handle_loaded(loading, batches, now);
         self.next_notice()
     }
 

@@ -5,7 +5,7 @@ use bytes::Bytes;
 use super::super::codec::{self, PART_HEAD_BYTES, Part};
 use peernet_logger::HostId;
 
-/// Remaining frame of a batch that is sent in parts.
+/// Frame of a batch that is sent in parts, and the number of bytes that were already sent.
 #[derive(Clone, Debug)]
 pub(super) struct PartialBatch {
     number: u64,
@@ -14,7 +14,7 @@ pub(super) struct PartialBatch {
 }
 
 impl PartialBatch {
-    /// Creates the complete frame.
+    /// Creates a partial batch of which nothing was sent yet.
     pub(super) const fn new(number: u64, frame: Bytes) -> Self {
         Self { number, frame, offset: 0 }
     }
@@ -29,10 +29,10 @@ impl PartialBatch {
         self.frame.len() - self.offset
     }
 
-    /// Returns the next frame with at most `most` bytes of the batch; the unchanged frame if all of it fits.
-    pub(super) fn next(&mut self, host: HostId, most: usize) -> Vec<u8> {
+    /// Returns the next frame with at most `max_bytes` bytes of the batch; the unchanged frame if all of it fits.
+    pub(super) fn next(&mut self, host: HostId, max_bytes: usize) -> Vec<u8> {
         let total = self.frame.len();
-        let end = total.min(self.offset + most);
+        let end = total.min(self.offset + max_bytes);
         let bytes = self.frame.slice(self.offset..end);
         let offset = std::mem::replace(&mut self.offset, end);
         if bytes.len() == total {

@@ -7,7 +7,7 @@ use super::SendingConfig;
 use super::spool_reader::SpoolScan;
 use crate::{AGENT_STREAM_VERSIONS, Chain};
 
-/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the one before.
+/// Number of hellos without progress that are sent without a pause. Each later hello waits longer than the previous one.
 const HELLOS_WITHOUT_PAUSE: u32 = 3;
 
 /// State of the connection.
@@ -15,7 +15,7 @@ const HELLOS_WITHOUT_PAUSE: u32 = 3;
 pub(super) enum ConnectionState {
     /// No connection.
     Down,
-    /// Not accepted yet. The next hello is due at `retry_at`, and the one after it `pause` later.
+    /// Not accepted yet. The next hello is due at `retry_at`, and the second next hello `pause` later.
     Handshake { retry_at: MonoTime, pause: Span },
     /// Welcomed. The file is being read to compare both ends' batches.
     Comparing { scan: SpoolScan, purpose: ScanPurpose },
@@ -56,7 +56,7 @@ pub(super) struct Session {
     last_hello_at: MonoTime,
     /// Requested proof, to be sent at once.
     proof: Option<Vec<u8>>,
-    /// Version of the event stream that the aggregator chose; the oldest one before that.
+    /// Version of the event stream that the aggregator chose; before it has chosen, the oldest supported version.
     version: u16,
 }
 
@@ -100,7 +100,7 @@ impl Session {
 
     /// Schedules a hello: now, or after a pause if the last hellos led to no progress.
     pub(super) fn schedule_hello(&mut self, now: MonoTime) {
-        let first = self.config.first_pause;
+        let first_pause = self.config.first_pause;
         if let ConnectionState::Up { last_progress, .. } = self.state
             && now - last_progress > self.config.longest_pause
         {
@@ -109,10 +109,11 @@ impl Session {
         }
         // Hellos without effect become rarer, so that agents which are refused do not load the aggregator.
         let repeated = self.hellos_without_progress.saturating_sub(HELLOS_WITHOUT_PAUSE);
-        let wait = (0..repeated.min(16)).fold(Span::ZERO, |wait, _| self.next_pause(wait.max(first)));
+        let pause =
+            (0..repeated.min(16)).fold(Span::ZERO, |pause, _| self.next_pause(pause.max(first_pause)));
         self.hellos_without_progress = self.hellos_without_progress.saturating_add(1);
         self.proof = None;
-        self.state = ConnectionState::Handshake { retry_at: now + wait, pause: first.max(wait) };
+        self.state = ConnectionState::Handshake { retry_at: now + pause, pause: first_pause.max(pause) };
     }
 
     fn next_pause(&self, pause: Span) -> Span {
@@ -157,7 +158,8 @@ impl Session {
         self.version = version;
     }
 
-    /// Records a challenge: its proof takes another round trip. Returns whether a hello was sent.
+    /// Records a challenge, whose proof takes another round trip. Returns whether a challenge is expected: only after a
+    /// hello.
     pub(super) fn record_challenge(&mut self, now: MonoTime) -> bool {
         let ConnectionState::Handshake { pause, .. } = self.state else { return false };
         self.state = ConnectionState::Handshake { retry_at: now + pause, pause };
@@ -174,7 +176,7 @@ impl Session {
         self.proof.take()
     }
 
-    /// Records that the aggregator refused this host, which sends another hello later.
+    /// Records that the aggregator refused this host. Another hello is sent later.
     pub(super) fn record_refusal(&mut self, now: MonoTime) {
         let pause = match self.state {
             ConnectionState::Handshake { pause, .. } => pause.max(self.config.refused_pause),
@@ -190,12 +192,12 @@ impl Session {
     }
 
     /// Returns the time until which an acknowledgement must arrive; `None` if no batch is in flight. `oldest` is the
-    /// oldest batch without an acknowledgement, and `arrived` the time at which bytes of the durable lane last arrived.
-    pub(super) fn ack_deadline(&self, oldest: u64, arrived: MonoTime) -> Option<MonoTime> {
+    /// oldest batch without an acknowledgement, and `last_arrival_at` the time at which bytes of the durable lane last arrived.
+    pub(super) fn ack_deadline(&self, oldest: u64, last_arrival_at: MonoTime) -> Option<MonoTime> {
         match self.state {
             // Batches on a slow link are not lost while their bytes arrive.
             ConnectionState::Up { next, last_progress } if next > oldest => {
-                Some(last_progress.max(arrived) + self.config.ack_timeout)
+                Some(last_progress.max(last_arrival_at) + self.config.ack_timeout)
             }
             _ => None,
         }

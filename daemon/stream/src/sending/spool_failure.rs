@@ -11,7 +11,7 @@ pub(super) enum SpoolWork {
     Renew,
 }
 
-/// The first failure that is not over.
+/// The first failure that has not been followed by a success of the same work.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpoolFailure(Option<(SpoolWork, String)>);
 
@@ -21,7 +21,7 @@ impl SpoolFailure {
         self.0.as_ref().map(|(_, reason)| reason.clone())
     }
 
-    /// Records a failure. Returns a notice if it is the first.
+    /// Records a failure. Returns a notice if no earlier failure persists.
     pub(super) fn fail(&mut self, work: SpoolWork, reason: String) -> Option<Notice> {
         self.0.is_none().then(|| {
             self.0 = Some((work, reason.clone()));

@@ -12,11 +12,11 @@ use crate::spool::{SpooledBatch, Usage};
 /// Total size of the scanned batches, which are not kept in memory, and the chain of the last one.
 pub(super) type ScanResult = (Usage, Chain);
 
-/// Scan of batches in the file that are compared and counted, from the first that is not in memory.
+/// Scan of the batches that are in the file only, to compare and count them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SpoolScan {
     /// Number of the next batch.
-    at: u64,
+    next: u64,
     /// Number of the last batch.
     through: u64,
     usage: Usage,
@@ -25,8 +25,8 @@ pub(super) struct SpoolScan {
 }
 
 impl SpoolScan {
-    pub(super) fn new(at: u64, through: u64) -> Self {
-        Self { at, through, usage: Usage::default(), chain: None }
+    pub(super) fn new(next: u64, through: u64) -> Self {
+        Self { next, through, usage: Usage::default(), chain: None }
     }
 
     /// Returns the number of the last batch that is read.
@@ -41,36 +41,36 @@ impl SpoolScan {
 
     /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
-        if self.at != from {
+        if self.next != from {
             return false;
         }
         for batch in batches.iter().filter(|batch| batch.number <= self.through) {
-            if batch.number < self.at {
+            if batch.number < self.next {
                 continue;
             }
             self.usage = self.usage + batch.usage();
             self.chain = (batch.number == self.through).then_some(batch.chain);
-            self.at = batch.number + 1;
+            self.next = batch.number + 1;
         }
-        if self.at == from {
-            // The batch is missing; the one after it may exist.
-            self.at += 1;
+        if self.next == from {
+            // The batch is missing; the batch after it may exist.
+            self.next += 1;
         }
-        self.at > self.through
+        self.next > self.through
     }
 }
 
 /// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
 ///
-/// The batch after them is lost, too: its chain cannot be checked, because the chain of the batch before it is unknown.
-/// But it supplies the chain before the following batch. The stream continues from there, the hello states so, and the
-/// aggregator records the missing batches.
+/// The first batch after the gap is lost, too: its chain cannot be checked, because the chain of the batch before it is
+/// unknown. But its own chain is known, so that the stream continues with the second batch after the gap. The hello states
+/// this, and the aggregator records the missing batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
-    /// The end of the gap is searched for from this number on.
+    /// The end of the gap is not known yet; it is searched for from this number on.
     Open(u64),
-    /// Number of the first batch after the gap that can be sent, and the chain of the batch before it.
-    Ends(u64, Chain),
+    /// The end of the gap is known: number of the first batch that can be sent, and the chain of the batch before it.
+    Closed(u64, Chain),
 }
 
 /// Purpose of reading batches.
@@ -84,7 +84,7 @@ pub(super) enum LoadPurpose {
     Probe(u64),
 }
 
-/// State of the reading of the spool, and the gap that was found in it.
+/// The requested reading of the spool, and the gap that was found in it.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SpoolReader {
     job: Job<LoadPurpose>,
@@ -104,10 +104,10 @@ impl SpoolReader {
         }
         let part = backlog.part_bytes();
         let (loading, from, bytes) = match (state, self.gap) {
-            (ConnectionState::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.at), scan.at, part),
+            (ConnectionState::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.next), scan.next, part),
             // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
-            (_, Some(SpoolGap::Ends(..))) => return None,
+            (_, Some(SpoolGap::Closed(..))) => return None,
             (ConnectionState::Down, None) => return None,
             _ => {
                 let from = backlog.first_unloaded();
@@ -123,12 +123,12 @@ impl SpoolReader {
         self.job.retry_at()
     }
 
-    /// Ends the reading successfully. Returns its purpose; `None` if none was requested.
+    /// Ends the reading successfully. Returns its purpose; `None` if nothing was requested.
     pub(super) const fn finish(&mut self) -> Option<LoadPurpose> {
         self.job.finish()
     }
 
-    /// Ends the reading as failed; `None` if none was requested.
+    /// Ends the reading as failed; `None` if nothing was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         self.job.finish()?;
         self.job.fail(now, pause);
@@ -146,36 +146,36 @@ impl SpoolReader {
         if !matches!(self.gap, Some(SpoolGap::Open(at)) if at == from) {
             return false;
         }
-        let found = batches.first().filter(|batch| (from..=backlog.spooled()).contains(&batch.number));
-        self.gap = Some(match found {
-            Some(batch) => SpoolGap::Ends(batch.number + 1, batch.chain),
+        let next_batch = batches.first().filter(|batch| (from..=backlog.spooled()).contains(&batch.number));
+        self.gap = Some(match next_batch {
+            Some(batch) => SpoolGap::Closed(batch.number + 1, batch.chain),
             None => SpoolGap::Open(from + 1),
         });
         self.end_gap_with_file(backlog);
         true
     }
 
-    /// Ends a gap without a batch after it at the end of the file.
+    /// Closes a gap that reaches the end of the file.
     fn end_gap_with_file(&mut self, backlog: &Backlog) {
         let spooled = backlog.spooled();
         if let Some(SpoolGap::Open(at)) = self.gap
             && at > spooled
             && let Some(chain) = backlog.chain(spooled)
         {
-            self.gap = Some(SpoolGap::Ends(spooled + 1, chain));
+            self.gap = Some(SpoolGap::Closed(spooled + 1, chain));
         }
     }
 
-    /// Removes a gap that was passed, or will be found again.
+    /// Removes the gap.
     pub(super) const fn forget_gap(&mut self) {
         self.gap = None;
     }
 
-    /// Returns the first batch after the gap and the chain before it, once, when everything before the gap is stored by
-    /// the aggregator.
+    /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the aggregator
+    /// has stored everything before the gap. The gap is then forgotten.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
-        let Some(SpoolGap::Ends(resume, before)) = self.gap else { return None };
-        // Batches before the gap are still in memory and can be stored.
+        let Some(SpoolGap::Closed(resume, before)) = self.gap else { return None };
+        // Batches before the gap are still in memory and will be stored first.
         if backlog.first_unloaded() != backlog.oldest() {
             return None;
         }

@@ -32,7 +32,7 @@ pub(super) struct EventSpooler {
     deletions: Deletions,
     /// Bytes of the bodies in the file.
     file_bytes: u64,
-    /// Result for an earlier process.
+    /// The last batches of an earlier process, until their result is known and written.
     earlier: EarlierProcess,
     /// `true` if the aggregator has accepted this process with the current stream.
     is_accepted: bool,
@@ -45,7 +45,7 @@ impl EventSpooler {
     pub(super) fn new(config: SendingConfig, process: u64, budget: u64, spool: SpoolState) -> Self {
         let backlog = Backlog::new(&spool, budget);
         let Totals { produced, dropped, .. } = spool.totals;
-        // Events in the spool were produced, even if its counts state fewer.
+        // Events in the spool were produced, even if the stored counts state fewer.
         let produced = produced.max(dropped.saturating_add(backlog.waiting_usage().events));
         let totals = Totals {
             produced,
@@ -130,11 +130,11 @@ impl EventSpooler {
     }
 
     pub(super) fn accounting(&self, compressed: bool, trouble: Option<String>) -> Accounting {
-        let (open, waiting_usage, pending) =
+        let (intake_usage, waiting_usage, pending) =
             (self.intake.usage(), self.backlog.waiting_usage(), self.backlog.pending_usage());
         let (produced, dropped) = self.earlier.add_to(self.intake.totals());
         let gaps = self.intake.totals().gaps;
-        let (waiting, stored) = (open.events + waiting_usage.events, self.backlog.stored_events());
+        let (waiting, stored) = (intake_usage.events + waiting_usage.events, self.backlog.stored_events());
         debug_assert_eq!(produced, stored + waiting + dropped, "an event is not accounted for");
         Accounting {
             produced,
@@ -146,7 +146,7 @@ impl EventSpooler {
             gaps,
             spool_bytes: self.file_bytes,
             spool_limit_bytes: self.config.spool_bytes,
-            memory_bytes: open.bytes + pending.bytes,
+            memory_bytes: intake_usage.bytes + pending.bytes,
             oldest: if waiting_usage.events > 0 { self.backlog.since() } else { self.intake.since() },
             compressed,
             trouble,
@@ -180,14 +180,15 @@ impl EventSpooler {
         self.intake.forget_run(run);
     }
 
-    /// Returns the totals without the events that are in memory only. The totals remain correct if these events are lost.
+    /// Returns the totals without the events that are in memory only, so that the totals remain correct if the process is
+    /// killed.
     fn persistent_totals(&self) -> Totals {
         let (counted, settled) = (self.intake.totals(), self.backlog.settled_totals());
-        let only_here = self.unspooled_events();
+        let unspooled_events = self.unspooled_events();
         let submitted =
             SubmittedEvents { dropped: counted.submitted.dropped.clone(), ..settled.submitted.clone() };
         Totals {
-            produced: counted.produced - only_here,
+            produced: counted.produced - unspooled_events,
             dropped: counted.dropped,
             gaps: settled.gaps,
             reported_drops: settled.reported_drops,
@@ -214,7 +215,7 @@ impl EventSpooler {
                 .spool_bytes
                 .saturating_sub(self.file_bytes)
                 .saturating_sub(pending.bytes),
-            spool_fails: self.appends.fails(),
+            spool_fails: self.appends.has_failed(),
         }
     }
 
@@ -225,7 +226,7 @@ impl EventSpooler {
     }
 
     /// Frees the batches up to `through`, which the aggregator stored.
-    pub(super) fn acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
+    pub(super) fn free_acknowledged(&mut self, through: u64, scanned: Option<ScanResult>, now: Stamp) {
         let writing = self.appends.newest_in_progress();
         let freed = self.backlog.free(through, scanned, writing);
         self.appends.add_freed(freed.writing_bytes);
@@ -255,23 +256,23 @@ impl EventSpooler {
         let Some((unresolved, resolved)) = self.earlier.resolve(number, process) else { return };
         self.backlog.add_stored(resolved.stored);
         let unreported = self.intake.resolve(&unresolved, &resolved);
-        self.earlier.write(resolved, unreported);
+        self.earlier.set_result(resolved, unreported);
     }
 
-    /// Continues with batch `resume`, because the batches before it are missing from the file; `before` is the chain of
-    /// the last of them.
+    /// Continues with batch `resume`, because the batches before it are missing from the file; `before` is the chain of the
+    /// last missing batch.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain, now: MonoTime) {
         self.backlog.skip_to(resume, before);
         self.deletions.add(0, now);
     }
 
-    /// Counts the events that should be in the file and are not.
+    /// Counts the events of batches that should be in the file and are missing as dropped.
     pub(super) fn drop_missing(&mut self, now: Stamp) {
         let missing = self.backlog.remove_missing();
         if missing.events > 0 {
             self.file_bytes = self.file_bytes.saturating_sub(missing.bytes);
             let reason = "batches were missing from the agent's spool file".to_owned();
-            self.intake.lose((None, None), missing.events, reason, now);
+            self.intake.count_lost((None, None), missing.events, reason, now);
             self.report_losses(now);
         }
     }
@@ -280,23 +281,23 @@ impl EventSpooler {
     /// transaction.
     pub(super) fn finish_append(&mut self, now: Stamp) -> Option<bool> {
         let appended = self.appends.finish()?;
-        if appended.resolves {
+        if appended.has_resolution {
             self.earlier.record_written();
             self.intake.record_resolution_written();
         }
         if let Some((last, chain)) = appended.last {
             self.backlog.mark_appended(last, chain);
             self.file_bytes += appended.bytes;
-            self.deletions.add_written(appended.freed);
+            self.deletions.add_written(appended.freed_bytes);
         }
-        // Success in writing a few numbers does not mean that there is space for the waiting batches.
-        let works =
-            appended.last.is_some() || !self.appends.fails() || self.backlog.pending_usage().events == 0;
-        if works {
+        // A transaction without batches may succeed even if there is no space for the waiting batches.
+        let is_recovered =
+            appended.last.is_some() || !self.appends.has_failed() || self.backlog.pending_usage().events == 0;
+        if is_recovered {
             self.appends.recover();
         }
         self.report_losses(now);
-        Some(works)
+        Some(is_recovered)
     }
 
     /// Ends the last transaction as failed; `None` if there was none.
@@ -319,12 +320,11 @@ impl EventSpooler {
 
     /// Returns the number up to which batches may be sent, and whether they may be sent from memory.
     ///
-    /// The file records which batches may be sent before they are sent, because it may lose later writes. While the
-    /// file cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches
-    /// would never have space again. Batches that are not in the file are sent only if the file has the record for all
-    /// batches in it.
+    /// Before batches are sent, the file records that they may be sent, because later writes may be lost. While the file
+    /// cannot be written, its batches are sent without such a record: otherwise a disk that is full of batches would never
+    /// have space again. Batches that are not in the file are sent only if the file has the record for all batches in it.
     pub(super) fn sendable(&self) -> (u64, bool) {
-        match self.appends.fails() {
+        match self.appends.has_failed() {
             false => (self.appends.written().newest_sent.map_or(0, |newest_sent| newest_sent.number), false),
             true if self.has_sent_record() => (u64::MAX, true),
             true => (self.backlog.spooled(), false),
@@ -332,12 +332,17 @@ impl EventSpooler {
     }
 
     /// Returns the head and the body of a batch to be sent, and records it as sent.
-    pub(super) fn send(&mut self, number: u64, unspooled: bool, host: HostId) -> Option<(BatchHead, Bytes)> {
-        self.backlog.send(number, unspooled, (host, self.process))
+    pub(super) fn send(
+        &mut self,
+        number: u64,
+        include_unspooled: bool,
+        host: HostId,
+    ) -> Option<(BatchHead, Bytes)> {
+        self.backlog.send(number, include_unspooled, (host, self.process))
     }
 
-    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: the spool may
-    /// then contain no stored batch.
+    /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: stored batches must
+    /// then be deleted first.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
         self.start_deletion(leaves_stream, now).or_else(|| self.append(now))
     }
@@ -346,8 +351,8 @@ impl EventSpooler {
     fn may_delete(&self) -> bool {
         let (through, _) = self.backlog.acknowledged();
         // A batch that is being written may not be in the file yet.
-        let settled = through <= self.backlog.spooled() || !self.appends.is_in_progress();
-        through > self.deletions.through() && settled && self.deletions.may_be_scheduled()
+        let is_written = through <= self.backlog.spooled() || !self.appends.is_in_progress();
+        through > self.deletions.through() && is_written && self.deletions.may_be_scheduled()
     }
 
     fn start_deletion(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
@@ -355,8 +360,8 @@ impl EventSpooler {
             return None;
         }
         let (through, chain) = self.backlog.acknowledged();
-        let soon = self.has_unspooled_stored() || leaves_stream || self.is_closing;
-        (soon || self.deletions.is_due(through, self.config.spool_bytes / 4, now)).then(|| {
+        let must_delete_now = self.has_unspooled_stored() || leaves_stream || self.is_closing;
+        (must_delete_now || self.deletions.is_due(through, self.config.spool_bytes / 4, now)).then(|| {
             self.deletions.start((through, chain));
             Action::Delete { through, chain }
         })
@@ -382,8 +387,8 @@ impl EventSpooler {
     /// Returns the batches and totals that are to be written now.
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
-        let resolves = self.earlier.unwritten_gaps().is_some();
-        if resolves || self.is_accepted && !self.has_sent_record() {
+        let has_resolution = self.earlier.unwritten_gaps().is_some();
+        if has_resolution || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));
         }
@@ -391,8 +396,8 @@ impl EventSpooler {
             return Some((Vec::new(), self.persistent_totals()));
         }
         let Some((batches, totals)) = self.backlog.next_append(MAX_APPENDED, MAX_APPENDED_BYTES) else {
-            let due = self.is_closing || self.losses_due().is_some_and(|due| now >= due);
-            let totals = due.then(|| self.persistent_totals()).filter(|totals| totals != written);
+            let is_due = self.is_closing || self.losses_due().is_some_and(|due| now >= due);
+            let totals = is_due.then(|| self.persistent_totals()).filter(|totals| totals != written);
             return totals.map(|totals| (Vec::new(), totals));
         };
         let newest = batches.last().map_or(spooled, |batch| batch.number);

@@ -58,14 +58,15 @@ impl StreamRenewal {
         self.job.retry_at()
     }
 
-    /// Ends the move successfully: no other process has sent in the new stream. `None` if none was requested.
+    /// Ends the move successfully, and returns the new stream, in which no earlier process has sent. `None` if no move was
+    /// requested.
     pub(super) fn finish(&mut self) -> Option<StreamId> {
         let stream = self.job.finish()?;
         (self.requested, self.earlier_newest_sent) = (None, Vec::new());
         Some(stream)
     }
 
-    /// Ends the move as failed; `None` if none was requested.
+    /// Ends the move as failed; `None` if no move was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         self.job.finish()?;
         self.job.fail(now, pause);

@@ -29,13 +29,17 @@ pub(super) fn mark(host: HostId, stored: u64) -> Mark {
 }
 
 /// Returns the database's state for one stream.
-pub(super) fn known(mark: Option<Mark>) -> StreamRecord {
+pub(super) fn record_with(mark: Option<Mark>) -> StreamRecord {
     StreamRecord { mark, was_used: mark.is_some(), ..StreamRecord::default() }
 }
 
 pub(super) fn reason(greeting: HelloResult) -> String {
     match greeting {
-        HelloResult::Refused { reply: ToAgent::Refused { reason: said }, reason } if said == reason => reason,
+        HelloResult::Refused { reply: ToAgent::Refused { reason: stated_reason }, reason }
+            if stated_reason == reason =>
+        {
+            reason
+        }
         other => panic!("expected a refusal, got {other:?}"),
     }
 }
@@ -58,7 +62,7 @@ pub(super) fn welcomed(greeting: &HelloResult) -> (u64, Option<Chain>, u32) {
 fn message_without_session_requests_hello() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     assert_eq!(end.handle_live(id, at(0).mono), Some(ToAgent::Unknown));
-    welcomed(&end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono));
+    welcomed(&end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono));
     assert_eq!(end.handle_live(id, at(0).mono), None);
     end.forget_silent(Span::from_seconds(60), at(60_001).mono);
     assert_eq!(end.handle_live(id, at(60_001).mono), Some(ToAgent::Unknown));
@@ -69,7 +73,7 @@ fn hello_with_impossible_batch_numbers_is_refused() {
     let good = hello(HostId::random(), "edge", 1, StreamId::random(), 1);
     for (first, oldest) in [(0, 0), (0, 1), (5, 4), (u64::MAX, u64::MAX), (1, u64::MAX), (1, 1 << 63)] {
         let bad = Hello { first, oldest, ..good.clone() };
-        let reason = reason(receiving().handle_hello(&bad, known(None), at(0).mono));
+        let reason = reason(receiving().handle_hello(&bad, record_with(None), at(0).mono));
         assert!(reason.contains("spool of this agent is damaged"), "{reason}");
     }
 }
@@ -77,23 +81,23 @@ fn hello_with_impossible_batch_numbers_is_refused() {
 #[test]
 fn second_connected_host_of_same_name_is_refused() {
     let (mut end, first, second) = (receiving(), HostId::random(), HostId::random());
-    end.handle_hello(&hello(first, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
-    let late = hello(second, "edge", 2, StreamId::random(), 1);
-    let reason = reason(end.handle_hello(&late, known(None), at(9_000).mono));
+    end.handle_hello(&hello(first, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
+    let second_hello = hello(second, "edge", 2, StreamId::random(), 1);
+    let reason = reason(end.handle_hello(&second_hello, record_with(None), at(9_000).mono));
     assert!(reason.contains("the name edge") && reason.contains(&first.to_string()), "{reason}");
-    welcomed(&end.handle_hello(&late, known(None), at(10_001).mono));
+    welcomed(&end.handle_hello(&second_hello, record_with(None), at(10_001).mono));
 }
 
 #[test]
-fn a_goodbye_frees_name_and_host_id_at_once() {
+fn goodbye_frees_name_and_host_id_at_once() {
     let (mut end, id) = (receiving(), HostId::random());
-    end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 1), known(None), at(0).mono);
+    end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 1), record_with(None), at(0).mono);
     end.handle_goodbye(id);
-    welcomed(&end.handle_hello(&hello(id, "edge", 2, StreamId::random(), 1), known(None), at(1).mono));
+    welcomed(&end.handle_hello(&hello(id, "edge", 2, StreamId::random(), 1), record_with(None), at(1).mono));
     end.handle_goodbye(id);
     welcomed(&end.handle_hello(
         &hello(HostId::random(), "edge", 3, StreamId::random(), 1),
-        known(None),
+        record_with(None),
         at(2).mono,
     ));
 }
@@ -101,14 +105,15 @@ fn a_goodbye_frees_name_and_host_id_at_once() {
 #[test]
 fn second_process_of_host_is_refused_while_first_lives() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
     // A cloned machine also has the same stream.
     let copy = hello(id, "edge", 2, stream, 1);
     assert_eq!(end.handle_live(id, at(200).mono), None);
-    assert_eq!(end.handle_hello(&copy, known(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(end.handle_hello(&copy, record_with(None), at(300).mono), HelloResult::Wait);
     assert_eq!(end.handle_live(id, at(450).mono), None);
     assert!(
-        reason(end.handle_hello(&copy, known(None), at(550).mono)).contains("another agent with the host id")
+        reason(end.handle_hello(&copy, record_with(None), at(550).mono))
+            .contains("another agent with the host id")
     );
     assert_eq!(end.handle_live(id, at(700).mono), None);
 }
@@ -116,25 +121,25 @@ fn second_process_of_host_is_refused_while_first_lives() {
 #[test]
 fn crashed_agent_is_accepted_after_its_silence() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
-    end.handle_hello(&hello(id, "edge", 1, stream, 1), known(None), at(0).mono);
+    end.handle_hello(&hello(id, "edge", 1, stream, 1), record_with(None), at(0).mono);
     end.handle_live(id, at(200).mono);
-    let again = hello(id, "edge", 2, stream, 1);
-    assert_eq!(end.handle_hello(&again, known(None), at(300).mono), HelloResult::Wait);
-    assert_eq!(end.handle_hello(&again, known(None), at(550).mono), HelloResult::Wait);
-    welcomed(&end.handle_hello(&again, known(None), at(1_050).mono));
-    // Long after a crash there is no wait.
-    welcomed(&end.handle_hello(&hello(id, "edge", 3, stream, 1), known(None), at(9_000).mono));
+    let restarted = hello(id, "edge", 2, stream, 1);
+    assert_eq!(end.handle_hello(&restarted, record_with(None), at(300).mono), HelloResult::Wait);
+    assert_eq!(end.handle_hello(&restarted, record_with(None), at(550).mono), HelloResult::Wait);
+    welcomed(&end.handle_hello(&restarted, record_with(None), at(1_050).mono));
+    // Long after a crash the new process is accepted at once.
+    welcomed(&end.handle_hello(&hello(id, "edge", 3, stream, 1), record_with(None), at(9_000).mono));
 }
 
 #[test]
 fn spool_of_another_host_is_refused() {
     let (mut end, stream, owner) = (receiving(), StreamId::random(), HostId::random());
     let copy = hello(HostId::random(), "edge-2", 2, stream, 1);
-    let words = format!("the spool of this agent belongs to the host with the id {owner}");
+    let expected_reason = format!("the spool of this agent belongs to the host with the id {owner}");
     let stored = Some(mark(owner, 5));
-    assert!(reason(end.handle_hello(&copy, known(stored), at(0).mono)).contains(&words));
-    end.handle_hello(&hello(owner, "edge", 1, stream, 1), known(None), at(0).mono);
-    assert!(reason(end.handle_hello(&copy, known(None), at(1).mono)).contains(&words));
+    assert!(reason(end.handle_hello(&copy, record_with(stored), at(0).mono)).contains(&expected_reason));
+    end.handle_hello(&hello(owner, "edge", 1, stream, 1), record_with(None), at(0).mono);
+    assert!(reason(end.handle_hello(&copy, record_with(None), at(1).mono)).contains(&expected_reason));
 }
 
 #[test]
@@ -147,7 +152,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
     };
     let last = |last| StreamRecord { last, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
-    assert_eq!(replaced(end.handle_hello(&first, known(None), at(0).mono)), None);
+    assert_eq!(replaced(end.handle_hello(&first, record_with(None), at(0).mono)), None);
     end.handle_goodbye(id);
     assert_eq!(replaced(end.handle_hello(&first, last(Some(old)), at(1).mono)), None);
     end.handle_goodbye(id);
@@ -155,7 +160,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
     assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(2).mono)), Some(old));
     assert_eq!(replaced(end.handle_hello(&second, last(Some(old)), at(3).mono)), None);
     end.handle_goodbye(id);
-    // Nothing is missing for a stream that continues the other one, nor for known streams.
+    // A stream that continues the previous one replaces nothing, nor does a stream that was used before.
     let renewed = Hello { previous: Some(old), ..second.clone() };
     assert_eq!(replaced(end.handle_hello(&renewed, last(Some(old)), at(4).mono)), None);
     end.handle_goodbye(id);
@@ -179,17 +184,21 @@ fn batches_missing_in_older_database_are_reported_once() {
     let previous = |previous| StreamRecord { last: Some(old), previous, ..StreamRecord::default() };
     let expected =
         |from| Some(MissingPreviousBatches { stream: old, from, through: 7, events: Some(8 - from) });
-    for (stored, lacks) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
+    for (stored, missing) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {
         let before = previous(stored.map(|stored| mark(id, stored)));
-        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), lacks);
+        assert_eq!(missing_previous(end.handle_hello(&renewed, before, at(0).mono)), missing);
         assert_eq!(
             missing_previous(end.handle_hello(&renewed, before, at(1).mono)),
             None,
-            "reported already"
+            "the gap was reported for the previous hello"
         );
         end.handle_goodbye(id);
         let was_used = StreamRecord { was_used: true, ..before };
-        assert_eq!(missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)), None, "recorded");
+        assert_eq!(
+            missing_previous(end.handle_hello(&renewed, was_used, at(2).mono)),
+            None,
+            "the stream was used before"
+        );
         end.handle_goodbye(id);
     }
     // Batches after the seventh came from the memory of a dead process, and were stored in another database only.
@@ -200,18 +209,18 @@ fn batches_missing_in_older_database_are_reported_once() {
 }
 
 #[test]
-fn a_host_that_changes_its_streams_waits_for_the_writer() {
+fn host_that_changes_its_streams_waits_for_writer() {
     let (mut end, id) = (receiving(), HostId::random());
     let mut streams: Vec<StreamId> = Vec::new();
     while let HelloResult::Welcome { missing, .. } =
-        end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), known(None), at(0).mono)
+        end.handle_hello(&hello(id, "edge", 1, StreamId::random(), 5), record_with(None), at(0).mono)
     {
-        streams.push(missing.expect("four batches that are nowhere").stream);
-        assert!(streams.len() < 100, "memory grows with what one host says");
+        streams.push(missing.expect("four missing batches").stream);
+        assert!(streams.len() < 100, "one host can fill the memory");
     }
     streams.iter().for_each(|stream| drop(end.handle_stored(*stream, mark(id, 4))));
     let next = hello(id, "edge", 1, StreamId::random(), 1);
-    welcomed(&end.handle_hello(&next, known(None), at(1).mono));
+    welcomed(&end.handle_hello(&next, record_with(None), at(1).mono));
 }
 
 #[test]
@@ -220,7 +229,7 @@ fn windows_share_aggregators_memory() {
     let window = |end: &mut Receiving, n: u64, batch_bytes| {
         let name = format!("edge-{n}");
         let hello = Hello { batch_bytes, ..hello(HostId::random(), &name, n, StreamId::random(), 1) };
-        welcomed(&end.handle_hello(&hello, known(None), at(0).mono)).2
+        welcomed(&end.handle_hello(&hello, record_with(None), at(0).mono)).2
     };
     assert_eq!(window(&mut end, 0, 512 * 1024), 8);
     assert_eq!(window(&mut end, 1, 0), 8);

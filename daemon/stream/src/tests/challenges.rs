@@ -29,7 +29,7 @@ fn some_hello() -> Hello {
 }
 
 #[test]
-fn unknown_host_is_enrolled_with_the_secret_it_proves() {
+fn unknown_host_is_enrolled_with_proven_secret() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), true, nonce(1), at(0).mono);
     let proven = end.check_proof(&1, proof(&secret, &hello, &challenge), None);
@@ -38,7 +38,7 @@ fn unknown_host_is_enrolled_with_the_secret_it_proves() {
 }
 
 #[test]
-fn known_host_proves_without_telling_its_secret() {
+fn proof_of_known_host_contains_no_secret() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let proof = proof(&secret, &hello, &challenge);
@@ -50,20 +50,26 @@ fn known_host_proves_without_telling_its_secret() {
 }
 
 #[test]
-fn another_secret_is_refused_even_when_it_is_told() {
-    let (mut end, hello, known) = (challenges(), some_hello(), HostSecret::random());
+fn other_secret_is_refused_even_if_proof_contains_it() {
+    let (mut end, hello, stored_secret) = (challenges(), some_hello(), HostSecret::random());
     let impostor = HostSecret::random();
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
-    let told = Proof { secret: Some(impostor.clone()), ..proof(&impostor, &hello, &challenge) };
-    assert_eq!(end.check_proof(&1, told, Some(&known)), ProofResult::Invalid(Box::new(hello.clone())));
-    // The host was enrolled on another connection after this one was asked for its secret.
+    let claimed_proof = Proof { secret: Some(impostor.clone()), ..proof(&impostor, &hello, &challenge) };
+    assert_eq!(
+        end.check_proof(&1, claimed_proof, Some(&stored_secret)),
+        ProofResult::Invalid(Box::new(hello.clone()))
+    );
+    // The host was enrolled on another connection after the secret was requested on this connection.
     let challenge = end.challenge(1, hello.clone(), true, nonce(2), at(0).mono);
-    let told = proof(&impostor, &hello, &challenge);
-    assert_eq!(end.check_proof(&1, told, Some(&known)), ProofResult::Invalid(Box::new(hello)));
+    let claimed_proof = proof(&impostor, &hello, &challenge);
+    assert_eq!(
+        end.check_proof(&1, claimed_proof, Some(&stored_secret)),
+        ProofResult::Invalid(Box::new(hello))
+    );
 }
 
 #[test]
-fn proof_counts_once_and_on_its_own_connection() {
+fn proof_is_valid_once_and_only_on_its_own_connection() {
     let (mut end, hello, secret) = (challenges(), some_hello(), HostSecret::random());
     let challenge = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     let overheard = proof(&secret, &hello, &challenge);
@@ -88,7 +94,7 @@ fn repeated_hello_gets_the_same_challenge() {
     let first = end.challenge(1, hello.clone(), false, nonce(1), at(0).mono);
     assert_eq!(end.challenge(1, hello.clone(), false, nonce(2), at(1_000).mono), first);
     assert_ne!(end.challenge(1, Hello { process: 9, ..hello }, false, nonce(2), at(1_000).mono), first);
-    assert_eq!(end.len(), 1, "one of each connection");
+    assert_eq!(end.len(), 1, "one challenge for each connection");
     end.remove_expired(at(16_001).mono);
     assert!(end.is_empty(), "memory of silent connections is freed");
 }
@@ -97,35 +103,43 @@ proptest! {
     /// Checks that a hello is accepted only after its own proof with the host's secret, whatever is sent on other
     /// connections.
     #[test]
-    fn hello_counts_only_after_its_own_proof(
+    fn hello_is_accepted_only_after_its_own_proof(
         steps in prop::collection::vec((0_u8..4, 0_u8..3, 0_u8..3, any::<bool>()), 1..60),
     ) {
         let hosts: Vec<Hello> = (0..3).map(|n| hello(HostId::from_bytes([n; 16]), "edge", 1, StreamId::from_bytes([n; 16]), 1)).collect();
         let secret = |host: u8| HostSecret::from_bytes([host; 32]);
-        let (mut end, mut asked) = (challenges(), BTreeMap::<u8, (u8, ToAgent)>::new());
-        for (turn, (action, connection, host, honest)) in (0_u8..).zip(steps) {
-            let said = hosts[usize::from(host)].clone();
+        let (mut end, mut open_challenges) = (challenges(), BTreeMap::<u8, (u8, ToAgent)>::new());
+        for (turn, (action, connection, host, uses_right_secret)) in (0_u8..).zip(steps) {
+            let hello_of_host = hosts[usize::from(host)].clone();
             match action {
                 0 | 1 => {
-                    let challenge = end.challenge(connection, said, false, nonce(turn), at(0).mono);
-                    asked.insert(connection, (host, challenge));
+                    let challenge = end.challenge(connection, hello_of_host, false, nonce(turn), at(0).mono);
+                    open_challenges.insert(connection, (host, challenge));
                 }
                 2 => {
-                    let Some((challenged, challenge)) = asked.values().next().cloned() else { continue };
-                    let key = if honest { secret(host) } else { HostSecret::from_bytes([99; 32]) };
+                    let Some((challenged, challenge)) = open_challenges.values().next().cloned() else { continue };
+                    let key = if uses_right_secret { secret(host) } else { HostSecret::from_bytes([99; 32]) };
                     let ToAgent::Challenge { aggregator, nonce, .. } = &challenge else { unreachable!() };
-                    let code = key.prove(nonce, &said, aggregator);
-                    let mine = asked.get(&connection).cloned();
-                    if let Some((of, ToAgent::Challenge { nonce: pending_hello, .. })) = &mine && (*of, pending_hello) == (host, nonce) {
-                        asked.remove(&connection);
+                    let code = key.prove(nonce, &hello_of_host, aggregator);
+                    let own_challenge = open_challenges.get(&connection).cloned();
+                    if let Some((challenged_host, ToAgent::Challenge { nonce: pending_nonce, .. })) = &own_challenge
+                        && (*challenged_host, pending_nonce) == (host, nonce)
+                    {
+                        open_challenges.remove(&connection);
                     }
-                    let counts = honest && challenged == host && mine == Some((host, challenge.clone()));
-                    let proven = end.check_proof(&connection, Proof { host: said.host.id, nonce: *nonce, code, secret: None }, Some(&secret(host)));
-                    prop_assert_eq!(matches!(&proven, ProofResult::Valid { hello, .. } if hello.host.id == said.host.id), counts);
+                    let is_expected_valid =
+                        uses_right_secret && challenged == host && own_challenge == Some((host, challenge.clone()));
+                    let proof = Proof { host: hello_of_host.host.id, nonce: *nonce, code, secret: None };
+                    let proven = end.check_proof(&connection, proof, Some(&secret(host)));
+                    let is_valid = matches!(
+                        &proven,
+                        ProofResult::Valid { hello, .. } if hello.host.id == hello_of_host.host.id
+                    );
+                    prop_assert_eq!(is_valid, is_expected_valid);
                 }
                 _ => {
                     end.forget(&connection);
-                    asked.remove(&connection);
+                    open_challenges.remove(&connection);
                 }
             }
             prop_assert!(end.len() <= 3);

@@ -21,17 +21,17 @@ pub(super) fn config() -> SendingConfig {
     }
 }
 
-/// Number of works in the aggregator's queue.
+/// Largest number of works in the aggregator's queue.
 const CAPACITY: usize = 5;
 
 /// Largest number of machines with the same host id.
-const MOST_SITES: u8 = 3;
+const MAX_SITES: u8 = 3;
 
 #[derive(Clone, Debug)]
 enum Step {
     Offer(u8),
     Pass(u16),
-    /// The n-th frame in flight arrives; with `keep` a copy of it does.
+    /// The `nth` frame in flight arrives; with `keep`, it also stays in flight.
     Up {
         nth: u8,
         keep: bool,
@@ -49,13 +49,13 @@ enum Step {
     /// The spool's disk completes an action.
     Work,
     /// The spool's disk begins to fail, or works again.
-    Breaks(bool),
+    SetBroken(bool),
     Commit(u8),
     FailToCommit,
-    /// The commit is on disk, and the process is killed before it reports it.
+    /// A commit is written to the disk, and the aggregator is killed before it reports the commit.
     CommitAndKill,
     KillAggregator,
-    /// The disk has performed this many actions whose completion the process did not learn of.
+    /// The agent is killed. The disk has performed `done` further actions whose completion the agent did not learn of.
     KillAgent {
         done: u8,
     },
@@ -63,7 +63,7 @@ enum Step {
     BackUp,
     Restore,
     Copy,
-    /// The machine is killed, and the next one is started.
+    /// The running machine is killed, and the next machine is started.
     Move {
         done: u8,
     },
@@ -101,7 +101,7 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
             (16, (nth(), keep()).prop_map(|(nth, keep)| Step::Down { nth, keep }).boxed()),
             (2, any::<u8>().prop_map(Step::LoseDown).boxed()),
             (12, Just(Step::Work).boxed()),
-            (if state.broken { 3 } else { 1 }, Just(Step::Breaks(!state.broken)).boxed()),
+            (if state.broken { 3 } else { 1 }, Just(Step::SetBroken(!state.broken)).boxed()),
             (10, (1_u8..4).prop_map(Step::Commit).boxed()),
             (1, Just(Step::FailToCommit).boxed()),
             (1, Just(Step::CommitAndKill).boxed()),
@@ -112,7 +112,7 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
         if ALL {
             steps.push((1, Just(if state.backed_up { Step::Restore } else { Step::BackUp }).boxed()));
             steps.push((1, Just(Step::DeleteSpool).boxed()));
-            if state.sites < MOST_SITES {
+            if state.sites < MAX_SITES {
                 steps.push((1, Just(Step::Copy).boxed()));
             }
             if state.sites > 1 {
@@ -124,17 +124,17 @@ impl<const ALL: bool> ReferenceStateMachine for Plan<ALL> {
 
     fn preconditions(state: &Self, step: &Step) -> bool {
         match step {
-            Step::Breaks(broken) => *broken != state.broken,
+            Step::SetBroken(broken) => *broken != state.broken,
             Step::Restore => state.backed_up,
             Step::Move { .. } => state.sites > 1,
-            Step::Copy => state.sites < MOST_SITES,
+            Step::Copy => state.sites < MAX_SITES,
             _ => true,
         }
     }
 
     fn apply(mut state: Self, step: &Step) -> Self {
         match step {
-            Step::Breaks(broken) => state.broken = *broken,
+            Step::SetBroken(broken) => state.broken = *broken,
             Step::BackUp => state.backed_up = true,
             Step::Restore => state.backed_up = false,
             Step::Copy => state.sites += 1,
@@ -162,7 +162,7 @@ impl<const ALL: bool> StateMachineTest for Plan<ALL> {
             Step::Down { nth, keep } => simulation.deliver_down(nth.into(), keep),
             Step::LoseDown(nth) => simulation.lose_down(nth.into()),
             Step::Work => simulation.work(),
-            Step::Breaks(broken) => simulation.broken = broken,
+            Step::SetBroken(broken) => simulation.broken = broken,
             Step::Commit(count) => simulation.commit(count.into(), true),
             Step::FailToCommit => simulation.fail_commit(),
             Step::CommitAndKill => simulation.commit(usize::MAX, false),
@@ -172,7 +172,7 @@ impl<const ALL: bool> StateMachineTest for Plan<ALL> {
             Step::BackUp => simulation.back_up(),
             Step::Restore => simulation.restore(),
             Step::Copy => simulation.copy(),
-            Step::Move { done } => simulation.go_to_the_next(done.into()),
+            Step::Move { done } => simulation.start_next_site(done.into()),
             Step::DeleteSpool => simulation.delete_spool(),
         }
         simulation
@@ -192,12 +192,12 @@ prop_state_machine! {
     #![proptest_config(ProptestConfig { cases: 2_000, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
-    fn everything_spooled_is_stored_once_and_in_order(sequential 1..120 => Plan<false>);
+    fn every_spooled_event_is_stored_once_and_in_order(sequential 1..120 => Plan<false>);
 }
 
 prop_state_machine! {
     #![proptest_config(ProptestConfig { cases: 2_000, max_shrink_iters: 20_000, ..ProptestConfig::default() })]
 
     #[test]
-    fn old_backups_copies_and_deletions_are_noticed_and_harm_nothing_else(sequential 1..150 => Plan<true>);
+    fn old_backups_copies_and_deletions_are_reported_and_lose_no_other_event(sequential 1..150 => Plan<true>);
 }

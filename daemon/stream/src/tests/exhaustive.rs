@@ -1,7 +1,7 @@
 //! Exhaustive exploration of a small model: one batch with two faults, and two batches without a fault.
 //!
-//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which
-//! the batches are cut. In each state every move is tried: a message in flight arrives (so that messages overtake one
+//! The model consists of the real state machines of both ends, a spool file and a database, from the moment at which the
+//! batches are closed. In each state every move is tried: a message in flight arrives (so that messages overtake one
 //! another in every order), the disk completes an action, the writer commits one work. While faults are left, every
 //! fault is tried as well: a message is lost, or arrives and stays in flight; a commit fails; the aggregator is killed,
 //! before a commit or between a commit and its acknowledgement; the agent is killed, before or after the disk performed
@@ -9,7 +9,7 @@
 //! not explored again: messages in flight count as a set, and a state is identified by a hash of 64 bits.
 //!
 //! Checks: in each state the checks of [`Simulation::check`]; at each deletion in the spool that all deleted batches are stored;
-//! at each commit that it continues its stream; and from each state without a move but faults, that both ends settle in
+//! at each commit that it continues its stream; and from each state in which only faults are possible, that both ends settle in
 //! bounded time with each spooled event in the database exactly once and in order.
 
 use std::collections::{HashSet, VecDeque};
@@ -39,12 +39,12 @@ enum Move {
 }
 
 /// Returns the moves that are no faults.
-fn moves(simulation: &Simulation) -> Vec<Move> {
-    let mut moves: Vec<Move> = (0..simulation.up.len()).map(Move::Up).collect();
-    moves.extend((0..simulation.down.len()).map(Move::Down));
-    moves.extend((!simulation.jobs.is_empty()).then_some(Move::Work));
-    moves.extend((!simulation.aggregator.is_idle()).then_some(Move::Commit));
-    moves
+fn regular_moves(simulation: &Simulation) -> Vec<Move> {
+    let mut regular_moves: Vec<Move> = (0..simulation.up.len()).map(Move::Up).collect();
+    regular_moves.extend((0..simulation.down.len()).map(Move::Down));
+    regular_moves.extend((!simulation.jobs.is_empty()).then_some(Move::Work));
+    regular_moves.extend((!simulation.aggregator.is_idle()).then_some(Move::Commit));
+    regular_moves
 }
 
 fn faults(simulation: &Simulation) -> Vec<Move> {
@@ -121,32 +121,33 @@ fn key(simulation: &Simulation, faults: u32) -> u64 {
 
 /// Explores all states. Returns the numbers of states, of transitions between them, and of states from which both ends
 /// were settled.
-fn explore(start: Simulation, most_faults: u32) -> (usize, usize, usize) {
-    let mut known = HashSet::from([key(&start, most_faults)]);
-    let mut waiting = VecDeque::from([(start, most_faults)]);
-    let (mut transitions, mut rests) = (0, 0);
-    while let Some((simulation, left)) = waiting.pop_front() {
-        let mut steps: Vec<(Move, u32)> = moves(&simulation).into_iter().map(|step| (step, left)).collect();
+fn explore(start: Simulation, max_faults: u32) -> (usize, usize, usize) {
+    let mut seen = HashSet::from([key(&start, max_faults)]);
+    let mut waiting = VecDeque::from([(start, max_faults)]);
+    let (mut transitions, mut settled) = (0, 0);
+    while let Some((simulation, remaining_faults)) = waiting.pop_front() {
+        let mut steps: Vec<(Move, u32)> =
+            regular_moves(&simulation).into_iter().map(|step| (step, remaining_faults)).collect();
         if steps.is_empty() {
-            rests += 1;
+            settled += 1;
             let mut simulation = simulation.clone();
             simulation.settle();
             simulation.check_settled();
         }
-        if left > 0 {
-            steps.extend(faults(&simulation).into_iter().map(|step| (step, left - 1)));
+        if remaining_faults > 0 {
+            steps.extend(faults(&simulation).into_iter().map(|step| (step, remaining_faults - 1)));
         }
-        for (step, left) in steps {
+        for (step, remaining_faults) in steps {
             let mut next = simulation.clone();
             apply(&mut next, step);
             next.check();
             transitions += 1;
-            if known.insert(key(&next, left)) {
-                waiting.push_back((next, left));
+            if seen.insert(key(&next, remaining_faults)) {
+                waiting.push_back((next, remaining_faults));
             }
         }
     }
-    (known.len(), transitions, rests)
+    (seen.len(), transitions, settled)
 }
 
 /// Returns a simulation in which batches of one event each are about to be spooled.
@@ -163,14 +164,14 @@ fn simulation(batches: usize) -> Simulation {
 
 #[test]
 fn one_batch_is_stored_once_despite_any_two_faults() {
-    let (states, transitions, rests) = explore(simulation(1), 2);
-    println!("{states} states, {transitions} transitions, {rests} brought to rest");
+    let (states, transitions, settled) = explore(simulation(1), 2);
+    println!("{states} states, {transitions} transitions, {settled} brought to rest");
     assert!(states > 20_000, "{states} states");
 }
 
 #[test]
 fn two_batches_are_stored_once_in_any_order() {
-    let (states, transitions, rests) = explore(simulation(2), 0);
-    println!("{states} states, {transitions} transitions, {rests} brought to rest");
+    let (states, transitions, settled) = explore(simulation(2), 0);
+    println!("{states} states, {transitions} transitions, {settled} brought to rest");
     assert!(states > 100, "{states} states");
 }

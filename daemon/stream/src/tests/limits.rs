@@ -35,12 +35,12 @@ fn started(run: RunId) -> Event {
     })
 }
 
-/// Returns a simulation in which `events` events fit into memory, with a disk that has done nothing yet.
-fn of(events: u64) -> Simulation {
-    Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy() }, 100)
+/// Returns a simulation in which `events` events fit into memory, with a disk that has not performed any action yet.
+fn simulation_with_memory_for(events: u64) -> Simulation {
+    Simulation::new(SendingConfig { memory: Usage { events, bytes: 1_000_000 }, ..roomy_config() }, 100)
 }
 
-fn roomy() -> SendingConfig {
+fn roomy_config() -> SendingConfig {
     SendingConfig { reserve_events: 2, ..SendingConfig::default() }
 }
 
@@ -59,8 +59,8 @@ fn drain(simulation: &mut Simulation) -> Vec<Event> {
 }
 
 #[test]
-fn the_newest_iterations_are_dropped_and_a_gap_names_their_pipeline_and_run() {
-    let (mut simulation, run) = (of(10), RunId::random());
+fn newest_iterations_are_dropped_and_gap_names_their_pipeline_and_run() {
+    let (mut simulation, run) = (simulation_with_memory_for(10), RunId::random());
     offer(&mut simulation, &started(run), 0);
     for number in 1..=20 {
         offer(&mut simulation, &iteration(run, number, tree()), number as i64);
@@ -70,11 +70,13 @@ fn the_newest_iterations_are_dropped_and_a_gap_names_their_pipeline_and_run() {
 
     let events = drain(&mut simulation);
     assert!(matches!(events[0], Event::RunStarted(_)));
-    let kept: Vec<u64> = events
+    let stored_numbers: Vec<u64> = events
         .iter()
-        .filter_map(|event| if let Event::Iteration(it) = event { Some(it.number) } else { None })
+        .filter_map(
+            |event| if let Event::Iteration(iteration) = event { Some(iteration.number) } else { None },
+        )
         .collect();
-    assert_eq!(kept, [1, 2, 3, 4, 5, 6, 7]);
+    assert_eq!(stored_numbers, [1, 2, 3, 4, 5, 6, 7]);
     let Some(Event::Gap(gap)) = events.last() else { panic!("a gap at the end: {events:?}") };
     assert_eq!((gap.count, gap.run, gap.pipeline.as_ref().map(Slug::as_str)), (13, Some(run), Some("line")));
     assert_eq!((gap.from, gap.to), (at(8).wall, at(20).wall));
@@ -85,7 +87,7 @@ fn the_newest_iterations_are_dropped_and_a_gap_names_their_pipeline_and_run() {
 
 #[test]
 fn run_ends_although_iterations_no_longer_fit() {
-    let (mut simulation, run) = (of(10), RunId::random());
+    let (mut simulation, run) = (simulation_with_memory_for(10), RunId::random());
     (1..=20).for_each(|number| offer(&mut simulation, &iteration(run, number, tree()), 0));
     let dropped = simulation.sending.accounting().dropped;
     let ended = RunEnded { run, ended: at(1).wall, reason: EndReason::Finished };
@@ -97,22 +99,22 @@ fn run_ends_although_iterations_no_longer_fit() {
 }
 
 #[test]
-fn oversized_event_is_not_sent_and_blocks_nothing() {
-    let (mut simulation, run) = (of(100), RunId::random());
+fn invalid_event_is_not_sent_and_blocks_no_other_event() {
+    let (mut simulation, run) = (simulation_with_memory_for(100), RunId::random());
     let mut broken = tree();
     let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
     *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);
     offer(&mut simulation, &iteration(run, 1, broken), 0);
     offer(&mut simulation, &iteration(run, 2, tree()), 1);
     let events = drain(&mut simulation);
-    let [Event::Gap(gap), Event::Iteration(kept)] = &events[..] else { panic!("{events:?}") };
-    assert_eq!((gap.count, kept.number), (1, 2));
+    let [Event::Gap(gap), Event::Iteration(stored)] = &events[..] else { panic!("{events:?}") };
+    assert_eq!((gap.count, stored.number), (1, 2));
     assert!(gap.reason.contains("not a number"), "{}", gap.reason);
 }
 
 #[test]
 fn continuing_loss_is_reported_each_second_and_at_end() {
-    let (mut simulation, run) = (of(10_000), RunId::random());
+    let (mut simulation, run) = (simulation_with_memory_for(10_000), RunId::random());
     let mut broken = tree();
     let node = broken.add(NodeId::ROOT, Name::from("x"), Span::ZERO, Measure::Value(1.0, Unit::NONE));
     *broken.measure_mut(node).expect("added") = Measure::Value(f64::NAN, Unit::NONE);

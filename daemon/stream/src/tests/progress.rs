@@ -1,26 +1,27 @@
 //! Handling of batches at the aggregator's end.
 
-use super::admission::{chain, hello, known, mark, welcomed};
+use super::admission::{chain, hello, mark, record_with, welcomed};
 use super::*;
 
 /// Window of a single agent.
 const WINDOW: u32 = 8;
 
-struct End {
-    end: Receiving,
+struct AggregatorEnd {
+    receiving: Receiving,
     id: HostId,
     stream: StreamId,
     process: u64,
 }
 
-impl End {
-    /// Returns an end to which a host with `stored` stored batches sent a hello.
+impl AggregatorEnd {
+    /// Returns the end of an aggregator to which a host with `stored` stored batches sent a hello.
     fn with(stored: u64) -> Self {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let mark = (stored > 0).then(|| mark(id, stored));
-        let greeting = end.handle_hello(&hello(id, "edge", 1, stream, stored + 1), known(mark), at(0).mono);
+        let greeting =
+            end.handle_hello(&hello(id, "edge", 1, stream, stored + 1), record_with(mark), at(0).mono);
         assert_eq!(welcomed(&greeting), (stored, mark.map(|mark| mark.chain), WINDOW));
-        Self { end, id, stream, process: 1 }
+        Self { receiving: end, id, stream, process: 1 }
     }
 
     fn head(&self, number: u64) -> BatchHead {
@@ -32,11 +33,11 @@ impl End {
 
     fn batch(&mut self, number: u64) -> Arrival {
         let head = self.head(number);
-        self.end.handle_batch(&head, true, at(1).mono)
+        self.receiving.handle_batch(&head, true, at(1).mono)
     }
 
     fn stored(&mut self, number: u64) -> Option<ToAgent> {
-        let (to, reply) = self.end.handle_stored(self.stream, mark(self.id, number))?;
+        let (to, reply) = self.receiving.handle_stored(self.stream, mark(self.id, number))?;
         assert_eq!(to, self.id);
         Some(reply)
     }
@@ -49,11 +50,11 @@ impl End {
         ToAgent::Resend { stream: self.stream, from }
     }
 
-    /// Sends the hello of another process with the same spool, long after the first.
-    fn restarted(&mut self, stored: u64) -> HelloResult {
+    /// Sends the hello of another process with the same spool, long after the first hello.
+    fn restart_agent(&mut self, stored: u64) -> HelloResult {
         self.process = 2;
         let hello = hello(self.id, "edge", self.process, self.stream, stored + 1);
-        self.end.handle_hello(&hello, known(Some(mark(self.id, stored))), at(5_000).mono)
+        self.receiving.handle_hello(&hello, record_with(Some(mark(self.id, stored))), at(5_000).mono)
     }
 }
 
@@ -61,7 +62,7 @@ const UNKNOWN: Arrival = Arrival::Unknown(ToAgent::Unknown);
 
 #[test]
 fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
-    let mut end = End::with(2);
+    let mut end = AggregatorEnd::with(2);
     assert_eq!(end.batch(3), Arrival::Accept);
     assert_eq!(end.batch(3), Arrival::Pending);
     assert_eq!(end.batch(4), Arrival::Accept);
@@ -73,7 +74,7 @@ fn batches_are_accepted_in_order_and_acknowledged_when_stored() {
 
 #[test]
 fn missing_batches_are_requested_once() {
-    let mut end = End::with(0);
+    let mut end = AggregatorEnd::with(0);
     let (first, second) = (end.resend(1), end.resend(2));
     assert_eq!(end.batch(2), Arrival::Rejected(Some(first)));
     assert_eq!(end.batch(3), Arrival::Rejected(None));
@@ -84,10 +85,10 @@ fn missing_batches_are_requested_once() {
 
 #[test]
 fn failed_batch_is_requested_again_with_later_ones() {
-    let mut end = End::with(0);
+    let mut end = AggregatorEnd::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
-    assert_eq!(end.end.handle_failed_store(end.stream), Some((end.id, end.resend(2))));
+    assert_eq!(end.receiving.handle_failed_store(end.stream), Some((end.id, end.resend(2))));
     assert_eq!(end.batch(3), Arrival::Rejected(None));
     assert_eq!(end.batch(2), Arrival::Accept);
 }
@@ -97,8 +98,8 @@ fn lost_batches_are_reported_missing_once() {
     for (stored, first, from) in [(3, 1, 4), (0, 1, 1), (0, 5, 5), (3, 6, 4)] {
         let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
         let hello = Hello { first, events_before_first: Some(first - 1), ..hello(id, "edge", 1, stream, 8) };
-        let known = known((stored > 0).then(|| mark(id, stored)));
-        let greeting = end.handle_hello(&hello, known, at(0).mono);
+        let record = record_with((stored > 0).then(|| mark(id, stored)));
+        let greeting = end.handle_hello(&hello, record, at(0).mono);
         let HelloResult::Welcome { missing, .. } = greeting else { panic!("{greeting:?}") };
         assert_eq!(
             missing,
@@ -113,8 +114,8 @@ fn lost_batches_are_reported_missing_once() {
                 events_through: 7
             })
         );
-        welcomed(&end.handle_hello(&hello, known, at(1).mono));
-        let mut end = End { end, id, stream, process: 1 };
+        welcomed(&end.handle_hello(&hello, record, at(1).mono));
+        let mut end = AggregatorEnd { receiving: end, id, stream, process: 1 };
         assert_eq!(end.batch(8), Arrival::Accept);
         let ack = end.ack(7);
         assert_eq!(end.stored(7), Some(ack));
@@ -122,73 +123,73 @@ fn lost_batches_are_reported_missing_once() {
 }
 
 #[test]
-fn batch_that_does_not_follow_requests_hello() {
-    let mut end = End::with(4);
+fn non_consecutive_batch_causes_request_for_hello() {
+    let mut end = AggregatorEnd::with(4);
     let other = BatchHead { stream: StreamId::random(), ..end.head(5) };
-    assert_eq!(end.end.handle_batch(&other, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.receiving.handle_batch(&other, true, at(1).mono), UNKNOWN);
     let stranger = BatchHead { host: HostId::random(), ..end.head(5) };
-    assert_eq!(end.end.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.receiving.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
     let copied = BatchHead { before: chain(9), ..end.head(5) };
-    assert_eq!(end.end.handle_batch(&copied, true, at(1).mono), UNKNOWN);
+    assert_eq!(end.receiving.handle_batch(&copied, true, at(1).mono), UNKNOWN);
     assert_eq!(end.batch(5), Arrival::Accept);
 }
 
 #[test]
-fn batches_of_dead_process_are_settled_before_next_session() {
-    let mut end = End::with(0);
+fn batches_of_dead_process_are_stored_before_next_session() {
+    let mut end = AggregatorEnd::with(0);
     (1..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     end.stored(1);
-    assert!(matches!(end.restarted(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
+    assert!(matches!(end.restart_agent(1), HelloResult::Wait), "batches 2 and 3 may still be stored");
     end.stored(3);
-    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restarted(1) else {
-        panic!("nothing waits any more")
+    let HelloResult::Welcome { reply: ToAgent::Welcome { stored, .. }, .. } = end.restart_agent(1) else {
+        panic!("no batch waits to be stored")
     };
     assert_eq!(stored, 3);
 
-    // After storing failed, nothing contradicts the batches of the next process.
-    let mut end = End::with(1);
+    // After storing failed, the next process may send a different batch with the same number.
+    let mut end = AggregatorEnd::with(1);
     assert_eq!(end.batch(2), Arrival::Accept);
-    assert!(matches!(end.restarted(1), HelloResult::Wait));
-    end.end.handle_failed_store(end.stream);
-    welcomed(&end.restarted(1));
+    assert!(matches!(end.restart_agent(1), HelloResult::Wait));
+    end.receiving.handle_failed_store(end.stream);
+    welcomed(&end.restart_agent(1));
     let other = BatchHead { chain: chain(9), process: 2, ..end.head(2) };
-    assert_eq!(end.end.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
+    assert_eq!(end.receiving.handle_batch(&other, true, at(5_001).mono), Arrival::Accept);
 }
 
 #[test]
-fn two_batches_of_one_number_request_hello() {
-    let mut end = End::with(1);
+fn different_batch_of_same_number_causes_request_for_hello() {
+    let mut end = AggregatorEnd::with(1);
     (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     let other = BatchHead { chain: chain(9), ..end.head(2) };
     let next = BatchHead { before: chain(9), chain: chain(10), ..end.head(4) };
     for head in [other, next] {
-        assert_eq!(end.end.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
+        assert_eq!(end.receiving.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
     }
 }
 
 #[test]
 fn damaged_batch_is_requested_twice_then_quarantined() {
-    let mut end = End::with(0);
+    let mut end = AggregatorEnd::with(0);
     let (head, resend) = (end.head(1), Arrival::Rejected(Some(end.resend(1))));
-    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
     assert_eq!(end.batch(2), Arrival::Rejected(None));
-    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
     // Different damage shows that the batch was damaged in transit.
     let other = BatchHead { events: 2, ..head };
-    assert_eq!(end.end.handle_batch(&other, false, at(1).mono), resend);
-    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), resend);
-    assert_eq!(end.end.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
+    assert_eq!(end.receiving.handle_batch(&other, false, at(1).mono), resend);
+    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), resend);
+    assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), Arrival::AcceptDamaged);
     assert_eq!(end.batch(2), Arrival::Accept);
 }
 
 #[test]
-fn spool_with_damaged_chains_is_compared() {
-    let mut end = End::with(0);
+fn batches_with_damaged_chains_cause_request_for_hello() {
+    let mut end = AggregatorEnd::with(0);
     let (head, resend) =
         (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Rejected(Some(end.resend(1))));
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
-        assert_eq!(end.end.handle_batch(&head, false, at(1).mono), expected);
+        assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), expected);
     }
 }
 
@@ -200,7 +201,7 @@ fn deferred_streams_are_requested_oldest_first() {
             let (id, stream) = (HostId::random(), StreamId::random());
             welcomed(&end.handle_hello(
                 &hello(id, &format!("edge-{n}"), n, stream, 1),
-                known(None),
+                record_with(None),
                 at(0).mono,
             ));
             (id, stream)
@@ -214,7 +215,7 @@ fn deferred_streams_are_requested_oldest_first() {
     assert_eq!(end.request_deferred(0), []);
     assert_eq!(end.request_deferred(2), [request(2), request(0)]);
     // Batches that a hello brings again are not requested.
-    end.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), known(None), at(1).mono);
+    end.handle_hello(&hello(agents[1].0, "edge-1", 1, agents[1].1, 1), record_with(None), at(1).mono);
     assert_eq!(end.request_deferred(2), []);
     // The queue had no capacity for a requested batch again.
     end.defer_batch(agents[2].1);
@@ -225,21 +226,21 @@ fn deferred_streams_are_requested_oldest_first() {
 }
 
 #[test]
-fn agent_beyond_window_fills_no_memory() {
-    let mut end = End::with(0);
+fn agent_that_ignores_window_is_limited() {
+    let mut end = AggregatorEnd::with(0);
     let accepted = (1..=10_000).take_while(|number| end.batch(*number) == Arrival::Accept).count();
     assert!((MAX_IN_FLIGHT_BATCHES..3_000).contains(&accepted), "{accepted}");
-    assert_eq!(end.restarted(0), HelloResult::Wait);
+    assert_eq!(end.restart_agent(0), HelloResult::Wait);
 }
 
 #[test]
-fn numbers_at_their_end_break_nothing() {
+fn largest_batch_numbers_are_handled() {
     let last = i64::MAX as u64;
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     let stored =
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
     let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
-    let greeting = end.handle_hello(&hello, known(None), at(0).mono);
+    let greeting = end.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
         let (host, before, chain) = (id, Chain::START, chain(1));
@@ -254,5 +255,5 @@ fn numbers_at_their_end_break_nothing() {
     assert_eq!(end.handle_failed_store(stream), Some((id, ToAgent::Resend { stream, from: u64::MAX })));
     assert_eq!(end.handle_batch(&head(u64::MAX), true, at(1).mono), UNKNOWN);
     end.handle_goodbye(id);
-    welcomed(&end.handle_hello(&hello, known(Some(stored(u64::MAX))), at(2).mono));
+    welcomed(&end.handle_hello(&hello, record_with(Some(stored(u64::MAX))), at(2).mono));
 }

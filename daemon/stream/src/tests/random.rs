@@ -10,19 +10,19 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     #[test]
-    fn any_bytes_are_survived(data: Vec<u8>) {
+    fn any_bytes_cause_no_panic(data: Vec<u8>) {
         any_batch(&data);
         any_message(&data);
     }
 
     #[test]
-    fn any_conversation_is_survived(data in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn any_conversation_causes_no_panic(data in prop::collection::vec(any::<u8>(), 0..600)) {
         any_conversation(&data);
     }
 }
 
 #[test]
-fn the_fuzz_targets_corpus_is_survived() {
+fn corpus_of_fuzz_targets_causes_no_panic() {
     for name in ["batch", "message", "conversation"] {
         let target = match name {
             "batch" => any_batch,
@@ -31,11 +31,11 @@ fn the_fuzz_targets_corpus_is_survived() {
         };
         let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus").join(name);
         let entries = std::fs::read_dir(&corpus).expect("the corpus is part of the checkout");
-        let mut seen = 0;
+        let mut file_count = 0;
         for entry in entries {
             target(&std::fs::read(entry.expect("readable").path()).expect("readable"));
-            seen += 1;
+            file_count += 1;
         }
-        assert!(seen >= 3, "only {seen} files in {}", corpus.display());
+        assert!(file_count >= 3, "only {file_count} files in {}", corpus.display());
     }
 }

@@ -1,7 +1,7 @@
 //! Agents of other versions.
 
 use super::super::codec::{decode, encode};
-use super::admission::{hello, known, reason, welcomed};
+use super::admission::{hello, reason, record_with, welcomed};
 use super::*;
 
 /// Returns the hello of an agent that supports other versions.
@@ -15,7 +15,7 @@ fn extension(newest: u16) -> Option<HelloExtension> {
 }
 
 /// Returns the version in the challenge to a hello.
-fn chosen(hello: &Hello) -> Option<u16> {
+fn chosen_version(hello: &Hello) -> Option<u16> {
     let mut end = Challenges::new("base".parse().expect("a name"));
     match end.challenge(1, hello.clone(), false, Nonce::from_bytes([5; 32]), at(0).mono) {
         ToAgent::Challenge { version, .. } => version,
@@ -24,10 +24,10 @@ fn chosen(hello: &Hello) -> Option<u16> {
 }
 
 #[test]
-fn first_version_agent_gets_known_messages_only() {
+fn agent_of_first_version_gets_only_messages_of_that_version() {
     let old = hello_of(5, None);
-    assert_eq!((chosen(&old), HelloExtension::from_versions(&VersionRange::single(5))), (None, None));
-    welcomed(&receiving().handle_hello(&old, known(None), at(0).mono));
+    assert_eq!((chosen_version(&old), HelloExtension::from_versions(&VersionRange::single(5))), (None, None));
+    welcomed(&receiving().handle_hello(&old, record_with(None), at(0).mono));
     let frame = encode(&ToAggregator::Hello(old.clone()));
     assert_eq!(decode(&frame), Ok(ToAggregator::Hello(old)));
 }
@@ -36,10 +36,10 @@ fn first_version_agent_gets_known_messages_only() {
 fn later_agent_is_served_in_newest_common_version() {
     let newest = STREAM_VERSIONS.newest();
     let later = hello_of(STREAM_VERSIONS.oldest(), extension(newest + 3));
-    welcomed(&receiving().handle_hello(&later, known(None), at(0).mono));
-    let (oldest, version) = (later.protocol, chosen(&later));
+    welcomed(&receiving().handle_hello(&later, record_with(None), at(0).mono));
+    let (oldest, version) = (later.protocol, chosen_version(&later));
     assert_eq!(version.unwrap_or(oldest), newest);
-    assert_eq!(chosen(&hello_of(newest - 1, extension(newest + 1))), Some(newest));
+    assert_eq!(chosen_version(&hello_of(newest - 1, extension(newest + 1))), Some(newest));
 }
 
 #[test]
@@ -61,9 +61,9 @@ fn unknown_names_in_hello_are_ignored() {
 #[test]
 fn agent_without_common_version_is_refused_with_release() {
     let refusal = |hello: Hello| {
-        let said = reason(receiving().handle_hello(&hello, known(None), at(0).mono));
-        assert_eq!(Receiving::version_refusal(&hello), Some(said.clone()));
-        said
+        let stated_reason = reason(receiving().handle_hello(&hello, record_with(None), at(0).mono));
+        assert_eq!(Receiving::version_refusal(&hello), Some(stated_reason.clone()));
+        stated_reason
     };
     assert_eq!(
         refusal(hello_of(4, None)),
@@ -80,11 +80,11 @@ fn agent_without_common_version_is_refused_with_release() {
 #[test]
 fn proof_covers_newest_version_of_hello() {
     let (secret, nonce) = (HostSecret::random(), Nonce::from_bytes([5; 32]));
-    let (said, aggregator) = (hello_of(5, extension(6)), "base".parse().expect("a name"));
-    let proof = secret.prove(&nonce, &said, &aggregator);
-    assert!(secret.verify(&proof, &nonce, &said, &aggregator));
+    let (hello, aggregator) = (hello_of(5, extension(6)), "base".parse().expect("a name"));
+    let proof = secret.prove(&nonce, &hello, &aggregator);
+    assert!(secret.verify(&proof, &nonce, &hello, &aggregator));
     for newest in [None, extension(5), extension(7)] {
-        let changed = Hello { extension: newest, ..said.clone() };
+        let changed = Hello { extension: newest, ..hello.clone() };
         assert!(!secret.verify(&proof, &nonce, &changed, &aggregator), "{newest:?}");
     }
 }

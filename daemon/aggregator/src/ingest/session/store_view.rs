@@ -12,16 +12,16 @@ const MAX_UNNAMED_RUNS: usize = 1_024;
 #[derive(Debug)]
 pub(super) struct StoreView {
     pub(super) streams: Streams,
-    /// Runs whose start is not in the database, but iterations are, with their hosts.
-    unnamed: HashSet<(HostId, RunId)>,
+    /// Runs that have iterations in the database but no start event, with their hosts.
+    unnamed_runs: HashSet<(HostId, RunId)>,
     /// `true` while the writer has a database. While it has none, nothing is acknowledged.
     is_open: bool,
 }
 
 impl StoreView {
     /// Creates the state of an open database.
-    pub(super) fn new(streams: Streams, unnamed: Vec<(HostId, RunId)>) -> Self {
-        Self { streams, unnamed: unnamed.into_iter().collect(), is_open: true }
+    pub(super) fn new(streams: Streams, unnamed_runs: Vec<(HostId, RunId)>) -> Self {
+        Self { streams, unnamed_runs: unnamed_runs.into_iter().collect(), is_open: true }
     }
 
     /// Returns whether the writer has a database.
@@ -36,22 +36,22 @@ impl StoreView {
 
     /// Returns whether any run waits for its name.
     pub(super) fn has_unnamed(&self) -> bool {
-        !self.unnamed.is_empty()
+        !self.unnamed_runs.is_empty()
     }
 
     /// Returns whether this run waits for its name.
     pub(super) fn is_unnamed(&self, host: HostId, run: RunId) -> bool {
-        self.unnamed.contains(&(host, run))
+        self.unnamed_runs.contains(&(host, run))
     }
 
     /// Records that the run was named.
     pub(super) fn record_name(&mut self, host: HostId, run: RunId) {
-        self.unnamed.remove(&(host, run));
+        self.unnamed_runs.remove(&(host, run));
     }
 
-    /// Adds runs whose start is not in the database, but iterations are. Runs beyond `MAX_UNNAMED_RUNS` are ignored.
+    /// Adds runs that have iterations in the database but no start event. Runs beyond `MAX_UNNAMED_RUNS` are ignored.
     pub(super) fn add_unnamed(&mut self, runs: impl IntoIterator<Item = (HostId, RunId)>) {
-        let free = MAX_UNNAMED_RUNS.saturating_sub(self.unnamed.len());
-        self.unnamed.extend(runs.into_iter().take(free));
+        let remaining_capacity = MAX_UNNAMED_RUNS.saturating_sub(self.unnamed_runs.len());
+        self.unnamed_runs.extend(runs.into_iter().take(remaining_capacity));
     }
 }

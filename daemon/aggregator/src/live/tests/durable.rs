@@ -4,7 +4,7 @@ use super::*;
 use crate::live_state::{Arrivals, Totals};
 
 /// Applies 40 updates of a pipeline within ten seconds; with a `backlog`, also events of the durable lane between them.
-fn figures(testbed: &mut Testbed, backlog: bool) -> LiveState {
+fn state_after_updates(testbed: &mut Testbed, backlog: bool) -> LiveState {
     for step in 0..40 {
         let at = 0.25 * f64::from(step);
         let second = second(at as i64, &[0.010 + 0.001 * f64::from(step % 7), 0.012], u64::from(step == 3));
@@ -41,7 +41,7 @@ fn backlog_changes_no_live_pipeline_or_link() {
     busy.host = calm.host;
     busy.live = LiveTracker::new(slug("here"), "tcp://127.0.0.1:5550".into(), Span::from_seconds(3_600));
     busy.live.apply(LiveEvent::Hello(Box::new(description(busy.host, "edge")), 1), now(0.0));
-    let (calm, busy) = (figures(&mut calm, false), figures(&mut busy, true));
+    let (calm, busy) = (state_after_updates(&mut calm, false), state_after_updates(&mut busy, true));
     let text = |snapshot: &LiveState| {
         serde_json::to_string(&(&snapshot.pipelines, &snapshot.links)).expect("plain data")
     };
@@ -49,15 +49,15 @@ fn backlog_changes_no_live_pipeline_or_link() {
     assert_eq!((calm.hosts[0].behind, calm.hosts[0].catching_up), (None, None));
     let host = &busy.hosts[0];
     assert_eq!(host.behind, Some(Span::from_seconds_f64(80_000.0 - 99.0 * 9.75)));
-    let found = host.catching_up.expect("it falls by 99 s a second");
+    let catching_up = host.catching_up.expect("it falls by 99 s a second");
     assert!(
-        (found.rate - 99.0).abs() < 0.1 && (found.events_per_second - 40_000.0).abs() < 40.0,
-        "{found:?}"
+        (catching_up.rate - 99.0).abs() < 0.1 && (catching_up.events_per_second - 40_000.0).abs() < 40.0,
+        "{catching_up:?}"
     );
 }
 
 #[test]
-fn totals_hold_hosts_that_left_and_never_fall() {
+fn totals_include_absent_hosts_and_never_decrease() {
     let mut testbed = Testbed::new();
     let (gone, stranger) = (HostId::random(), HostId::random());
     let stored = |events| StoredCounts {
@@ -67,7 +67,7 @@ fn totals_hold_hosts_that_left_and_never_fall() {
         ..StoredCounts::default()
     };
     testbed.live.apply(LiveEvent::Stored(gone, stored(100), None), now(0.0));
-    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 1, "it is stored and has not connected");
+    assert_eq!(testbed.live.snapshot(now(0.0)).absent, 1, "the host has stored events and has not connected");
     testbed.live.apply(LiveEvent::Hello(Box::new(description(gone, "gone")), 1), now(0.0));
     assert_eq!(testbed.live.snapshot(now(0.0)).absent, 0);
     testbed.live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(0.0));
@@ -79,7 +79,7 @@ fn totals_hold_hosts_that_left_and_never_fall() {
     assert_eq!(
         (snapshot.hosts.len(), snapshot.absent),
         (1, 1),
-        "both hosts left the snapshot, one is stored"
+        "both hosts were removed from the snapshot; one has stored events"
     );
     let expected = |events, damaged| Totals {
         stored: StoredCounts { quarantined: 1, ..stored(events) },
@@ -99,10 +99,10 @@ fn totals_hold_hosts_that_left_and_never_fall() {
 #[test]
 fn disconnected_host_has_no_catching_up_rate() {
     let mut testbed = Testbed::new();
-    figures(&mut testbed, true);
+    state_after_updates(&mut testbed, true);
     assert!(testbed.snapshot(9.8).hosts[0].catching_up.is_some());
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(9.9));
     let snapshot = testbed.snapshot(9.9);
     assert_eq!(snapshot.hosts[0].catching_up, None);
-    assert!(snapshot.hosts[0].behind.is_some(), "what it last told stays");
+    assert!(snapshot.hosts[0].behind.is_some(), "the last reported lag remains");
 }

@@ -10,14 +10,14 @@ fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u6
 }
 
 /// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.
-fn standing(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState) {
+fn departure_state(testbed: &mut Testbed, at: f64) -> (bool, bool, PipelineState) {
     let snapshot = testbed.snapshot(at);
     (snapshot.hosts[0].connected, snapshot.hosts[0].has_left, snapshot.pipelines[0].state.clone())
 }
 
-/// [`standing`] of a host that stopped in order.
-const GONE_WELL: (bool, bool, PipelineState) = (false, true, PipelineState::Finished);
-/// [`standing`] of a host that became silent.
+/// [`departure_state`] of a host that stopped in order.
+const LEFT_IN_ORDER: (bool, bool, PipelineState) = (false, true, PipelineState::Finished);
+/// [`departure_state`] of a host that became silent.
 const AWAY: (bool, bool, PipelineState) = (false, false, PipelineState::Away);
 
 #[test]
@@ -33,9 +33,9 @@ fn host_after_goodbye_is_not_away_before_last_commit() {
         for event in order {
             assert!(testbed.live.apply(event, now(1.2)));
         }
-        assert_eq!(standing(&mut testbed, 1.2), GONE_WELL);
+        assert_eq!(departure_state(&mut testbed, 1.2), LEFT_IN_ORDER);
         testbed.live.expire(now(60.0));
-        assert_eq!(standing(&mut testbed, 60.0), GONE_WELL, "time does not make it away");
+        assert_eq!(departure_state(&mut testbed, 60.0), LEFT_IN_ORDER, "the state does not change with time");
         let host = &testbed.snapshot(60.0).hosts[0];
         assert_eq!((host.accounting.waiting, host.behind), (0, None));
     }
@@ -48,13 +48,13 @@ fn goodbye_finishes_pipelines_also_after_silence() {
         testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Running, 0), now(1.0));
         if silent {
             testbed.live.expire(now(9.0));
-            assert_eq!(standing(&mut testbed, 9.0), AWAY);
+            assert_eq!(departure_state(&mut testbed, 9.0), AWAY);
         }
         testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(10.0));
-        assert_eq!(standing(&mut testbed, 10.0), GONE_WELL);
+        assert_eq!(departure_state(&mut testbed, 10.0), LEFT_IN_ORDER);
         if !silent {
             testbed.live.expire(now(19.0));
-            assert_eq!(standing(&mut testbed, 19.0), GONE_WELL);
+            assert_eq!(departure_state(&mut testbed, 19.0), LEFT_IN_ORDER);
         }
     }
 }
@@ -65,7 +65,7 @@ fn goodbye_keeps_failed_state() {
     let failed = PipelineState::Failed("no pictures".to_owned());
     testbed.live.apply(update_in_state(&testbed, 1.0, failed.clone(), 0), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));
-    assert_eq!(standing(&mut testbed, 1.1), (false, true, failed));
+    assert_eq!(departure_state(&mut testbed, 1.1), (false, true, failed));
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn goodbye_with_waiting_events_is_not_left_in_order() {
     let mut testbed = Testbed::new();
     testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Finished, 41), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));
-    assert_eq!(standing(&mut testbed, 1.1), (false, false, PipelineState::Finished));
+    assert_eq!(departure_state(&mut testbed, 1.1), (false, false, PipelineState::Finished));
 }
 
 #[test]
@@ -85,12 +85,12 @@ fn new_process_keeps_previous_state_of_host() {
     testbed.live.apply(update_in_state(&testbed, 1.0, PipelineState::Finished, 0), now(1.0));
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(1.1));
     hello(&mut testbed, 2, 2.0);
-    assert_eq!(standing(&mut testbed, 2.0), GONE_WELL);
+    assert_eq!(departure_state(&mut testbed, 2.0), LEFT_IN_ORDER);
     testbed.live.apply(update_in_state(&testbed, 2.1, PipelineState::Running, 0), now(2.1));
-    assert_eq!(standing(&mut testbed, 2.1), (true, false, PipelineState::Running));
+    assert_eq!(departure_state(&mut testbed, 2.1), (true, false, PipelineState::Running));
     // The second process crashes; the third runs no pipeline and says goodbye.
     hello(&mut testbed, 3, 3.0);
-    assert_eq!(standing(&mut testbed, 3.0), AWAY);
+    assert_eq!(departure_state(&mut testbed, 3.0), AWAY);
     testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(3.1));
-    assert_eq!(standing(&mut testbed, 3.1).2, PipelineState::Away);
+    assert_eq!(departure_state(&mut testbed, 3.1).2, PipelineState::Away);
 }

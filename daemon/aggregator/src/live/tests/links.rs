@@ -7,8 +7,8 @@ use super::*;
 use crate::live::MAX_HOST_LINKS;
 use crate::live_state::LinkSnapshot;
 
-/// Returns a report of the second that ends `ends` seconds after the start.
-fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
+/// Returns a report of the second that ends `end_s` seconds after the start.
+fn link(peer: HostId, name: &str, end_s: f64, lost: u32) -> LinkLive {
     LinkLive {
         peer,
         peer_name: slug(name),
@@ -21,7 +21,7 @@ fn link(peer: HostId, name: &str, ends: f64, lost: u32) -> LinkLive {
         now: ClockSample {
             peer,
             peer_name: slug(name),
-            at: wall(ends),
+            at: wall(end_s),
             window: 7,
             max_drift_ppm: 50.0,
             upper: None,
@@ -72,18 +72,18 @@ fn repeated_report_replaces_point_and_history_is_bounded() {
 #[test]
 fn links_are_disconnected_with_edge_or_when_unreported() {
     let mut testbed = Testbed::new();
-    let (one, two) = (HostId::random(), HostId::random());
-    report(&mut testbed, 0.5, vec![link(two, "b", 1.0, 0), link(one, "a", 1.0, 0)]);
+    let (first_cloud, second_cloud) = (HostId::random(), HostId::random());
+    report(&mut testbed, 0.5, vec![link(second_cloud, "b", 1.0, 0), link(first_cloud, "a", 1.0, 0)]);
     let names = |snapshot: &LiveState| {
         let name = |link: &Arc<LinkSnapshot>| (link.live.peer_name.to_string(), link.connected);
         snapshot.links.iter().map(name).collect::<Vec<_>>()
     };
     assert_eq!(names(&testbed.snapshot(0.6)), [("a".to_owned(), true), ("b".to_owned(), true)]);
-    report(&mut testbed, 1.5, vec![link(one, "a", 2.0, 0)]);
+    report(&mut testbed, 1.5, vec![link(first_cloud, "a", 2.0, 0)]);
     assert_eq!(names(&testbed.snapshot(1.6)), [("a".to_owned(), true), ("b".to_owned(), false)]);
     assert!(testbed.live.expire(now(6.0)));
     assert_eq!(names(&testbed.snapshot(6.0)), [("a".to_owned(), false), ("b".to_owned(), false)]);
-    report(&mut testbed, 7.5, vec![link(one, "c", 8.0, 0), link(two, "b", 8.0, 0)]);
+    report(&mut testbed, 7.5, vec![link(first_cloud, "c", 8.0, 0), link(second_cloud, "b", 8.0, 0)]);
     assert_eq!(names(&testbed.snapshot(7.6)), [("b".to_owned(), true), ("c".to_owned(), true)]);
     assert_eq!(seconds(&testbed.snapshot(7.6).links[1]), [(1, 0), (2, 0), (8, 0)]);
     assert!(testbed.live.apply(LiveEvent::Goodbye(testbed.host), now(8.0)));
@@ -110,20 +110,20 @@ fn clock_set_back_keeps_earlier_link_history() {
 #[test]
 fn two_networks_of_one_pair_are_two_links() {
     let (mut testbed, cloud) = (Testbed::new(), HostId::random());
-    let over = |network: &str, lost| {
+    let link_over = |network: &str, lost| {
         let network: NetworkName = network.parse().expect("a name");
         let mut link = link(cloud, "cloud", 1.0, lost);
         link.now.network = network;
         link
     };
-    report(&mut testbed, 0.5, vec![over("zmq-udp", 3), over("zmq-tcp", 1)]);
-    report(&mut testbed, 0.6, vec![over("zmq-udp", 4)]);
+    report(&mut testbed, 0.5, vec![link_over("zmq-udp", 3), link_over("zmq-tcp", 1)]);
+    report(&mut testbed, 0.6, vec![link_over("zmq-udp", 4)]);
     let snapshot = testbed.snapshot(0.6);
     let shown = snapshot.links.iter().map(|link| {
         (link.live.network().to_string(), link.live.peer, link.live.now.probes.lost, link.connected)
     });
     let expected = [("zmq-tcp".to_owned(), cloud, 1, false), ("zmq-udp".to_owned(), cloud, 4, true)];
-    assert_eq!(shown.collect::<Vec<_>>(), expected, "each with its own figures");
+    assert_eq!(shown.collect::<Vec<_>>(), expected, "each link has its own counts");
 }
 
 #[test]
@@ -138,12 +138,12 @@ fn excess_links_and_texts_are_cut_and_counted() {
         faults: Some(ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps, since: wall(0.0) }),
         ..HostClock::default()
     };
-    let greedy = &mut links[0];
-    greedy.networks = vec![long.clone(); 1_000];
-    greedy.pipelines = vec![slug("line"); 1_000];
-    greedy.probing = Probing::On { address: long.clone(), rate_hz: f64::NAN, stamps: long };
-    (greedy.edge, greedy.cloud) = (Some(clock.clone()), Some(clock.clone()));
-    let peer = greedy.peer;
+    let oversized = &mut links[0];
+    oversized.networks = vec![long.clone(); 1_000];
+    oversized.pipelines = vec![slug("line"); 1_000];
+    oversized.probing = Probing::On { address: long.clone(), rate_hz: f64::NAN, stamps: long };
+    (oversized.edge, oversized.cloud) = (Some(clock.clone()), Some(clock.clone()));
+    let peer = oversized.peer;
     let LiveEvent::Update(mut event) = update(testbed.host, wall(0.5), vec![]) else { panic!("an update") };
     (event.links, event.clock) = (links, clock);
     testbed.live.apply(LiveEvent::Update(event), now(0.5));
@@ -161,14 +161,14 @@ fn excess_links_and_texts_are_cut_and_counted() {
 fn impossible_clock_values_are_not_shown() {
     let mut testbed = Testbed::new();
     let interval = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
-    let wild = |second: i64| {
+    let link_with_extreme_time = |second: i64| {
         let mut link = link(HostId::random(), "cloud", 1.0, 0);
         link.now.at = WallTime::from_unix_nanos(second);
         link
     };
-    let mut links: Vec<LinkLive> = [i64::MIN, i64::MAX, 0].map(wild).into();
-    let mut turned = link(HostId::random(), "turned", 1.0, 0);
-    turned.now.offset = Some(Offset {
+    let mut links: Vec<LinkLive> = [i64::MIN, i64::MAX, 0].map(link_with_extreme_time).into();
+    let mut inverted = link(HostId::random(), "turned", 1.0, 0);
+    inverted.now.offset = Some(Offset {
         at: wall(1.0),
         estimate: Span::ZERO,
         bounds: interval(1, -1),
@@ -180,14 +180,14 @@ fn impossible_clock_values_are_not_shown() {
         age: None,
     });
     let median = DelayPoint { value: Span::from_millis(-1), bounds: interval(-2, 0), bits_per_second: None };
-    turned.now.up = Some(DelaySecond { count: 1, median: Some(median), verdict: Verdict::Ok });
+    inverted.now.up = Some(DelaySecond { count: 1, median: Some(median), verdict: Verdict::Ok });
     let mut crowded = link(HostId::random(), "crowded", 1.0, 0);
-    crowded.now.offset = turned.now.offset.clone().map(|offset| Offset {
+    crowded.now.offset = inverted.now.offset.clone().map(|offset| Offset {
         bounds: interval(-1, 1),
         sources: vec![(DelaySource::InBand, interval(-1, 1)); 1_000],
         ..offset
     });
-    links.extend([turned, crowded]);
+    links.extend([inverted, crowded]);
     report(&mut testbed, 0.5, links);
     let snapshot = testbed.snapshot(0.5);
     let shown = |name: &str| {

@@ -132,26 +132,27 @@ impl Testbed {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(32))]
     #[test]
-    fn windows_match_exact_figures(
-        totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90), under_way in 0.0_f64..0.99,
+    fn windows_match_exact_statistics(
+        totals in prop::collection::vec(prop::collection::vec(0.001_f64..0.1, 0..8), 1..90),
+        elapsed_share in 0.0_f64..0.99,
     ) {
         let mut testbed = Testbed::new();
         for (at, totals) in totals.iter().enumerate() {
             // Each second is reported twice, growing: the second report replaces the first.
-            let half = &totals[..totals.len() / 2];
-            testbed.send(at as f64 + under_way / 2.0, vec![second(at as i64, half, 0)]);
-            testbed.send(at as f64 + under_way, vec![second(at as i64, totals, 1)]);
+            let first_half = &totals[..totals.len() / 2];
+            testbed.send(at as f64 + elapsed_share / 2.0, vec![second(at as i64, first_half, 0)]);
+            testbed.send(at as f64 + elapsed_share, vec![second(at as i64, totals, 1)]);
         }
         let end = totals.len() - 1;
-        let snapshot = testbed.snapshot(end as f64 + under_way);
+        let snapshot = testbed.snapshot(end as f64 + elapsed_share);
         for (window, seconds) in snapshot.pipelines[0].windows.iter().zip([1, 10, 60]) {
-            let within = &totals[end.saturating_sub(seconds)..];
-            let mut exact: Vec<f64> = within.iter().flatten().copied().collect();
+            let covered_totals = &totals[end.saturating_sub(seconds)..];
+            let mut exact: Vec<f64> = covered_totals.iter().flatten().copied().collect();
             exact.sort_by(f64::total_cmp);
             prop_assert_eq!(window.seconds as usize, seconds);
-            let covered = (seconds.min(end) as f64 + under_way).max(1.0);
+            let covered = (seconds.min(end) as f64 + elapsed_share).max(1.0);
             prop_assert!((window.covered_s - covered).abs() < 1e-6);
-            prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, within.len() as u64));
+            prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, covered_totals.len() as u64));
             prop_assert!((window.rate_hz - window.counts.total() as f64 / window.covered_s).abs() < 1e-9);
             let Some(figures) = window.value("total") else {
                 prop_assert!(exact.is_empty());
@@ -172,7 +173,7 @@ proptest! {
 #[test]
 fn late_and_unanswered_iterations_miss_their_deadline() {
     let mut testbed = Testbed::new();
-    let missed = |at: i64, totals: &[f64], lost: u64, flags: &[f64]| {
+    let second_with_deadline = |at: i64, totals: &[f64], lost: u64, flags: &[f64]| {
         let mut summary = Summary::default();
         flags.iter().for_each(|flag| summary.record(*flag));
         let mut second = second(at, totals, lost);
@@ -180,15 +181,19 @@ fn late_and_unanswered_iterations_miss_their_deadline() {
         second
     };
     testbed.send(0.9, vec![second(0, &[0.1; 4], 1)]);
-    assert_eq!(testbed.snapshot(0.9).pipelines[0].windows[0].miss_rate, None, "without a deadline");
-    testbed.send(9.9, vec![missed(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
-    testbed.send(10.5, vec![missed(10, &[], 3, &[])]);
+    assert_eq!(
+        testbed.snapshot(0.9).pipelines[0].windows[0].miss_rate,
+        None,
+        "no miss rate without a deadline"
+    );
+    testbed.send(9.9, vec![second_with_deadline(9, &[0.1; 3], 0, &[0.0, 1.0, 0.0])]);
+    testbed.send(10.5, vec![second_with_deadline(10, &[], 3, &[])]);
     let rates = |testbed: &mut Testbed, at| {
         testbed.snapshot(at).pipelines[0].windows.each_ref().map(|window| window.miss_rate)
     };
     assert_eq!(rates(&mut testbed, 10.5)[0], Some(4.0 / 6.0));
-    testbed.send(12.5, vec![missed(12, &[], 2, &[])]);
-    assert_eq!(rates(&mut testbed, 12.5)[0], Some(1.0), "no answer at all");
+    testbed.send(12.5, vec![second_with_deadline(12, &[], 2, &[])]);
+    assert_eq!(rates(&mut testbed, 12.5)[0], Some(1.0), "all iterations were lost");
 }
 
 #[test]
@@ -215,7 +220,7 @@ fn silent_pipeline_empties_windows_and_disconnects_host() {
     assert_eq!(windows.each_ref().map(|window| window.counts.ok), [0, 100, 100]);
     assert!(windows[0].lost_fraction.is_none() && windows[0].rate_hz == 0.0);
     assert!(!snapshot.hosts[0].connected);
-    assert_eq!(snapshot.pipelines[0].state, PipelineState::Away, "not claimed to be running");
+    assert_eq!(snapshot.pipelines[0].state, PipelineState::Away, "its activity is unknown");
     assert_eq!(snapshot.hosts[0].last_seen, wall(0.5));
     assert!(testbed.live.expire(now(100.0)));
     assert_eq!(testbed.snapshot(100.0).pipelines[0].windows[2].counts.ok, 0);
@@ -262,7 +267,7 @@ fn clock_set_back_does_not_count_seconds_twice() {
     let pipeline = &snapshot.pipelines[0];
     assert_eq!(pipeline.series.iter().map(|second| second.at).max(), Some(START + 16));
     assert_eq!(pipeline.windows.each_ref().map(|window| window.counts.ok), [10, 55, 85]);
-    assert_eq!(pipeline.series.len(), 17, "what was before that time stays");
+    assert_eq!(pipeline.series.len(), 17, "seconds before that time are kept");
 }
 
 #[test]
@@ -290,7 +295,11 @@ fn excess_pipelines_and_names_are_cut_and_counted() {
     testbed.live.apply(update(testbed.host, wall(0.5), pipelines), now(0.5));
     let snapshot = testbed.snapshot(0.5);
     assert_eq!(snapshot.pipelines.len(), MAX_HOST_PIPELINES);
-    let wide = snapshot.pipelines.iter().find(|known| known.pipeline.as_str() == "wide").expect("first");
+    let wide = snapshot
+        .pipelines
+        .iter()
+        .find(|pipeline| pipeline.pipeline.as_str() == "wide")
+        .expect("the first pipeline");
     assert_eq!(wide.windows[0].values.len(), MAX_NAMES);
     assert_eq!(snapshot.hosts[0].live_left_out, 1_000 - MAX_NAMES as u64 + 1_001 - MAX_HOST_PIPELINES as u64);
 }
@@ -313,7 +322,7 @@ fn unchanged_snapshots_are_shared() {
 }
 
 #[test]
-fn a_run_gets_its_number_when_the_store_knows_it() {
+fn run_gets_its_number_from_store_event() {
     let mut testbed = Testbed::new();
     let run = RunId::random();
     let mut line = pipeline("line", vec![]);
@@ -416,10 +425,10 @@ fn refused_host_is_shown_once_for_ten_minutes() {
 #[test]
 fn host_without_stored_events_is_removed_early() {
     let mut live = LiveTracker::new(slug("base"), "tcp://127.0.0.1:1".into(), Span::from_seconds(86_400));
-    let (known, stranger) = (HostId::random(), HostId::random());
+    let (stored_host, stranger) = (HostId::random(), HostId::random());
     let stored = StoredCounts { events: 7, nodes: 70, ..StoredCounts::default() };
-    assert!(!live.apply(LiveEvent::Stored(known, stored, None), now(0.0)));
-    live.apply(LiveEvent::Hello(Box::new(description(known, "known")), 1), now(1.0));
+    assert!(!live.apply(LiveEvent::Stored(stored_host, stored, None), now(0.0)));
+    live.apply(LiveEvent::Hello(Box::new(description(stored_host, "known")), 1), now(1.0));
     live.apply(LiveEvent::Hello(Box::new(description(stranger, "stranger")), 1), now(1.0));
     let snapshot = live.snapshot(now(1.0));
     assert_eq!(snapshot.hosts.iter().map(|host| host.stored.events).collect::<Vec<_>>(), [7, 0]);
@@ -427,5 +436,5 @@ fn host_without_stored_events_is_removed_early() {
     assert_eq!(live.snapshot(now(600.0)).hosts.len(), 2);
     assert!(live.expire(now(602.0)));
     let snapshot = live.snapshot(now(602.0));
-    assert_eq!(snapshot.hosts.iter().map(|host| host.id).collect::<Vec<_>>(), [known]);
+    assert_eq!(snapshot.hosts.iter().map(|host| host.id).collect::<Vec<_>>(), [stored_host]);
 }

@@ -29,27 +29,34 @@ fn percentile_covers_all_iterations_of_its_bucket() {
     let mut seconds: Vec<Vec<f64>> =
         (0..60).map(|at| (0..8).map(|n| 0.009 + 1e-4 * f64::from((7 * at + 5 * n) % 40)).collect()).collect();
     seconds[25][3] = 1.4;
-    let found = series(&seconds);
-    assert_eq!(found.bucket_s, Some(10), "80 iterations; 5 s would hold 40");
+    let series_of_percentiles = series(&seconds);
+    assert_eq!(series_of_percentiles.bucket_s, Some(10), "80 iterations; 5 s would hold 40");
     assert_eq!(START.rem_euclid(10), 0);
-    assert_eq!(found.points.len(), 6);
-    for (bucket, point) in found.points.iter().enumerate() {
-        let held: Vec<f64> = seconds[10 * bucket..10 * bucket + 10].concat();
+    assert_eq!(series_of_percentiles.points.len(), 6);
+    for (bucket, point) in series_of_percentiles.points.iter().enumerate() {
+        let bucket_totals: Vec<f64> = seconds[10 * bucket..10 * bucket + 10].concat();
         assert_eq!((point.at, point.count), (START + 10 * bucket as i64, 80));
-        let exact = exact_p95(held);
+        let exact = exact_p95(bucket_totals);
         assert!((point.p95 - exact).abs() <= 0.0101 * exact, "{point:?}, but {exact}");
-        assert!(point.p95 < 0.014, "one iteration of 80 is no 95th percentile: {point:?}");
+        assert!(
+            point.p95 < 0.014,
+            "one slow iteration of 80 must not determine the 95th percentile: {point:?}"
+        );
     }
 }
 
 #[test]
-fn slow_pipeline_gets_buckets_that_hold_sixty_iterations() {
-    let bucket = |every: usize, each: usize| {
-        let seconds: Vec<Vec<f64>> =
-            (0..600).map(|at| if at % every == 0 { vec![0.010; each] } else { Vec::new() }).collect();
-        let found = series(&seconds);
-        assert!(found.points.iter().all(|point| point.count >= 60), "{found:?}");
-        (found.bucket_s, found.points.len())
+fn buckets_of_slow_pipeline_hold_sixty_iterations() {
+    let bucket = |interval_s: usize, iterations_per_second: usize| {
+        let seconds: Vec<Vec<f64>> = (0..600)
+            .map(|at| if at % interval_s == 0 { vec![0.010; iterations_per_second] } else { Vec::new() })
+            .collect();
+        let series_of_percentiles = series(&seconds);
+        assert!(
+            series_of_percentiles.points.iter().all(|point| point.count >= 60),
+            "{series_of_percentiles:?}"
+        );
+        (series_of_percentiles.bucket_s, series_of_percentiles.points.len())
     };
     assert_eq!(bucket(1, 100), (Some(1), 600));
     assert_eq!(bucket(1, 30), (Some(5), 120), "2 s would hold 60, or 59 by chance");
@@ -84,7 +91,7 @@ fn incomplete_bucket_has_percentile_from_sixty_iterations() {
 }
 
 #[test]
-fn percentiles_follow_a_clock_that_is_set_back() {
+fn percentiles_follow_clock_that_is_set_back() {
     let mut testbed = Testbed::new();
     for at in 0..40 {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
@@ -101,7 +108,7 @@ fn percentiles_follow_a_clock_that_is_set_back() {
 }
 
 #[test]
-fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
+fn pause_of_pipeline_does_not_lengthen_buckets() {
     let mut seconds: Vec<Vec<f64>> = vec![vec![0.010; 8]; 100];
     let mut testbed = Testbed::new();
     seconds.extend(vec![vec![0.010; 8]; 100]);
@@ -109,28 +116,28 @@ fn pause_of_a_pipeline_does_not_lengthen_its_buckets() {
         let at = if at < 100 { at } else { at + 300 };
         testbed.send(at as f64 + 0.99, vec![second(at as i64, totals, 0)]);
     }
-    let found = testbed.snapshot(500.0).pipelines[0].total_p95.clone();
-    assert_eq!((found.bucket_s, found.points.len()), (Some(10), 20));
+    let series_of_percentiles = testbed.snapshot(500.0).pipelines[0].total_p95.clone();
+    assert_eq!((series_of_percentiles.bucket_s, series_of_percentiles.points.len()), (Some(10), 20));
 }
 
 #[test]
-fn speed_while_sending_adds_up_bytes_and_times() {
+fn transfer_speed_is_total_bytes_by_total_time() {
     // Nine messages of 10 kB in 20 µs and one of 122 kB in 3.58 ms.
     let messages = [vec![(10_000.0, 20e-6); 9], vec![(122_000.0, 3.58e-3)]].concat();
-    let summary = |of: fn(&(f64, f64)) -> f64| {
+    let summary = |value_of: fn(&(f64, f64)) -> f64| {
         let mut summary = Summary::default();
-        messages.iter().for_each(|message| summary.record(of(message)));
+        messages.iter().for_each(|message| summary.record(value_of(message)));
         summary
     };
     let ratios = summary(|(bytes, seconds)| 8.0 * bytes / seconds);
-    let mut sent = second(0, &[], 0);
-    sent.values = vec![
+    let mut second_with_transfers = second(0, &[], 0);
+    second_with_transfers.values = vec![
         (stage::UPLOAD, summary(|(_, seconds)| *seconds)),
         (stage::UPLOAD_BYTES, summary(|(bytes, _)| *bytes)),
         (stage::UPLOAD_THROUGHPUT, ratios),
     ];
     let mut testbed = Testbed::new();
-    testbed.send(0.99, vec![sent]);
+    testbed.send(0.99, vec![second_with_transfers]);
     let pipeline = &testbed.snapshot(1.0).pipelines[0];
     let exact = 8.0 * 212_000.0 / 3.76e-3;
     for transfers in [pipeline.windows[1].transfers, pipeline.series[0].transfers] {
@@ -139,7 +146,7 @@ fn speed_while_sending_adds_up_bytes_and_times() {
         assert!((up.bytes - 212_000.0).abs() < 1e-6 && transfers.down.is_none(), "{up:?}");
     }
     let ratios = pipeline.windows[1].value("upload-throughput").expect("reported").mean;
-    assert!(ratios > 8.0 * exact, "the mean of ratios is another figure: {ratios}");
+    assert!(ratios > 8.0 * exact, "the mean of the ratios differs: {ratios}");
 }
 
 #[test]

@@ -29,26 +29,30 @@ const ROLLUPS: &str = "SELECT width.column1 AS resolution_s, \
 const OPEN_RUNS: &str = "SELECT run.number, pipeline.name AS pipeline, host.name AS host, host.last_seen_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host \
      WHERE run.ended_ns IS NULL AND host.last_seen_ns < ?1 ORDER BY run.number LIMIT 1000";
-/// Estimates the iterations and nodes that are stored: per run from its first number to its last, at most as many as were
-/// counted, each with the average nodes of the newest 20. It takes a few lookups per run.
-const STORED: &str = "WITH kept AS ( \
+/// Estimates the numbers of stored iterations and nodes with a few lookups per run. The number of iterations of a run is the range
+/// from the first stored number to the last, but at most the run's counter. The number of nodes per iteration is the average of
+/// the newest 20 iterations.
+const STORED_ROWS: &str = "WITH kept AS ( \
        SELECT number AS run, ok + failed + lost + timeout + warm_up AS counted, \
          (SELECT min(iteration.number) FROM iteration WHERE iteration.run = run.number) AS oldest, \
          (SELECT max(iteration.number) FROM iteration WHERE iteration.run = run.number) AS newest FROM run \
      ), sampled AS ( \
        SELECT min(newest - oldest + 1, counted) AS iterations, \
-         (SELECT count(*) FROM iteration WHERE iteration.run = kept.run AND number > newest - 20) AS some, \
+         (SELECT count(*) FROM iteration WHERE iteration.run = kept.run AND number > newest - 20) AS sample, \
          (SELECT count(*) FROM node WHERE node.run = kept.run AND iteration > newest - 20) AS nodes \
        FROM kept WHERE newest IS NOT NULL \
-     ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / some), 0) FROM sampled";
-const TRIMMED: &str = "SELECT what, count FROM retention_note";
-/// The last deletion.
-const DELETED: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
+     ) SELECT coalesce(sum(iterations), 0), coalesce(sum(iterations * nodes / sample), 0) FROM sampled";
+/// Rows that retention deleted before the end of their period.
+const EARLY_DELETIONS: &str = "SELECT what, count FROM retention_note";
+/// Time and text of the last deletion by retention.
+const LAST_DELETION: &str = "SELECT strftime('%Y-%m-%d %H:%M:%S', at_ns / 1000000000, 'unixepoch'), text FROM incident INDEXED BY incident_of_aggregator \
      WHERE host IS NULL AND kind = 'retention' ORDER BY id DESC LIMIT 1";
+/// Runs whose roll-ups are still to be computed.
 const DEBTS: &str = "SELECT count(*) FROM rollup_debt";
 
+/// Reads the facts into the report, and adds findings.
 pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection, now: WallTime) {
-    tables(report, connection).await;
+    count_rows(report, connection).await;
     let answer = sqlx::query_as(STREAMS).fetch_all(&mut *connection).await;
     report.streams = report.value_or_problem("the streams", answer);
     let answer = sqlx::query_as(GAPS).fetch_all(&mut *connection).await;
@@ -61,11 +65,12 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
         sqlx::query_as(OPEN_RUNS).bind((now - SILENCE_LIMIT).unix_nanos()).fetch_all(&mut *connection).await;
     let open: Vec<OpenRun> = report.value_or_problem("the open runs", answer);
     report.open_runs = open;
-    let answer = sqlx::query_as(TRIMMED).fetch_all(&mut *connection).await;
-    let trimmed: Vec<(String, i64)> = report.value_or_problem("what retention did", answer);
-    let answer = sqlx::query_as(DELETED).fetch_optional(&mut *connection).await;
-    let deleted: Option<(String, String)> = report.value_or_problem("what retention deleted last", answer);
-    if let Some((at, text)) = deleted {
+    let answer = sqlx::query_as(EARLY_DELETIONS).fetch_all(&mut *connection).await;
+    let early_deletions: Vec<(String, i64)> = report.value_or_problem("what retention did", answer);
+    let answer = sqlx::query_as(LAST_DELETION).fetch_optional(&mut *connection).await;
+    let last_deletion: Option<(String, String)> =
+        report.value_or_problem("what retention deleted last", answer);
+    if let Some((at, text)) = last_deletion {
         report.notice(
             format!("retention {text}, within an hour from {at} UTC"),
             "no action is needed if this is intended; otherwise change [aggregator.retention], or pin runs that must stay",
@@ -73,27 +78,28 @@ pub(super) async fn read(report: &mut Report, connection: &mut SqliteConnection,
     }
     let answer = sqlx::query_scalar(DEBTS).fetch_one(connection).await;
     let debts: i64 = report.value_or_problem("what is left of the last update", answer);
-    judge(report, &trimmed, debts);
+    add_findings(report, &early_deletions, debts);
 }
 
-async fn tables(report: &mut Report, connection: &mut SqliteConnection) {
+/// Reads the number of rows of each table.
+async fn count_rows(report: &mut Report, connection: &mut SqliteConnection) {
     for table in COUNTED_TABLES {
         let statement = format!("SELECT count(*) FROM {table}");
         let answer = sqlx::query_scalar(AssertSqlSafe(statement)).fetch_one(&mut *connection).await;
         let rows: i64 = report.value_or_problem(&format!("the table {table}"), answer);
         report.tables.push(TableRows { table, rows: count(rows), estimated: false });
     }
-    let answer = sqlx::query_as(STORED).fetch_one(connection).await;
+    let answer = sqlx::query_as(STORED_ROWS).fetch_one(connection).await;
     let (iterations, nodes): (i64, i64) = report.value_or_problem("the iterations", answer);
     for (table, rows) in [("iteration", iterations), ("node", nodes)] {
         report.tables.push(TableRows { table, rows: count(rows), estimated: true });
     }
 }
 
-/// Adds findings for what needs attention.
-fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
+/// Adds findings for facts that need attention.
+fn add_findings(report: &mut Report, early_deletions: &[(String, i64)], debts: i64) {
     let gaps: i64 = report.gaps.iter().map(|group| group.gaps).sum();
-    // A host may have claimed any number.
+    // A host may have reported any number of lost events.
     let events = report.gaps.iter().fold(0_i64, |events, group| events.saturating_add(group.events));
     if gaps > 0 {
         report.notice(
@@ -116,7 +122,7 @@ fn judge(report: &mut Report, trimmed: &[(String, i64)], debts: i64) {
         );
         report.notice(what, "restart the agents: they end their runs and send the events in their spools");
     }
-    for (what, rows) in trimmed {
+    for (what, rows) in early_deletions {
         report.notice(
             format!("retention deleted {rows} rows before the end of their period ({what})"),
             "raise [aggregator.retention] size_limit_bytes, or shorten the periods",

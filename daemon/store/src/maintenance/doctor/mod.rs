@@ -54,7 +54,8 @@ pub enum DoctorError {
 /// Settings of an examination.
 #[derive(Clone, Copy, Debug)]
 pub struct Examination {
-    /// `true` if indexes are also compared with their tables and references followed: it takes several times as long.
+    /// `true` if indexes are also compared with their tables, and references between tables are checked. This takes several times as
+    /// long.
     pub full: bool,
     /// Present time of this machine's wall clock.
     pub now: WallTime,
@@ -64,7 +65,7 @@ pub struct Examination {
 ///
 /// # Errors
 /// When there is no such file or it cannot be opened. Errors within the file are part of the report.
-pub async fn examine(database: &Path, how: Examination) -> Result<Report, DoctorError> {
+pub async fn examine(database: &Path, settings: Examination) -> Result<Report, DoctorError> {
     if !database.is_file() {
         return Err(DoctorError::Missing(database.to_owned()));
     }
@@ -73,31 +74,32 @@ pub async fn examine(database: &Path, how: Examination) -> Result<Report, Doctor
         source: DatabaseError::new(error),
     };
     let mut report = Report { database: database.to_owned(), ..Report::default() };
-    // This also has to come before SQLite opens the file.
+    // The file is read without SQLite before SQLite opens the file: see `PageFile::open`.
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
-    // This has to come before SQLite opens the file: see `PageFile`.
     refuse_foreign_log_at(database)?;
     report.find_malformed_pages(database);
-    let opened = async {
+    let opening = async {
         let mut connection = read_only_options(database).connect().await?;
-        let contents = FileKind::detect(&mut connection).await?;
-        Ok((connection, contents))
+        let kind = FileKind::detect(&mut connection).await?;
+        Ok((connection, kind))
     };
-    match opened.await {
+    match opening.await {
         Ok((mut connection, FileKind::Database)) => {
             report.check_sizes(&mut connection, database).await;
-            report.check_integrity(&mut connection, how.full || !report.malformed_pages.is_empty()).await;
+            report
+                .check_integrity(&mut connection, settings.full || !report.malformed_pages.is_empty())
+                .await;
             report.report_recorded_damage(database);
             if report.has_current_schema(&mut connection).await {
-                contents::read(&mut report, &mut connection, how.now).await;
+                contents::read(&mut report, &mut connection, settings.now).await;
             }
             let _ = connection.close().await;
         }
-        Ok((mut connection, contents)) => {
+        Ok((mut connection, kind)) => {
             report.check_sizes(&mut connection, database).await;
-            let what = contents.other_kind().unwrap_or_default();
-            let advice = if contents == FileKind::Spool {
+            let what = kind.other_kind().unwrap_or_default();
+            let advice = if kind == FileKind::Spool {
                 "look at it with `peernetd doctor --spool FILE`"
             } else {
                 "name the file of [aggregator] database"
@@ -133,7 +135,7 @@ impl Report {
         self.findings.push(Finding { severity: Severity::Notice, what, advice: advice.to_owned() });
     }
 
-    /// Returns the value of an answer. For a failed query, adds a problem and returns the default value.
+    /// Returns the value of an answer. If the query failed, adds a problem and returns the default value.
     fn value_or_problem<T: Default>(&mut self, what: &str, answer: Result<T, sqlx::Error>) -> T {
         answer.unwrap_or_else(|error| {
             if is_damage(&error) {
@@ -187,7 +189,7 @@ impl Report {
         }
     }
 
-    /// Looks for malformed pages without SQLite, which alone knows whether such a page is in use.
+    /// Looks for malformed pages without SQLite. Whether such a page is in use, only SQLite's own check can tell.
     fn find_malformed_pages(&mut self, database: &Path) {
         match PageCheck::find_malformed(database) {
             Ok(pages) => self.malformed_pages = pages,
@@ -210,26 +212,26 @@ impl Report {
         }
     }
 
-    /// Runs SQLite's own checks: the quick one, and the full one if it is wanted and the quick one found nothing.
+    /// Runs SQLite's own checks: the quick check, and the full check if `full` is `true` and the quick check found nothing.
     async fn check_integrity(&mut self, connection: &mut SqliteConnection, full: bool) {
         self.integrity.full = full;
-        // The second takes several times as long, and finds no more than the first in damaged trees.
-        let before = self.findings.len();
+        // The full check takes several times as long, and finds no more than the quick check in damaged trees.
+        let earlier_findings = self.findings.len();
         for pragma in [Some("PRAGMA quick_check(100)"), full.then_some("PRAGMA integrity_check(100)")] {
-            let unharmed = self.integrity.problems.is_empty() && self.findings.len() == before;
-            let Some(pragma) = pragma.filter(|_| unharmed) else { continue };
+            let is_undamaged = self.integrity.problems.is_empty() && self.findings.len() == earlier_findings;
+            let Some(pragma) = pragma.filter(|_| is_undamaged) else { continue };
             let answer: Result<Vec<String>, _> =
                 sqlx::query_scalar(AssertSqlSafe(pragma)).fetch_all(&mut *connection).await;
-            let said = self.value_or_problem("the whole file", answer);
-            self.integrity.problems = said.into_iter().filter(|line| line != "ok").collect();
+            let lines = self.value_or_problem("the whole file", answer);
+            self.integrity.problems = lines.into_iter().filter(|line| line != "ok").collect();
         }
-        if full && self.findings.len() == before {
+        if full && self.findings.len() == earlier_findings {
             let answer = sqlx::query_as(
                 "SELECT \"table\", parent, count(*) FROM pragma_foreign_key_check GROUP BY 1, 2",
             );
             let answer: Result<Vec<(String, String, i64)>, _> = answer.fetch_all(connection).await;
-            let lost = self.value_or_problem("references between tables", answer);
-            let lines = lost.into_iter().map(|(table, parent, rows)| {
+            let broken_references = self.value_or_problem("references between tables", answer);
+            let lines = broken_references.into_iter().map(|(table, parent, rows)| {
                 format!("{rows} rows of {table} refer to rows of {parent} that do not exist")
             });
             self.integrity.problems.extend(lines);
@@ -241,7 +243,7 @@ impl Report {
             };
             self.problem(what, self.remedy());
         }
-        if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > before) {
+        if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > earlier_findings) {
             let what =
                 format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());
             self.problem(what, self.remedy());
@@ -253,8 +255,8 @@ impl Report {
         let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
         let answer = sqlx::query_as("SELECT max(version), min(success) FROM _sqlx_migrations");
         let answer: Result<(Option<i64>, Option<bool>), _> = answer.fetch_one(connection).await;
-        let (found, whole) = match answer {
-            Ok((Some(found), whole)) => (found, whole != Some(false)),
+        let (found, is_complete) = match answer {
+            Ok((Some(found), success)) => (found, success != Some(false)),
             Err(error) if is_damage(&error) => {
                 self.problem(
                     format!("it is damaged: cannot read which version wrote it: {error}"),
@@ -271,7 +273,7 @@ impl Report {
             }
         };
         self.schema = Some(Schema { found, known: supported });
-        if !whole {
+        if !is_complete {
             let what = format!("bringing its schema up to {found} was interrupted");
             self.problem(what, "restore the backup from before the update");
         } else if found > supported {
@@ -284,6 +286,6 @@ impl Report {
                 format!("an older version wrote it (its schema is {found}, this program's is {supported})");
             self.notice(what, "make a backup; the aggregator updates the schema at its next start, and the content can be examined after that");
         }
-        whole && found == supported
+        is_complete && found == supported
     }
 }

@@ -36,8 +36,8 @@ pub struct Report {
     pub schema: Option<Schema>,
     /// Result of SQLite's own check of the file.
     pub integrity: Integrity,
-    /// Numbers of malformed pages; the first page of the file is 1. One that is not in use does no harm: `integrity` shows whether
-    /// any is in use.
+    /// Numbers of malformed pages; the first page of the file is 1. A malformed page that is not in use does no harm: `integrity`
+    /// shows whether any of them is in use.
     pub malformed_pages: Vec<u32>,
     /// Rows per table.
     pub tables: Vec<TableRows>,
@@ -82,7 +82,7 @@ pub struct Schema {
 pub struct Integrity {
     /// `true` if indexes were compared with their tables, too.
     pub full: bool,
-    /// Errors that it found, at most 100.
+    /// Errors that the check found, at most 100.
     pub problems: Vec<String>,
     /// `true` if rows can be found, so that a repair can salvage some.
     #[serde(skip)]
@@ -103,15 +103,15 @@ pub struct TableRows {
 /// One stream of batches.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct StreamState {
-    /// Name of the host; `None` if it never introduced itself.
+    /// Name of the host; `None` if the host never introduced itself.
     pub host: Option<String>,
     /// The stream's id.
     pub stream: String,
     /// Number up to which all batches are stored.
     pub stored: i64,
-    /// The stream that it continues.
+    /// The stream that this stream continues.
     pub previous: Option<String>,
-    /// Time when something of it was stored last, on the aggregator's clock.
+    /// Time when a part of the stream was stored last, on the aggregator's clock.
     pub last_seen_ns: i64,
 }
 
@@ -128,9 +128,9 @@ pub struct GapGroup {
     pub events: i64,
     /// Number of gaps whose events could not be counted.
     pub uncounted: i64,
-    /// Time when the first was dropped, on the host's clock.
+    /// Time when the first event was dropped, on the host's clock.
     pub from_ns: i64,
-    /// Time when the last was dropped.
+    /// Time when the last event was dropped, on the host's clock.
     pub to_ns: i64,
 }
 
@@ -143,7 +143,7 @@ pub struct QuarantineGroup {
     pub reason: String,
     /// Number of batches.
     pub batches: i64,
-    /// Time when the last one arrived, on the aggregator's clock.
+    /// Time when the last batch arrived, on the aggregator's clock.
     pub last_ns: i64,
 }
 
@@ -152,7 +152,7 @@ pub struct QuarantineGroup {
 pub struct RollupExtent {
     /// Width of the buckets, seconds.
     pub resolution_s: i64,
-    /// Start of the oldest bucket, on the clocks of the edges; `None` if there are none.
+    /// Start of the oldest bucket, on the clocks of the edges; `None` if there are no buckets.
     pub oldest_s: Option<i64>,
     /// Start of the newest bucket.
     pub newest_s: Option<i64>,
@@ -161,12 +161,12 @@ pub struct RollupExtent {
 /// A run without an end.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, sqlx::FromRow)]
 pub struct OpenRun {
-    /// Its number.
+    /// Number of the run.
     pub number: i64,
-    /// Its pipeline.
+    /// Name of the run's pipeline.
     pub pipeline: String,
-    /// Name of its host.
+    /// Name of the run's host.
     pub host: Option<String>,
-    /// Time when its host was seen last, on the aggregator's clock.
+    /// Time when the host was seen last, on the aggregator's clock.
     pub last_seen_ns: i64,
 }

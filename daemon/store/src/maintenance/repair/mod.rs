@@ -1,8 +1,8 @@
-//! Repair of a damaged database: everything that can be read is written to a new file, which takes its place.
+//! Repair of a damaged database: everything that can be read is written to a new file, which replaces the damaged file.
 //!
-//! The trees are walked with the parser of the check, because SQLite's recovery extension is not in the bundled library. Rows are
-//! decoded and checked against the types of the columns; unreadable rows are omitted. [`reconcile`] then makes the tables agree
-//! and records the gaps.
+//! The b-trees are read with the parser of the integrity check, because SQLite's recovery extension is not in the bundled library.
+//! Rows are decoded and checked against the types of the columns; unreadable rows are omitted. [`reconcile`] then makes the tables
+//! agree and records the gaps.
 
 mod reconcile;
 mod rows;
@@ -126,7 +126,7 @@ pub struct SalvagedTable {
     pub unreadable: u64,
 }
 
-/// Replaces a damaged database by a new file with everything that can be read; `None` if it is not damaged.
+/// Replaces a damaged database by a new file with everything that can be read. Returns `None` if the database is not damaged.
 ///
 /// The damaged file is kept as `<database>.damaged-<stamp>`. `progress` is called with each table before it is read.
 ///
@@ -143,14 +143,14 @@ pub async fn repair(
     }
     let lock = DatabaseLock::take(database)?;
     refuse_foreign_log(database, &lock.file())?;
-    // A link is resolved: the other files lie beside the database itself.
+    // A symbolic link is resolved, because the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
     let without_log = !checkpoint_log(&path).await?;
-    let found = find_damage_with_sqlite(&path, &CancellationToken::new())
+    let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
-    if found.is_none() && !without_log {
+    if damage.is_none() && !without_log {
         if recorded_damage.is_some() {
             delete_record(&path).map_err(|source| file_error(&path, source))?;
         }
@@ -158,12 +158,12 @@ pub async fn repair(
     }
     let old = OldFile::open(&path)?;
     let new = sibling_path(&path, ".repaired");
-    remove(&new)?;
+    remove_leftover_files(&new)?;
     let salvaged = salvage(&old, &new, now, &mut progress).await;
     let (tables, lost) = match salvaged {
         Ok(salvaged) => salvaged,
         Err(error) => {
-            remove(&new)?;
+            remove_leftover_files(&new)?;
             return Err(error);
         }
     };
@@ -182,12 +182,13 @@ struct OldFile {
 }
 
 impl OldFile {
+    /// Opens the file and reads its list of tables.
     fn open(path: &Path) -> Result<Self, RepairError> {
         let unreadable = |what| RepairError::Unreadable { path: path.to_owned(), what };
         let file = PageFile::open(path).map_err(|source| file_error(path, source))?;
         let file = file.ok_or_else(|| unreadable("the file's header"))?;
         let mut roots = BTreeMap::new();
-        for item in Walk::from(&file, 1, true) {
+        for item in Walk::start(&file, 1, true) {
             let Item::Row(_, record) = item else { continue };
             let columns = decode_values(&record).unwrap_or_default();
             let [Value::Text(kind), Value::Text(name), _, Value::Integer(root), ..] = columns.as_slice()
@@ -201,7 +202,7 @@ impl OldFile {
         if roots.is_empty() {
             return Err(unreadable("the list of its tables"));
         }
-        let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::from(&file, *root, true));
+        let migrations = roots.get(MIGRATIONS_TABLE).map(|root| Walk::start(&file, *root, true));
         let versions = migrations.into_iter().flatten().filter_map(|item| match item {
             Item::Row(_, record) => match decode_values(&record)?.first()? {
                 Value::Integer(version) => Some(*version),
@@ -217,24 +218,26 @@ impl OldFile {
         Ok(Self { file, roots, version })
     }
 
-    /// Returns the root page of a table. If it is unknown, the root page in the new file is used, provided that all known root
-    /// pages are the same in both files: the same migrations created both.
-    fn root(&self, table: &str, new: &BTreeMap<String, u32>) -> Option<u32> {
-        let alike = || self.roots.iter().all(|(table, root)| new.get(table).is_none_or(|new| new == root));
-        self.roots.get(table).copied().or_else(|| new.get(table).copied().filter(|_| alike()))
+    /// Returns the root page of a table. If the page is unknown, the root page in the new file is returned, provided that all known
+    /// root pages are the same in both files. They are the same if the same migrations created both files.
+    fn root(&self, table: &str, new_roots: &BTreeMap<String, u32>) -> Option<u32> {
+        let is_same_layout =
+            || self.roots.iter().all(|(table, root)| new_roots.get(table).is_none_or(|new| new == root));
+        self.roots.get(table).copied().or_else(|| new_roots.get(table).copied().filter(|_| is_same_layout()))
     }
 }
 
-/// Checkpoints the log into the file, as the next start of the aggregator would. Returns whether nothing of it is left.
+/// Checkpoints the log into the file, as the next start of the aggregator would. Returns whether the log is empty or missing
+/// afterwards.
 async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     let options =
         SqliteConnectOptions::new().filename(path).busy_timeout(BUSY_TIMEOUT).disable_statement_logging();
-    let taken = async {
+    let checkpoint = async {
         let mut connection = options.connect().await?;
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut connection).await?;
         connection.close().await
     };
-    match taken.await {
+    match checkpoint.await {
         Ok(()) => {}
         Err(error) if is_damage(&error) => {}
         Err(error) => {
@@ -262,36 +265,39 @@ async fn salvage(
     let options = SqliteConnectOptions::new()
         .filename(new)
         .create_if_missing(true)
-        // It is synced once, when it is complete: it is not used before.
+        // The file is synced once, when it is complete, because it is not used before that.
         .journal_mode(SqliteJournalMode::Memory)
         .synchronous(SqliteSynchronous::Off)
         .foreign_keys(false)
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
-    let written = fill(&mut connection, old, now, progress).await.map_err(failed)?;
+    let result = fill(&mut connection, old, now, progress).await.map_err(failed)?;
     assign_id(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
     if let Some(what) = find_damage_with_sqlite(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });
     }
-    Ok(written)
+    Ok(result)
 }
 
+/// Creates the tables of the new file and copies all readable rows. Returns the tables and the number of lost iterations.
 async fn fill(
     connection: &mut SqliteConnection,
     old: &OldFile,
     now: WallTime,
     progress: &mut impl FnMut(&str),
 ) -> Result<(Vec<SalvagedTable>, i64), sqlx::Error> {
-    let same =
+    // The new file gets the schema of the old file. The next start of the aggregator runs the other migrations.
+    let old_migrations =
         MIGRATIONS.iter().filter(|migration| old.version.is_none_or(|version| migration.version <= version));
-    let migrator = Migrator { migrations: Cow::Owned(same.cloned().collect()), ..Migrator::DEFAULT };
+    let migrator =
+        Migrator { migrations: Cow::Owned(old_migrations.cloned().collect()), ..Migrator::DEFAULT };
     migrator.run_direct(None, &mut *connection, false).await.map_err(|error| match error {
         MigrateError::Execute(error) => error,
         error => sqlx::Error::Protocol(error.to_string()),
     })?;
-    // Rows are copied unchanged: triggers may not act on them. Indexes are made faster after all rows exist.
-    let later: Vec<(String, String, String)> = sqlx::query_as(
+    // Rows are copied unchanged, so triggers must not act on them. An index is created faster when all rows exist.
+    let triggers_and_indexes: Vec<(String, String, String)> = sqlx::query_as(
         "SELECT type, name, sql FROM sqlite_schema WHERE type IN ('trigger', 'index') AND sql IS NOT NULL",
     )
     .fetch_all(&mut *connection)
@@ -304,7 +310,7 @@ async fn fill(
     .await?;
     let roots: BTreeMap<String, u32> = roots.into_iter().collect();
     sqlx::query("BEGIN").execute(&mut *connection).await?;
-    for (kind, name, _) in &later {
+    for (kind, name, _) in &triggers_and_indexes {
         sqlx::query(AssertSqlSafe(format!("DROP {kind} \"{name}\""))).execute(&mut *connection).await?;
     }
     let mut tables = BTreeMap::new();
@@ -315,13 +321,13 @@ async fn fill(
         tables.insert(table.name, copied);
     }
     continue_numbering(connection, old).await?;
-    for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "index") {
+    for (_, _, sql) in triggers_and_indexes.iter().filter(|(kind, ..)| kind == "index") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
     progress("references between tables");
     let now_ns = now.unix_nanos();
     let lost = Reconciliation { connection: &mut *connection, tables: &tables, now_ns }.run().await?;
-    for (_, _, sql) in later.iter().filter(|(kind, ..)| kind == "trigger") {
+    for (_, _, sql) in triggers_and_indexes.iter().filter(|(kind, ..)| kind == "trigger") {
         sqlx::query(AssertSqlSafe(sql.as_str())).execute(&mut *connection).await?;
     }
     sqlx::query("COMMIT").execute(&mut *connection).await?;
@@ -341,10 +347,10 @@ async fn fill(
     Ok((salvaged, lost))
 }
 
-/// Ensures that the numbers of lost rows are not used again for new rows.
+/// Ensures that new rows do not get the numbers of lost rows.
 async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) -> Result<(), sqlx::Error> {
     let Some(root) = old.roots.get("sqlite_sequence") else { return Ok(()) };
-    for item in Walk::from(&old.file, *root, true) {
+    for item in Walk::start(&old.file, *root, true) {
         let Item::Row(_, record) = item else { continue };
         let row = decode_values(&record).unwrap_or_default();
         let [Value::Text(table), Value::Integer(last)] = row.as_slice() else { continue };
@@ -365,14 +371,15 @@ async fn continue_numbering(connection: &mut SqliteConnection, old: &OldFile) ->
     Ok(())
 }
 
-/// Renames the damaged file and gives the new file its name. A file of this name exists at all times. Returns the path of the
-/// damaged file.
+/// Renames the damaged file, and renames the new file to `path`. A file with the name `path` exists at all times. Returns the path of
+/// the damaged file.
 fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf> {
-    let of = fs::metadata(path)?;
-    fs::set_permissions(new, of.permissions())?;
-    let made = fs::metadata(new)?;
-    if (made.uid(), made.gid()) != (of.uid(), of.gid()) {
-        chown(new, Some(of.uid()), Some(of.gid()))?;
+    let old_metadata = fs::metadata(path)?;
+    fs::set_permissions(new, old_metadata.permissions())?;
+    let new_metadata = fs::metadata(new)?;
+    let old_owner = (old_metadata.uid(), old_metadata.gid());
+    if (new_metadata.uid(), new_metadata.gid()) != old_owner {
+        chown(new, Some(old_owner.0), Some(old_owner.1))?;
     }
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
@@ -389,14 +396,15 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     Ok(damaged)
 }
 
+/// Returns the path with a suffix appended to the file's name.
 fn sibling_path(path: &Path, suffix: &str) -> PathBuf {
     let mut path = path.as_os_str().to_owned();
     path.push(suffix);
     path.into()
 }
 
-/// Removes files that an interrupted repair left behind.
-fn remove(new: &Path) -> Result<(), RepairError> {
+/// Removes an unfinished new file and the files that SQLite created beside it.
+fn remove_leftover_files(new: &Path) -> Result<(), RepairError> {
     for path in
         [new.to_owned(), sibling_path(new, "-wal"), sibling_path(new, "-shm"), sibling_path(new, "-journal")]
     {

@@ -17,8 +17,8 @@ const RANDOM_ID: &str = "lower(hex(randomblob(4)) || '-' || hex(randomblob(2)) |
 /// Tables with rows of an iteration's tree.
 const TREES: [&str; 3] = ["node", "transit", "anchor"];
 
-/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends again what
-/// it still has, as after a restored backup.
+/// Tables and conditions of rows that are deleted because they refer to lost rows. An agent whose stream is lost sends the events in
+/// its spool again, as after a restored backup.
 const ORPHANS: [(&str, &str); 7] = [
     ("stream", "host NOT IN (SELECT id FROM host)"),
     ("quarantine", "host NOT IN (SELECT id FROM host)"),
@@ -46,21 +46,24 @@ struct IncompleteRun {
     to_ns: i64,
     /// Number of the last iteration that retention has deleted; 0 for none.
     nodes_from: i64,
+    /// Number of iterations according to the run's counters.
     counted: i64,
+    /// Number of iterations in the table.
     stored: i64,
     /// Number of missing iterations between the first iteration that retention left and the last iteration.
     missing_numbers: i64,
     /// Number of events in the gaps that the run already has.
-    known: i64,
+    in_gaps: i64,
 }
 
-/// Statement that reads an [`IncompleteRun`]; ?1 is its number. Iterations are numbered from 1, or from the first that retention left.
+/// Statement that reads an [`IncompleteRun`]; ?1 is the number of the run. The first iteration has the number 1, or a later number if
+/// retention has deleted iterations.
 const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from, \
      run.warm_up + run.ok + run.failed + run.lost + run.timeout AS counted, \
      (SELECT count(*) FROM iteration WHERE run = ?1) AS stored, \
      (SELECT coalesce(max(number) - min(number) + 1 - count(*), 0) FROM iteration \
          WHERE run = ?1 AND number > run.nodes_from) AS missing_numbers, \
-     (SELECT coalesce(sum(count), 0) FROM gap WHERE run = ?1) AS known, \
+     (SELECT coalesce(sum(count), 0) FROM gap WHERE run = ?1) AS in_gaps, \
      coalesce((SELECT started_ns FROM iteration AS it WHERE run = ?1 AND NOT EXISTS \
          (SELECT 1 FROM iteration WHERE run = ?1 AND number = it.number + 1) \
          AND (SELECT min(number) FROM iteration WHERE run = ?1) <= run.nodes_from + 1 \
@@ -72,7 +75,7 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
 impl Reconciliation<'_> {
-    /// Reconciles all tables. Returns the known number of lost iterations.
+    /// Reconciles all tables. Returns the number of lost iterations, as far as it can be determined.
     pub(super) async fn run(mut self) -> Result<i64, sqlx::Error> {
         if self.has_unreadable(&["host", "pipeline", "run", "link"]) {
             self.restore_references().await?;
@@ -85,12 +88,12 @@ impl Reconciliation<'_> {
             self.restore_names().await?;
         }
         let mut lost = 0;
-        let torn = self.delete_torn_trees().await?;
-        if torn > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
+        let torn_trees = self.delete_torn_trees().await?;
+        if torn_trees > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
             self.delete_incomplete_trees().await?;
             lost = self.record_gaps().await?;
         }
-        if torn > 0
+        if torn_trees > 0
             || self.has_unreadable(&["host", "pipeline", "run", "iteration", "node", "transit", "anchor"])
         {
             self.recount_nodes().await?;
@@ -111,14 +114,15 @@ impl Reconciliation<'_> {
             .await?;
         }
         if self.tables.contains_key("arrival") {
-            // The storage clock must not go back behind a reading that it has shown.
+            // The storage clock must not fall behind a reading that is stored in another table.
             self.execute(
                 "UPDATE storage_clock SET elapsed_ns = max(elapsed_ns, 1000000000 * max( \
                  (SELECT coalesce(max(to_s), 0) FROM arrival), (SELECT coalesce(max(arriving_from_s), 0) FROM run), \
                  (SELECT coalesce(max(arriving_from_s), 0) FROM link)))",
             )
             .await?;
-            // These entries cover all rows and are before all others: rows that a later entry covers belong to that entry.
+            // These entries cover all rows and are older than all other entries. A row that a later entry also covers belongs to the
+            // later entry.
             self.execute(
                 "INSERT OR IGNORE INTO arrival (kind, owner, from_s, to_s, first, last) \
                  SELECT owner.kind, owner.id, 0, elapsed_ns / 1000000000, -9223372036854775808, 9223372036854775807 \
@@ -140,19 +144,20 @@ impl Reconciliation<'_> {
         self.tables.get(table).map_or(&[], |table| &table.unreadable)
     }
 
+    /// Executes a statement. Returns the number of changed rows.
     async fn execute(&mut self, sql: &str) -> Result<u64, sqlx::Error> {
-        let done = sqlx::query(AssertSqlSafe(sql)).execute(&mut *self.connection).await?;
-        Ok(done.rows_affected())
+        let result = sqlx::query(AssertSqlSafe(sql)).execute(&mut *self.connection).await?;
+        Ok(result.rows_affected())
     }
 
     /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost rows.
     ///
-    /// A run of an unknown host gets another id: events that its agent still sends begin another run.
+    /// A run of an unknown host gets another id, so that events that the host's agent still sends begin another run.
     async fn restore_references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
         let tables = self.tables;
-        for (table, orphaned) in ORPHANS.into_iter().filter(|(table, _)| tables.contains_key(*table)) {
-            self.execute(&format!("DELETE FROM {table} WHERE {orphaned}")).await?;
+        for (table, condition) in ORPHANS.into_iter().filter(|(table, _)| tables.contains_key(*table)) {
+            self.execute(&format!("DELETE FROM {table} WHERE {condition}")).await?;
         }
         self.execute(&format!(
             "INSERT INTO run (number, uuid, pipeline, started_ns, ended_ns, end_reason, last_iteration_ns, placement, model, \
@@ -183,7 +188,8 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Inserts substitutes for lost names: a number that is given to another name would change the meaning of old values.
+    /// Inserts substitutes for lost names. Otherwise a new name could get the id of a lost name, and old values would appear under
+    /// the new name.
     async fn restore_names(&mut self) -> Result<(), sqlx::Error> {
         self.execute(
             "INSERT INTO name (id, text, kind, custom, unit) SELECT name, 'lost-name-' || name, 'value', 0, '' FROM \
@@ -196,7 +202,8 @@ impl Reconciliation<'_> {
 
     /// Deletes the iterations whose nodes are not numbered from 0 without a gap. Returns their number.
     ///
-    /// A row whose key was overwritten may still look like a row of another tree: no unreadable range shows that it is missing.
+    /// A row whose key was overwritten may look like a row of another tree. No unreadable range shows that the row is missing in its
+    /// own tree.
     async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
         self.execute(
             "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
@@ -205,7 +212,7 @@ impl Reconciliation<'_> {
         .await
     }
 
-    /// Deletes the iterations with unreadable rows of the tree, and rows of trees without their iteration.
+    /// Deletes the iterations whose trees have unreadable rows, and the rows of trees whose iteration is lost.
     async fn delete_incomplete_trees(&mut self) -> Result<(), sqlx::Error> {
         for table in TREES {
             for UnreadableRange { before, after } in self.unreadable_in(table).to_vec() {
@@ -238,41 +245,42 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Records the lost iterations of each run as a gap; they no longer count as stored. Returns their number.
+    /// Records the lost iterations of each run as a gap, so that they no longer count as stored. Returns the number of lost
+    /// iterations.
     async fn record_gaps(&mut self) -> Result<i64, sqlx::Error> {
         let runs: Vec<i64> = sqlx::query_scalar("SELECT number FROM run ORDER BY number")
             .fetch_all(&mut *self.connection)
             .await?;
-        let mut all = 0;
+        let mut total_lost = 0;
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
-            let whole = run.nodes_from == 0;
-            // The run's own counters were stored with its iterations. For a run of which retention has deleted iterations, and for a
-            // substituted one, only the missing numbers show how many are lost.
-            let lost = if whole && run.counted > 0 {
+            let is_untrimmed = run.nodes_from == 0;
+            // The run's own counters were stored with its iterations. They are not usable for a run of which retention has deleted
+            // iterations, and for a substitute of a lost run. For these runs only the missing numbers show how many are lost.
+            let lost = if is_untrimmed && run.counted > 0 {
                 run.counted - run.stored
             } else {
-                run.missing_numbers - run.known
+                run.missing_numbers - run.in_gaps
             };
-            if lost > 0 || (!whole && self.has_unreadable_within(run.number)) {
+            if lost > 0 || (!is_untrimmed && self.has_unreadable_within(run.number)) {
                 let lost = lost.max(0);
-                all += lost;
+                total_lost += lost;
                 self.insert_gap(&run, lost).await?;
             }
-            if whole && run.counted != run.stored {
+            if is_untrimmed && run.counted != run.stored {
                 self.recount_iterations(run.number).await?;
             }
         }
-        Ok(all)
+        Ok(total_lost)
     }
 
-    /// Returns whether there is an unreadable range between rows of that run.
+    /// Returns whether there is an unreadable range between two rows of the run.
     fn has_unreadable_within(&self, run: i64) -> bool {
-        let within = |range: &UnreadableRange| {
+        let is_within = |range: &UnreadableRange| {
             range.before.is_some_and(|[before, ..]| before == run)
                 && range.after.is_some_and(|[after, ..]| after == run)
         };
-        ["iteration", "node"].iter().any(|table| self.unreadable_in(table).iter().any(within))
+        ["iteration", "node"].iter().any(|table| self.unreadable_in(table).iter().any(is_within))
     }
 
     async fn insert_gap(&mut self, run: &IncompleteRun, lost: i64) -> Result<(), sqlx::Error> {
@@ -311,7 +319,7 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Counts the nodes of each host again, unless retention has deleted some of them.
+    /// Counts the nodes of each host again. The count of a host of which retention has deleted nodes stays.
     async fn recount_nodes(&mut self) -> Result<(), sqlx::Error> {
         let runs: Vec<(i64, i64, i64)> = sqlx::query_as(
             "SELECT pipeline.host, run.number, run.nodes_from FROM run JOIN pipeline ON pipeline.id = run.pipeline",
@@ -327,11 +335,11 @@ impl Reconciliation<'_> {
                 *sum = None;
             }
             if let Some(sum) = sum {
-                let more: i64 = sqlx::query_scalar("SELECT count(*) FROM node WHERE run = ?1")
+                let nodes_of_run: i64 = sqlx::query_scalar("SELECT count(*) FROM node WHERE run = ?1")
                     .bind(run)
                     .fetch_one(&mut *self.connection)
                     .await?;
-                *sum += more;
+                *sum += nodes_of_run;
             }
         }
         for (host, nodes) in nodes {

@@ -10,7 +10,7 @@ use crate::integrity::pages::{PageFile, column_bytes, varint};
 /// Maximum number of values in one statement; SQLite's limit is 32,766.
 const MAX_VALUES: usize = 16_384;
 
-/// Number of rows whose writing is delayed: the next row may show that they cannot be trusted.
+/// Number of rows whose writing is delayed, because the next rows may show that they cannot be trusted.
 const DELAYED_ROWS: usize = 8;
 
 /// One value, in SQLite's order of types.
@@ -28,14 +28,14 @@ pub(super) enum Value {
 pub(super) struct Table {
     pub(super) name: String,
     columns: Vec<Column>,
-    /// Columns in the order in which a record has them.
-    stored: Vec<usize>,
-    /// Number of columns in `stored` that are the key of a clustered table.
+    /// Indexes of the columns in the order in which a record has them.
+    record_columns: Vec<usize>,
+    /// Number of columns at the start of `record_columns` that are the key of a clustered table; 0 for a table with row ids.
     key_columns: usize,
-    /// The column that is the row id.
+    /// Index of the column that is the row id.
     rowid: Option<usize>,
     pub(super) has_rowids: bool,
-    /// `true` if the migrations put rows into it.
+    /// `true` if the migrations put rows into the table.
     is_seeded: bool,
 }
 
@@ -55,9 +55,10 @@ struct Row {
     values: Vec<Value>,
 }
 
-/// Rows that could not be read, between two that could.
+/// A range of rows that could not be read, between two readable rows.
 ///
-/// Both ends are the first three columns of a row's key; `None` at an end of the table.
+/// `before` and `after` are the first three columns of the keys of these two rows. They are `None` at the start and the end of the
+/// table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct UnreadableRange {
     pub(super) before: Option<[i64; 3]>,
@@ -96,21 +97,22 @@ impl Table {
         .bind(&name)
         .fetch_all(&mut *connection)
         .await?;
-        let mut keys: Vec<usize> = (0..described.len()).filter(|at| described[*at].pk > 0).collect();
-        keys.sort_by_key(|at| described[*at].pk);
+        let mut keys: Vec<usize> = (0..described.len()).filter(|index| described[*index].pk > 0).collect();
+        keys.sort_by_key(|index| described[*index].pk);
         let rowid = match keys.as_slice() {
             [key] if !clustered && described[*key].r#type.eq_ignore_ascii_case("INTEGER") => Some(*key),
             _ => None,
         };
         let key_columns = if clustered { keys.len() } else { 0 };
         // A clustered table's records begin with its key.
-        let mut stored = if clustered { keys } else { Vec::new() };
-        let others: Vec<usize> = (0..described.len()).filter(|at| !stored.contains(at)).collect();
-        stored.extend(others);
+        let mut record_columns = if clustered { keys } else { Vec::new() };
+        let other_columns: Vec<usize> =
+            (0..described.len()).filter(|index| !record_columns.contains(index)).collect();
+        record_columns.extend(other_columns);
         let mut columns = Vec::with_capacity(described.len());
         for column in described {
             let default = match &column.dflt_value {
-                Some(text) => default(connection, text).await?,
+                Some(text) => default_value(connection, text).await?,
                 None => Value::Null,
             };
             let not_null = column.notnull || (clustered && column.pk > 0);
@@ -118,10 +120,10 @@ impl Table {
         }
         let statement = AssertSqlSafe(format!("SELECT EXISTS (SELECT 1 FROM \"{name}\")"));
         let is_seeded = sqlx::query_scalar(statement).fetch_one(connection).await?;
-        Ok(Self { name, columns, stored, key_columns, rowid, has_rowids: !clustered, is_seeded })
+        Ok(Self { name, columns, record_columns, key_columns, rowid, has_rowids: !clustered, is_seeded })
     }
 
-    /// Copies all readable rows from the tree with this root; `None` if the root is unknown.
+    /// Copies all readable rows from the tree with this root. If the root is unknown (`None`), all rows count as unreadable.
     pub(super) async fn copy(
         &self,
         connection: &mut SqliteConnection,
@@ -135,21 +137,20 @@ impl Table {
         };
         let max_rows = MAX_VALUES / self.columns.len() - DELAYED_ROWS;
         let mut rows: Vec<Row> = Vec::new();
-        // The last row that was written.
-        let mut written = None;
+        let mut last_written = None;
         let mut in_unreadable = false;
-        for item in Walk::from(file, root, self.has_rowids) {
+        for item in Walk::start(file, root, self.has_rowids) {
             let row = match item {
                 Item::Row(rowid, record) => self.decode(&record, rowid),
                 Item::Unreadable => None,
             };
-            let last = rows.last().or(written.as_ref());
+            let last = rows.last().or(last_written.as_ref());
             let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
             if !is_ordered {
-                // The keys of a tree ascend: one of these two rows was overwritten, and it is unknown which.
+                // The keys of a tree ascend. One of these two rows was overwritten, and it is unknown which, so neither is copied.
                 rows.pop();
             }
-            let before = rows.last().or(written.as_ref()).map(|row| self.key(row));
+            let before = rows.last().or(last_written.as_ref()).map(|row| self.key(row));
             let Some(row) = row.filter(|_| is_ordered) else {
                 match copied.unreadable.last_mut().filter(|_| in_unreadable) {
                     Some(range) => range.before = before,
@@ -166,7 +167,7 @@ impl Table {
             rows.push(row);
             if rows.len() == max_rows + DELAYED_ROWS {
                 self.insert(connection, &rows[..max_rows]).await?;
-                written = rows.drain(..max_rows).next_back();
+                last_written = rows.drain(..max_rows).next_back();
             }
         }
         self.insert(connection, &rows).await?;
@@ -178,14 +179,14 @@ impl Table {
             return Ok(());
         }
         let names: Vec<String> = self.columns.iter().map(|column| format!("\"{}\"", column.name)).collect();
-        let one = format!("({})", vec!["?"; self.columns.len()].join(","));
-        // A row that is found twice is inserted once. Rows of the migrations are replaced.
+        let placeholders = format!("({})", vec!["?"; self.columns.len()].join(","));
+        // A row that is found twice is inserted once. Rows that the migrations inserted are replaced.
         let on_conflict = if self.is_seeded { "REPLACE" } else { "IGNORE" };
         let statement = format!(
             "INSERT OR {on_conflict} INTO \"{}\" ({}) VALUES {}",
             self.name,
             names.join(","),
-            vec![one.as_str(); rows.len()].join(",")
+            vec![placeholders.as_str(); rows.len()].join(",")
         );
         let mut arguments = SqliteArguments::default();
         rows.iter()
@@ -200,14 +201,14 @@ impl Table {
     fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
         let values = decode_values(record)?;
-        if values.len() > self.stored.len() {
+        if values.len() > self.record_columns.len() {
             return None;
         }
-        for (at, value) in self.stored.iter().zip(values) {
-            row[*at] = value;
+        for (index, value) in self.record_columns.iter().zip(values) {
+            row[*index] = value;
         }
-        if let Some(at) = self.rowid {
-            row[at] = Value::Integer(rowid?);
+        if let Some(index) = self.rowid {
+            row[index] = Value::Integer(rowid?);
         }
         for (column, value) in self.columns.iter().zip(&mut row) {
             column.accept(value)?;
@@ -215,17 +216,19 @@ impl Table {
         Some(Row { rowid, values: row })
     }
 
-    /// Returns whether one row is before another in the table's tree.
-    fn precedes(&self, one: &Row, other: &Row) -> bool {
+    /// Returns whether the first row is before the second in the table's tree.
+    fn precedes(&self, first: &Row, second: &Row) -> bool {
         if self.has_rowids {
-            return one.rowid < other.rowid;
+            return first.rowid < second.rowid;
         }
-        let keys = &self.stored[..self.key_columns];
-        keys.iter().map(|at| &one.values[*at]).lt(keys.iter().map(|at| &other.values[*at]))
+        let keys = &self.record_columns[..self.key_columns];
+        keys.iter().map(|index| &first.values[*index]).lt(keys.iter().map(|index| &second.values[*index]))
     }
 
+    /// Returns the first three columns of a record; 0 for a column that is missing or no integer.
     fn key(&self, row: &Row) -> [i64; 3] {
-        let part = |at: usize| match self.stored.get(at).map(|at| &row.values[*at]) {
+        let part = |position: usize| match self.record_columns.get(position).map(|index| &row.values[*index])
+        {
             Some(Value::Integer(value)) => *value,
             _ => 0,
         };
@@ -234,8 +237,8 @@ impl Table {
 }
 
 impl Column {
-    /// Accepts a value of the column's type, or returns `None`. SQLite stores REAL numbers without a fraction as integers; they
-    /// are converted back.
+    /// Returns `Some` if the value is of the column's type. SQLite stores REAL numbers without a fraction as integers; such a value is
+    /// converted back.
     fn accept(&self, value: &mut Value) -> Option<()> {
         if let (Value::Integer(integer), "REAL") = (&*value, self.kind.as_str()) {
             *value = Value::Real(*integer as f64);
@@ -265,9 +268,10 @@ impl Value {
 
 /// Returns the values of a record, or `None` if it is malformed.
 pub(super) fn decode_values(record: &[u8]) -> Option<Vec<Value>> {
-    let (header, rest) = varint(record)?;
-    let mut types = record.get(record.len() - rest.len()..usize::try_from(header).ok()?)?;
-    let mut body = record.get(usize::try_from(header).ok()?..)?;
+    let (header_bytes, rest) = varint(record)?;
+    let header_bytes = usize::try_from(header_bytes).ok()?;
+    let mut types = record.get(record.len() - rest.len()..header_bytes)?;
+    let mut body = record.get(header_bytes..)?;
     let mut values = Vec::new();
     while !types.is_empty() {
         let (code, after) = varint(types)?;
@@ -292,16 +296,16 @@ pub(super) fn decode_values(record: &[u8]) -> Option<Vec<Value>> {
 }
 
 /// Returns the value of a `DEFAULT` clause.
-async fn default(connection: &mut SqliteConnection, text: &str) -> Result<Value, sqlx::Error> {
+async fn default_value(connection: &mut SqliteConnection, text: &str) -> Result<Value, sqlx::Error> {
     let statement = AssertSqlSafe(format!("SELECT typeof({text}), CAST({text} AS TEXT)"));
     let (kind, text): (String, Option<String>) = sqlx::query_as(statement).fetch_one(connection).await?;
     let text = text.unwrap_or_default();
-    let wrong = |_| sqlx::Error::Protocol(format!("a column's default is {kind} {text}"));
+    let invalid_default = || sqlx::Error::Protocol(format!("a column's default is {kind} {text}"));
     Ok(match kind.as_str() {
-        "integer" => Value::Integer(text.parse().map_err(|_| wrong(()))?),
-        "real" => Value::Real(text.parse().map_err(|_| wrong(()))?),
+        "integer" => Value::Integer(text.parse().map_err(|_| invalid_default())?),
+        "real" => Value::Real(text.parse().map_err(|_| invalid_default())?),
         "text" => Value::Text(text),
         "null" => Value::Null,
-        _ => return Err(wrong(())),
+        _ => return Err(invalid_default()),
     })
 }

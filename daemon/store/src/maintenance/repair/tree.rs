@@ -7,9 +7,9 @@ use crate::integrity::pages::{BtreePage, Cell, PageFile};
 /// Result of one step of a walk.
 #[derive(Debug)]
 pub(super) enum Item {
-    /// A row: its row id, in a table that has them, and its record.
+    /// A row: its row id, if the table has row ids, and its record.
     Row(Option<i64>, Vec<u8>),
-    /// An unreadable page with everything below it, or an unreadable part of a page.
+    /// An unreadable page with its subtree, or an unreadable part of a page.
     Unreadable,
 }
 
@@ -18,22 +18,24 @@ pub(super) struct Walk<'a> {
     file: &'a PageFile,
     /// `true` for a table with row ids.
     is_table: bool,
-    /// Pages visited so far: a damaged page may refer to any other.
+    /// Pages visited so far. A damaged page may refer to any page, so that a walk without this set might not end.
     visited: HashSet<u32>,
     stack: Vec<Level>,
     /// `true` if the root is unreadable and this was not reported yet.
     no_root: bool,
 }
 
+/// A page on the path from the root to the current page.
 struct Level {
     page: BtreePage,
-    /// Next cell on a leaf. On an interior page twice the index of the cell, plus one if its child was visited.
+    /// On a leaf: index of the next cell. On an interior page: twice the index of the next cell, plus one if the cell's child was
+    /// visited.
     step: usize,
 }
 
 impl<'a> Walk<'a> {
-    /// Begins at the root of a table with row ids, or without them.
-    pub(super) fn from(file: &'a PageFile, root: u32, is_table: bool) -> Self {
+    /// Starts a walk at a root page. `is_table` is `true` for a table with row ids.
+    pub(super) fn start(file: &'a PageFile, root: u32, is_table: bool) -> Self {
         let mut walk = Self { file, is_table, visited: HashSet::new(), stack: Vec::new(), no_root: false };
         walk.no_root = !walk.descend(root);
         walk

@@ -9,9 +9,9 @@ use crate::read::{sql, value_of_number};
 use crate::readers::Readers;
 use crate::types::{DelayAssumptions, LinkKey};
 
-/// Tolerance around a window: its first sample is for the second that ends with it, and the delays of a message are judged when
-/// its answer arrives.
-const BEFORE: Span = Span::from_seconds(60);
+/// Tolerance around the times of a window's samples. A sample is stamped with the end of its second, so a message may be older than
+/// the window's first sample. The delays of a message are judged when its answer arrives, which may be after the last sample.
+const TOLERANCE: Span = Span::from_seconds(60);
 
 /// A window of a link with its assumptions.
 #[derive(Debug, FromRow)]
@@ -51,48 +51,49 @@ impl AssumedWindows {
         run: i64,
         (from, to): (WallTime, WallTime),
     ) -> Result<Self, StoreError> {
-        let of_run: Option<(i64, String)> = sqlx::query_as(sql::RUN_LINKS)
+        let edge_and_network: Option<(i64, String)> = sqlx::query_as(sql::RUN_LINKS)
             .bind(run)
             .fetch_optional(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        let Some((edge, network)) = of_run else { return Ok(Self(Vec::new())) };
+        let Some((edge, network)) = edge_and_network else { return Ok(Self(Vec::new())) };
         let windows = sqlx::query_as(sql::ASSUMED_WINDOWS)
             .bind(edge)
             .bind(network)
-            .bind((from - BEFORE).unix_nanos())
-            .bind((to + BEFORE).unix_nanos())
+            .bind((from - TOLERANCE).unix_nanos())
+            .bind((to + TOLERANCE).unix_nanos())
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         Ok(Self(windows))
     }
 
-    /// Returns the assumptions for a message between the edge and a cloud that was sent or received at a time of the edge's wall clock,
-    /// or `None` if no window has samples of it.
+    /// Returns the assumptions for a message between the edge and a cloud. `at` is the time on the edge's wall clock when the edge sent
+    /// or received the message. Returns `None` if no window has samples around that time.
     ///
-    /// If the edge's clock was set back, several windows may have that time; the window that arrived last counts.
+    /// If the edge's clock was set back, several windows may contain that time. The window that arrived last is used then.
     pub(in crate::read) fn at(
         &self,
         cloud: i64,
         at: WallTime,
     ) -> Result<Option<DelayAssumptions>, StoreError> {
-        let holds = |early: Span| {
+        let contains_time = |tolerance: Span| {
             move |window: &&Window| {
                 let at = at.unix_nanos();
                 window.cloud == cloud
-                    && window.first_ns.saturating_sub(early.nanos()) <= at
-                    && at <= window.last_ns.saturating_add(early.nanos())
+                    && window.first_ns.saturating_sub(tolerance.nanos()) <= at
+                    && at <= window.last_ns.saturating_add(tolerance.nanos())
             }
         };
         let windows = || self.0.iter().rev();
-        let window = windows().find(holds(Span::ZERO)).or_else(|| windows().find(holds(BEFORE)));
+        let window =
+            windows().find(contains_time(Span::ZERO)).or_else(|| windows().find(contains_time(TOLERANCE)));
         window.map(Window::assumptions).transpose()
     }
 }
 
 /// Returns the assumptions of a link's newest window, or `None` for an unknown link.
-pub(crate) async fn of_link(
+pub(crate) async fn link_assumptions(
     readers: &Readers,
     LinkKey { edge, cloud, network }: &LinkKey,
 ) -> Result<Option<DelayAssumptions>, StoreError> {

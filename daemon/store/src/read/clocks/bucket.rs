@@ -10,9 +10,11 @@ use crate::stored::ClockPoint;
 
 /// The seconds of one bucket, summed up.
 pub(super) struct Bucket {
+    /// Number of the bucket since 1970.
     index: i64,
-    /// Time and window.
+    /// Time and window of the newest second.
     newest: Option<(WallTime, u64)>,
+    /// Offset with the widest bounds in the newest window.
     widest: Option<Offset>,
     probes: ProbeCounts,
     round_trips: Vec<RoundTrip>,
@@ -45,7 +47,7 @@ impl Bucket {
 
     pub(super) fn add(&mut self, row: &Row) -> Result<(), StoreError> {
         let window = row.window.cast_unsigned();
-        if self.newest.is_some_and(|(_, before)| before != window) {
+        if self.newest.is_some_and(|(_, previous)| previous != window) {
             // Values from before a step of a clock do not apply after it.
             self.widest = None;
         }
@@ -75,7 +77,7 @@ impl Bucket {
         let (newest, window) = self.newest?;
         let end = self.index.saturating_add(1).saturating_mul(i64::from(width) * 1_000_000_000);
         Some(ClockPoint {
-            // If a point is one second, it has the stored offset.
+            // A point of one second has the stored offset, and so the stored time.
             at: if width == 1 { newest } else { wall(end) },
             window,
             offset: self.widest,

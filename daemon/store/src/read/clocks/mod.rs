@@ -13,7 +13,7 @@ use serde::Deserialize;
 use sqlx::FromRow;
 
 pub(super) use self::assumptions::AssumedWindows;
-pub(crate) use self::assumptions::of_link;
+pub(crate) use self::assumptions::link_assumptions;
 use self::bucket::Bucket;
 use self::repeats::RepeatedTimes;
 use super::{corrupt_data, count, parse, sql, value_of_number, wall};
@@ -26,7 +26,7 @@ use crate::write::UNKNOWN;
 const WHAT: &str = "clock samples";
 /// Maximum number of points in one answer.
 const MAX_POINTS: u32 = 10_000;
-/// Possible widths of a bucket, seconds. Beyond the last one, each width is twice the one before.
+/// Possible widths of a bucket, seconds. Beyond the last of these, each width is twice the previous width.
 const WIDTHS_S: [u32; 12] = [1, 2, 5, 10, 30, 60, 300, 600, 1_800, 3_600, 21_600, 86_400];
 
 #[derive(FromRow)]
@@ -104,7 +104,7 @@ pub(crate) async fn series(
     (from, to): (WallTime, WallTime),
     max_points: u32,
 ) -> Result<ClockSeries, StoreError> {
-    let nothing = ClockSeries { bucket_s: WIDTHS_S[0], points: Vec::new() };
+    let empty_series = ClockSeries { bucket_s: WIDTHS_S[0], points: Vec::new() };
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
@@ -112,7 +112,7 @@ pub(crate) async fn series(
         .fetch_optional(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let Some(link) = link else { return Ok(nothing) };
+    let Some(link) = link else { return Ok(empty_series) };
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
         .bind(from.unix_nanos())
@@ -120,7 +120,7 @@ pub(crate) async fn series(
         .fetch_one(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let (Some(first), Some(last)) = extent else { return Ok(nothing) };
+    let (Some(first), Some(last)) = extent else { return Ok(empty_series) };
     let width = width(first, last, max_points.clamp(1, MAX_POINTS));
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
@@ -132,13 +132,13 @@ pub(crate) async fn series(
             points.add(&row)?;
         }
     } else {
-        let parts =
-            sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(parts(first, last, width)?);
-        let mut parts = parts.fetch(&pool);
-        while let Some(part) = parts.try_next().await.map_err(readers.failed(WHAT))? {
+        let ranges = bucket_ranges(first, last, width)?;
+        let buckets = sqlx::query_scalar::<_, String>(sql::CLOCK_PARTS).bind(link).bind(ranges);
+        let mut buckets = buckets.fetch(&pool);
+        while let Some(bucket) = buckets.try_next().await.map_err(readers.failed(WHAT))? {
             let mut rows: Vec<Row> =
-                serde_json::from_str(&part).map_err(|error| corrupt_data(WHAT, error))?;
-            // The order of the table: SQLite does not promise to keep it within an aggregate.
+                serde_json::from_str(&bucket).map_err(|error| corrupt_data(WHAT, error))?;
+            // Restores the order of the table, which SQLite does not guarantee within an aggregate.
             rows.sort_by_key(|row| (row.at_ns, row.window));
             rows.iter().try_for_each(|row| points.add(row))?;
         }
@@ -146,17 +146,17 @@ pub(crate) async fn series(
     Ok(ClockSeries { bucket_s: width, points: points.into_points() })
 }
 
-/// Returns the first and the last time of each bucket, as JSON. One row of SQLite's for each bucket costs far less than one for
-/// each second.
-fn parts(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
+/// Returns the first and the last time of each bucket, as JSON. A query that returns one row per bucket costs far less than a query
+/// that returns one row per second.
+fn bucket_ranges(first: i64, last: i64, width: u32) -> Result<String, StoreError> {
     let nanos = i64::from(width) * 1_000_000_000;
     let mut from = first;
-    let parts = (index(first, width)..=index(last, width)).map(|index| {
+    let ranges = (index(first, width)..=index(last, width)).map(|index| {
         let through = index.saturating_add(1).saturating_mul(nanos).min(last);
         [std::mem::replace(&mut from, through.saturating_add(1)), through]
     });
-    let parts: Vec<[i64; 2]> = parts.collect();
-    serde_json::to_string(&parts).map_err(|error| corrupt_data(WHAT, error))
+    let ranges: Vec<[i64; 2]> = ranges.collect();
+    serde_json::to_string(&ranges).map_err(|error| corrupt_data(WHAT, error))
 }
 
 /// Points under construction.
@@ -194,15 +194,16 @@ impl Points {
 /// Returns the smallest width with at most `max_points` buckets.
 fn width(first: i64, last: i64, max_points: u32) -> u32 {
     let [.., day] = WIDTHS_S;
-    let wider = successors(day.checked_mul(2), |width| width.checked_mul(2));
+    let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));
     let fits = |width: &u32| {
         u64::try_from(index(last, *width) - index(first, *width))
-            .is_ok_and(|more| more < u64::from(max_points))
+            .is_ok_and(|difference| difference < u64::from(max_points))
     };
-    WIDTHS_S.into_iter().chain(wider.clone()).find(fits).or_else(|| wider.last()).unwrap_or(day)
+    let mut widths = WIDTHS_S.into_iter().chain(wider_widths.clone());
+    widths.find(fits).or_else(|| wider_widths.last()).unwrap_or(day)
 }
 
-/// Returns the bucket of a second by its end: the end of a bucket belongs to the bucket.
+/// Returns the index of the bucket of a second. `at_ns` is the end of the second. The end of a bucket belongs to the bucket.
 fn index(at_ns: i64, width: u32) -> i64 {
     at_ns.saturating_sub(1).div_euclid(i64::from(width) * 1_000_000_000)
 }

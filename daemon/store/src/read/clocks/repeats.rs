@@ -17,14 +17,14 @@ struct Window {
     last_ns: i64,
 }
 
-/// Windows with times that an earlier window has, too. The later one counts: the samples of the earlier one are from before
-/// the clock was set back.
+/// Windows that contain times that an earlier window contains, too. Only the later window is used for these times, because the samples
+/// of the earlier window were taken before the clock was set back.
 #[derive(Debug, Default)]
 pub(super) struct RepeatedTimes {
-    /// Place of each window in the order of arrival.
-    places: HashMap<i64, usize>,
-    /// Place, first and last time of the windows that begin before an earlier one ends.
-    later: Vec<(usize, i64, i64)>,
+    /// Position of each window in the order of arrival.
+    positions: HashMap<i64, usize>,
+    /// Position, first and last time of each window that begins before an earlier window ends.
+    overlapping: Vec<(usize, i64, i64)>,
 }
 
 impl RepeatedTimes {
@@ -42,21 +42,21 @@ impl RepeatedTimes {
             .map_err(readers.failed(WHAT))?;
         let mut repeats = Self::default();
         let mut end = i64::MIN;
-        for (place, Window { window, first_ns, last_ns }) in windows.into_iter().enumerate() {
+        for (position, Window { window, first_ns, last_ns }) in windows.into_iter().enumerate() {
             if first_ns <= end {
-                repeats.later.push((place, first_ns, last_ns));
+                repeats.overlapping.push((position, first_ns, last_ns));
             }
             end = end.max(last_ns);
-            repeats.places.insert(window, place);
+            repeats.positions.insert(window, position);
         }
         Ok(repeats)
     }
 
-    /// Returns whether a later window has this time.
+    /// Returns whether a window after `window` contains this time.
     pub(super) fn is_superseded(&self, window: i64, at_ns: i64) -> bool {
-        let Some(place) = self.places.get(&window) else { return false };
-        let covers =
-            |(later, first, last): &(usize, i64, i64)| later > place && *first <= at_ns && at_ns <= *last;
-        self.later.iter().any(covers)
+        let Some(position) = self.positions.get(&window) else { return false };
+        let supersedes =
+            |(other, first, last): &(usize, i64, i64)| other > position && *first <= at_ns && at_ns <= *last;
+        self.overlapping.iter().any(supersedes)
     }
 }

@@ -1,6 +1,6 @@
 //! Relations between the clocks of a run's edge and of each cloud, from stored samples.
 //!
-//! A window relates one pair of clocks: the times of free-running clocks and of wall clocks are looked up separately.
+//! A window relates one pair of clocks. Times of free-running clocks and times of wall clocks are therefore looked up separately.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -19,10 +19,11 @@ const WHAT: &str = "clock samples";
 const MAX_ITERATION: Span = Span::from_seconds(600);
 /// Maximum number of windows of one link within a run; later windows are ignored.
 const MAX_WINDOWS: u32 = 10_000;
-/// Maximum number of clouds of one run, and of relations of one cloud, in memory; beyond it, all are read again when needed.
+/// Maximum number of clouds of one run in memory, and of relations of one cloud. When it is reached, all are discarded and read again
+/// when needed.
 const MAX_CACHED: usize = 16;
-/// Tolerance of the difference between the edge's wall clock and its raw one, compared with that in a window's samples: the wall
-/// clock may be slewed between two samples.
+/// Tolerance when the difference between the edge's wall clock and its raw clock is compared with this difference in a window's
+/// samples. The wall clock may be slewed between two samples.
 const MAX_SLEW: Span = Span::from_seconds(1);
 
 /// A time of the edge as a stamp of a transit shows it.
@@ -46,20 +47,20 @@ struct Window {
     last_ns: i64,
     sent_ns: i64,
     returned_ns: i64,
-    /// Difference of the edge's wall clock and its raw one; `None` if wall clocks are related.
+    /// Range of the difference between the edge's wall clock and its raw clock; `None` if the window relates wall clocks.
     ahead_min_ns: Option<i64>,
     ahead_max_ns: Option<i64>,
     samples: i64,
 }
 
 impl Window {
-    /// Returns whether the difference of the edge's two clocks is the same as in the window. After another start of the machine it differs,
-    /// although the raw clock shows the same times again.
+    /// Returns whether the difference of the edge's two clocks is the same as in the window. After a restart of the machine the raw
+    /// clock shows the same times again, but the difference is another one.
     fn matches_clocks(&self, time: EdgeTime) -> bool {
         let ahead = time.wall.unix_nanos().saturating_sub(time.at.nanos());
-        let reach = MAX_SLEW.nanos();
-        self.ahead_min_ns.is_none_or(|min| min.saturating_sub(reach) <= ahead)
-            && self.ahead_max_ns.is_none_or(|max| ahead <= max.saturating_add(reach))
+        let tolerance = MAX_SLEW.nanos();
+        self.ahead_min_ns.is_none_or(|min| min.saturating_sub(tolerance) <= ahead)
+            && self.ahead_max_ns.is_none_or(|max| ahead <= max.saturating_add(tolerance))
     }
 }
 
@@ -68,11 +69,12 @@ pub(super) struct Clouds<'a> {
     readers: &'a Readers,
     edge: i64,
     network: &'a str,
+    /// Starts of the run's first and last iterations.
     run: (WallTime, WallTime),
     /// Clouds that were read, by row; `None` for a host without a link to the edge.
     cache: HashMap<i64, Option<Cloud>>,
     /// Link, window and number of samples of the windows that were used.
-    used: BTreeSet<(i64, i64, i64)>,
+    used_windows: BTreeSet<(i64, i64, i64)>,
 }
 
 /// A cloud with a link.
@@ -94,33 +96,33 @@ impl Windows {
         let at = RawTime::from_nanos;
         let extents: Vec<Extent> = windows
             .iter()
-            .map(|it| Extent {
-                first: at(it.first_ns),
-                last: at(it.last_ns),
-                sent: at(it.sent_ns),
-                returned: at(it.returned_ns),
+            .map(|window| Extent {
+                first: at(window.first_ns),
+                last: at(window.last_ns),
+                sent: at(window.sent_ns),
+                returned: at(window.returned_ns),
             })
             .collect();
         Self { timeline: Timeline::new(&extents), windows }
     }
 
-    /// Returns the window of a time, or `None` if it is not certain.
+    /// Returns the window of a time, or `None` if it is uncertain to which window the time belongs.
     fn at(&self, time: EdgeTime) -> Option<&Window> {
         self.windows.get(self.timeline.window(time.at)?).filter(|window| window.matches_clocks(time))
     }
 }
 
 impl<'a> Clouds<'a> {
-    /// Makes it for a run of an edge over a network; `run` holds the starts of its first and last iterations.
+    /// Creates the value for a run of an edge over a network. `run` has the starts of the run's first and last iterations.
     pub(super) fn new(
         readers: &'a Readers,
         (edge, network): (i64, &'a str),
         run: (WallTime, WallTime),
     ) -> Self {
-        Self { readers, edge, network, run, cache: HashMap::new(), used: BTreeSet::new() }
+        Self { readers, edge, network, run, cache: HashMap::new(), used_windows: BTreeSet::new() }
     }
 
-    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's, or `None` if no sample covers it.
+    /// Returns the relation of the edge's and a cloud's clocks at a time of the edge's clock, or `None` if no sample covers that time.
     pub(super) async fn relation(
         &mut self,
         cloud: i64,
@@ -130,29 +132,29 @@ impl<'a> Clouds<'a> {
             if self.cache.len() >= MAX_CACHED {
                 self.cache.clear();
             }
-            let found = self.find(cloud).await?;
-            self.cache.insert(cloud, found);
+            let link = self.read_cloud(cloud).await?;
+            self.cache.insert(cloud, link);
         }
         let Some(Some(cloud)) = self.cache.get_mut(&cloud) else { return Ok(None) };
         let window = cloud.windows.get(&time.clocks).and_then(|windows| windows.at(time));
         let Some(Window { window, samples, .. }) = window else { return Ok(None) };
-        self.used.insert((cloud.link, *window, *samples));
+        self.used_windows.insert((cloud.link, *window, *samples));
         let key = (time.clocks, *window);
         if cloud.rolling.len() >= MAX_CACHED && !cloud.rolling.contains_key(&key) {
             cloud.rolling.clear();
         }
-        let begin = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
-        cloud.rolling.entry(key).or_insert_with(begin).at(self.readers, time.at).await
+        let new_window = || RollingWindow::new((cloud.link, *window), time.clocks, time.at);
+        cloud.rolling.entry(key).or_insert_with(new_window).at(self.readers, time.at).await
     }
 
-    /// Returns the number of stored samples in the windows that were used, including the time around the run in which they count.
+    /// Returns the number of stored samples in the windows that were used, including samples shortly before and after the run.
     pub(super) fn samples(&self) -> u64 {
-        self.used.iter().map(|(.., samples)| count(*samples)).sum()
+        self.used_windows.iter().map(|(.., samples)| count(*samples)).sum()
     }
 
     /// Reads the link over the run's network. The relation belongs to the pair of hosts: while the run used the link, the link's
-    /// samples also hold what was learnt over other networks.
-    async fn find(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
+    /// samples also contain exchanges over other networks.
+    async fn read_cloud(&self, cloud: i64) -> Result<Option<Cloud>, StoreError> {
         let link: Option<i64> = sqlx::query_scalar(sql::LINK_OF)
             .bind(self.edge)
             .bind(cloud)

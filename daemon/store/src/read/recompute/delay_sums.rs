@@ -25,7 +25,7 @@ impl DelaySums {
             self.half_width.record((bounds.hi.seconds() - bounds.lo.seconds()) / 2.0);
         }
         let verdicts = Verdict::ALL.iter().zip(&mut self.verdicts);
-        verdicts.filter(|(known, _)| **known == delay.verdict).for_each(|(_, times)| *times += 1);
+        verdicts.filter(|(verdict, _)| **verdict == delay.verdict).for_each(|(_, count)| *count += 1);
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -37,7 +37,7 @@ impl DelaySums {
         Judgement {
             delay: QuantityStatistics::from_summary(&self.delay),
             half_width: QuantityStatistics::from_summary(&self.half_width),
-            verdicts: verdicts.filter(|(_, times)| *times > 0).collect(),
+            verdicts: verdicts.filter(|(_, count)| *count > 0).collect(),
         }
     }
 }

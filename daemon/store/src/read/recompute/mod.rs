@@ -1,8 +1,8 @@
-//! Judging of a run's one-way delays again, including the exchanges after them.
+//! Judges a run's one-way delays again, including the exchanges after the delays.
 //!
-//! The stored stamps and judgements do not change. The new bounds are the intersection of the bounds from the stored exchanges
-//! and of the earlier bounds, so none gets wider. A delay keeps its judgement if nothing can be added: both ends on one
-//! clock, near a step, or no samples of that time.
+//! The stored stamps and judgements do not change. The new bounds are the intersection of the earlier bounds and of the bounds from
+//! the stored exchanges, so no interval gets wider. A delay keeps its judgement if both ends read one clock, if it was near a step,
+//! or if there are no samples of its time.
 
 mod clouds;
 mod delay_sums;
@@ -81,7 +81,7 @@ pub(crate) struct RejudgedDelay {
     pub(crate) direction: Direction,
     pub(crate) before: Option<OneWayDelay>,
     pub(crate) after: Option<OneWayDelay>,
-    /// The clocks by whose stamps it was judged again; `None` if it keeps its judgement.
+    /// The clocks by whose stamps the delay was judged again; `None` if it keeps its judgement.
     pub(crate) clocks: Option<RelatedClocks>,
 }
 
@@ -90,13 +90,13 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
         (Direction::Up, stage::UPLOAD, DelaySums::default(), DelaySums::default()),
         (Direction::Down, stage::DOWNLOAD, DelaySums::default(), DelaySums::default()),
     ];
-    let mut clocks = [false; RelatedClocks::ALL.len()];
+    let mut used_clocks = [false; RelatedClocks::ALL.len()];
     let samples = rejudge_delays(readers, run, |delay| {
-        for (known, is_used) in RelatedClocks::ALL.iter().zip(&mut clocks) {
-            *is_used |= delay.clocks == Some(*known);
+        for (clocks, is_used) in RelatedClocks::ALL.iter().zip(&mut used_clocks) {
+            *is_used |= delay.clocks == Some(*clocks);
         }
-        let of_direction = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
-        of_direction.for_each(|(_, _, old, new)| {
+        let stage = stages.iter_mut().filter(|(direction, ..)| *direction == delay.direction);
+        stage.for_each(|(_, _, old, new)| {
             old.add(delay.before.as_ref());
             new.add(delay.after.as_ref());
         });
@@ -112,12 +112,12 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
             after: new.judgement(),
         })
         .collect();
-    let clocks =
-        RelatedClocks::ALL.iter().zip(clocks).filter_map(|(clocks, is_used)| is_used.then_some(*clocks));
+    let clocks = RelatedClocks::ALL.iter().zip(used_clocks);
+    let clocks = clocks.filter_map(|(clocks, is_used)| is_used.then_some(*clocks));
     Ok(Some(Recomputed { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
-/// Judges the delays of a run on which its statistics are based, and calls `each` with them in the order of iterations and nodes.
+/// Judges the delays on which a run's statistics are based, and calls `each` with every delay in the order of iterations and nodes.
 /// Returns the number of samples that were used, or `None` for an unknown run.
 pub(crate) async fn rejudge_delays(
     readers: &Readers,
@@ -132,21 +132,22 @@ pub(crate) async fn rejudge_delays(
     let Some(extent) = extent else { return Ok(None) };
     let mut clouds = Clouds::new(readers, (extent.host, &extent.network), extent.times());
     let is_observed = extent.model == Slug::observed().as_str();
-    let mut page_ends = (i64::MIN, i64::MIN);
+    // Iteration and node of the last delay that was read.
+    let mut last_delay = (i64::MIN, i64::MIN);
     loop {
         let rows: Vec<Row> = sqlx::query_as(sql::RUN_DELAYS)
             .bind(run)
-            .bind(page_ends.0)
-            .bind(page_ends.1)
+            .bind(last_delay.0)
+            .bind(last_delay.1)
             .bind(PAGE)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };
-        page_ends = (last.iteration, last.node);
+        last_delay = (last.iteration, last.node);
         for row in &rows {
             let direction = if stage::UPLOAD == row.text.as_str() { Direction::Up } else { Direction::Down };
-            let before = row.judged()?;
+            let before = row.delay()?;
             each(rejudge(&mut clouds, row, (direction, is_observed), before).await?);
         }
     }
@@ -164,7 +165,8 @@ async fn rejudge(
         return Ok(unchanged);
     };
     // A stepped delay keeps its verdict: no sample shows that its own exchange was refused.
-    if before.is_some_and(|it| it.source == DelaySource::SameClock || it.verdict == Verdict::Stepped) {
+    if before.is_some_and(|delay| delay.source == DelaySource::SameClock || delay.verdict == Verdict::Stepped)
+    {
         return Ok(unchanged);
     }
     let sent = wall(row.sent_ns);
@@ -174,54 +176,57 @@ async fn rejudge(
         Direction::Down => EdgeTime { clocks, at: stamps.received, wall: received },
     };
     let Some(relation) = clouds.relation(cloud, time).await? else { return Ok(unchanged) };
-    let now = match is_observed {
+    let after = match is_observed {
         true => relation.reception_difference(direction, stamps.sent, stamps.received),
         false => relation.delay(direction, stamps.sent, stamps.received),
     };
-    Ok(RejudgedDelay { after: Some(combine(before, now)), clocks: Some(clocks), ..unchanged })
+    Ok(RejudgedDelay { after: Some(combine(before, after)), clocks: Some(clocks), ..unchanged })
 }
 
 /// Combines the earlier and the new judgement.
-fn combine(before: Option<OneWayDelay>, now: OneWayDelay) -> OneWayDelay {
-    let Some(before) = before else { return now };
-    let of_then = before.bounds.filter(|_| before.verdict != Verdict::Inconsistent);
-    let (then, of_now) = match (of_then, now.bounds.filter(|_| now.verdict != Verdict::Inconsistent)) {
-        (Some(then), Some(of_now)) => (then, of_now),
-        (Some(_), None) if now.verdict == Verdict::Unsynchronised => return before,
-        _ => return now,
+fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
+    let Some(earlier) = earlier else { return new };
+    let usable_bounds = |delay: OneWayDelay| delay.bounds.filter(|_| delay.verdict != Verdict::Inconsistent);
+    let (earlier_bounds, new_bounds) = match (usable_bounds(earlier), usable_bounds(new)) {
+        (Some(earlier_bounds), Some(new_bounds)) => (earlier_bounds, new_bounds),
+        (Some(_), None) if new.verdict == Verdict::Unsynchronised => return earlier,
+        _ => return new,
     };
-    let Some(bounds) = then.intersection(of_now) else {
-        return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..now };
+    let Some(bounds) = earlier_bounds.intersection(new_bounds) else {
+        return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..new };
     };
-    let value = now.value.or(before.value).map(|value| value.clamp(bounds.lo, bounds.hi));
-    let wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.abs().nanos() / 2));
-    let verdict = match (before.verdict, now.verdict) {
+    let value = new.value.or(earlier.value).map(|value| value.clamp(bounds.lo, bounds.hi));
+    let is_wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.abs().nanos() / 2));
+    let verdict = match (earlier.verdict, new.verdict) {
         (Verdict::Stale, Verdict::Stale) => Verdict::Stale,
-        _ if wide => Verdict::Limited,
+        _ if is_wide => Verdict::Limited,
         _ => Verdict::Ok,
     };
-    OneWayDelay { value, bounds: Some(bounds), verdict, ..now }
+    OneWayDelay { value, bounds: Some(bounds), verdict, ..new }
 }
 
 impl Row {
-    /// Returns the stamps by which the delay is judged, and their clocks: the free-running clocks if both ends have their stamps, otherwise
-    /// the wall clocks. A cloud without raw stamps gave stamps of its wall clock instead.
+    /// Returns the stamps by which the delay is judged, and their clocks. They are stamps of the free-running clocks if both ends have
+    /// such stamps, and otherwise stamps of the wall clocks. A cloud that cannot read a free-running clock reports stamps of its wall
+    /// clock in the columns of the raw stamps.
     fn stamps(&self, direction: Direction, sent: WallTime, received: WallTime) -> (RelatedClocks, RawStamps) {
-        let by_wall = RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };
+        let wall_stamps =
+            RawStamps { sent: RawTime::from_wall(sent), received: RawTime::from_wall(received) };
         let Some((sent, received)) = self.sent_raw_ns.zip(self.received_raw_ns) else {
-            return (RelatedClocks::Wall, by_wall);
+            return (RelatedClocks::Wall, wall_stamps);
         };
-        let raw = RawStamps { sent: RawTime::from_nanos(sent), received: RawTime::from_nanos(received) };
-        let is_of_wall_clock = match direction {
-            Direction::Up => raw.received == by_wall.received,
-            Direction::Down => raw.sent == by_wall.sent,
+        let raw_stamps =
+            RawStamps { sent: RawTime::from_nanos(sent), received: RawTime::from_nanos(received) };
+        let has_cloud_wall_stamp = match direction {
+            Direction::Up => raw_stamps.received == wall_stamps.received,
+            Direction::Down => raw_stamps.sent == wall_stamps.sent,
         };
-        (if is_of_wall_clock { RelatedClocks::RawToWall } else { RelatedClocks::Raw }, raw)
+        (if has_cloud_wall_stamp { RelatedClocks::RawToWall } else { RelatedClocks::Raw }, raw_stamps)
     }
 
     /// Returns the delay as stored, or `None` if it was never judged.
-    fn judged(&self) -> Result<Option<OneWayDelay>, StoreError> {
+    fn delay(&self) -> Result<Option<OneWayDelay>, StoreError> {
         let Self { raw_ns, source, verdict, value, .. } = *self;
-        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.judged(WHAT)
+        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.to_delay(WHAT)
     }
 }

@@ -14,9 +14,10 @@ use crate::error::StoreError;
 use crate::readers::Readers;
 
 const WHAT: &str = "clock samples";
-/// Reach of exchanges on both sides of a time. The agent itself looks back as far, unless configured otherwise.
+/// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time before a delay,
+/// unless configured otherwise.
 pub(super) const SPAN: Span = Span::from_seconds(10);
-/// Tolerance of the order of judged delays: an iteration may take as long.
+/// How far a delay may be earlier than the delay that was judged before it. An iteration may take as long as that.
 const MAX_DISORDER: Span = Span::from_seconds(60);
 /// Number of samples that are read at once.
 const PAGE: u32 = 1_000;
@@ -44,7 +45,7 @@ struct Row {
     offset_sources: Option<String>,
 }
 
-/// Claim about the offset by two time daemons together.
+/// Interval of the offset that follows from the claims of both hosts' time daemons.
 type Claim = Option<(DelaySource, Interval)>;
 
 /// The exchanges of one window around the current time.
@@ -52,29 +53,32 @@ pub(super) struct RollingWindow {
     /// The link and its window.
     key: (i64, i64),
     clocks: RelatedClocks,
-    /// Made with the first sample, whose drift limit all samples have.
+    /// Created with the drift limit of the first sample. All samples of a window have the same limit.
     relation: Option<Relation>,
     /// Rows that were read but not learnt yet.
-    ahead: VecDeque<Row>,
-    read: i64,
-    complete: bool,
-    /// By the end of their second.
+    unlearnt_rows: VecDeque<Row>,
+    /// Time of the last row that was read.
+    read_until_ns: i64,
+    /// `true` if all rows were read.
+    is_complete: bool,
+    /// Claims that are not set yet, with the ends of their seconds.
     claims: VecDeque<(RawTime, Claim)>,
-    claim: Claim,
+    /// The claim that is set.
+    current_claim: Claim,
 }
 
 impl RollingWindow {
-    /// Returns a window for times from the allowed disorder before `at` on.
+    /// Creates a window for times around and after `at`. Times may be earlier than `at` by at most `MAX_DISORDER`.
     pub(super) fn new(key: (i64, i64), clocks: RelatedClocks, at: RawTime) -> Self {
         Self {
             key,
             clocks,
             relation: None,
-            ahead: VecDeque::new(),
-            read: (at - SPAN - MAX_DISORDER).nanos(),
-            complete: false,
+            unlearnt_rows: VecDeque::new(),
+            read_until_ns: (at - SPAN - MAX_DISORDER).nanos(),
+            is_complete: false,
             claims: VecDeque::new(),
-            claim: None,
+            current_claim: None,
         }
     }
 
@@ -86,45 +90,47 @@ impl RollingWindow {
     ) -> Result<Option<&Relation>, StoreError> {
         let until = (at + SPAN).nanos();
         loop {
-            while let Some(row) = self.ahead.pop_front_if(|row| row.time_ns <= until) {
+            while let Some(row) = self.unlearnt_rows.pop_front_if(|row| row.time_ns <= until) {
                 self.learn(&row)?;
             }
-            if self.complete || !self.ahead.is_empty() {
+            if self.is_complete || !self.unlearnt_rows.is_empty() {
                 break;
             }
             self.read(readers).await?;
         }
         while self.claims.pop_front_if(|(end, _)| *end < at).is_some() {}
         if let (Some(relation), Some((_, claim))) = (&mut self.relation, self.claims.front())
-            && *claim != self.claim
+            && *claim != self.current_claim
         {
-            self.claim = *claim;
-            let said = |error: fn(Interval) -> Interval| {
+            self.current_claim = *claim;
+            let discipline = |error: fn(Interval) -> Interval| {
                 claim.map(|(source, offset)| Discipline { source, error: error(offset) })
             };
             // The stored claim is about the offset: it is set as if the edge's clock were exact.
-            relation.set_claims(said(|_| Interval::exactly(Span::ZERO)), said(|offset| offset));
+            relation.set_claims(discipline(|_| Interval::exactly(Span::ZERO)), discipline(|offset| offset));
         }
         Ok(self.relation.as_ref())
     }
 
+    /// Reads the next rows.
     async fn read(&mut self, readers: &Readers) -> Result<(), StoreError> {
         let by_wall_clocks = self.clocks == RelatedClocks::Wall;
         let statement = if by_wall_clocks { sql::CLOCK_EXCHANGES } else { sql::CLOCK_EXCHANGES_BY_RAW };
         let rows: Vec<Row> = sqlx::query_as(statement)
             .bind(self.key.0)
             .bind(self.key.1)
-            .bind(self.read)
+            .bind(self.read_until_ns)
             .bind(PAGE)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        self.complete = rows.len() < PAGE as usize;
-        self.read = rows.last().map_or(self.read, |row| row.time_ns);
-        self.ahead.extend(rows);
+        self.is_complete = rows.len() < PAGE as usize;
+        self.read_until_ns = rows.last().map_or(self.read_until_ns, |row| row.time_ns);
+        self.unlearnt_rows.extend(rows);
         Ok(())
     }
 
+    /// Adds the exchanges and the claim of a row.
     fn learn(&mut self, row: &Row) -> Result<(), StoreError> {
         let relation = self.relation.get_or_insert_with(|| {
             let settings = RelationSettings {
@@ -137,11 +143,12 @@ impl RollingWindow {
                 trust_time_daemons: true,
                 ..RelationSettings::default()
             };
-            // A delay whose hosts proved that they read one clock is stored as such, and not judged again.
+            // A delay between hosts that proved that they read one clock is stored as such and not judged again, so the settings for
+            // this proof do not matter.
             Relation::new(settings)
         });
         let mut exchanges = [row.upper(), row.lower()];
-        // In the order of time: an undetected jump lies between two of them.
+        // The exchanges are learnt in the order of time, because a clock may have jumped between them.
         exchanges.sort_by_key(|exchange| exchange.map(|exchange| exchange.sent));
         for exchange in exchanges.into_iter().flatten() {
             relation.learn(&ExchangeObservation {
@@ -178,15 +185,16 @@ impl Row {
     }
 
     fn claim(&self) -> Result<Claim, StoreError> {
-        let daemons = |source: &DelaySource| matches!(source, DelaySource::Kernel | DelaySource::Chrony);
+        let is_time_daemon =
+            |source: &DelaySource| matches!(source, DelaySource::Kernel | DelaySource::Chrony);
         if let Some(json) = &self.offset_sources {
-            return Ok(sources(json)?.into_iter().find(|(source, _)| daemons(source)));
+            return Ok(sources(json)?.into_iter().find(|(source, _)| is_time_daemon(source)));
         }
         let source =
             self.offset_source.map(|number| value_of_number(WHAT, DelaySource::ALL, number)).transpose()?;
         let bounds = self.offset_lo_ns.zip(self.offset_hi_ns);
         let interval = |(lo, hi)| Interval { lo: Span::from_nanos(lo), hi: Span::from_nanos(hi) };
-        Ok(source.filter(daemons).zip(bounds.map(interval)))
+        Ok(source.filter(is_time_daemon).zip(bounds.map(interval)))
     }
 }
 

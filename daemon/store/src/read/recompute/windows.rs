@@ -2,15 +2,15 @@
 
 use peernet_clock::{RawTime, Span};
 
-/// Reach of the first and the last window beyond their ends: the bounds of an exchange hold for some seconds around it, if
-/// there is no sign of a step.
+/// Time for which the first window is extended before its start, and the last window after its end. The bounds of an exchange hold
+/// for some seconds around the exchange if there is no sign of a step.
 const REACH: Span = Span::from_seconds(10);
-/// A sample is for the second that ends with it.
+/// Length of the period before a sample's time that the sample describes.
 const SECOND: Span = Span::from_seconds(1);
-/// Time after a window's last sample for which the window is still possible. The second of a step has a sample of the later
-/// window only, and that sample may arrive late.
+/// Time after a window's last sample for which the window is still possible. The second of a step has a sample only of the later
+/// window, and that sample may be late.
 const MAX_UNSAMPLED: Span = Span::from_seconds(2);
-/// Upper limit of an exchange's duration; earlier stamps are invalid.
+/// Upper limit of an exchange's duration. Stamps that are further from the window's samples are invalid and are clamped.
 const MAX_EXCHANGE: Span = Span::from_seconds(60);
 
 /// Range of the stored exchanges of one window, by the edge's clock that stamped them.
@@ -26,25 +26,25 @@ pub(super) struct Extent {
     pub(super) returned: RawTime,
 }
 
-/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if there is
-/// exactly one.
+/// The time of a clock of the edge, divided into intervals. Each interval has the window that is possible in it, if exactly one
+/// window is possible.
 ///
-/// Free-running clocks count from the start of their machine: a time that occurs after two starts of the machine belongs to
-/// neither window. Near a step two windows may overlap, if the edge's clock was set back, or leave a gap in which the step
-/// happened: a time there belongs to neither window. A window is certain from its first exchange to its last one. It is possible
-/// for the whole seconds of its samples, where no other window is certain.
+/// A window is certain from its first exchange to its last exchange. It is possible for the whole seconds of its samples. Two windows
+/// may be possible at one time: free-running clocks count from the start of the machine, so that a time may occur after two starts;
+/// and the edge's wall clock may have been set back. Such a time belongs to neither window. A time in the gap between two windows, in
+/// which a step happened, belongs to neither window either.
 #[derive(Debug, Default)]
 pub(super) struct Timeline {
-    /// Starts of the pieces with the only possible window.
-    pieces: Vec<(RawTime, Option<usize>)>,
+    /// Start of each interval, with the window if exactly one is possible.
+    intervals: Vec<(RawTime, Option<usize>)>,
     /// Range in which each window is certain.
-    certain: Vec<(RawTime, RawTime)>,
+    certain_ranges: Vec<(RawTime, RawTime)>,
 }
 
 impl Timeline {
-    /// Makes the timeline of windows in any order; their indexes are their names.
+    /// Creates the timeline of windows, which may be in any order. A window is identified by its index.
     pub(super) fn new(windows: &[Extent]) -> Self {
-        let mut certain: Vec<(RawTime, RawTime)> = windows
+        let mut certain_ranges: Vec<(RawTime, RawTime)> = windows
             .iter()
             .map(|window| {
                 (
@@ -53,43 +53,47 @@ impl Timeline {
                 )
             })
             .collect();
-        let mut possible: Vec<(RawTime, RawTime)> = windows
+        let mut possible_ranges: Vec<(RawTime, RawTime)> = windows
             .iter()
-            .zip(&certain)
+            .zip(&certain_ranges)
             .map(|(window, (sent, returned))| {
                 ((window.first - SECOND).min(*sent), (window.last + MAX_UNSAMPLED).max(*returned))
             })
             .collect();
-        for spans in [&mut certain, &mut possible] {
-            if let Some(first) = spans.iter_mut().min_by_key(|(begin, _)| *begin) {
+        for ranges in [&mut certain_ranges, &mut possible_ranges] {
+            if let Some(first) = ranges.iter_mut().min_by_key(|(start, _)| *start) {
                 first.0 = first.0 - REACH;
             }
-            if let Some(last) = spans.iter_mut().max_by_key(|(_, end)| *end) {
+            if let Some(last) = ranges.iter_mut().max_by_key(|(_, end)| *end) {
                 last.1 = last.1 + REACH;
             }
         }
-        let mut changes: Vec<(RawTime, bool, usize)> = Vec::with_capacity(2 * possible.len());
-        for (window, (begin, end)) in possible.into_iter().enumerate() {
-            changes.push((begin, true, window));
+        let mut changes: Vec<(RawTime, bool, usize)> = Vec::with_capacity(2 * possible_ranges.len());
+        for (window, (start, end)) in possible_ranges.into_iter().enumerate() {
+            changes.push((start, true, window));
             changes.push((end + Span::from_nanos(1), false, window));
         }
         changes.sort_unstable();
-        // Of the open windows only the number and the sum of the indexes are kept: the sum of one is its index.
-        let (mut open, mut sum) = (0_usize, 0_usize);
-        let mut pieces = Vec::with_capacity(changes.len());
+        // Only the number of open windows and the sum of their indexes are kept. If one window is open, the sum is its index.
+        let (mut open_windows, mut index_sum) = (0_usize, 0_usize);
+        let mut intervals = Vec::with_capacity(changes.len());
         for (at, opens, window) in changes {
-            (open, sum) = if opens { (open + 1, sum + window) } else { (open - 1, sum - window) };
-            pieces.push((at, (open == 1).then_some(sum)));
+            (open_windows, index_sum) = if opens {
+                (open_windows + 1, index_sum + window)
+            } else {
+                (open_windows - 1, index_sum - window)
+            };
+            intervals.push((at, (open_windows == 1).then_some(index_sum)));
         }
-        Self { pieces, certain }
+        Self { intervals, certain_ranges }
     }
 
-    /// Returns the window of a time, or `None` if it is not certain.
+    /// Returns the index of the window of a time, or `None` if no window is certain at that time, or another one is possible.
     pub(super) fn window(&self, at: RawTime) -> Option<usize> {
-        let after = self.pieces.partition_point(|(begin, _)| *begin <= at);
-        let window = self.pieces.get(after.checked_sub(1)?)?.1?;
-        let (begin, end) = self.certain.get(window)?;
-        (*begin <= at && at <= *end).then_some(window)
+        let next_interval = self.intervals.partition_point(|(start, _)| *start <= at);
+        let window = self.intervals.get(next_interval.checked_sub(1)?)?.1?;
+        let (start, end) = self.certain_ranges.get(window)?;
+        (*start <= at && at <= *end).then_some(window)
     }
 }
 

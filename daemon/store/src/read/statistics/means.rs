@@ -1,4 +1,4 @@
-//! Means over the time of a run: the database adds the values up, and no sketch is read.
+//! Means over the time of a run. The database adds up the values; no sketch is read.
 
 use peernet_logger::Name;
 
@@ -28,13 +28,17 @@ pub(crate) async fn stage_means(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    // By name and point. A name with several kinds has several rows in one point.
+    // For each stage: point, number of samples and their sum. A name with several kinds has several rows in one point.
     let mut sums: Vec<Vec<(i64, u64, f64)>> = vec![Vec::new(); stages.len()];
     for (name, point, count, sum) in rows {
-        let Some(points) = name_ids.places.get(&name).and_then(|at| sums.get_mut(*at)) else { continue };
+        let Some(points) = name_ids.indexes.get(&name).and_then(|index| sums.get_mut(*index)) else {
+            continue;
+        };
         let count = u64::try_from(count).unwrap_or_default();
         match points.last_mut() {
-            Some((open, all, total)) if *open == point => (*all, *total) = (*all + count, *total + sum),
+            Some((last_point, total_count, total_sum)) if *last_point == point => {
+                (*total_count, *total_sum) = (*total_count + count, *total_sum + sum);
+            }
             _ => points.push((point, count, sum)),
         }
     }

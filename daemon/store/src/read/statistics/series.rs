@@ -1,4 +1,4 @@
-//! Figures over the time of a run, from buckets of a suitable width: the number of rows that are read depends on the number of
+//! Statistics over the time of a run, from buckets of a suitable width. The number of rows that are read depends on the number of
 //! points and names, not on the length of the run.
 
 use std::collections::HashMap;
@@ -15,7 +15,7 @@ use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};
 
-/// Possible widths of a point: multiples of a stored width, with at most fifteen buckets per point.
+/// Possible widths of a point, seconds: multiples of a stored width, with at most fifteen buckets per point.
 const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 const DAY_S: i64 = 86_400;
 
@@ -38,8 +38,8 @@ struct Width {
     width_s: i64,
     /// First and last bucket.
     extent: Option<(i64, i64)>,
-    /// `true` if nothing was deleted.
-    whole: bool,
+    /// `true` if no bucket of this width was deleted.
+    is_complete: bool,
 }
 
 /// Stored widths of a run.
@@ -52,7 +52,7 @@ impl StoredWidths {
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, whole: true });
+        let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, is_complete: true });
         for width in &mut widths {
             let (first, last): (Option<i64>, Option<i64>) = sqlx::query_as(sql::EXTENT)
                 .bind(run)
@@ -61,38 +61,39 @@ impl StoredWidths {
                 .await
                 .map_err(readers.failed(WHAT))?;
             width.extent = first.zip(last);
-            width.whole = !trimmed.iter().any(|(kind, _)| *kind == width.width_s);
+            width.is_complete = !trimmed.iter().any(|(kind, _)| *kind == width.width_s);
         }
         Ok(Self(widths))
     }
 
-    /// Returns the smallest width with at most `max_points` points over the whole run, and the stored width of which they are made:
-    /// the coarsest that divides it.
+    /// Chooses the smallest width of a point with which the whole run has at most `max_points` points. The points are made from the
+    /// coarsest stored width that divides the width of a point. Returns the width of a point and the stored width.
     ///
-    /// A width that was deleted for a part of the run is skipped, so that a line consists of one kind of buckets. Hours are used
-    /// as far as they reach.
+    /// A stored width of which buckets were deleted is skipped, so that all points of a line are made from one width. Buckets of an
+    /// hour are the exception: the remaining ones are used even if some were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
-        let whole = self.0.iter().filter(|width| width.whole).find_map(|width| width.extent);
-        let all = || {
+        let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
+        let remaining_extent = || {
             let extents = self.0.iter().filter_map(|width| width.extent);
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
-        let (from, to) = whole.or_else(all).unwrap_or((0, 0));
+        let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
         for width_s in POINTS_S {
             let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < max_points;
             let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
-            if let Some(stored) = stored.filter(|stored| fits && (stored.whole || stored.width_s == hour)) {
+            let is_usable = |stored: &&Width| stored.is_complete || stored.width_s == hour;
+            if let Some(stored) = stored.filter(|stored| fits && is_usable(stored)) {
                 return (width_s, stored.width_s);
             }
         }
-        // It is longer than any run: a clock was wrong.
+        // The range is longer than any run: a clock was wrong.
         (((to - from) / max_points / DAY_S + 2) * DAY_S, hour)
     }
 }
 
-/// Returns the points of each name that has any, in the order of `stages`.
+/// Returns the points of each name that has points, in the order of `stages`.
 async fn points(
     readers: &Readers,
     run: i64,
@@ -108,7 +109,7 @@ async fn points(
     Ok(series.filter(|series| !series.points.is_empty()).collect())
 }
 
-/// Returns the summaries of all buckets; otherwise as [`series`].
+/// Returns the summary of each bucket, where [`series`] returns statistics.
 pub(crate) async fn stage_buckets(
     readers: &Readers,
     run: i64,
@@ -117,12 +118,12 @@ pub(crate) async fn stage_buckets(
 ) -> Result<Vec<StageBuckets>, StoreError> {
     let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
-    let courses = lines.into_iter().map(|line| StageBuckets {
+    let stage_buckets = lines.into_iter().map(|line| StageBuckets {
         buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
         stage: line.stage,
         unit: line.unit,
     });
-    Ok(courses.filter(|course| !course.buckets.is_empty()).collect())
+    Ok(stage_buckets.filter(|stage| !stage.buckets.is_empty()).collect())
 }
 
 /// Returns a line for each name, in the order of `stages`.
@@ -133,9 +134,9 @@ async fn lines(
     (width_s, stored_s): (i64, i64),
 ) -> Result<Vec<SeriesBuilder>, StoreError> {
     let name_ids = NameIds::read(readers, stages).await?;
-    let line = |(at, stage): (usize, &Name)| SeriesBuilder {
+    let line = |(index, stage): (usize, &Name)| SeriesBuilder {
         stage: stage.clone(),
-        unit: name_ids.units[at].clone(),
+        unit: name_ids.units[index].clone(),
         width_s,
         points: Vec::new(),
     };
@@ -147,7 +148,7 @@ async fn lines(
         .bind(name_ids.ids()?)
         .fetch(&pool);
     while let Some(row) = rows.try_next().await.map_err(readers.failed(WHAT))? {
-        let line = name_ids.places.get(&row.name).and_then(|at| lines.get_mut(*at));
+        let line = name_ids.indexes.get(&row.name).and_then(|index| lines.get_mut(*index));
         if let Some(line) = line {
             line.add(&row)?;
         }
@@ -157,8 +158,8 @@ async fn lines(
 
 /// Ids and units of names in the database.
 pub(super) struct NameIds {
-    /// Place in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
-    pub(super) places: HashMap<i64, usize>,
+    /// Index in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
+    pub(super) indexes: HashMap<i64, usize>,
     /// Units in the order of the given list.
     units: Vec<String>,
 }
@@ -171,31 +172,31 @@ impl NameIds {
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
-        let mut name_ids = Self { places: HashMap::new(), units: vec![String::new(); stages.len()] };
+        let mut name_ids = Self { indexes: HashMap::new(), units: vec![String::new(); stages.len()] };
         for (id, text, unit) in names {
-            if let Some(at) = texts.iter().position(|asked| *asked == text) {
-                name_ids.units[at] = unit;
-                name_ids.places.insert(id, at);
+            if let Some(index) = texts.iter().position(|requested| *requested == text) {
+                name_ids.units[index] = unit;
+                name_ids.indexes.insert(id, index);
             }
         }
         Ok(name_ids)
     }
 
-    /// Returns the ids as a JSON array, in which form statements take them.
+    /// Returns the ids as a JSON array, the form in which statements take a list.
     pub(super) fn ids(&self) -> Result<String, StoreError> {
-        let ids: Vec<i64> = self.places.keys().copied().collect();
+        let ids: Vec<i64> = self.indexes.keys().copied().collect();
         serde_json::to_string(&ids).map_err(|error| corrupt_data(WHAT, error))
     }
 }
 
-/// Converts a bucket for pages; `None` without samples.
-fn point((begin, summary): &(i64, Summary)) -> Option<SeriesPoint> {
-    QuantityStatistics::from_summary(summary).map(|figures| SeriesPoint {
-        at: wall(begin.saturating_mul(1_000_000_000)),
-        count: figures.count,
-        mean: figures.mean,
-        p50: figures.p50,
-        p95: figures.p95,
+/// Converts a bucket to a point; `None` if the bucket has no samples.
+fn point((start, summary): &(i64, Summary)) -> Option<SeriesPoint> {
+    QuantityStatistics::from_summary(summary).map(|statistics| SeriesPoint {
+        at: wall(start.saturating_mul(1_000_000_000)),
+        count: statistics.count,
+        mean: statistics.mean,
+        p50: statistics.p50,
+        p95: statistics.p95,
     })
 }
 
@@ -204,17 +205,17 @@ struct SeriesBuilder {
     stage: Name,
     unit: String,
     width_s: i64,
-    /// Begin and contents of each bucket; the last one may grow.
+    /// Start and contents of each bucket; the last bucket may grow.
     points: Vec<(i64, Summary)>,
 }
 
 impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
-        let begin = bucket(row.bucket_s, self.width_s);
+        let start = bucket(row.bucket_s, self.width_s);
         match self.points.last_mut() {
-            Some((open, all)) if *open == begin => all.merge(&summary),
-            _ => self.points.push((begin, summary)),
+            Some((last_start, total)) if *last_start == start => total.merge(&summary),
+            _ => self.points.push((start, summary)),
         }
         Ok(())
     }
@@ -226,12 +227,12 @@ mod tests {
 
     const WEEK_S: i64 = 7 * DAY_S;
 
-    /// Makes a run from the start of an hour, of which only these widths were deleted.
+    /// Returns the widths of a run that began at the start of an hour. Buckets of the widths in `deleted` were deleted.
     fn stored(length_s: i64, deleted: &[i64]) -> StoredWidths {
         StoredWidths(WIDTHS_S.map(|width_s| Width {
             width_s,
             extent: Some((0, bucket(length_s - 1, width_s))),
-            whole: !deleted.contains(&width_s),
+            is_complete: !deleted.contains(&width_s),
         }))
     }
 

@@ -8,7 +8,7 @@ use super::{AnchorRow, BatchBuilder, BatchError, IterationRow, NodeRow, RunPart,
 use crate::extent::Extent;
 use crate::rollups::Quantity;
 
-/// Node of the agent: number of starts of an open loop that were skipped before an iteration.
+/// Name of the agent's node with the number of starts of an open loop that were skipped before an iteration.
 const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl BatchBuilder {
@@ -17,16 +17,16 @@ impl BatchBuilder {
         let number =
             i64::try_from(iteration.number).map_err(|_| BatchError::IterationNumber(iteration.number))?;
         let tree = &iteration.tree;
-        let [edge, others @ ..] = tree.anchors() else {
+        let [edge, other_anchors @ ..] = tree.anchors() else {
             return Err(BatchError::EmptyTree(number));
         };
         let run = self.run(iteration, edge.wall);
-        let at = self.batch.iterations.len() as u32;
-        for (position, anchor) in (1..).zip(others) {
+        let index = self.batch.iterations.len() as u32;
+        for (position, anchor) in (1..).zip(other_anchors) {
             let (host, wall_ns) = (self.host(anchor.host), anchor.wall.unix_nanos());
-            self.batch.anchors.push(AnchorRow { iteration: at, position, host, wall_ns });
+            self.batch.anchors.push(AnchorRow { iteration: index, position, host, wall_ns });
         }
-        let counted = iteration.outcome == Outcome::Ok && !iteration.warm_up;
+        let is_in_statistics = iteration.outcome == Outcome::Ok && !iteration.warm_up;
         let second_s = edge.wall.unix_seconds();
         for (id, node) in tree.iter() {
             let name = self.names.position(id.index(), &node.name, &node.measure);
@@ -34,7 +34,7 @@ impl BatchBuilder {
             let bounds = bounds(&node.measure);
             let (lo, hi) = bounds.unwrap_or((f64::NAN, f64::NAN));
             self.batch.nodes.push(NodeRow {
-                iteration: at,
+                iteration: index,
                 node: id.0,
                 parent: node.parent.map(|NodeId(parent)| parent),
                 name,
@@ -44,12 +44,12 @@ impl BatchBuilder {
                 lo,
                 hi,
             });
-            if counted {
+            if is_in_statistics {
                 self.summaries.record(run, name, Quantity::Value, second_s, value);
             }
             if let Measure::Transit(transit) = &node.measure {
-                let row = transit_row(at, id, transit);
-                if let (true, Some(verdict)) = (counted, row.verdict) {
+                let row = transit_row(index, id, transit);
+                if let (true, Some(verdict)) = (is_in_statistics, row.verdict) {
                     *self.verdicts.entry((run, name, verdict)).or_default() += 1;
                     self.summaries.record(run, name, Quantity::HalfWidth, second_s, (hi - lo) / 2.0);
                 }
@@ -71,7 +71,7 @@ impl BatchBuilder {
         Ok(edge.wall)
     }
 
-    /// Returns the position of the iteration's run, and counts the iteration in it.
+    /// Adds the iteration to the counters of its run. Returns the position of the run in the batch's runs.
     fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
         let numbers = Extent::single(iteration.number.cast_signed());
         let seconds = Extent::single(started.unix_seconds());
@@ -110,7 +110,7 @@ impl BatchBuilder {
         run
     }
 
-    /// Returns the position of a host other than the edge.
+    /// Returns the position of a host other than the edge in the batch's hosts.
     fn host(&mut self, host: HostId) -> u32 {
         *self.hosts.entry(host).or_insert_with(|| {
             self.batch.hosts.push(host);
@@ -119,13 +119,14 @@ impl BatchBuilder {
     }
 }
 
+/// Returns the number of starts that were skipped before an iteration.
 fn skipped_starts(tree: &Tree) -> u64 {
     let value = tree.find(&[SKIPPED_STARTS]).and_then(|(_, node)| node.measure.value());
     // The cast saturates: values that are no counts become 0 or the largest count.
     value.unwrap_or(0.0) as u64
 }
 
-/// Returns the row of the table `outcome`.
+/// Returns the number of an outcome in the table `outcome`.
 const fn outcome_number(outcome: &Outcome) -> u8 {
     match outcome {
         Outcome::Ok => 0,
@@ -135,6 +136,7 @@ const fn outcome_number(outcome: &Outcome) -> u8 {
     }
 }
 
+/// Returns the bounds of a node's value.
 fn bounds(measure: &Measure) -> Option<(f64, f64)> {
     match measure {
         Measure::Transit(transit) => {
@@ -159,7 +161,7 @@ fn transit_row(iteration: u32, id: NodeId, transit: &Transit) -> TransitRow {
     }
 }
 
-/// Returns the row of the table `source` or `verdict`: they are in the order of declaration.
+/// Returns the number of a source or verdict in its table. The rows of the tables `source` and `verdict` are in the order of `all`.
 pub(crate) fn position<T: PartialEq + Copy>(all: &[T], value: T) -> Option<u8> {
-    all.iter().position(|known| *known == value).and_then(|at| u8::try_from(at).ok())
+    all.iter().position(|other| *other == value).and_then(|position| u8::try_from(position).ok())
 }

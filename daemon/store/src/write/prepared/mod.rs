@@ -1,7 +1,7 @@
-//! Preparation of batches: all work that needs no database is done in parallel with SQLite's thread and not by the writer.
+//! Preparation of batches: all work that needs no database is done here, in parallel with the writer and SQLite's thread.
 //!
-//! Runs, names and hosts are positions in lists of the batch; the writer looks up their numbers. A batch that can never be
-//! stored is found here.
+//! Rows refer to runs, names and hosts by positions in lists of the batch; the writer looks up their ids in the database. A batch
+//! that can never be stored is detected here.
 
 mod iteration;
 mod names;
@@ -26,7 +26,7 @@ use crate::stored::StoredCounts;
 
 pub(super) use self::iteration::position;
 
-/// Maximum number of missing events in a gap: a host may claim any number, and no sum in the database may overflow.
+/// Maximum number of missing events in a gap. A host may report any number, and no sum in the database may overflow.
 const MAX_MISSING_EVENTS: u64 = 1 << 40;
 
 /// A batch that is ready to be inserted.
@@ -38,8 +38,8 @@ pub struct PreparedBatch {
     /// Work to be done one by one, in the order of the events.
     pub(super) steps: Vec<Step>,
     pub(super) runs: Vec<RunPart>,
-    /// Runs that its events of any kind name.
-    pub(super) claimed: BTreeSet<RunId>,
+    /// Runs that the batch's events of any kind name.
+    pub(super) named_runs: BTreeSet<RunId>,
     pub(super) names: Vec<NameKey>,
     /// Hosts in trees other than the edge.
     pub(super) hosts: Vec<HostId>,
@@ -50,9 +50,9 @@ pub struct PreparedBatch {
     pub(super) summaries: Vec<SummaryPart>,
     /// Counts of verdicts: run, name, verdict, count.
     pub(super) verdicts: Vec<(u32, u32, u8, u64)>,
-    /// Additions to the counters of its host.
+    /// Additions to the counters of the batch's host.
     pub(super) added: StoredCounts,
-    /// Time of its newest event on its host's clock.
+    /// Time of the batch's newest event on its host's clock.
     pub(super) newest: Option<WallTime>,
 }
 
@@ -61,7 +61,7 @@ pub struct PreparedBatch {
 pub(super) enum Step {
     /// An event other than an iteration.
     Event(Box<Event>),
-    /// Iterations of the run at this position follow; the time is the start of the first one.
+    /// Iterations of the run at this position follow; the time is the start of the first of them.
     Run(u32, WallTime),
 }
 
@@ -71,7 +71,7 @@ pub(super) struct RunPart {
     pub(super) id: RunId,
     pub(super) outcomes: OutcomeCounts,
     pub(super) warm_up: u64,
-    /// Starts that were skipped before its iterations, without the iterations of the warm-up.
+    /// Number of starts that were skipped before these iterations, without iterations of the warm-up.
     pub(super) skipped_starts: u64,
     /// Start of the last iteration.
     pub(super) last: WallTime,
@@ -83,7 +83,7 @@ pub(super) struct RunPart {
 /// Reason why a batch can never be stored, in any database.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BatchError {
-    /// Its events cannot be decoded.
+    /// The events cannot be decoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
     /// An iteration's number does not fit into the database.
@@ -92,13 +92,13 @@ pub(crate) enum BatchError {
     /// The tree of an iteration is empty.
     #[error("the tree of iteration {0} is empty")]
     EmptyTree(i64),
-    /// An event is about a measurement of another host.
+    /// An event is about a measurement on another host.
     #[error("an event was measured on another host, {0}")]
     OtherHost(HostId),
 }
 
 impl PreparedBatch {
-    /// Makes rows and statistics of the events of a batch.
+    /// Makes rows and statistics from the events of a batch.
     ///
     /// # Errors
     /// When the events cannot be decoded or cannot be stored.
@@ -106,27 +106,27 @@ impl PreparedBatch {
         Self::without(head, body, &HashSet::new())
     }
 
-    /// Does the same as [`Self::new`] without some iterations, which are already stored.
+    /// Does the same as [`Self::new`], but leaves out the iterations in `stored`, because they are already stored.
     pub(super) fn without(
         head: BatchHead,
         body: Bytes,
         stored: &HashSet<(RunId, i64)>,
     ) -> Result<Self, BatchError> {
         let events = codec::decode_events(&body, head.events)?;
-        let mut preparing = BatchBuilder::new(Self::new_empty(head, body));
+        let mut builder = BatchBuilder::new(Self::new_empty(head, body));
         for event in events {
-            if let (false, Event::Iteration(it)) = (stored.is_empty(), &event)
-                && stored.contains(&(it.run, it.number.cast_signed()))
+            if let (false, Event::Iteration(iteration)) = (stored.is_empty(), &event)
+                && stored.contains(&(iteration.run, iteration.number.cast_signed()))
             {
-                preparing.batch.added.events -= 1;
+                builder.batch.added.events -= 1;
                 continue;
             }
-            preparing.add(event)?;
+            builder.add(event)?;
         }
-        Ok(preparing.finish())
+        Ok(builder.finish())
     }
 
-    /// Returns its weight in nodes, by which commits are divided.
+    /// Returns the number of nodes plus the other work of the batch. The sizes of commits are limited by this number.
     pub(crate) fn weight(&self) -> usize {
         1 + self.steps.len() + self.nodes.len()
     }
@@ -137,7 +137,7 @@ impl PreparedBatch {
             body,
             steps: Vec::new(),
             runs: Vec::new(),
-            claimed: BTreeSet::new(),
+            named_runs: BTreeSet::new(),
             names: Vec::new(),
             hosts: Vec::new(),
             iterations: Vec::new(),
@@ -152,7 +152,7 @@ impl PreparedBatch {
     }
 }
 
-/// A batch under preparation, with indexes of its lists.
+/// A batch under preparation, with the positions of its items in its lists.
 #[derive(Debug)]
 struct BatchBuilder {
     batch: PreparedBatch,
@@ -183,11 +183,11 @@ impl BatchBuilder {
         if let Some(other) = reporter.filter(|reporter| *reporter != self.batch.head.host) {
             return Err(BatchError::OtherHost(other));
         }
-        self.batch.claimed.extend(run);
+        self.batch.named_runs.extend(run);
         let at = match &event {
             Event::Iteration(iteration) => {
-                let began = self.iteration(iteration)?;
-                self.batch.newest = self.batch.newest.max(Some(began));
+                let start = self.iteration(iteration)?;
+                self.batch.newest = self.batch.newest.max(Some(start));
                 return Ok(());
             }
             Event::RunStarted(run) => run.started,

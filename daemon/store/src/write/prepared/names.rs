@@ -20,8 +20,8 @@ impl NameKey {
         Self { text: name.clone(), kind: measure.kind(), custom, unit: measure.unit() }
     }
 
-    /// Returns whether it is the key of a node, without allocating that key.
-    fn is(&self, name: &Name, measure: &Measure) -> bool {
+    /// Returns whether this is the key of a node with this name and measure. Does not allocate the node's key.
+    fn matches(&self, name: &Name, measure: &Measure) -> bool {
         self.text == *name
             && match measure {
                 Measure::Custom(kind, unit, _) => self.custom && self.kind == *kind && self.unit == *unit,
@@ -38,15 +38,15 @@ pub(super) struct LocalNames {
     pub(super) list: Vec<NameKey>,
     /// Position in `list`.
     positions: HashMap<NameKey, u32>,
-    /// Names of the tree before: the next tree mostly has the same shape.
-    shape: Vec<u32>,
+    /// Positions of the names of the previous tree, by node. Most trees have the same names as the previous tree.
+    previous_tree: Vec<u32>,
 }
 
 impl LocalNames {
-    /// Returns the position of a name, for the node at `at` of its tree.
-    pub(super) fn position(&mut self, at: usize, name: &Name, measure: &Measure) -> u32 {
-        if let Some(position) = self.shape.get(at)
-            && self.list[*position as usize].is(name, measure)
+    /// Returns the position of the name of a node. `node` is the index of the node in its tree.
+    pub(super) fn position(&mut self, node: usize, name: &Name, measure: &Measure) -> u32 {
+        if let Some(position) = self.previous_tree.get(node)
+            && self.list[*position as usize].matches(name, measure)
         {
             return *position;
         }
@@ -55,10 +55,10 @@ impl LocalNames {
             self.list.push(key.clone());
             self.list.len() as u32 - 1
         });
-        if self.shape.len() <= at {
-            self.shape.resize(at + 1, position);
+        if self.previous_tree.len() <= node {
+            self.previous_tree.resize(node + 1, position);
         }
-        self.shape[at] = position;
+        self.previous_tree[node] = position;
         position
     }
 }

@@ -1,4 +1,4 @@
-//! Rows of the tables that grow with every iteration. Unknown numbers are not-a-number, which SQLite stores as NULL.
+//! Rows of the tables that grow with every iteration. A value that is unknown is NaN, which SQLite stores as NULL.
 
 /// A row of `iteration`.
 #[derive(Debug)]

@@ -25,30 +25,31 @@ pub(super) struct Summaries {
     pub(super) list: Vec<SummaryPart>,
     /// Position in `list`, by run, name, quantity and second.
     positions: HashMap<(u32, u32, Quantity, i64), usize>,
-    /// Position in `list` of each name's last number, by quantity: iterations mostly arrive in the order of run and second.
-    last: Vec<[usize; 2]>,
+    /// Position in `list` of the summary to which a value was added last, by name and quantity. The next value mostly belongs to the
+    /// same run and second.
+    last_positions: Vec<[usize; 2]>,
 }
 
 impl Summaries {
-    /// Adds a number of an iteration that began in `second_s`. Numbers that a summary does not accept are omitted.
+    /// Adds a value of an iteration that began in `second_s`. Values that a summary does not accept are omitted.
     pub(super) fn record(&mut self, run: u32, name: u32, quantity: Quantity, second_s: i64, value: f64) {
         if !Summary::accepts(value) {
             return;
         }
-        if self.last.len() <= name as usize {
-            self.last.resize(name as usize + 1, [usize::MAX; 2]);
+        if self.last_positions.len() <= name as usize {
+            self.last_positions.resize(name as usize + 1, [usize::MAX; 2]);
         }
-        let last = &mut self.last[name as usize][quantity as usize];
-        if let Some(part) = self.list.get_mut(*last)
+        let last_position = &mut self.last_positions[name as usize][quantity as usize];
+        if let Some(part) = self.list.get_mut(*last_position)
             && (part.run, part.second_s) == (run, second_s)
         {
             part.summary.record(value);
             return;
         }
-        *last = *self.positions.entry((run, name, quantity, second_s)).or_insert_with(|| {
+        *last_position = *self.positions.entry((run, name, quantity, second_s)).or_insert_with(|| {
             self.list.push(SummaryPart { run, name, quantity, second_s, summary: Summary::default() });
             self.list.len() - 1
         });
-        self.list[*last].summary.record(value);
+        self.list[*last_position].summary.record(value);
     }
 }

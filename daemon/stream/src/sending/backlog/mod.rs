@@ -38,20 +38,21 @@ pub(super) struct Backlog {
     pending: PendingBatches,
     /// Totals up to the newest batch that is in the file or stored by the aggregator.
     settled: Totals,
+    /// Number and chain of the newest batch.
     newest: (u64, Chain),
     waiting_usage: Usage,
     sent: SentBatches,
     /// Number of events that the aggregator stored.
-    stored: u64,
+    stored_events: u64,
 }
 
-/// Oldest batch that is held; if none is held, the number after the newest.
+/// Oldest batch that is held; if no batch is held, `number` is the number after the newest batch.
 #[derive(Clone, Copy, Debug)]
 struct OldestBatch {
     number: u64,
-    /// Chain of the batch before it.
+    /// Chain of the batch before the oldest.
     before: Chain,
-    /// Time of its first event, if the batch is in the file only.
+    /// Time of the first event of the oldest batch, if it is in the file only.
     since: Option<WallTime>,
 }
 
@@ -69,7 +70,7 @@ impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
-        // Without batches nothing is held, even if the counts state more.
+        // Without batches nothing is waiting, even if the stored counts state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
@@ -82,7 +83,7 @@ impl Backlog {
             newest,
             waiting_usage,
             sent: SentBatches::default(),
-            stored: produced.saturating_sub(dropped.saturating_add(waiting_usage.events)),
+            stored_events: produced.saturating_sub(dropped.saturating_add(waiting_usage.events)),
         }
     }
 
@@ -128,12 +129,12 @@ impl Backlog {
 
     /// Returns the number of events that the aggregator stored.
     pub(super) const fn stored_events(&self) -> u64 {
-        self.stored
+        self.stored_events
     }
 
-    /// Adds events that are stored although the spool does not record it.
+    /// Adds events that the aggregator stored although the spool does not contain them.
     pub(super) const fn add_stored(&mut self, events: u64) {
-        self.stored += events;
+        self.stored_events += events;
     }
 
     pub(super) const fn waiting_usage(&self) -> Usage {
@@ -149,7 +150,7 @@ impl Backlog {
         &self.settled
     }
 
-    /// Drops the batches that are in memory only. Returns their number of events.
+    /// Drops the batches that are in memory only. Returns the number of their events.
     pub(super) fn give_up(&mut self) -> u64 {
         let lost = self.pending.usage();
         while let Some(pending) = self.pending.pop_through(u64::MAX) {
@@ -177,7 +178,7 @@ impl Backlog {
         self.oldest.number + self.ready.len() as u64
     }
 
-    /// Returns the number of bytes that are read at once.
+    /// Returns the number of bytes that are read from the file at once.
     pub(super) fn part_bytes(&self) -> usize {
         usize::try_from(self.ready.part_bytes()).unwrap_or(usize::MAX)
     }
@@ -208,7 +209,8 @@ impl Backlog {
             bytes += usage.bytes;
             // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
-            // Ready batches are contiguous: if the previous batch is only in the file, this one is read from the file later.
+            // Ready batches are contiguous: if the previous batch is in the file only, this batch is read from the file
+            // later.
             if batch.number == self.first_unloaded() && is_wanted {
                 self.ready.push(batch);
             }
@@ -216,29 +218,29 @@ impl Backlog {
         bytes
     }
 
-    /// Records that the file advanced to a batch, which it contains or not.
+    /// Records that the file advanced to a batch, whether the file contains that batch or not.
     pub(super) fn advance_file(&mut self, through: u64, chain: Chain) {
         if through > self.spooled.0 {
             self.spooled = (through, chain);
         }
     }
 
-    /// Adds batches read from the file. Batches that do not follow the known batches are ignored. Returns how many were
-    /// added.
+    /// Adds batches read from the file. Batches that do not continue the ready batches are ignored. Returns the number of
+    /// added batches.
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
-        let ready_before = self.ready.len();
+        let previous_len = self.ready.len();
         for batch in batches {
             if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
         }
-        self.ready.len() - ready_before
+        self.ready.len() - previous_len
     }
 
-    /// Returns a batch that is in memory: with `unspooled` any batch, otherwise only a spooled one.
-    pub(super) fn get(&self, number: u64, unspooled: bool) -> Option<&SpooledBatch> {
+    /// Returns a batch that is in memory; a batch that is not in the file only if `include_unspooled` is set.
+    pub(super) fn get(&self, number: u64, include_unspooled: bool) -> Option<&SpooledBatch> {
         let index = number.checked_sub(self.oldest.number)?;
-        let pending = || self.pending.get(number).filter(|_| unspooled).map(|pending| &pending.batch);
+        let pending = || self.pending.get(number).filter(|_| include_unspooled).map(|pending| &pending.batch);
         self.ready.get(index as usize).or_else(pending)
     }
 
@@ -255,11 +257,11 @@ impl Backlog {
     pub(super) fn send(
         &mut self,
         number: u64,
-        unspooled: bool,
+        include_unspooled: bool,
         (host, process): (HostId, u64),
     ) -> Option<(BatchHead, Bytes)> {
         let before = self.chain(number.checked_sub(1)?)?;
-        let batch = self.get(number, unspooled)?;
+        let batch = self.get(number, include_unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
             let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
@@ -275,15 +277,15 @@ impl Backlog {
             before,
             chain,
             events,
-            events_before: self.stored + self.events_before(number),
+            events_before: self.stored_events + self.events_before(number),
         };
         Some((head, body))
     }
 
-    /// Returns the number of events in the batches from the oldest to the last before `number`. They must be in memory.
+    /// Returns the number of events in the held batches before batch `number`. These batches must be in memory.
     fn events_before(&self, number: u64) -> u64 {
-        let before = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
-        before.map(|batch| u64::from(batch.events)).sum()
+        let earlier = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
+        earlier.map(|batch| u64::from(batch.events)).sum()
     }
 
     /// Frees the batches up to `through`, which the aggregator stored. If some of them are only in the file, `scanned`
@@ -311,41 +313,42 @@ impl Backlog {
             }
             self.forget(&pending.batch, &mut freed);
         }
-        self.stored += freed.events;
+        self.stored_events += freed.events;
         freed
     }
 
+    /// Advances the oldest batch beyond a stored batch, and counts its events.
     fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
         (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
     }
 
-    /// Returns the chain of a batch, and the size of the batches up to it that are in the file only; `None` if the file
-    /// must be read first.
+    /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if the
+    /// file must be read first.
     pub(super) fn find_in_memory(&self, number: u64) -> Option<(Chain, Option<ScanResult>)> {
         let chain = self.chain(number)?;
         if number < self.first_unloaded() || self.first_unloaded() > self.spooled.0 {
             return Some((chain, None));
         }
-        let all = (number >= self.spooled.0).then(|| self.file_only_usage());
-        let last = self.chain(self.spooled.0)?;
-        Some((chain, Some((all?, last))))
+        let usage = (number >= self.spooled.0).then(|| self.file_only_usage());
+        let last_chain = self.chain(self.spooled.0)?;
+        Some((chain, Some((usage?, last_chain))))
     }
 
-    /// Returns the scan of the file that [`find_in_memory`](Self::find_in_memory) needs; an empty one if it needs none.
+    /// Returns the scan of the file that finds a batch which [`find_in_memory`](Self::find_in_memory) does not find.
     pub(super) fn scan_to(&self, number: u64) -> SpoolScan {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the batches before `resume`, which no longer exist. None of them is in memory.
-    /// `before` is the chain of the last of them.
+    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `before` is the chain of
+    /// the last skipped batch.
     pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
         self.oldest = OldestBatch { number: resume, before, since: None };
     }
 
-    /// Removes held batches that should be in the file and are not. This is known when no other batch is
-    /// in the file only. Returns their size.
+    /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns their
+    /// size.
     pub(super) fn remove_missing(&mut self) -> Usage {
         if self.first_unloaded() <= self.spooled.0 {
             return Usage::default();
@@ -357,6 +360,6 @@ impl Backlog {
 
     /// Continues the held batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
-        self.origin = self.origin.renewed(stream, self.oldest.number, self.stored);
+        self.origin = self.origin.renewed(stream, self.oldest.number, self.stored_events);
     }
 }

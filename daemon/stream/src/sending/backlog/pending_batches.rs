@@ -9,7 +9,7 @@ use crate::totals::Totals;
 #[derive(Clone, Debug)]
 pub(super) struct PendingBatch {
     pub(super) batch: SpooledBatch,
-    /// Totals up to its last event.
+    /// Totals up to the last event of the batch.
     pub(super) totals: Totals,
 }
 
@@ -60,10 +60,10 @@ impl PendingBatches {
     ) -> Option<(Vec<SpooledBatch>, Totals)> {
         let mut bytes = 0;
         let chosen = self.batches.iter().take(max_batches).take_while(|pending| {
-            let first = bytes == 0;
+            let is_first = bytes == 0;
             bytes += pending.batch.body.len() as u64;
             // At least one batch, even if it alone exceeds the limit.
-            first || bytes <= max_bytes
+            is_first || bytes <= max_bytes
         });
         let mut totals = None;
         let batches: Vec<_> =

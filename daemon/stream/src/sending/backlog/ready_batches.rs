@@ -27,13 +27,13 @@ impl ReadyBatches {
         self.usage
     }
 
-    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read
-    /// while the others are in flight.
+    /// Returns the number of bytes that are read at once: a quarter of the budget, so that the next batches are read while
+    /// earlier batches are in flight.
     pub(super) const fn part_bytes(&self) -> u64 {
         self.budget / 4
     }
 
-    /// Returns whether `bytes` more may be kept.
+    /// Returns whether `bytes` more bytes fit into the budget.
     pub(super) const fn has_capacity(&self, bytes: u64) -> bool {
         self.usage.bytes + bytes <= self.budget
     }

@@ -6,7 +6,7 @@ use crate::spool::SpooledBatch;
 /// Position up to which this process has sent, and the number of sent events that are still held.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SentBatches {
-    /// Number of the newest batch that this process has sent; 0 before the first.
+    /// Number of the newest batch that this process has sent; 0 before the first batch is sent.
     newest: u64,
     /// Last batch that was sent while it was in memory only.
     unspooled: Option<SentUnspooled>,

@@ -7,11 +7,11 @@ use crate::spool::SpoolState;
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct StreamOrigin {
     pub(in super::super) stream: StreamId,
-    /// Stream that it replaced.
+    /// Stream that the current stream replaced.
     pub(in super::super) previous: Option<StreamId>,
-    /// Number of its first batch, at least 1.
+    /// Number of the first batch of the current stream, at least 1.
     pub(in super::super) first: u64,
-    /// Number of events in all batches before the first; `None` if it is unknown.
+    /// Number of events in all batches before that first batch; `None` if it is unknown.
     pub(in super::super) events_before_first: Option<u64>,
 }
 
@@ -21,8 +21,8 @@ impl StreamOrigin {
         Self { stream, previous, first: first.max(1), events_before_first }
     }
 
-    /// Returns the origin of the stream that replaces this one from batch `first` on, which follows `events_before`
-    /// events.
+    /// Returns the origin of the stream that replaces this one from batch `first` on. All batches before `first` contain
+    /// `events_before` events.
     pub(super) const fn renewed(&self, stream: StreamId, first: u64, events_before: u64) -> Self {
         Self { stream, previous: Some(self.stream), first, events_before_first: Some(events_before) }
     }

@@ -33,7 +33,7 @@ const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 /// Lowest allowance of a link that no longer counts as slow.
 const FAST_LINK_BYTES: u64 = 64 << 10;
 
-/// Number of bytes that may be in flight.
+/// Largest number of bytes that may be in flight.
 #[derive(Clone, Debug)]
 pub(super) struct Allowance {
     bytes: u64,
@@ -75,31 +75,33 @@ impl Allowance {
         (self.bytes / 4).max(MIN_PART_BYTES)
     }
 
-    /// Updates the allowance after `bytes` and the answer to them took `took`; `shortest` is the shortest round trip.
-    pub(super) fn observe(&mut self, bytes: u64, took: Span, shortest: Span, now: MonoTime) {
-        // The queue alone can cause a delay up to this limit.
-        let is_late = took > shortest + MAX_QUEUEING;
+    /// Updates the allowance. The echo of a request behind `bytes` bytes in flight arrived after `round_trip`; `shortest` is
+    /// the shortest round trip.
+    pub(super) fn observe(&mut self, bytes: u64, round_trip: Span, shortest: Span, now: MonoTime) {
+        // Our own queue can cause a delay of up to `MAX_QUEUEING`; a longer delay has another cause.
+        let is_late = round_trip > shortest + MAX_QUEUEING;
         self.late_echoes = if is_late { self.late_echoes.saturating_add(1) } else { 0 };
-        let rate = bytes as f64 / took.seconds();
-        self.rates.add(rate, now, took > shortest + MAX_QUEUEING + MAX_QUEUEING);
+        let rate = bytes as f64 / round_trip.seconds();
+        self.rates.add(rate, now, round_trip > shortest + MAX_QUEUEING + MAX_QUEUEING);
         let best = self.rates.best();
-        // A long path needs a longer queue, or bursts leave it empty.
+        // A long path needs a longer queue, or the link is idle between bursts.
         let min_queueing = TARGET_QUEUEING.max(Span::from_nanos(shortest.nanos() / 2));
         let queue = Span::from_seconds_f64(MIN_QUEUED_BYTES / best).max(min_queueing).min(MAX_QUEUEING);
-        let aim = shortest + queue;
-        let fair = |rate: f64| (rate * aim.seconds()) as u64;
-        if took > aim {
-            let less = fair(best).max(self.bytes / 2).max(MIN_BYTES);
-            // At most halved at once: a single late echo may be due to a lost packet.
-            self.bytes = self.bytes.min(less);
+        let target = shortest + queue;
+        let bytes_at_rate = |rate: f64| (rate * target.seconds()) as u64;
+        if round_trip > target {
+            let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_BYTES);
+            // The allowance is at most halved at once: a single late echo may be due to a lost packet.
+            self.bytes = self.bytes.min(reduced);
         } else {
-            // An allowance that was used up to one part counts as fully used.
-            let full = bytes + self.part_bytes();
-            let doubled = if took <= shortest + NEGLIGIBLE_QUEUEING { 2 * full } else { 2 * bytes };
-            let more = fair(full as f64 / took.seconds()).min(doubled).min(self.max_bytes);
-            self.bytes = self.bytes.max(more);
+            // An allowance of which less than one part was unused counts as fully used.
+            let used = bytes + self.part_bytes();
+            let doubled = if round_trip <= shortest + NEGLIGIBLE_QUEUEING { 2 * used } else { 2 * bytes };
+            let increased =
+                bytes_at_rate(used as f64 / round_trip.seconds()).min(doubled).min(self.max_bytes);
+            self.bytes = self.bytes.max(increased);
         }
-        // Hysteresis: a link at the limit does not change between both states.
+        // Hysteresis: a link near the limit does not alternate between slow and fast.
         self.is_slow =
             self.late_echoes >= LATE_ECHOES_OF_SLOW_LINK || self.is_slow && self.bytes < FAST_LINK_BYTES;
     }
@@ -115,7 +117,7 @@ struct DeliveryRates {
 }
 
 impl DeliveryRates {
-    /// Adds a rate; `discard_earlier` discards the earlier rates.
+    /// Adds a rate; with `discard_earlier`, the earlier rates are discarded.
     fn add(&mut self, rate: f64, now: MonoTime, discard_earlier: bool) {
         if discard_earlier {
             *self = Self { since: now, current: rate, previous: 0.0 };

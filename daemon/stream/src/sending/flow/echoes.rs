@@ -15,10 +15,10 @@ const MAX_PENDING: usize = 64;
 pub(super) struct EchoRequest {
     /// Position of the request in the connection, which the aggregator sends back.
     pub(super) position: u64,
-    /// Time at which it was sent.
+    /// Time at which the request was sent.
     pub(super) at: MonoTime,
-    /// Number of bytes in flight before it.
-    pub(super) ahead: u64,
+    /// Number of bytes that were in flight before the request.
+    pub(super) bytes_ahead: u64,
 }
 
 /// Requests that wait for their echo, in the order in which they were sent.
@@ -26,7 +26,7 @@ pub(super) struct EchoRequest {
 pub(super) struct PendingEchoes {
     requests: VecDeque<EchoRequest>,
     /// Position of the last request.
-    last: u64,
+    last_position: u64,
 }
 
 impl PendingEchoes {
@@ -35,8 +35,8 @@ impl PendingEchoes {
     }
 
     /// Returns the position of the last request.
-    pub(super) const fn last(&self) -> u64 {
-        self.last
+    pub(super) const fn last_position(&self) -> u64 {
+        self.last_position
     }
 
     /// Returns the time at which the last echo is requested again.
@@ -49,16 +49,16 @@ impl PendingEchoes {
         if self.requests.len() == MAX_PENDING {
             self.requests.pop_front();
         }
-        self.last = request.position;
+        self.last_position = request.position;
         self.requests.push_back(request);
     }
 
-    /// Removes the requests up to a position. Returns the request with exactly this position.
+    /// Removes the requests up to a position. Returns the request at exactly this position, if there is one.
     pub(super) fn answer(&mut self, position: u64) -> Option<EchoRequest> {
-        let mut found = None;
+        let mut answered = None;
         while let Some(request) = self.requests.pop_front_if(|request| request.position <= position) {
-            found = (request.position == position).then_some(request);
+            answered = (request.position == position).then_some(request);
         }
-        found
+        answered
     }
 }

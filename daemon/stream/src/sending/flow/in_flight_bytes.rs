@@ -2,12 +2,12 @@
 
 use peernet_clock::MonoTime;
 
-/// Byte counts of one connection. The difference between handed over and arrived is in flight.
+/// Byte counts of one connection. The difference between the bytes handed over and the bytes that arrived is in flight.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct InFlightBytes {
     /// Bytes handed over since the connection was opened.
-    handed: u64,
-    /// Bytes known to have arrived; at most `handed`.
+    handed_over: u64,
+    /// Bytes known to have arrived; at most `handed_over`.
     arrived: u64,
     /// Position after the last byte of the durable lane.
     durable_end: u64,
@@ -17,8 +17,8 @@ pub(super) struct InFlightBytes {
 
 impl InFlightBytes {
     /// Returns the bytes handed over since the connection was opened.
-    pub(super) const fn handed(&self) -> u64 {
-        self.handed
+    pub(super) const fn handed_over(&self) -> u64 {
+        self.handed_over
     }
 
     /// Returns the bytes known to have arrived.
@@ -28,7 +28,7 @@ impl InFlightBytes {
 
     /// Returns the bytes in flight: handed over and not known to have arrived.
     pub(super) const fn len(&self) -> u64 {
-        self.handed.saturating_sub(self.arrived)
+        self.handed_over.saturating_sub(self.arrived)
     }
 
     /// Returns the time at which bytes of the durable lane last arrived.
@@ -38,8 +38,8 @@ impl InFlightBytes {
 
     /// Counts bytes of the live lane or of an echo request. Returns the position after them.
     pub(super) const fn add(&mut self, bytes: u64) -> u64 {
-        self.handed += bytes;
-        self.handed
+        self.handed_over += bytes;
+        self.handed_over
     }
 
     /// Counts bytes of the durable lane. Returns the position after them.
@@ -50,8 +50,8 @@ impl InFlightBytes {
 
     /// Records that everything up to a position has arrived. A position that was not handed over is ignored.
     pub(super) const fn acknowledge(&mut self, position: u64, now: MonoTime) {
-        if position > self.arrived && position <= self.handed {
-            // If this is false, only bytes of the live lane and echo requests arrived.
+        if position > self.arrived && position <= self.handed_over {
+            // Otherwise only bytes of the live lane and echo requests arrived.
             if self.arrived < self.durable_end {
                 self.last_arrival_at = now;
             }

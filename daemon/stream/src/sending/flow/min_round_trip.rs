@@ -12,7 +12,7 @@ pub(super) struct MinRoundTrip {
     /// Shortest round trip and the time of its observation.
     shortest: Option<(Span, MonoTime)>,
     /// `true` while the durable lane waits until the path is nearly empty.
-    draining: bool,
+    is_draining: bool,
     /// Position of the echo that was requested on a drained path.
     probe: Option<u64>,
 }
@@ -25,7 +25,7 @@ impl MinRoundTrip {
 
     /// Returns whether the durable lane waits until the path is nearly empty.
     pub(super) const fn is_draining(&self) -> bool {
-        self.draining
+        self.is_draining
     }
 
     /// Adds a round trip.
@@ -50,13 +50,13 @@ impl MinRoundTrip {
     }
 
     /// Sets whether the durable lane waits until the path is nearly empty.
-    pub(super) const fn set_draining(&mut self, draining: bool) {
-        self.draining = draining;
+    pub(super) const fn set_draining(&mut self, is_draining: bool) {
+        self.is_draining = is_draining;
     }
 
     /// Records that an echo is requested on a drained path.
     pub(super) const fn begin_probe(&mut self, position: u64) {
-        self.draining = false;
+        self.is_draining = false;
         self.probe = Some(position);
     }
 

@@ -3,7 +3,7 @@
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
 //! It starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the aggregator
-//! from time to time; its delay shows how long the bytes before it took. This is delay-based congestion control as in
+//! from time to time; its delay shows how long the bytes before the request took. This is delay-based congestion control as in
 //! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
 //! crosses in the shortest round trip plus a short queue.
 //!
@@ -107,7 +107,7 @@ impl FlowControl {
     /// Records that the live lane handed over bytes.
     pub(super) const fn record_live_sent(&mut self, bytes: u64) {
         self.in_flight.add(bytes);
-        // The durable lane may now send as much before the next update.
+        // The durable lane may now send the same number of bytes before the next update.
         self.durable_share = bytes;
     }
 
@@ -117,7 +117,7 @@ impl FlowControl {
         self.in_flight.add_durable(bytes)
     }
 
-    /// Records that the durable lane has nothing to hand over, so that the live lane need not wait for it.
+    /// Records that the durable lane has nothing to hand over, so that the live lane does not wait for it.
     pub(super) const fn clear_durable_share(&mut self) {
         self.durable_share = 0;
     }
@@ -134,7 +134,8 @@ impl FlowControl {
         now: MonoTime,
     ) -> Option<u64> {
         let bytes_in_flight = self.in_flight.len();
-        let bytes_since_request = self.in_flight.handed() - self.echoes.last().max(self.in_flight.arrived());
+        let bytes_since_request =
+            self.in_flight.handed_over() - self.echoes.last_position().max(self.in_flight.arrived());
         let is_probe_due = self.round_trip.is_probe_due(now);
         if is_probe_due && is_waiting && !self.round_trip.is_draining() {
             // The durable lane sends nothing while the path drains; live updates must not wait for its share.
@@ -154,7 +155,7 @@ impl FlowControl {
         if is_probe {
             self.round_trip.begin_probe(position);
         }
-        self.echoes.push(EchoRequest { position, at: now, ahead: bytes_in_flight });
+        self.echoes.push(EchoRequest { position, at: now, bytes_ahead: bytes_in_flight });
         Some(position)
     }
 
@@ -172,13 +173,13 @@ impl FlowControl {
     pub(super) fn record_echo(&mut self, position: u64, now: MonoTime) {
         let answered = self.echoes.answer(position);
         self.record_arrival(position, now);
-        let Some(EchoRequest { at, ahead, .. }) = answered else { return };
-        let took = (now - at).max(Span::from_millis(1));
-        self.round_trip.observe_echo(position, took, now);
+        let Some(EchoRequest { at, bytes_ahead, .. }) = answered else { return };
+        let round_trip = (now - at).max(Span::from_millis(1));
+        self.round_trip.observe_echo(position, round_trip, now);
         // If nothing was in flight before the request, its echo measures the path, but no rate.
-        if ahead > 0 {
-            let shortest = self.round_trip.shortest().unwrap_or(took);
-            self.allowance.observe(ahead, took, shortest, now);
+        if bytes_ahead > 0 {
+            let shortest = self.round_trip.shortest().unwrap_or(round_trip);
+            self.allowance.observe(bytes_ahead, round_trip, shortest, now);
         }
     }
 }

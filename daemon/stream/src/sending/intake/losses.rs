@@ -9,8 +9,8 @@ use peernet_logger::{RunId, Slug};
 /// pipelines and few reasons.
 const MAX_LOSSES: usize = 64;
 
-/// Interval between the reports of a continuing loss, which is also reported at its end. Losses in between form one
-/// gap.
+/// Interval between the reports of a continuing loss, which is also reported at its end. Losses between two reports form
+/// one gap.
 const REPORT_INTERVAL: Span = Span::from_seconds(1);
 
 /// Dropped events by pipeline, run and reason.
@@ -24,8 +24,8 @@ pub(super) struct Losses {
 struct Loss {
     /// Gap that is not reported yet; its count is 0 if everything is reported.
     gap: Gap,
-    /// Time of the last report.
-    reported: Option<MonoTime>,
+    /// Time of the last report; `None` before the first report.
+    reported_at: Option<MonoTime>,
 }
 
 impl Losses {
@@ -38,11 +38,11 @@ impl Losses {
         count: u64,
         reason: String,
     ) {
-        let same = |loss: &&mut Loss| {
+        let is_same = |loss: &&mut Loss| {
             let gap = &loss.gap;
             gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
-        if let Some(loss) = self.entries.iter_mut().find(same) {
+        if let Some(loss) = self.entries.iter_mut().find(is_same) {
             loss.extend(now, count);
             return;
         }
@@ -52,7 +52,7 @@ impl Losses {
         }
         if self.entries.len() < MAX_LOSSES {
             let gap = Gap { pipeline, run, from: now.wall, to: now.wall, count, reason };
-            self.entries.push(Loss { gap, reported: None });
+            self.entries.push(Loss { gap, reported_at: None });
         } else {
             let loss = &mut self.entries[MAX_LOSSES - 1];
             (loss.gap.pipeline, loss.gap.run, loss.gap.reason) =
@@ -65,11 +65,11 @@ impl Losses {
     pub(super) fn add_gap(&mut self, gap: Gap, now: Stamp) {
         let Gap { pipeline, run, from, count, reason, .. } = gap;
         self.add(pipeline.clone(), run, now, count, reason.clone());
-        let same = |loss: &&mut Loss| {
-            let entries = &loss.gap;
-            entries.pipeline == pipeline && entries.run == run && entries.reason == reason
+        let is_same = |loss: &&mut Loss| {
+            let gap = &loss.gap;
+            gap.pipeline == pipeline && gap.run == run && gap.reason == reason
         };
-        if let Some(loss) = self.entries.iter_mut().find(same) {
+        if let Some(loss) = self.entries.iter_mut().find(is_same) {
             loss.gap.from = loss.gap.from.min(from);
         }
     }
@@ -81,8 +81,8 @@ impl Losses {
 
     /// Returns the time of the next report. A loss without a recent report is due at once.
     pub(super) fn next_report_at(&self) -> Option<MonoTime> {
-        let open = self.entries.iter().filter(|loss| loss.gap.count > 0);
-        open.map(|loss| loss.reported.map_or(MonoTime::default(), |at| at + REPORT_INTERVAL)).min()
+        let unreported = self.entries.iter().filter(|loss| loss.gap.count > 0);
+        unreported.map(|loss| loss.reported_at.map_or(MonoTime::default(), |at| at + REPORT_INTERVAL)).min()
     }
 
     /// Returns the next due gap, and records it as reported.
@@ -92,10 +92,11 @@ impl Losses {
         due.map(|loss| loss.take_gap(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the gap
+    /// as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
-        let ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
-        self.entries.iter_mut().find(ended).map(|loss| loss.take_gap(now))
+        let is_ended = |loss: &&mut Loss| loss.gap.count > 0 && (run.is_none() || loss.gap.run == run);
+        self.entries.iter_mut().find(is_ended).map(|loss| loss.take_gap(now))
     }
 }
 
@@ -109,11 +110,11 @@ impl Loss {
     }
 
     fn is_due(&self, now: MonoTime) -> bool {
-        self.reported.is_none_or(|at| now - at >= REPORT_INTERVAL)
+        self.reported_at.is_none_or(|at| now - at >= REPORT_INTERVAL)
     }
 
     fn take_gap(&mut self, now: MonoTime) -> Gap {
-        self.reported = Some(now);
+        self.reported_at = Some(now);
         let remaining_gap = Gap { count: 0, ..self.gap.clone() };
         std::mem::replace(&mut self.gap, remaining_gap)
     }

@@ -47,16 +47,18 @@ struct OpenBatch {
     body: Vec<u8>,
     events: u32,
     nodes: usize,
+    /// Time of the first event.
     since: Option<Stamp>,
 }
 
 /// A batch without a number.
 #[derive(Clone, Debug)]
 pub(super) struct UnnumberedBatch {
+    /// Time of the first event.
     pub(super) since: WallTime,
     pub(super) events: u32,
     pub(super) body: Bytes,
-    /// Totals up to its last event.
+    /// Totals up to the last event.
     pub(super) totals: Totals,
 }
 
@@ -132,15 +134,15 @@ impl Intake {
             Some(reason) => {
                 self.totals.produced += 1;
                 self.totals.submitted.dropped.add(run, 1);
-                self.lose(self.runs.scope(event), 1, reason, now);
+                self.count_lost(self.runs.scope(event), 1, reason, now);
             }
         }
         self.totals.submitted.last = Some(now.wall);
         self.runs.observe(event);
     }
 
-    /// Counts events that are lost.
-    pub(super) fn lose(
+    /// Counts events that were accepted or offered and are lost. `scope` is their pipeline and their run.
+    pub(super) fn count_lost(
         &mut self,
         scope: (Option<Slug>, Option<RunId>),
         count: u64,
@@ -162,19 +164,19 @@ impl Intake {
 
     /// Returns the reason to refuse the current event; `None` if it is accepted.
     fn refusal(&self, event: &Event, capacity: &EventCapacity) -> Option<String> {
-        let mut more = Usage { events: 1, bytes: self.encoded.len() as u64 };
+        let mut added_usage = Usage { events: 1, bytes: self.encoded.len() as u64 };
         if let Event::Iteration(iteration) = event {
             // An iteration that the aggregator would refuse must not block everything after it.
             if let Err(error) = iteration.tree.check(0) {
                 return Some(format!("the iteration cannot be sent: {error}"));
             }
-            more = more + self.reserve();
+            added_usage = added_usage + self.reserve();
         }
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
-        let wanted = self.usage() + more + self.report_usage();
-        (!capacity.fits(wanted)).then(|| capacity.drop_reason(wanted).to_owned())
+        let needed = self.usage() + added_usage + self.report_usage();
+        (!capacity.fits(needed)).then(|| capacity.drop_reason(needed).to_owned())
     }
 
     /// Returns the capacity that is reserved for events other than iterations.
@@ -186,7 +188,7 @@ impl Intake {
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
     }
 
-    /// Reports the due gaps in place of the lost events, while there is capacity.
+    /// Adds the gaps that are due as events in place of the lost events, while there is capacity.
     pub(super) fn report_losses(&mut self, capacity: &EventCapacity, now: Stamp) {
         while self.has_capacity_for_report(capacity)
             && let Some(gap) = self.losses.take_due(now.mono)
@@ -237,9 +239,9 @@ impl Intake {
     /// Adds the current event to the batch.
     fn append_event(&mut self, nodes: usize, now: Stamp) {
         let max_bytes = self.config.batch_bytes.min(MAX_BATCH_BYTES);
-        let full = self.open.body.len() + self.encoded.len() > max_bytes
+        let is_full = self.open.body.len() + self.encoded.len() > max_bytes
             || self.open.nodes + nodes > self.config.batch_nodes;
-        if full {
+        if is_full {
             self.close_batch();
         }
         // Counted after the previous batch was closed, because a batch's totals must not include later events.
@@ -287,7 +289,7 @@ impl Intake {
 
     /// Returns the time at which the batch under construction is closed or a loss is reported.
     pub(super) fn deadline(&self, capacity: &EventCapacity) -> Option<MonoTime> {
-        // Without capacity nothing can be done until an acknowledgement.
+        // Without capacity nothing can be reported until an acknowledgement frees some.
         let report = self.has_capacity_for_report(capacity).then(|| self.losses.next_report_at()).flatten();
         self.batch_deadline().into_iter().chain(report).min()
     }
@@ -296,10 +298,11 @@ impl Intake {
         self.open.since.map(|since| since.mono + self.config.batch_age)
     }
 
-    /// Counts the batch under construction and `more` events as dropped; `kept` are the accepted events that remain.
-    pub(super) fn give_up(&mut self, more: u64, kept: &RunCounts) {
-        self.totals.dropped += u64::from(self.open.events) + more;
-        self.totals.submitted.give_up(kept);
+    /// Counts the batch under construction and `further_events` events as dropped; `retained` are the accepted events that
+    /// remain.
+    pub(super) fn give_up(&mut self, further_events: u64, retained: &RunCounts) {
+        self.totals.dropped += u64::from(self.open.events) + further_events;
+        self.totals.submitted.give_up(retained);
         self.open = OpenBatch::default();
     }
 
@@ -319,12 +322,12 @@ impl Intake {
         self.totals.submitted.forget(run);
     }
 
-    /// Returns the time of the first event without a number.
+    /// Returns the time of the first event of the batch under construction.
     pub(super) fn since(&self) -> Option<WallTime> {
         self.open.since.map(|since| since.wall)
     }
 
-    /// Returns the events and bytes held here.
+    /// Returns the number and bytes of the events in batches without a number.
     pub(super) fn usage(&self) -> Usage {
         self.open_usage() + self.unnumbered_usage
     }

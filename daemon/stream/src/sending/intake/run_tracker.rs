@@ -11,7 +11,7 @@ use crate::{Event, MAX_COUNTED_RUNS};
 pub(super) struct RunTracker {
     /// Pipelines of the active runs. An iteration contains its run only.
     pipelines: BTreeMap<RunId, Slug>,
-    ended: Vec<RunId>,
+    ended_runs: Vec<RunId>,
 }
 
 impl RunTracker {
@@ -26,8 +26,8 @@ impl RunTracker {
             }
             Event::RunEnded(ended) => {
                 self.pipelines.remove(&ended.run);
-                if self.ended.len() < MAX_COUNTED_RUNS {
-                    self.ended.push(ended.run);
+                if self.ended_runs.len() < MAX_COUNTED_RUNS {
+                    self.ended_runs.push(ended.run);
                 }
             }
             _ => {}
@@ -36,11 +36,11 @@ impl RunTracker {
 
     /// Returns the pipeline and the run that an event concerns.
     pub(super) fn scope(&self, event: &Event) -> (Option<Slug>, Option<RunId>) {
-        let of_run = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
+        let run_scope = |run: &RunId| (self.pipelines.get(run).cloned(), Some(*run));
         match event {
             Event::RunStarted(started) => (Some(started.pipeline.clone()), Some(started.run)),
-            Event::RunEnded(ended) => of_run(&ended.run),
-            Event::Iteration(iteration) => of_run(&iteration.run),
+            Event::RunEnded(ended) => run_scope(&ended.run),
+            Event::Iteration(iteration) => run_scope(&iteration.run),
             Event::Incident(incident) => (incident.pipeline.clone(), incident.run),
             Event::Gap(gap) => (gap.pipeline.clone(), gap.run),
             Event::Clock(_) => (None, None),
@@ -49,11 +49,11 @@ impl RunTracker {
 
     /// Returns the ended runs that are still counted separately.
     pub(super) fn ended_runs(&self) -> &[RunId] {
-        &self.ended
+        &self.ended_runs
     }
 
     /// Removes an ended run that is no longer counted separately.
     pub(super) fn forget(&mut self, run: RunId) {
-        self.ended.retain(|ended| *ended != run);
+        self.ended_runs.retain(|ended| *ended != run);
     }
 }

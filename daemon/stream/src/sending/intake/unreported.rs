@@ -17,7 +17,7 @@ pub(super) struct UnreportedLosses {
     earlier_gaps: VecDeque<Gap>,
     /// Number of events that an earlier process dropped and did not report.
     earlier_drops: u64,
-    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported before.
+    /// `true` until it is known which batches of an earlier process the aggregator stored. No loss is reported until then.
     is_unresolved: bool,
 }
 
@@ -78,7 +78,8 @@ impl UnreportedLosses {
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_due(now))
     }
 
-    /// Returns the next gap of the losses that end now: the losses of `run`, or all if it is `None`. Records the gap as reported.
+    /// Returns the next gap of the losses that end now: the losses of `run`, or all losses if it is `None`. Records the gap
+    /// as reported.
     pub(super) fn take_ended(&mut self, run: Option<RunId>, now: MonoTime) -> Option<Gap> {
         // The spool stores only the number of reported events, so the order is fixed: losses of earlier processes first.
         self.earlier_gaps.pop_front().or_else(|| self.losses.take_ended(run, now))

@@ -13,18 +13,18 @@ fn batch_is_complete_at_max_nodes_bytes_or_age() {
     agent.pass(1);
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3, 1]);
 
-    let one = agent.file.batches[&3].body.len();
-    let mut agent = Agent::up(SendingConfig { batch_nodes: 100, batch_bytes: 2 * one, ..config() });
+    let batch_bytes = agent.file.batches[&3].body.len();
+    let mut agent = Agent::up(SendingConfig { batch_nodes: 100, batch_bytes: 2 * batch_bytes, ..config() });
     agent.offer(3);
     assert_eq!(agent.numbers(), [1]);
-    let long = incident(&"x".repeat(10 * one));
+    let long = incident(&"x".repeat(10 * batch_bytes));
     agent.sending.offer(&long, agent.now());
     agent.sending.offer(&incident("event 0"), agent.now());
     agent.settle();
     assert_eq!(
         agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(),
         [1, 1],
-        "a long event stands alone"
+        "a long event forms a batch alone"
     );
 }
 
@@ -56,14 +56,14 @@ fn batches_are_consecutive_and_spooled_before_sending() {
     );
     assert_eq!(totals.submitted.settled().events.total, 4);
     agent.ack(3);
-    assert_eq!(agent.numbers(), [0; 0], "it is not known to be written");
+    assert_eq!(agent.numbers(), [0; 0], "batch 4 is not written yet");
     agent.perform(Action::Append { batches, totals });
     agent.settle();
     assert_eq!(agent.numbers(), [4]);
 }
 
 #[test]
-fn many_batches_are_written_at_once_while_the_disk_is_slow() {
+fn many_batches_are_written_at_once_while_disk_is_slow() {
     let mut agent = Agent::new(config());
     let events = 600;
     (0..events).for_each(|n| agent.sending.offer(&incident(&n.to_string()), agent.now()));
@@ -88,7 +88,7 @@ fn stop_leaves_no_event_in_memory() {
     agent.settle();
     assert!(agent.sending.is_spooled());
     assert_eq!(agent.file.state().waiting_usage.events, 5);
-    assert_eq!(agent.sending.goodbye(), None, "nobody knows it");
+    assert_eq!(agent.sending.goodbye(), None, "no aggregator has accepted the host");
     let mut agent = agent.restart();
     agent.connect();
     agent.welcome(0, None);

@@ -3,12 +3,12 @@
 use super::*;
 
 /// Length of a body of which few fill the memory.
-const LONG: usize = 1024;
+const LONG_BYTES: usize = 1024;
 
 fn backlog(batches: usize) -> Agent {
-    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG, ..config() });
+    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG_BYTES, ..config() });
     for _ in 0..batches {
-        agent.sending.offer(&incident(&"x".repeat(LONG - 100)), agent.now());
+        agent.sending.offer(&incident(&"x".repeat(LONG_BYTES - 100)), agent.now());
         agent.settle();
     }
     agent.pass(1_000);
@@ -24,10 +24,10 @@ fn in_memory(agent: &Agent) -> u64 {
 #[test]
 fn backlog_is_not_kept_in_memory() {
     let agent = backlog(200);
-    assert!(in_memory(&agent) <= 6 * LONG as u64, "{} bytes in memory", in_memory(&agent));
-    let is = agent.accounting();
-    assert_eq!((is.waiting, is.spooled, is.memory_bytes), (200, 200, 0));
-    assert_eq!(is.oldest, Some(at(0).wall));
+    assert!(in_memory(&agent) <= 6 * LONG_BYTES as u64, "{} bytes in memory", in_memory(&agent));
+    let accounting = agent.accounting();
+    assert_eq!((accounting.waiting, accounting.spooled, accounting.memory_bytes), (200, 200, 0));
+    assert_eq!(accounting.oldest, Some(at(0).wall));
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn file_is_read_while_batches_are_in_flight() {
             }
         }
         waited += usize::from(agent.sent.is_empty() && last < 40);
-        assert!(in_memory(&agent) <= 6 * LONG as u64);
+        assert!(in_memory(&agent) <= 6 * LONG_BYTES as u64);
         jobs.into_iter().for_each(|job| agent.perform(job));
         agent.settle();
     }

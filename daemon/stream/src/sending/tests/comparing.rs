@@ -3,26 +3,26 @@
 use super::*;
 
 /// Chain of a different history.
-const OTHER: Option<Chain> = Some(Chain::from_bytes([9; 16]));
+const OTHER_CHAIN: Option<Chain> = Some(Chain::from_bytes([9; 16]));
 
 /// Returns an agent with batches in the file that were never acknowledged. The aggregator was connected while the first
-/// `met` were made.
-fn held(met: usize, later: usize) -> Agent {
+/// `before_restart` batches were created; then a process without a connection created `after_restart` batches.
+fn agent_with_unacknowledged(before_restart: usize, after_restart: usize) -> Agent {
     let mut agent = Agent::up(config());
-    agent.cut(met);
+    agent.cut(before_restart);
     let mut agent = agent.restart();
-    agent.cut(later);
+    agent.cut(after_restart);
     agent.restart()
 }
 
 fn renewals(agent: &Agent) -> usize {
-    agent.asked(|action| matches!(action, Action::Renew { .. }))
+    agent.count_actions(|action| matches!(action, Action::Renew { .. }))
 }
 
 #[test]
 fn stored_batches_are_deleted_when_chains_match() {
     for stored in [0, 1, 7, 10] {
-        let mut agent = held(10, 0);
+        let mut agent = agent_with_unacknowledged(10, 0);
         agent.connect();
         let chain = agent.chain(stored);
         agent.welcome(stored, chain);
@@ -38,8 +38,8 @@ fn stored_batches_are_deleted_when_chains_match() {
 }
 
 #[test]
-fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
-    let mut agent = held(10, 0);
+fn nothing_is_deleted_or_sent_before_comparison() {
+    let mut agent = agent_with_unacknowledged(10, 0);
     agent.config.batch_bytes = 40;
     let mut agent = agent.restart();
     agent.connect();
@@ -62,37 +62,37 @@ fn nothing_is_deleted_and_nothing_sent_before_the_comparison() {
 #[test]
 fn spool_that_lost_its_end_sends_no_batch_twice() {
     // Ten batches were sent, acknowledged and not deleted yet. The aggregator has five more from the same process.
-    let mut agent = held(10, 0);
+    let mut agent = agent_with_unacknowledged(10, 0);
     agent.cut(2);
-    let left = agent.file.stream;
+    let old_stream = agent.file.stream;
     agent.connect();
-    agent.welcome_after(15, OTHER, Some(1));
+    agent.welcome_after(15, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices, [Notice::StreamRenewed { stored: 15, newest: 12 }]);
     let hello = agent.hellos.last().expect("a hello").clone();
-    assert_eq!((hello.first, hello.oldest, hello.previous), (11, 11, Some(left)));
-    assert_ne!(hello.stream, left);
+    assert_eq!((hello.first, hello.oldest, hello.previous), (11, 11, Some(old_stream)));
+    assert_ne!(hello.stream, old_stream);
     assert_eq!(Some(hello.before), agent.chain(11).map(|_| agent.file.before));
     agent.welcome(10, None);
-    assert_eq!(agent.deliver(), [11, 12], "what was never sent, and nothing else");
+    assert_eq!(agent.deliver(), [11, 12], "only the batches that were never sent");
     assert_eq!(agent.accounting().stored, 12);
 }
 
 #[test]
-fn unsent_batches_are_distinguished_from_sent_ones_after_restart() {
+fn unsent_batches_are_distinguished_from_sent_batches_after_restart() {
     // The same situation after a process without a connection.
-    let mut agent = held(10, 3).restart();
+    let mut agent = agent_with_unacknowledged(10, 3).restart();
     agent.cut(2);
     agent.connect();
-    agent.welcome_after(14, OTHER, Some(1));
+    agent.welcome_after(14, OTHER_CHAIN, Some(1));
     agent.welcome(10, None);
     assert_eq!(agent.deliver(), (11..=15).collect::<Vec<_>>());
     assert_eq!(renewals(&agent), 1);
 }
 
 #[test]
-fn newest_sent_batch_is_known_per_process() {
+fn newest_sent_batch_is_recorded_per_process() {
     // Another process took over before all batches of the first one were stored; both lost the end of their spool.
-    let mut agent = held(10, 0);
+    let mut agent = agent_with_unacknowledged(10, 0);
     agent.connect();
     agent.welcome(0, None);
     agent.cut(4);
@@ -101,7 +101,7 @@ fn newest_sent_batch_is_known_per_process() {
         let mut agent = Agent::open(agent.config, agent.host, file);
         agent.cut(1);
         agent.connect();
-        agent.welcome_after(17, OTHER, Some(process));
+        agent.welcome_after(17, OTHER_CHAIN, Some(process));
         assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(first));
         agent.welcome(first - 1, None);
         assert_eq!(agent.deliver(), (first..=15).collect::<Vec<_>>());
@@ -112,9 +112,9 @@ fn newest_sent_batch_is_known_per_process() {
 fn copied_spool_keeps_batches_of_another_process() {
     // The original continued with another process, or with an unknown one.
     for (stored, process) in [(15, Some(9)), (15, None), (11, Some(9)), (8, Some(9)), (8, Some(1))] {
-        let mut agent = held(10, 3);
+        let mut agent = agent_with_unacknowledged(10, 3);
         agent.connect();
-        agent.welcome_after(stored, OTHER, process);
+        agent.welcome_after(stored, OTHER_CHAIN, process);
         assert_eq!(agent.hellos.last().map(|hello| hello.first), Some(1), "{stored} {process:?}");
         agent.welcome(0, None);
         assert_eq!(agent.deliver(), (1..=13).collect::<Vec<_>>());
@@ -122,8 +122,8 @@ fn copied_spool_keeps_batches_of_another_process() {
 }
 
 #[test]
-fn a_mark_without_a_chain_deletes_nothing() {
-    let mut agent = held(10, 0);
+fn mark_without_chain_deletes_nothing() {
+    let mut agent = agent_with_unacknowledged(10, 0);
     agent.connect();
     agent.welcome(7, None);
     assert_eq!(agent.file.batches.len(), 10);
@@ -134,9 +134,9 @@ fn a_mark_without_a_chain_deletes_nothing() {
 
 #[test]
 fn aggregator_without_acknowledged_batches_is_reported() {
-    // A new database, an older copy of it, and one from the time of an earlier process.
-    for (stored, chain, process) in [(0, None, None), (5, OTHER, Some(2)), (2, OTHER, Some(1))] {
-        let mut agent = lacked();
+    // A new database, an older copy of the database, and a copy from the time of an earlier process.
+    for (stored, chain, process) in [(0, None, None), (5, OTHER_CHAIN, Some(2)), (2, OTHER_CHAIN, Some(1))] {
+        let mut agent = agent_with_deleted_batches();
         agent.welcome_after(stored, chain, process);
         let aggregator = "base".parse().expect("a name");
         assert_eq!(
@@ -152,17 +152,17 @@ fn aggregator_without_acknowledged_batches_is_reported() {
 #[test]
 fn aggregator_with_batches_of_copy_gets_new_stream() {
     for (stored, process) in [(2, Some(9)), (5, Some(1))] {
-        let mut agent = lacked();
-        agent.welcome_after(stored, OTHER, process);
+        let mut agent = agent_with_deleted_batches();
+        agent.welcome_after(stored, OTHER_CHAIN, process);
         assert_eq!(agent.hellos.last().map(|hello| (hello.first, hello.oldest)), Some((7, 7)));
         agent.welcome(6, None);
         assert_eq!(agent.deliver(), [7, 8]);
     }
 }
 
-/// Returns an agent that sends a hello again with two batches. Of the batches before, four were stored from its first
-/// process, and two from its second.
-fn lacked() -> Agent {
+/// Returns an agent with two batches that sends another hello. The batches before them are stored: four from its first
+/// process, and two from its second process.
+fn agent_with_deleted_batches() -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(4);
     agent.deliver();
@@ -181,14 +181,14 @@ fn lacked() -> Agent {
 
 #[test]
 fn nothing_is_sent_during_stream_renewal() {
-    let mut agent = held(4, 0);
+    let mut agent = agent_with_unacknowledged(4, 0);
     agent.connect();
     agent.broken = true;
-    agent.welcome_after(9, OTHER, Some(1));
+    agent.welcome_after(9, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices.len(), 2, "{:?}", agent.notices);
     let hellos = agent.hellos.len();
     agent.cut(3);
-    agent.welcome(4, OTHER);
+    agent.welcome(4, OTHER_CHAIN);
     agent.pass(30_000);
     assert_eq!((agent.hellos.len(), agent.sent.len()), (hellos, 0));
     agent.broken = false;
@@ -199,7 +199,7 @@ fn nothing_is_sent_during_stream_renewal() {
 }
 
 #[test]
-fn a_large_file_is_compared_without_being_kept_in_memory() {
+fn large_file_is_compared_without_being_kept_in_memory() {
     let mut agent = Agent::up(SendingConfig { batch_bytes: 200, ..config() });
     agent.cut(500);
     let mut agent = agent.restart();
@@ -207,10 +207,10 @@ fn a_large_file_is_compared_without_being_kept_in_memory() {
     let chain = agent.chain(400);
     agent.welcome(400, chain);
     assert_eq!(agent.deliver(), (401..=500).collect::<Vec<_>>());
-    let asked = agent.actions.iter().filter_map(|action| match action {
+    let requested_bytes = agent.actions.iter().filter_map(|action| match action {
         Action::Load { bytes, .. } => Some(*bytes),
         _ => None,
     });
-    assert!(asked.max() <= Some(200 * 2));
+    assert!(requested_bytes.max() <= Some(200 * 2));
     assert_eq!(agent.accounting().stored, 500);
 }

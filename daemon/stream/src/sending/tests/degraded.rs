@@ -16,12 +16,12 @@ fn failing() -> Agent {
 fn batches_are_sent_from_memory_while_disk_is_full() {
     let mut agent = failing();
     agent.cut(7);
-    let why = "the disk is full";
-    assert_eq!(agent.notices[1..], [Notice::SpoolFailed(why.into())]);
+    let reason = "the disk is full";
+    assert_eq!(agent.notices[1..], [Notice::SpoolFailed(reason.into())]);
     assert_eq!(agent.numbers(), [4, 5, 6]);
-    let is = agent.accounting();
-    assert_eq!((is.trouble.as_deref(), is.waiting, is.sent), (Some(why), 7, 6));
-    assert!(is.memory_bytes > 0);
+    let accounting = agent.accounting();
+    assert_eq!((accounting.trouble.as_deref(), accounting.waiting, accounting.sent), (Some(reason), 7, 6));
+    assert!(accounting.memory_bytes > 0);
     agent.ack(6);
     assert_eq!(agent.numbers(), [7, 8, 9]);
     agent.broken = false;
@@ -31,14 +31,14 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
     // The file records first the deletions, then the batches that may have been sent, then the new batches.
     let [
         Action::Delete { through: 6, .. },
-        Action::Append { batches: none, totals },
+        Action::Append { batches: no_batches, totals },
         Action::Append { batches, .. },
     ] = &agent.actions[..]
     else {
         panic!("{:?}", agent.actions)
     };
     assert_eq!(
-        (none.len(), totals.newest_sent.map(|newest_sent| newest_sent.number), batches.len()),
+        (no_batches.len(), totals.newest_sent.map(|newest_sent| newest_sent.number), batches.len()),
         (0, Some(6), 4)
     );
     assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [7, 8, 9, 10]);
@@ -55,7 +55,7 @@ fn failure_and_recovery_are_reported_once() {
     let mut agent = failing();
     agent.cut(2);
     (0..20).for_each(|_| agent.pass(1_000));
-    assert!(agent.asked(|action| matches!(action, Action::Append { .. })) > 10);
+    assert!(agent.count_actions(|action| matches!(action, Action::Append { .. })) > 10);
     agent.broken = false;
     agent.pass(1_000);
     let reported = |agent: &Agent| {
@@ -71,11 +71,11 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
         agent.cut(2);
         assert_eq!(agent.numbers(), [4, 5]);
         agent.millis += 1_000;
-        let again = agent.sending.next(agent.now().mono).expect("it is tried again");
-        assert!(matches!(&again, Action::Append { batches, .. } if batches.len() == 2));
+        let retry = agent.sending.next(agent.now().mono).expect("the write is tried again");
+        assert!(matches!(&retry, Action::Append { batches, .. } if batches.len() == 2));
         agent.ack(4);
         agent.broken = fails;
-        agent.perform(again);
+        agent.perform(retry);
         agent.settle();
         agent.broken = false;
         agent.pass(2_000);
@@ -88,7 +88,7 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
 }
 
 #[test]
-fn process_killed_with_full_disk_repeats_nothing() {
+fn process_killed_with_full_disk_repeats_no_batch() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::up(config());
     agent.cut(2);
@@ -104,8 +104,12 @@ fn process_killed_with_full_disk_repeats_nothing() {
     agent.welcome_after(4, Some(Chain::from_bytes([9; 16])), Some(1));
     agent.welcome(2, None);
     assert_eq!(agent.deliver(), [3, 4], "new batches with numbers of the new stream");
-    let is = agent.accounting();
-    assert_eq!((is.produced, is.stored, is.waiting), (4, 4, 0), "by what the file knew");
+    let accounting = agent.accounting();
+    assert_eq!(
+        (accounting.produced, accounting.stored, accounting.waiting),
+        (4, 4, 0),
+        "as recorded in the file"
+    );
 }
 
 #[test]
@@ -132,17 +136,17 @@ fn events_beyond_disk_and_memory_are_counted_as_dropped() {
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.broken = true;
     agent.offer(20);
-    let is = agent.accounting();
-    assert_eq!((is.waiting, is.dropped, is.gaps), (6, 14, 0));
+    let accounting = agent.accounting();
+    assert_eq!((accounting.waiting, accounting.dropped, accounting.gaps), (6, 14, 0));
     agent.broken = false;
     agent.pass(1_000);
     assert_eq!(agent.accounting().gaps, 1);
     agent.connect();
     agent.welcome(0, None);
     agent.pass(1_000);
-    assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>(), "and the gap");
-    let is = agent.accounting();
-    assert_eq!((is.produced, is.stored, is.dropped), (21, 7, 14));
+    assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>(), "six events and the gap");
+    let accounting = agent.accounting();
+    assert_eq!((accounting.produced, accounting.stored, accounting.dropped), (21, 7, 14));
 }
 
 /// Returns the number of events that the gaps in the file report.
@@ -153,8 +157,8 @@ fn reported(file: &File) -> u64 {
     };
     let batches = file.batches.values();
     batches
-        .flat_map(|one| codec::decode_events(&one.body, one.events).expect("readable"))
-        .map(|one| gap(&one))
+        .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("readable"))
+        .map(|event| gap(&event))
         .sum()
 }
 
@@ -167,16 +171,19 @@ fn losses_are_counted_while_disk_is_full() {
     agent.offer(20);
     agent.pass(1_000);
     agent.pass(1_000);
-    let is = agent.accounting();
-    assert_eq!((is.waiting, is.dropped, agent.file.totals.dropped), (8, 14, 14));
-    assert!(is.trouble.is_some(), "a count that fits is no recovery");
+    let accounting = agent.accounting();
+    assert_eq!((accounting.waiting, accounting.dropped, agent.file.totals.dropped), (8, 14, 14));
+    assert!(accounting.trouble.is_some(), "a written count is no recovery");
     let failed = agent.notices.iter().filter(|notice| matches!(notice, Notice::SpoolFailed(_))).count();
     assert_eq!((failed, agent.notices.len()), (1, 1), "{:?}", agent.notices);
     // After a kill the events in memory are unknown, but the file knows the number of events that were dropped before.
     let mut agent = agent.restart();
     agent.cut(1);
-    let is = agent.accounting();
-    assert_eq!((is.produced, is.waiting, is.dropped, reported(&agent.file)), (18, 4, 14, 14));
+    let accounting = agent.accounting();
+    assert_eq!(
+        (accounting.produced, accounting.waiting, accounting.dropped, reported(&agent.file)),
+        (18, 4, 14, 14)
+    );
 }
 
 #[test]
@@ -199,14 +206,14 @@ fn events_lost_with_memory_are_reported_after_restart() {
     let totals = agent.sending.give_up();
     agent.perform(Action::Append { batches: Vec::new(), totals });
     assert!(agent.sending.is_spooled());
-    let is = agent.accounting();
+    let accounting = agent.accounting();
     assert_eq!(
-        (is.produced, is.waiting),
+        (accounting.produced, accounting.waiting),
         (before.produced, agent.file.state().waiting_usage.events),
-        "{is:?}"
+        "{accounting:?}"
     );
-    assert_eq!(is.dropped, before.produced - is.waiting, "{is:?}");
+    assert_eq!(accounting.dropped, before.produced - accounting.waiting, "{accounting:?}");
     let mut agent = agent.restart();
     agent.cut(1);
-    assert_eq!((agent.accounting().dropped, reported(&agent.file)), (is.dropped, is.dropped));
+    assert_eq!((agent.accounting().dropped, reported(&agent.file)), (accounting.dropped, accounting.dropped));
 }

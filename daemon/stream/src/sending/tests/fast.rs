@@ -7,12 +7,12 @@ use super::*;
 /// Number of events of 16 KiB per second, more than any of the stores accepts.
 const EVENTS_PER_S: i64 = 1_500;
 
-fn long(n: i64) -> String {
+fn long_text(n: i64) -> String {
     format!("{n:16384}")
 }
 
 /// Returns the agents' usual configuration without compression.
-fn usual() -> SendingConfig {
+fn usual_config() -> SendingConfig {
     SendingConfig {
         window: 32,
         first_pause: Span::from_seconds(1),
@@ -22,14 +22,14 @@ fn usual() -> SendingConfig {
 }
 
 /// Returns the number of events stored within four seconds on a connection that is two seconds old, with a backlog.
-fn stored(setting: LinkSettings) -> u64 {
-    let mut link = Link::new(usual(), setting);
+fn stored(settings: LinkSettings) -> u64 {
+    let mut link = Link::new(usual_config(), settings);
     link.run(4);
     link.connect();
     link.run(2);
     let before = link.stored;
     link.run(4);
-    assert_eq!((link.repeated, link.hellos), (0, 1), "(batches, greetings) that came again");
+    assert_eq!((link.repeated, link.hellos), (0, 1), "(repeated batches, hellos)");
     assert!(link.agent.accounting().waiting > 0, "there was something to send all the time");
     link.stored - before
 }
@@ -38,34 +38,34 @@ fn stored(setting: LinkSettings) -> u64 {
 fn fast_link_is_limited_by_store_only() {
     // Bytes per second; then in milliseconds the one-way delay, the duration of a commit, and the time per second in
     // which the aggregator's host is busy with other work.
-    for (bytes_per_s, one_way, commit, deaf) in
+    for (bytes_per_s, one_way, commit, busy_ms) in
         [(1_250_000_000, 0, 300, 0), (1_250_000_000, 10, 300, 50), (12_500_000, 1, 10, 50)]
     {
-        let setting = LinkSettings {
+        let settings = LinkSettings {
             bytes_per_s,
             one_way,
             step: 1,
             commit,
-            deaf,
+            busy_ms,
             controlled: true,
             events_per_s: EVENTS_PER_S,
-            text: long,
+            text: long_text,
         };
-        let with = stored(setting);
-        let without = stored(LinkSettings { controlled: false, ..setting });
-        let seen = format!(
-            "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {deaf} ms away: {with} events, {without} without \
+        let controlled = stored(settings);
+        let uncontrolled = stored(LinkSettings { controlled: false, ..settings });
+        let description = format!(
+            "{bytes_per_s} B/s, {one_way} ms, commits of {commit} ms, {busy_ms} ms away: {controlled} events, {uncontrolled} without \
              control"
         );
-        println!("{seen}");
+        println!("{description}");
         // One commit more or less makes a difference of some percent.
-        assert!(10 * with >= 9 * without, "{seen}");
+        assert!(10 * controlled >= 9 * uncontrolled, "{description}");
     }
 }
 
-/// Returns the milliseconds from the connection until two megabytes are stored.
-fn begun(setting: LinkSettings) -> i64 {
-    let mut link = Link::new(usual(), setting);
+/// Returns the number of milliseconds from the connection until two megabytes are stored.
+fn start_time_ms(settings: LinkSettings) -> i64 {
+    let mut link = Link::new(usual_config(), settings);
     link.run(1);
     link.connect();
     let connected = link.agent.millis;
@@ -78,22 +78,23 @@ fn begun(setting: LinkSettings) -> i64 {
 #[test]
 fn window_grows_to_capacity_of_link() {
     for one_way in [0, 1, 10, 25] {
-        let setting = LinkSettings {
+        let settings = LinkSettings {
             bytes_per_s: 1_250_000_000,
             one_way,
             step: 1,
             commit: 1,
-            deaf: 0,
+            busy_ms: 0,
             controlled: true,
             events_per_s: EVENTS_PER_S,
-            text: long,
+            text: long_text,
         };
-        let (with, without) = (begun(setting), begun(LinkSettings { controlled: false, ..setting }));
-        println!("{one_way} ms: after {with} ms, {without} ms without control");
+        let controlled = start_time_ms(settings);
+        let uncontrolled = start_time_ms(LinkSettings { controlled: false, ..settings });
+        println!("{one_way} ms: after {controlled} ms, {uncontrolled} ms without control");
         // The allowance begins with 4 KiB and doubles: a megabyte after eight round trips.
         assert!(
-            with <= without + 10 * (2 * one_way + 1),
-            "{one_way} ms: after {with} ms, {without} ms without"
+            controlled <= uncontrolled + 10 * (2 * one_way + 1),
+            "{one_way} ms: after {controlled} ms, {uncontrolled} ms without control"
         );
     }
 }

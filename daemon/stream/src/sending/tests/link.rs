@@ -17,24 +17,24 @@ pub(super) struct OneWayPath<T> {
     pub(super) busy_us: i64,
     /// Time in microseconds during which the direction was busy.
     pub(super) used_us: i64,
-    under_way: VecDeque<(i64, T)>,
+    in_flight: VecDeque<(i64, T)>,
 }
 
 impl<T> OneWayPath<T> {
     const fn new(bytes_per_s: i64, delay_ms: i64) -> Self {
-        Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, under_way: VecDeque::new() }
+        Self { bytes_per_s, delay_ms, busy_us: 0, used_us: 0, in_flight: VecDeque::new() }
     }
 
-    fn send(&mut self, bytes: usize, what: T, now_ms: i64) {
-        let takes = bytes as i64 * 1_000_000 / self.bytes_per_s;
-        self.busy_us = self.busy_us.max(now_ms * 1_000) + takes;
-        self.used_us += takes;
-        self.under_way.push_back((self.busy_us / 1_000 + self.delay_ms, what));
+    fn send(&mut self, bytes: usize, message: T, now_ms: i64) {
+        let duration_us = bytes as i64 * 1_000_000 / self.bytes_per_s;
+        self.busy_us = self.busy_us.max(now_ms * 1_000) + duration_us;
+        self.used_us += duration_us;
+        self.in_flight.push_back((self.busy_us / 1_000 + self.delay_ms, message));
     }
 
     fn arrived(&mut self, now_ms: i64) -> Option<T> {
-        let (_, what) = self.under_way.pop_front_if(|(at, _)| *at <= now_ms)?;
-        Some(what)
+        let (_, message) = self.in_flight.pop_front_if(|(at, _)| *at <= now_ms)?;
+        Some(message)
     }
 }
 
@@ -54,7 +54,7 @@ pub(super) struct LinkSettings {
     /// Duration of a commit. Batches that arrive meanwhile form the next commit.
     pub(super) commit: i64,
     /// Time per second in which the aggregator processes nothing, because its host is busy.
-    pub(super) deaf: i64,
+    pub(super) busy_ms: i64,
     /// `true` if the agent controls the flow; otherwise everything it sends counts as arrived.
     pub(super) controlled: bool,
     pub(super) events_per_s: i64,
@@ -65,7 +65,7 @@ pub(super) struct LinkSettings {
 /// An agent, an aggregator, and a link of limited speed.
 pub(super) struct Link {
     pub(super) agent: Agent,
-    pub(super) setting: LinkSettings,
+    pub(super) settings: LinkSettings,
     pub(super) up: OneWayPath<SentMessage>,
     receiving: Receiving,
     down: OneWayPath<ToAgent>,
@@ -74,38 +74,38 @@ pub(super) struct Link {
     committing: (Vec<BatchHead>, i64),
     pub(super) stored: u64,
     /// Time at which the newest received live update was made.
-    shown: i64,
-    due: bool,
+    newest_live_at: i64,
+    is_live_due: bool,
     /// Largest delay of the live figures since it was last reset.
-    pub(super) behind: i64,
+    pub(super) max_live_delay_ms: i64,
     pub(super) hellos: usize,
     pub(super) repeated: usize,
 }
 
 impl Link {
-    pub(super) fn new(config: SendingConfig, setting: LinkSettings) -> Self {
+    pub(super) fn new(config: SendingConfig, settings: LinkSettings) -> Self {
         Self {
             agent: Agent::new(config),
-            setting,
-            up: OneWayPath::new(setting.bytes_per_s, setting.one_way),
+            settings,
+            up: OneWayPath::new(settings.bytes_per_s, settings.one_way),
             receiving: Receiving::new(ReceivingConfig {
                 max_window: config.window,
                 ..ReceivingConfig::new("base".parse().expect("a name"))
             }),
-            down: OneWayPath::new(10_000_000, setting.one_way),
+            down: OneWayPath::new(10_000_000, settings.one_way),
             waiting: Vec::new(),
             committing: (Vec::new(), 0),
             stored: 0,
-            shown: 0,
-            due: false,
-            behind: 0,
+            newest_live_at: 0,
+            is_live_due: false,
+            max_live_delay_ms: 0,
             hellos: 0,
             repeated: 0,
         }
     }
 
     fn offer(&mut self) {
-        let LinkSettings { step, events_per_s, text, .. } = self.setting;
+        let LinkSettings { step, events_per_s, text, .. } = self.settings;
         let now = self.agent.millis;
         let (before, after) = ((now - step) * events_per_s / 1_000, now * events_per_s / 1_000);
         for n in before..after {
@@ -115,45 +115,47 @@ impl Link {
     }
 
     pub(super) fn step(&mut self) {
-        self.agent.millis += self.setting.step;
+        self.agent.millis += self.settings.step;
         let now = self.agent.millis;
         self.offer();
         while let Some(message) = self.down.arrived(now) {
             self.agent.sending.on_message(&message, self.agent.now());
         }
-        self.due |= now % LIVE_EVERY_MS == 0;
-        if self.due && self.agent.sending.may_send_live() {
+        self.is_live_due |= now % LIVE_EVERY_MS == 0;
+        if self.is_live_due && self.agent.sending.may_send_live() {
             self.agent.sending.record_live_sent(LIVE_BYTES);
             self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
-            self.due = false;
+            self.is_live_due = false;
         }
         self.send();
-        let hears = now % 1_000 >= self.setting.deaf;
-        while hears && let Some(sent) = self.up.arrived(now) {
+        let is_processing = now % 1_000 >= self.settings.busy_ms;
+        while is_processing && let Some(sent) = self.up.arrived(now) {
             match sent {
-                SentMessage::Live(made) => self.shown = made,
-                SentMessage::Frame(frame) => self.take(frame),
+                SentMessage::Live(made_at) => self.newest_live_at = made_at,
+                SentMessage::Frame(frame) => self.receive(frame),
             }
         }
         self.commit();
-        self.behind = self.behind.max(now - self.shown);
+        self.max_live_delay_ms = self.max_live_delay_ms.max(now - self.newest_live_at);
     }
 
     /// Performs all actions of the agent.
     fn send(&mut self) {
         loop {
-            let mut asked = None;
+            let mut echo_position = None;
             while let Some(action) = self.agent.sending.next(self.agent.now().mono) {
                 let Action::Send(frame) = action else {
                     self.agent.perform(action);
                     continue;
                 };
                 match codec::decode(&frame) {
-                    Ok(ToAggregator::Echo { bytes, .. }) if !self.setting.controlled => asked = Some(bytes),
+                    Ok(ToAggregator::Echo { bytes, .. }) if !self.settings.controlled => {
+                        echo_position = Some(bytes)
+                    }
                     _ => self.up.send(frame.len(), SentMessage::Frame(frame.into()), self.agent.millis),
                 }
             }
-            let Some(bytes) = asked else { return };
+            let Some(bytes) = echo_position else { return };
             self.agent.sending.on_message(&ToAgent::Echo { bytes }, self.agent.now());
         }
     }
@@ -163,17 +165,18 @@ impl Link {
         if self.committing.1 > now {
             return;
         }
-        for head in std::mem::take(&mut self.committing.0) {
+        for head in std::mem::receive(&mut self.committing.0) {
             self.stored += u64::from(head.events);
-            let (_, reply) = self.receiving.handle_stored(head.stream, Mark::from(head)).expect("it listens");
+            let (_, reply) =
+                self.receiving.handle_stored(head.stream, Mark::from(head)).expect("the agent is connected");
             self.reply(reply);
         }
         if !self.waiting.is_empty() {
-            self.committing = (std::mem::take(&mut self.waiting), now + self.setting.commit);
+            self.committing = (std::mem::receive(&mut self.waiting), now + self.settings.commit);
         }
     }
 
-    fn take(&mut self, frame: Bytes) {
+    fn receive(&mut self, frame: Bytes) {
         let now = self.agent.now().mono;
         let frame = match codec::decode_part(&frame) {
             Some(part) => match self.receiving.handle_part(&part, now) {
@@ -194,8 +197,8 @@ impl Link {
             ToAggregator::Hello(hello) => {
                 self.hellos += 1;
                 self.agent.hellos.push(hello.clone());
-                let greeting = self.receiving.handle_hello(&hello, StreamRecord::default(), now);
-                let HelloResult::Welcome { reply, .. } = greeting else { panic!("{greeting:?}") };
+                let result = self.receiving.handle_hello(&hello, StreamRecord::default(), now);
+                let HelloResult::Welcome { reply, .. } = result else { panic!("{result:?}") };
                 self.reply(reply);
             }
             ToAggregator::Echo { host, bytes } => {
@@ -211,7 +214,7 @@ impl Link {
     }
 
     pub(super) fn run(&mut self, seconds: i64) {
-        (0..seconds * 1_000 / self.setting.step).for_each(|_| self.step());
+        (0..seconds * 1_000 / self.settings.step).for_each(|_| self.step());
     }
 
     pub(super) fn connect(&mut self) {

@@ -8,17 +8,23 @@ use peernet_logger::RunId;
 fn full_spool_drops_newest_events_and_reports_gap() {
     let mut agent = Agent::new(SendingConfig { spool_bytes: 4_000, ..config() });
     agent.offer(200);
-    let is = agent.accounting();
-    assert!(is.dropped > 10 && is.waiting > 10 && is.spool_bytes <= 4_000, "{is:?}");
-    assert_eq!((is.spool_limit_bytes, is.gaps), (4_000, 0));
-    let (kept, dropped) = (is.waiting, is.dropped);
+    let accounting = agent.accounting();
+    assert!(
+        accounting.dropped > 10 && accounting.waiting > 10 && accounting.spool_bytes <= 4_000,
+        "{accounting:?}"
+    );
+    assert_eq!((accounting.spool_limit_bytes, accounting.gaps), (4_000, 0));
+    let (waiting, dropped) = (accounting.waiting, accounting.dropped);
     agent.connect();
     agent.welcome(0, None);
     agent.deliver();
     agent.pass(1_000);
     agent.deliver();
-    let is = agent.accounting();
-    assert_eq!((is.stored, is.dropped, is.gaps, is.waiting), (kept + 1, dropped, 1, 0));
+    let accounting = agent.accounting();
+    assert_eq!(
+        (accounting.stored, accounting.dropped, accounting.gaps, accounting.waiting),
+        (waiting + 1, dropped, 1, 0)
+    );
 }
 
 #[test]
@@ -28,7 +34,7 @@ fn deletion_frees_capacity_for_new_events() {
         agent.offer(1);
         agent.deliver();
     }
-    assert_eq!(agent.accounting().dropped, 0, "a deletion was not asked for in time");
+    assert_eq!(agent.accounting().dropped, 0, "a deletion was requested too late");
 }
 
 #[test]
@@ -37,8 +43,11 @@ fn events_wait_in_memory_for_slow_disk() {
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
     // The first batch is being written all the time.
     (0..200).for_each(|n| agent.sending.offer(&incident(&n.to_string()), agent.now()));
-    let is = agent.accounting();
-    assert!(is.memory_bytes <= 2_000 && is.waiting > 10 && is.dropped > 100, "{is:?}");
+    let accounting = agent.accounting();
+    assert!(
+        accounting.memory_bytes <= 2_000 && accounting.waiting > 10 && accounting.dropped > 100,
+        "{accounting:?}"
+    );
 }
 
 #[test]
@@ -50,7 +59,7 @@ fn totals_continue_after_restart() {
     agent.settle();
     let before = agent.accounting();
     let mut agent = agent.restart();
-    assert_eq!(agent.accounting().dropped, before.dropped, "a stop writes what was dropped last");
+    assert_eq!(agent.accounting().dropped, before.dropped, "a stop writes the number of dropped events");
     assert_eq!(agent.accounting(), Accounting { sent: agent.accounting().stored, ..before });
     agent.connect();
     agent.welcome(0, None);
@@ -74,8 +83,8 @@ fn run_end_reports_lost_events_of_run() {
     agent.sending.offer(&Event::RunEnded(ended), agent.now());
     agent.sending.flush(agent.now().wall);
     agent.settle();
-    let is = agent.accounting();
-    assert_eq!((is.gaps, is.waiting), (1, 6));
+    let accounting = agent.accounting();
+    assert_eq!((accounting.gaps, accounting.waiting), (1, 6));
     let batch = agent.file.batches.values().next_back().expect("a batch");
     let events = codec::decode_events(&batch.body, batch.events).expect("readable");
     assert!(matches!(&events[0], Event::Gap(gap) if gap.count == 4), "{events:?}");

@@ -2,26 +2,31 @@
 
 use super::*;
 
-/// Returns an agent with a file from which these of its ten batches are missing.
-fn without(numbers: &[u64]) -> Agent {
+/// Returns an agent whose file contained ten batches, of which the given ones are missing.
+fn agent_with_missing_batches(numbers: &[u64]) -> Agent {
     let mut agent = Agent::new(config());
     agent.cut(10);
     numbers.iter().for_each(|number| assert!(agent.file.batches.remove(number).is_some()));
     let state = agent.file.state();
     let mut agent = agent.restart();
-    // The file states that it holds them, because they were deleted after it was opened.
+    // The state of the file still counts the missing batches, because they were deleted after the file was opened.
     let lost = numbers.len() as u64;
     let waiting_usage =
         Usage { events: state.waiting_usage.events + lost, bytes: state.waiting_usage.bytes + lost * 10 };
-    let described = agent.sending.host.clone();
-    agent.sending =
-        Sending::new(agent.config, described, HostSecret::random(), 1, SpoolState { waiting_usage, ..state });
+    let description = agent.sending.host.clone();
+    agent.sending = Sending::new(
+        agent.config,
+        description,
+        HostSecret::random(),
+        1,
+        SpoolState { waiting_usage, ..state },
+    );
     agent
 }
 
 #[test]
 fn missing_batches_are_skipped_counted_and_reported() {
-    let mut agent = without(&[4, 5]);
+    let mut agent = agent_with_missing_batches(&[4, 5]);
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3]);
@@ -31,18 +36,18 @@ fn missing_batches_are_skipped_counted_and_reported() {
     agent.welcome(3, None);
     assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { has_lost_batches: true, .. })));
     agent.pass(1_000);
-    assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last says what is missing");
-    let is = agent.accounting();
-    assert_eq!((is.dropped, is.gaps, is.stored, is.waiting), (3, 1, 8, 0));
+    assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last batch reports the missing events");
+    let accounting = agent.accounting();
+    assert_eq!((accounting.dropped, accounting.gaps, accounting.stored, accounting.waiting), (3, 1, 8, 0));
     agent.pass(1_000);
-    let is = agent.accounting();
-    assert_eq!(is.spool_bytes, 0);
+    let accounting = agent.accounting();
+    assert_eq!(accounting.spool_bytes, 0);
     assert_eq!(agent.file.batches.len(), 0);
 }
 
 #[test]
 fn missing_batches_at_end_are_skipped() {
-    let mut agent = without(&[8, 9, 10]);
+    let mut agent = agent_with_missing_batches(&[8, 9, 10]);
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>());
@@ -54,7 +59,7 @@ fn missing_batches_at_end_are_skipped() {
 
 #[test]
 fn agent_continues_if_all_batches_are_missing() {
-    let mut agent = without(&(2..=10).collect::<Vec<_>>());
+    let mut agent = agent_with_missing_batches(&(2..=10).collect::<Vec<_>>());
     agent.file.batches.clear();
     agent.connect();
     agent.welcome(0, None);
@@ -68,7 +73,7 @@ fn agent_continues_if_all_batches_are_missing() {
 
 #[test]
 fn missing_batches_at_several_positions_are_skipped() {
-    let mut agent = without(&[2, 5, 8]);
+    let mut agent = agent_with_missing_batches(&[2, 5, 8]);
     agent.connect();
     let mut delivered = Vec::new();
     let mut stored = 0;
@@ -85,7 +90,7 @@ fn missing_batches_at_several_positions_are_skipped() {
 
 #[test]
 fn missing_compared_batches_delete_no_unstored_batch() {
-    let mut agent = without(&[6]);
+    let mut agent = agent_with_missing_batches(&[6]);
     agent.connect();
     agent.welcome(6, Some(Chain::from_bytes([9; 16])));
     assert!(agent.notices.contains(&Notice::StreamRenewed { stored: 6, newest: 10 }));

@@ -65,7 +65,7 @@ struct File {
     newest: (u64, Chain),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
-    /// Number of processes that opened it.
+    /// Number of processes that opened the file.
     processes: u64,
     batches: BTreeMap<u64, SpooledBatch>,
 }
@@ -119,14 +119,14 @@ impl File {
     }
 
     fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {
-        let mut taken = 0;
+        let mut loaded_bytes = 0;
         let contiguous = (from..).map_while(|number| self.batches.get(&number));
-        let wanted = contiguous.take_while(|batch| {
-            let first = taken == 0;
-            taken += batch.body.len();
-            first || taken <= bytes
+        let loaded = contiguous.take_while(|batch| {
+            let is_first = loaded_bytes == 0;
+            loaded_bytes += batch.body.len();
+            is_first || loaded_bytes <= bytes
         });
-        wanted.cloned().collect()
+        loaded.cloned().collect()
     }
 
     fn delete(&mut self, through: u64, chain: Chain) {
@@ -223,9 +223,9 @@ impl Agent {
                 }
             }
         }
-        let due = self.sending.deadline().is_some_and(|deadline| deadline < self.now().mono);
+        let is_due = self.sending.deadline().is_some_and(|deadline| deadline < self.now().mono);
         assert!(
-            !due || self.sending.deadline() != Some(MonoTime::default()),
+            !is_due || self.sending.deadline() != Some(MonoTime::default()),
             "a deadline in the past does nothing"
         );
     }
@@ -261,14 +261,14 @@ impl Agent {
     }
 
     fn perform(&mut self, action: Action) {
-        let (now, why) = (self.now(), "the disk is full".to_owned());
+        let (now, reason) = (self.now(), "the disk is full".to_owned());
         let notice = match action {
             Action::Append { batches, .. } if self.broken || self.full && !batches.is_empty() => {
-                self.sending.on_append_failed(why, now)
+                self.sending.on_append_failed(reason, now)
             }
-            Action::Load { .. } if self.broken => self.sending.on_load_failed(why, now),
-            Action::Delete { .. } if self.broken => self.sending.on_delete_failed(why, now),
-            Action::Renew { .. } if self.broken => self.sending.on_renew_failed(why, now),
+            Action::Load { .. } if self.broken => self.sending.on_load_failed(reason, now),
+            Action::Delete { .. } if self.broken => self.sending.on_delete_failed(reason, now),
+            Action::Renew { .. } if self.broken => self.sending.on_renew_failed(reason, now),
             Action::Append { batches, totals } => {
                 self.file.append(batches, totals);
                 self.sending.on_appended(now)
@@ -286,7 +286,7 @@ impl Agent {
                 self.sending.on_renewed(now);
                 None
             }
-            Action::Send(_) => unreachable!("not the spool's"),
+            Action::Send(_) => unreachable!("not an action of the spool"),
         };
         self.notices.extend(notice);
     }
@@ -298,7 +298,7 @@ impl Agent {
         self.settle();
     }
 
-    /// Offers events, one per batch, and cuts the last batch.
+    /// Offers events, one per batch, and closes the last batch.
     fn cut(&mut self, batches: usize) {
         self.offer(batches);
         self.pass(self.config.batch_age.nanos() / 1_000_000);
@@ -348,10 +348,17 @@ impl Agent {
 
     /// Returns the numbers of events by state, which must add up.
     fn accounting(&self) -> Accounting {
-        let is = self.sending.accounting();
-        assert_eq!(is.produced, is.stored + is.waiting + is.dropped, "{is:?}");
-        assert!(is.stored <= is.spooled && is.spooled <= is.produced, "{is:?}");
-        is
+        let accounting = self.sending.accounting();
+        assert_eq!(
+            accounting.produced,
+            accounting.stored + accounting.waiting + accounting.dropped,
+            "{accounting:?}"
+        );
+        assert!(
+            accounting.stored <= accounting.spooled && accounting.spooled <= accounting.produced,
+            "{accounting:?}"
+        );
+        accounting
     }
 
     /// Acknowledges batches until no more are sent. Returns their numbers.
@@ -371,7 +378,8 @@ impl Agent {
         self.file.batches.get(&number).map(|batch| batch.chain)
     }
 
-    fn asked(&self, wanted: impl Fn(&Action) -> bool) -> usize {
-        self.actions.iter().filter(|action| wanted(action)).count()
+    /// Returns the number of requested actions for which `is_counted` is `true`.
+    fn count_actions(&self, is_counted: impl Fn(&Action) -> bool) -> usize {
+        self.actions.iter().filter(|action| is_counted(action)).count()
     }
 }

@@ -11,12 +11,12 @@ use super::*;
 #[derive(Default)]
 struct Store {
     marks: HashMap<StreamId, (u64, Chain, Option<u64>)>,
-    greeted: Option<StreamId>,
+    hello_stream: Option<StreamId>,
     names: Vec<u64>,
 }
 
 impl Store {
-    fn take(&mut self, frame: Bytes) -> Option<ToAgent> {
+    fn handle_frame(&mut self, frame: Bytes) -> Option<ToAgent> {
         let Some(head) = codec::decode_batch_head(&frame) else {
             let hello = match codec::decode(&frame) {
                 Ok(ToAggregator::Hello(hello)) => hello,
@@ -24,14 +24,14 @@ impl Store {
                 other => panic!("{other:?} was sent"),
             };
             let stream = hello.stream;
-            self.greeted = Some(stream);
-            let known = self.marks.get(&stream).copied();
-            let (stored, chain, process) = known
+            self.hello_stream = Some(stream);
+            let mark = self.marks.get(&stream).copied();
+            let (stored, chain, process) = mark
                 .map_or((hello.first - 1, None, None), |(stored, chain, process)| {
                     (stored, Some(chain), process)
                 });
-            assert!(hello.oldest <= stored + 1, "batches are missing that nobody took out");
-            if known.is_none() {
+            assert!(hello.oldest <= stored + 1, "batches are missing although none was removed");
+            if mark.is_none() {
                 self.marks.insert(stream, (stored, hello.before, None));
             }
             let aggregator = "base".parse().expect("a name");
@@ -44,7 +44,7 @@ impl Store {
                 window: 4,
             });
         };
-        if self.greeted != Some(head.stream) {
+        if self.hello_stream != Some(head.stream) {
             return Some(ToAgent::Unknown);
         }
         let (stored, chain, process) = self.marks.get_mut(&head.stream)?;
@@ -80,7 +80,7 @@ struct Simulation {
     offered: u64,
     /// State of the file before each action that a power failure may undo.
     unsynced: Vec<File>,
-    /// Events that were in a file when a process began, or at the end.
+    /// Events that were in the file when a process started, or at the end.
     survived: BTreeSet<u64>,
 }
 
@@ -120,20 +120,20 @@ impl Simulation {
     fn work(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
         // The file is synced at once when it records which batches may be sent.
-        let at_once =
+        let is_synced =
             matches!(&job, Action::Append { batches, .. } if batches.is_empty()) && !self.agent.broken;
-        let before = self.agent.file.clone();
+        let previous_file = self.agent.file.clone();
         self.agent.perform(job);
-        match at_once {
+        match is_synced {
             true => self.unsynced.clear(),
-            false => self.unsynced.push(before),
+            false => self.unsynced.push(previous_file),
         }
         self.run();
     }
 
     fn deliver(&mut self) {
         if let Some(frame) = self.up.pop_front() {
-            self.down.extend(self.store.take(frame));
+            self.down.extend(self.store.handle_frame(frame));
         }
     }
 
@@ -148,35 +148,35 @@ impl Simulation {
         self.agent.sending.on_disconnected();
         self.up.clear();
         self.down.clear();
-        self.store.greeted = None;
+        self.store.hello_stream = None;
         self.agent.sending.on_connected(self.agent.now().mono);
         self.run();
     }
 
-    /// Starts a new process after a kill, which loses the requested actions, or after a power failure, which loses what
-    /// was not synced. `connect` tells whether the new process connects.
+    /// Starts a new process with the file after a kill, which loses the requested actions, or after a power failure, which
+    /// also loses writes that were not synced. The new process connects if `connect` is set.
     fn start(&mut self, file: File, connect: bool) {
         self.up.clear();
         self.down.clear();
         self.jobs.clear();
         self.unsynced.clear();
-        self.store.greeted = None;
+        self.store.hello_stream = None;
         let (config, host, millis, broken) =
             (self.agent.config, self.agent.host, self.agent.millis, self.agent.broken);
         self.agent = Agent::open(config, host, file);
         (self.agent.millis, self.agent.broken) = (millis, broken);
-        self.survive();
+        self.record_survivors();
         if connect {
             self.reconnect();
         }
     }
 
-    fn survive(&mut self) {
+    fn record_survivors(&mut self) {
         let batches = self.agent.file.batches.values();
         self.survived.extend(batches.flat_map(|batch| names(&batch.body, batch.events)));
     }
 
-    fn end(&mut self) {
+    fn settle(&mut self) {
         self.agent.broken = false;
         self.reconnect();
         for _ in 0..2_000 {
@@ -190,8 +190,8 @@ impl Simulation {
             }
             self.pass(1_000);
         }
-        assert!(self.agent.sending.is_idle(), "something waits for ever: {:?}", self.agent.sending);
-        self.survive();
+        assert!(self.agent.sending.is_idle(), "events still wait: {:?}", self.agent.sending);
+        self.record_survivors();
         let stored: BTreeSet<u64> = self.store.names.iter().copied().collect();
         assert_eq!(stored.len(), self.store.names.len(), "stored twice: {:?}", self.store.names);
         let lost: Vec<_> = self.survived.difference(&stored).collect();
@@ -208,8 +208,14 @@ enum Step {
     Answer(u8),
     Reconnect,
     Break(bool),
-    Kill { connect: bool },
-    Cut { back: u8, connect: bool },
+    Kill {
+        connect: bool,
+    },
+    /// A power failure undoes the last `back` actions on the file.
+    PowerFailure {
+        back: u8,
+        connect: bool,
+    },
     Sync,
 }
 
@@ -223,7 +229,7 @@ fn step() -> impl Strategy<Value = Step> {
         1 => Just(Step::Reconnect),
         2 => any::<bool>().prop_map(Step::Break),
         2 => any::<bool>().prop_map(|connect| Step::Kill { connect }),
-        2 => (any::<u8>(), any::<bool>()).prop_map(|(back, connect)| Step::Cut { back, connect }),
+        2 => (any::<u8>(), any::<bool>()).prop_map(|(back, connect)| Step::PowerFailure { back, connect }),
         1 => Just(Step::Sync),
     ]
 }
@@ -243,12 +249,12 @@ proptest! {
                 Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),
                 Step::Reconnect => simulation.reconnect(),
                 Step::Break(broken) => {
-                    // A full disk has lost nothing that was on it before.
+                    // A failing disk does not lose what was written before.
                     simulation.unsynced.clear();
                     simulation.agent.broken = broken;
                 }
                 Step::Kill { connect } => simulation.start(simulation.agent.file.clone(), connect),
-                Step::Cut { back, connect } => {
+                Step::PowerFailure { back, connect } => {
                     let index = simulation.unsynced.len().saturating_sub(usize::from(back) % 8);
                     let file = simulation.unsynced.get(index).unwrap_or(&simulation.agent.file).clone();
                     simulation.start(file, connect);
@@ -256,6 +262,6 @@ proptest! {
                 Step::Sync => simulation.unsynced.clear(),
             }
         }
-        simulation.end();
+        simulation.settle();
     }
 }

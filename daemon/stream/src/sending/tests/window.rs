@@ -12,19 +12,19 @@ fn allow(agent: &mut Agent, through: u64, window: u32) {
 fn batches_in_flight_respect_windows_of_both_ends() {
     let mut agent = Agent::up(config());
     agent.cut(10);
-    assert_eq!(agent.numbers(), [1, 2, 3], "by the agent's own window");
+    assert_eq!(agent.numbers(), [1, 2, 3], "limited by the agent's own window");
     allow(&mut agent, 1, 1);
-    assert_eq!(agent.numbers(), [0; 0], "by the aggregator's");
+    assert_eq!(agent.numbers(), [0; 0], "limited by the aggregator's window");
     allow(&mut agent, 3, 1);
     assert_eq!(agent.numbers(), [4]);
     allow(&mut agent, 4, 0);
-    assert_eq!(agent.numbers(), [5], "one always may");
+    assert_eq!(agent.numbers(), [5], "one batch is always allowed");
     allow(&mut agent, 5, u32::MAX);
     assert_eq!(agent.numbers(), [6, 7, 8]);
 }
 
 #[test]
-fn more_small_batches_than_large_ones_are_in_flight() {
+fn more_small_batches_than_large_batches_are_in_flight() {
     let config = SendingConfig { batch_bytes: 64 * 1_024, ..config() };
     let mut agent = Agent::up(config);
     agent.cut(300);
@@ -78,7 +78,7 @@ fn unanswered_hello_is_repeated() {
     agent.pass(499);
     assert_eq!(agent.hellos.len(), 3);
     agent.pass(1);
-    assert_eq!(agent.hellos.len(), 4, "each pause is twice the one before");
+    assert_eq!(agent.hellos.len(), 4, "each pause is twice the previous pause");
     let chain = agent.chain(1);
     agent.welcome(1, chain);
     assert_eq!(agent.numbers(), [2]);
@@ -105,12 +105,12 @@ fn hellos_without_progress_become_rare() {
         agent.receive(&ToAgent::Unknown);
         agent.welcome(0, None);
     }
-    assert!(agent.hellos.len() < 6, "{} greetings at one instant", agent.hellos.len());
+    assert!(agent.hellos.len() < 6, "{} hellos at one instant", agent.hellos.len());
     agent.pass(20_000);
     agent.welcome(0, None);
     assert_eq!(agent.sent.last().map(|head| head.number), Some(1));
     agent.ack(1);
     let hellos = agent.hellos.len();
     agent.receive(&ToAgent::Unknown);
-    assert_eq!(agent.hellos.len(), hellos + 1, "after an acknowledgement it is prompt again");
+    assert_eq!(agent.hellos.len(), hellos + 1, "after an acknowledgement there is no pause");
 }

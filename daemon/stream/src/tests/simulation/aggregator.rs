@@ -5,12 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use bytes::Bytes;
 
 use super::super::*;
-use super::{SECRET, missing_reported, names};
+use super::{SECRET, event_numbers, missing_reported};
 
 /// Work for the writer.
 #[derive(Clone, Debug)]
 enum Work {
-    /// A host sent a hello with this stream and left another one: one transaction.
+    /// A host sent a hello: its stream, the stream that it replaced, and the batches that are missing in the previous
+    /// stream. All are stored in one transaction.
     Hello(StreamId, Option<StreamId>, Option<MissingPreviousBatches>),
     Batch {
         head: BatchHead,
@@ -24,10 +25,10 @@ enum Work {
 #[derive(Clone, Debug, PartialEq)]
 pub(in super::super) enum Entry {
     /// A batch and its events.
-    Batch { number: u64, names: Vec<u64>, missing_reported: u64 },
+    Batch { number: u64, event_numbers: Vec<u64>, missing_reported: u64 },
     /// A batch that was quarantined.
     Damaged { number: u64, chain: Chain },
-    /// Batches that neither end had, and their number of events.
+    /// Batches that neither end had, and the number of their events.
     Gap { from: u64, through: u64, events: Option<u64> },
 }
 
@@ -110,7 +111,7 @@ impl Aggregator {
             let body = codec::decode_batch_body(frame.clone());
             return match self.receiving.handle_batch(&head, body.is_ok(), now) {
                 Arrival::Accept => {
-                    let body = body.expect("only what is intact is accepted");
+                    let body = body.expect("only intact batches are accepted");
                     self.queue.push(Work::Batch { head, body });
                     None
                 }
@@ -148,14 +149,14 @@ impl Aggregator {
 
     fn hello(&mut self, connection: u64, hello: &Hello, now: MonoTime) -> Option<ToAgent> {
         let mark_of = |stream| self.database.marks.get(&stream).copied();
-        let known = StreamRecord {
+        let record = StreamRecord {
             mark: mark_of(hello.stream),
             was_used: self.seen.contains(&hello.stream),
             last: self.last,
             previous: hello.previous.and_then(mark_of),
             seniority: None,
         };
-        match self.receiving.handle_hello(hello, known, now) {
+        match self.receiving.handle_hello(hello, record, now) {
             HelloResult::Welcome { reply, missing, replaced, missing_previous, .. } => {
                 self.route = Some(connection);
                 self.missing += u32::from(missing.is_some());
@@ -178,7 +179,7 @@ impl Aggregator {
     }
 
     /// Reports the commit. Returns the messages for the connection of the host.
-    pub(super) fn committed(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
+    pub(super) fn report_commit(&mut self, mut streams: Vec<StreamId>) -> Vec<(u64, ToAgent)> {
         streams.dedup();
         let marks = &self.database.marks;
         let mut replies: Vec<_> = streams
@@ -186,7 +187,7 @@ impl Aggregator {
             .filter_map(|stream| self.receiving.handle_stored(stream, marks[&stream]))
             .collect();
         replies.extend(self.receiving.request_deferred(self.capacity.saturating_sub(self.queue.len())));
-        self.routed(replies)
+        self.to_connection(replies)
     }
 
     /// Lets the next commit fail, together with all waiting works.
@@ -200,10 +201,10 @@ impl Aggregator {
                 Work::MissingBatches(missing) => {
                     replies.extend(self.receiving.handle_failed_store(missing.stream));
                 }
-                kept @ Work::Hello(..) => self.queue.push(kept),
+                hello @ Work::Hello(..) => self.queue.push(hello),
             }
         }
-        self.routed(replies)
+        self.to_connection(replies)
     }
 
     pub(in super::super) fn kill(&mut self) {
@@ -214,7 +215,7 @@ impl Aggregator {
         self.seen = self.database.seen.clone();
     }
 
-    fn routed(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
+    fn to_connection(&self, replies: Vec<(HostId, ToAgent)>) -> Vec<(u64, ToAgent)> {
         replies.into_iter().filter_map(|(_, reply)| Some((self.route?, reply))).collect()
     }
 }
@@ -239,15 +240,15 @@ impl Database {
                 return None;
             }
             Work::Batch { head, body } => {
-                let before = self.marks.get(&head.stream);
-                if let Some(before) = before {
-                    assert_eq!(head.number, before.stored + 1, "stored out of order");
-                    assert_eq!(head.before, before.chain, "stored behind another batch than its own");
+                let previous = self.marks.get(&head.stream);
+                if let Some(previous) = previous {
+                    assert_eq!(head.number, previous.stored + 1, "stored out of order");
+                    assert_eq!(head.before, previous.chain, "stored after a batch of another chain");
                 }
                 assert_eq!(head.chain, head.before.next(head.events, &body));
-                let (names, missing_reported) =
-                    (names(head.events, &body), missing_reported(head.events, &body));
-                let entry = Entry::Batch { number: head.number, names, missing_reported };
+                let (event_numbers, missing_reported) =
+                    (event_numbers(head.events, &body), missing_reported(head.events, &body));
+                let entry = Entry::Batch { number: head.number, event_numbers, missing_reported };
                 (head.stream, Mark::from(head), entry)
             }
             Work::Damaged(head) => {
@@ -256,8 +257,8 @@ impl Database {
             }
             Work::MissingBatches(missing) => {
                 let MissingBatches { stream, from, through, events, .. } = missing;
-                if let Some(before) = self.marks.get(&stream) {
-                    assert_eq!(from, before.stored + 1, "a gap follows what is stored");
+                if let Some(previous) = self.marks.get(&stream) {
+                    assert_eq!(from, previous.stored + 1, "a gap follows the last stored batch");
                 }
                 (stream, Mark::from(missing), Entry::Gap { from, through, events })
             }

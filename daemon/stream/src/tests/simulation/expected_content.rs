@@ -6,7 +6,7 @@ use bytes::Bytes;
 
 use super::super::*;
 use super::aggregator::{Aggregator, Database, Entry};
-use super::{SpoolFile, missing_reported, names};
+use super::{SpoolFile, event_numbers, missing_reported};
 
 #[derive(Clone, Debug, Default)]
 pub(in super::super) struct ExpectedContent {
@@ -20,7 +20,7 @@ pub(in super::super) struct ExpectedContent {
     sizes: BTreeMap<(StreamId, u64), u64>,
     /// Sent parts of a batch.
     parts: Vec<u8>,
-    /// Wire form of their events, each batch once.
+    /// Wire forms of the events of the sent batches, each batch once.
     pub(in super::super) bodies: Vec<(u32, Bytes)>,
     /// Streams whose spool was deleted.
     deleted: BTreeSet<StreamId>,
@@ -31,13 +31,13 @@ pub(in super::super) struct ExpectedContent {
 }
 
 impl ExpectedContent {
-    pub(super) fn sent(&mut self, frame: &Bytes) {
+    pub(super) fn record_sent(&mut self, frame: &Bytes) {
         if let Some(part) = codec::decode_part(frame) {
             self.parts.truncate(part.offset as usize);
             self.parts.extend_from_slice(&part.bytes);
             if self.parts.len() == part.total as usize {
                 let whole = std::mem::take(&mut self.parts);
-                self.sent(&whole.into());
+                self.record_sent(&whole.into());
             }
             return;
         }
@@ -46,7 +46,7 @@ impl ExpectedContent {
         self.sizes.insert((head.stream, head.number), head.events.into());
         if self
             .contents
-            .insert(head.chain, (names(head.events, &body), missing_reported(head.events, &body)))
+            .insert(head.chain, (event_numbers(head.events, &body), missing_reported(head.events, &body)))
             .is_none()
         {
             self.bodies.push((head.events, body));
@@ -57,41 +57,44 @@ impl ExpectedContent {
         codec::decode_batch_head(frame).is_some() && codec::decode_batch_body(frame.clone()).is_err()
     }
 
-    pub(super) fn appended(&mut self, batch: &SpooledBatch) {
-        self.spooled.extend(names(batch.events, &batch.body));
+    pub(super) fn record_appended(&mut self, batch: &SpooledBatch) {
+        self.spooled.extend(event_numbers(batch.events, &batch.body));
     }
 
     /// Checks that the deleted batches are stored.
-    pub(super) fn deleted(&self, batches: &[SpooledBatch]) {
-        for name in batches.iter().flat_map(|batch| names(batch.events, &batch.body)) {
-            assert!(self.places.contains_key(&name), "event {name} was deleted before it was stored");
+    pub(super) fn check_deletion(&self, batches: &[SpooledBatch]) {
+        for event_number in batches.iter().flat_map(|batch| event_numbers(batch.events, &batch.body)) {
+            assert!(
+                self.places.contains_key(&event_number),
+                "event {event_number} was deleted before it was stored"
+            );
         }
     }
 
     /// Records that a spool was deleted with its content.
-    pub(super) fn lost(&mut self, file: &SpoolFile) {
+    pub(super) fn record_deleted_spool(&mut self, file: &SpoolFile) {
         self.deleted.insert(file.stream);
-        for name in file.batches.values().flat_map(|batch| names(batch.events, &batch.body)) {
-            self.spooled.remove(&name);
+        for event_number in file.batches.values().flat_map(|batch| event_numbers(batch.events, &batch.body)) {
+            self.spooled.remove(&event_number);
         }
     }
 
-    pub(super) fn committed(&mut self, stream: StreamId, entry: &Entry) {
-        for (number, name) in self.events(entry) {
-            self.places.entry(name).or_default().insert((stream, number));
+    pub(super) fn record_committed(&mut self, stream: StreamId, entry: &Entry) {
+        for (number, event_number) in self.events(entry) {
+            self.places.entry(event_number).or_default().insert((stream, number));
         }
     }
 
     /// Returns the events of an entry with their batch numbers. A quarantined batch counts, too.
     fn events(&self, entry: &Entry) -> Vec<(u64, u64)> {
-        let (number, names) = match entry {
-            Entry::Batch { number, names, .. } => (*number, names.clone()),
+        let (number, event_numbers) = match entry {
+            Entry::Batch { number, event_numbers, .. } => (*number, event_numbers.clone()),
             Entry::Damaged { number, chain } => {
                 (*number, self.contents.get(chain).cloned().unwrap_or_default().0)
             }
             Entry::Gap { .. } => return Vec::new(),
         };
-        names.into_iter().map(|name| (number, name)).collect()
+        event_numbers.into_iter().map(|event_number| (number, event_number)).collect()
     }
 
     /// Checks the database when no event waits.
@@ -99,25 +102,31 @@ impl ExpectedContent {
         let database = &aggregator.database;
         let mut stored: BTreeMap<u64, u32> = BTreeMap::new();
         for entries in database.entries.values() {
-            let names: Vec<u64> =
-                entries.iter().flat_map(|entry| self.events(entry)).map(|(_, name)| name).collect();
+            let event_numbers: Vec<u64> = entries
+                .iter()
+                .flat_map(|entry| self.events(entry))
+                .map(|(_, event_number)| event_number)
+                .collect();
             assert!(
-                names.windows(2).all(|pair| pair[0] < pair[1]),
-                "in order and once in a stream: {names:?}"
+                event_numbers.windows(2).all(|pair| pair[0] < pair[1]),
+                "not in order, or twice in a stream: {event_numbers:?}"
             );
-            names.iter().for_each(|name| *stored.entry(*name).or_default() += 1);
+            event_numbers.iter().for_each(|event_number| *stored.entry(*event_number).or_default() += 1);
         }
-        for (name, times) in &stored {
-            assert!(*times == 1 || self.copied, "event {name} is stored {times} times");
+        for (event_number, times) in &stored {
+            assert!(*times == 1 || self.copied, "event {event_number} is stored {times} times");
         }
-        for name in self.spooled.iter().filter(|name| !stored.contains_key(name)) {
-            assert!(self.restored && self.is_accounted(*name, database), "event {name} is lost");
+        for event_number in self.spooled.iter().filter(|event_number| !stored.contains_key(event_number)) {
+            assert!(
+                self.restored && self.is_accounted(*event_number, database),
+                "event {event_number} is lost"
+            );
         }
         self.check_deleted(database);
         self.check_gaps(database);
     }
 
-    /// Checks that every event that was submitted is stored or reported in a gap, whenever processes were killed.
+    /// Checks that every submitted event is stored or reported in a gap, regardless of when processes were killed.
     pub(super) fn check_sum(&self, offered: u64, aggregator: &Aggregator) {
         if self.restored || self.copied || !self.deleted.is_empty() {
             return;
@@ -140,8 +149,10 @@ impl ExpectedContent {
     /// Checks that a gap states the number of events of its batches. With two copies it is unknown which batches the
     /// database lacks.
     fn check_gaps(&self, database: &Database) {
-        for (stream, entry) in
-            database.entries.iter().flat_map(|(stream, all)| all.iter().map(move |one| (stream, one)))
+        for (stream, entry) in database
+            .entries
+            .iter()
+            .flat_map(|(stream, entries)| entries.iter().map(move |entry| (stream, entry)))
         {
             let Entry::Gap { from, through, events } = entry else { continue };
             let held = (*from..=*through).map(|number| self.sizes.get(&(*stream, number)));
@@ -155,8 +166,8 @@ impl ExpectedContent {
 
     /// Returns whether an event that is missing in a restored database is covered by a gap, or its spool was deleted. With two
     /// copies, different batches with the same numbers may be missing in the database.
-    fn is_accounted(&self, name: u64, database: &Database) -> bool {
-        self.places.get(&name).into_iter().flatten().any(|(stream, number)| {
+    fn is_accounted(&self, event_number: u64, database: &Database) -> bool {
+        self.places.get(&event_number).into_iter().flatten().any(|(stream, number)| {
             let entries = database.entries.get(stream).into_iter().flatten();
             let covers = |entry: &Entry| matches!(entry, Entry::Gap { from, through, .. } if (from..=through).contains(&number));
             entries.clone().any(covers) || self.deleted.contains(stream) || self.copied
@@ -171,8 +182,11 @@ impl ExpectedContent {
         replaced.sort();
         replaced.dedup();
         assert_eq!(replaced.len(), database.replaced.len(), "a replaced spool is reported once");
-        assert!(replaced.is_empty() || !self.deleted.is_empty(), "none is reported when none was deleted");
-        let known = self.deleted.iter().filter(|stream| database.entries.contains_key(stream));
-        known.for_each(|stream| assert!(replaced.contains(stream), "a deleted spool is reported"));
+        assert!(
+            replaced.is_empty() || !self.deleted.is_empty(),
+            "a spool is reported as replaced although none was deleted"
+        );
+        let stored_streams = self.deleted.iter().filter(|stream| database.entries.contains_key(stream));
+        stored_streams.for_each(|stream| assert!(replaced.contains(stream), "a deleted spool is reported"));
     }
 }

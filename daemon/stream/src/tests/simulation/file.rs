@@ -60,39 +60,43 @@ impl SpoolFile {
         }
     }
 
-    /// Opens the file for a new process: records the losses of the process before, and starts counting again.
+    /// Opens the file for a new process: records the losses of the previous process, and resets the counts.
     pub(super) fn start(&mut self) -> SpoolState {
         let mut state = self.open();
         state.lose_tail(std::mem::take(&mut self.counted), self.totals.submitted.settled());
         state.totals.submitted = SubmittedEvents::default();
         self.totals = state.totals.clone();
         self.unresolved = state.unresolved.clone();
-        self.tell(&state.unreported);
+        self.set_unreported(&state.unreported);
         state
     }
 
     /// Sets the losses to be reported.
-    fn tell(&mut self, unreported: &[Gap]) {
+    fn set_unreported(&mut self, unreported: &[Gap]) {
         let mut reported = self.totals.reported_drops;
-        let with_reported_through = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
-        self.unreported = unreported.iter().map(with_reported_through).collect();
+        let with_position = |gap: &Gap| (reported += gap.count, (reported, gap.clone())).1;
+        self.unreported = unreported.iter().map(with_position).collect();
     }
 
     /// Records a batch that is sent without being in the file.
-    pub(super) fn sends(&mut self, sent: SentUnspooled) {
-        let all = &mut self.counted.sent;
-        all.retain(|other| {
+    pub(super) fn record_sent_unspooled(&mut self, sent: SentUnspooled) {
+        let sent_batches = &mut self.counted.sent;
+        sent_batches.retain(|other| {
             other.number % MAX_SENT_UNSPOOLED as u64 != sent.number % MAX_SENT_UNSPOOLED as u64
         });
-        all.push(sent);
+        sent_batches.push(sent);
     }
 
     pub(super) fn append(&mut self, batches: &[SpooledBatch], mut totals: Totals) {
-        self.unreported.retain(|(with_reported_through, _)| *with_reported_through > totals.reported_drops);
+        self.unreported.retain(|(reported_through, _)| *reported_through > totals.reported_drops);
         for batch in batches {
             let (newest, chain) = self.newest;
             assert_eq!(batch.number, newest + 1, "numbers in the spool are contiguous");
-            assert_eq!(batch.chain, chain.next(batch.events, &batch.body), "and so are chains");
+            assert_eq!(
+                batch.chain,
+                chain.next(batch.events, &batch.body),
+                "chains in the spool are contiguous"
+            );
             self.newest = (batch.number, batch.chain);
             self.batches.insert(batch.number, batch.clone());
         }
@@ -104,22 +108,22 @@ impl SpoolFile {
         self.totals = totals;
         if let Some(unreported) = unreported {
             self.unresolved = None;
-            self.tell(&unreported);
+            self.set_unreported(&unreported);
         }
     }
 
     pub(super) fn load(&self, from: u64, bytes: usize) -> Vec<SpooledBatch> {
-        let mut room = bytes;
-        let mut found = Vec::new();
+        let mut remaining_bytes = bytes;
+        let mut loaded = Vec::new();
         for number in from.. {
             let Some(batch) = self.batches.get(&number) else { break };
-            if !found.is_empty() && batch.body.len() > room {
+            if !loaded.is_empty() && batch.body.len() > remaining_bytes {
                 break;
             }
-            room = room.saturating_sub(batch.body.len());
-            found.push(batch.clone());
+            remaining_bytes = remaining_bytes.saturating_sub(batch.body.len());
+            loaded.push(batch.clone());
         }
-        found
+        loaded
     }
 
     /// Deletes batches, and returns them.
@@ -127,7 +131,7 @@ impl SpoolFile {
         let kept = self.batches.split_off(&(through + 1));
         let deleted = std::mem::replace(&mut self.batches, kept);
         if let Some(last) = deleted.get(&through) {
-            assert_eq!(last.chain, chain, "the chain is that of the last one deleted");
+            assert_eq!(last.chain, chain, "the chain is that of the last deleted batch");
         }
         self.before = chain;
         if through > self.newest.0 {
@@ -145,7 +149,7 @@ impl SpoolFile {
         events_before_first: u64,
     ) {
         assert_eq!(previous, self.stream);
-        assert_eq!(first, self.open().oldest, "the new stream begins with what is held");
+        assert_eq!(first, self.open().oldest, "the new stream begins with the oldest batch in the file");
         (self.stream, self.previous, self.first) = (stream, Some(previous), first);
         self.events_before_first = Some(events_before_first);
     }

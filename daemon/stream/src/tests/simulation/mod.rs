@@ -19,8 +19,8 @@ const SECRET: HostSecret = HostSecret::from_bytes([7; 32]);
 /// Simulated milliseconds in which all waiting events must be stored after the faults end.
 const PATIENCE_MS: i64 = 300_000;
 
-/// Largest number of turns of both ends in that time.
-const MOST_TURNS: usize = 5_000;
+/// Largest number of turns of both ends in `PATIENCE_MS`.
+const MAX_TURNS: usize = 5_000;
 
 #[derive(Clone, Debug)]
 pub(super) struct Simulation {
@@ -80,10 +80,10 @@ impl Simulation {
             match action {
                 Action::Send(frame) => {
                     if let Some(sent) = self.sending.sent_unspooled() {
-                        self.sites[self.site].sends(sent);
+                        self.sites[self.site].record_sent_unspooled(sent);
                     }
                     let frame = Bytes::from(frame);
-                    self.expected_content.sent(&frame);
+                    self.expected_content.record_sent(&frame);
                     self.up.push((self.connection, frame));
                 }
                 job => self.jobs.push_back(job),
@@ -112,7 +112,7 @@ impl Simulation {
         self.pass(pause.unwrap_or_default().clamp(1, 20_000));
     }
 
-    /// Simulates the live lane, by which a host learns that the aggregator forgot it.
+    /// Simulates the live lane, through which an agent learns that the aggregator has no session of its host.
     fn live(&mut self) {
         if self.sending.is_up() {
             let reply = self.aggregator.live(self.connection, self.host, at(self.now).mono);
@@ -150,12 +150,12 @@ impl Simulation {
         match job {
             Action::Append { batches, totals } => {
                 file.append(batches, totals.clone());
-                batches.iter().for_each(|batch| self.expected_content.appended(batch));
+                batches.iter().for_each(|batch| self.expected_content.record_appended(batch));
             }
             Action::Load { from, bytes } => return file.load(*from, *bytes),
             Action::Delete { through, chain } => {
                 let deleted = file.delete(*through, *chain);
-                self.expected_content.deleted(&deleted);
+                self.expected_content.check_deletion(&deleted);
             }
             Action::Renew { stream, previous, first, events_before_first } => {
                 file.renew(*stream, *previous, *first, *events_before_first);
@@ -180,7 +180,7 @@ impl Simulation {
         self.down.extend(reply.map(|reply| (connection, reply)));
     }
 
-    /// Delivers a message to the agent in the same way. Messages to an earlier connection are lost.
+    /// Delivers a message to the agent. With `keep` a copy stays in flight. Messages to an earlier connection are lost.
     pub(super) fn deliver_down(&mut self, index: usize, keep: bool) {
         if self.down.is_empty() {
             return;
@@ -225,9 +225,10 @@ impl Simulation {
     /// Commits `count` works. Unless `is_acknowledged`, the aggregator is killed between commit and acknowledgement.
     pub(super) fn commit(&mut self, count: usize, is_acknowledged: bool) {
         let stored = self.aggregator.commit(count);
-        stored.iter().for_each(|(stream, entry)| self.expected_content.committed(*stream, entry));
+        stored.iter().for_each(|(stream, entry)| self.expected_content.record_committed(*stream, entry));
         if is_acknowledged {
-            let replies = self.aggregator.committed(stored.into_iter().map(|(stream, _)| stream).collect());
+            let replies =
+                self.aggregator.report_commit(stored.into_iter().map(|(stream, _)| stream).collect());
             self.down.extend(replies);
         } else {
             self.aggregator.kill();
@@ -247,8 +248,8 @@ impl Simulation {
         });
     }
 
-    /// Kills the agent and starts one at a site. The disk has performed `done` actions whose completion the agent did
-    /// not learn of.
+    /// Kills the agent and starts an agent at a site. Before the kill, the disk has performed `done` further actions whose
+    /// completion the agent did not learn of.
     pub(super) fn start_agent(&mut self, site: usize, done: usize) {
         let jobs: Vec<Action> = self.jobs.drain(..).take(if self.broken { 0 } else { done }).collect();
         jobs.iter().for_each(|job| drop(self.apply(job)));
@@ -270,8 +271,8 @@ impl Simulation {
         self.expected_content.copied = true;
     }
 
-    /// Kills the agent and starts the next machine's agent, which has a copy of an older spool.
-    pub(super) fn go_to_the_next(&mut self, done: usize) {
+    /// Kills the agent and starts the next machine's agent, whose spool may be a copy of an older spool.
+    pub(super) fn start_next_site(&mut self, done: usize) {
         self.start_agent((self.site + 1) % self.sites.len(), done);
     }
 
@@ -282,7 +283,7 @@ impl Simulation {
         self.up.retain(|(_, frame)| codec::decode_batch_head(frame).is_some());
         let file = SpoolFile::new(StreamId::random());
         let old = std::mem::replace(&mut self.sites[self.site], file);
-        self.expected_content.lost(&old);
+        self.expected_content.record_deleted_spool(&old);
         self.start_agent(self.site, 0);
     }
 
@@ -311,7 +312,7 @@ impl Simulation {
     fn settle_site(&mut self) {
         let limit = self.now + PATIENCE_MS;
         self.agent(|sending, now| sending.flush(now.wall));
-        for _ in 0..MOST_TURNS {
+        for _ in 0..MAX_TURNS {
             self.live();
             while !(self.up.is_empty()
                 && self.down.is_empty()
@@ -324,9 +325,9 @@ impl Simulation {
                 self.deliver_down(0, false);
                 self.check();
             }
-            let rests = self.sending.is_idle() && self.sending.has_reported_all();
-            if self.sending.is_up() && rests && self.file().batches.is_empty() {
-                // The welcome may have come from an aggregator that was killed since. The live lane finds this out.
+            let is_at_rest = self.sending.is_idle() && self.sending.has_reported_all();
+            if self.sending.is_up() && is_at_rest && self.file().batches.is_empty() {
+                // The aggregator may have been killed after its welcome. The live lane then reports that it has no session.
                 self.live();
                 if self.down.is_empty() {
                     return;
@@ -334,9 +335,9 @@ impl Simulation {
                 continue;
             }
             self.pass_to_deadline();
-            assert!(self.now < limit, "it never came to rest: {self:#?}");
+            assert!(self.now < limit, "events still wait after {PATIENCE_MS} ms: {self:#?}");
         }
-        panic!("it did too much without coming to rest: {self:#?}");
+        panic!("events still wait after {MAX_TURNS} turns: {self:#?}");
     }
 
     /// Checks the invariants of every state.
@@ -368,11 +369,11 @@ fn missing_reported(events: u32, body: &[u8]) -> u64 {
 }
 
 /// Returns the numbers of the events in a body in order, without gaps.
-fn names(events: u32, body: &[u8]) -> Vec<u64> {
+fn event_numbers(events: u32, body: &[u8]) -> Vec<u64> {
     let events = codec::decode_events(body, events).expect("our own events");
-    let name = |event| match event {
+    let event_number = |event| match event {
         Event::Incident(incident) => Some(incident.text.parse().expect("a number")),
         _ => None,
     };
-    events.into_iter().filter_map(name).collect()
+    events.into_iter().filter_map(event_number).collect()
 }
