@@ -65,7 +65,7 @@ async fn links_over_two_networks_have_distinct_names() {
 #[tokio::test]
 async fn link_without_live_host_has_a_page() {
     use crate::view::link::Subject;
-    use crate::view::link::course::Course;
+    use crate::view::link::time_series::LinkTimeSeries;
     let (app, _folder) = samples::app().await;
     let row = peernet_store::LinkRow {
         edge: peernet_logger::HostId::from_bytes([7; 16]),
@@ -79,9 +79,10 @@ async fn link_without_live_host_has_a_page() {
     for points in [Vec::new(), vec![samples::clock_point(samples::NOW, 1, Some(0.00065))]] {
         let subject = Subject::past(&row);
         let from = samples::NOW - Span::from_seconds(600);
-        let course = Course::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
+        let time_series =
+            LinkTimeSeries::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
         let shown = snapshot(Vec::new(), Vec::new());
-        let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
+        let page = link::link_page(&app, &shown, &subject, &time_series, None, link::Query::default(), &[]);
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
         assert!(html.contains("cam-1 last reported this link on 19 Nov 2026, 12:01:07"), "{html}");

@@ -3,7 +3,7 @@ use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_store::{DelayAccuracy, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_stream::{EndReason, OutcomeCounts, Placement};
 
-use super::series::{RunCourse, RunCourses};
+use super::series::{RunTimeSeries, TimeSeriesByRun};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
@@ -108,7 +108,7 @@ pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
 
 /// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
 /// the smallest number has no answer three times.
-pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
+pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
     let first = comparison.runs().map(|run| run.number).min();
     let moment = |seconds: i64| samples::NOW + Span::from_seconds(seconds);
     let seconds = || (15..60_i64).filter(|second| !(30..33).contains(second));
@@ -137,7 +137,7 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
             unanswered: unanswered.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
-        Some((run.number, RunCourse { series, means: means.collect(), episodes }))
+        Some((run.number, RunTimeSeries { series, means: means.collect(), episodes }))
     };
     comparison
         .configurations
@@ -191,7 +191,7 @@ fn title_says_which_is_fastest_by_how_much() {
     let text = title(&two, &found);
     assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
     assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
-    assert_eq!(found.others[0].1[1].found, None, "nothing is known of the course of the stages");
+    assert_eq!(found.others[0].1[1].mean_difference, None, "nothing is known of the course of the stages");
 
     let three = scaled(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);

@@ -4,7 +4,7 @@ use peernet_clock::{DelaySource, Interval};
 use peernet_stream::{EstimateBasis, HostClock, ProbeCounts, Probing, ReflectorLive};
 
 use super::super::*;
-use super::course;
+use super::time_series;
 use crate::tests::samples::link;
 
 #[test]
@@ -26,9 +26,9 @@ fn offset_interval_with_zero_is_undecided() {
     let half = Span::from_nanos(4_000);
     (offset.estimate, offset.skew_ppm) = (Span::from_nanos(-300), Some(0.02));
     offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
-    let stats = stats::all(&Subject::live(&level), &course(&level));
+    let stats = stats::all(&Subject::live(&level), &time_series(&level));
     let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
-    assert_eq!(line("Clock offset"), "level, ±0.004\u{202f}ms");
+    assert_eq!(line("Clock offset"), "neither clock is known to be ahead, ±0.004\u{202f}ms");
     assert_eq!(line("Drift"), "both run alike");
 }
 
@@ -79,7 +79,7 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     };
     link.live.now.basis = Some(basis);
     let subject = Subject::live(&link);
-    let pairs = basis::pairs(&subject, &course(&link));
+    let pairs = basis::pairs(&subject, &time_series(&link));
     let of = |name: &str| {
         let found = pairs.iter().find(|(known, _)| *known == name);
         found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
@@ -96,13 +96,13 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
     assert_eq!(of("Claims of time daemons"), "shown for comparison only");
     assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
-    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the free-running clocks");
+    assert_eq!(stats::all(&subject, &time_series(&link))[2].name, "Offset of the free-running clocks");
     // The offset of this link is narrowed by a claim.
     assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 
     // Two hosts with one clock have no offset to show.
     link.live.same_clock = true;
-    assert!(basis::pairs(&Subject::live(&link), &course(&link)).is_empty());
+    assert!(basis::pairs(&Subject::live(&link), &time_series(&link)).is_empty());
 }
 
 #[test]
