@@ -323,7 +323,7 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
     let mut untold = configuration(2, Remote, 1.0, 1e3);
     let mut kept = MergeableStatistics::default();
-    kept.add(stage::TOTAL, "s", untold.known(&stage::TOTAL).expect("measured"));
+    kept.add(stage::TOTAL, "s", untold.summary(&stage::TOTAL).expect("measured"));
     kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     untold.kept = Arc::new(kept);
     let html = asked_for(&[two[0].clone(), untold], "upload").await.expect("there");

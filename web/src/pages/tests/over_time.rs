@@ -67,7 +67,7 @@ async fn of_very_many_runs_the_first_of_each_configuration_are_drawn() {
 async fn run_over_time_shows_sensing_without_total() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
-    let known = one.known(&stage::SENSING).expect("samples").clone();
+    let known = one.summary(&stage::SENSING).expect("samples").clone();
     let mut kept = MergeableStatistics::default();
     kept.add(stage::SENSING, "s", &known);
     one.kept = Arc::new(kept);

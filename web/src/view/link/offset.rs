@@ -5,7 +5,7 @@ use peernet_figures::plot::Path;
 use peernet_figures::scale::Scale;
 use peernet_store::ClockPoint;
 
-use super::chart::{OffsetView, Plan, below, beyond, reach};
+use super::chart::{OffsetView, Plan, beyond, distance_from_top, reach};
 use super::estimate_and_half_width;
 use super::tracks::Track;
 use super::trend::Trend;
@@ -82,9 +82,9 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     };
     let mut track = Track::new(format!("{quantity} {cloud}{suffix}, ms"), scale);
     track.class = "tall";
-    let band_path = plan.broken(points, |x, point| {
+    let band_path = plan.with_breaks(points, |x, point| {
         let (lo, hi) = band(point)?;
-        Some((x, below(&scale, hi), below(&scale, lo)))
+        Some((x, distance_from_top(&scale, hi), distance_from_top(&scale, lo)))
     });
     track.draw("band", Path::band(band_path));
     let mut note = vec!["filled: certain".to_owned()];
@@ -96,7 +96,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
             // Values beyond the axis are left out, not drawn along its end.
             let at =
                 |point: &ClockPoint| interval_by(point, *source).map(end).filter(|value| scale.has(*value));
-            let line = plan.broken(points, |x, point| Some((x, below(&scale, at(point)?))));
+            let line = plan.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, at(point)?))));
             track.draw("dashed", Path::line(line));
         }
         let is_on_scale = intervals.iter().any(|(lo, hi)| scale.has(*lo) || scale.has(*hi));
@@ -108,7 +108,7 @@ pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
         });
     }
     let estimate = |point: &ClockPoint| Some(without_trend(point, offset(point)?.estimate));
-    let line = plan.broken(points, |x, point| Some((x, below(&scale, estimate(point)?))));
+    let line = plan.with_breaks(points, |x, point| Some((x, distance_from_top(&scale, estimate(point)?))));
     track.draw("strong", Path::line(line));
     note.push("line: estimate".to_owned());
     track.note = note.join(" · ");

@@ -40,15 +40,15 @@ pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
 
 /// Returns answers as if every iteration were stored: the sorted values of both quantities, paired.
 pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
-    let varying = Varying::all(comparison).into_iter().take(MOST_DRAWN);
-    let of = |it: Varying<'_>| {
-        let most = it.x.count().min(500);
+    let varying = VaryingLengths::all(comparison).into_iter().take(MAX_CONFIGURATIONS);
+    let of = |it: VaryingLengths<'_>| {
+        let most = it.lengths.count().min(500);
         let at = |n: u64| (n as f64 + 0.5) / most as f64;
-        let point = |n: u64| Some((it.x.quantile(at(n))?, it.y.quantile(at(n))?));
+        let point = |n: u64| Some((it.lengths.quantile(at(n))?, it.latencies.quantile(at(n))?));
         Answers {
-            name: it.one.name.clone(),
+            name: it.configuration.name.clone(),
             points: (0..most).filter_map(point).collect(),
-            is_whole: most == it.x.count(),
+            is_whole: most == it.lengths.count(),
         }
     };
     varying.map(of).collect()
@@ -63,7 +63,7 @@ fn cost_of_a_token_has_an_interval() {
     let points = answered(800);
     let one = comparison(vec![talking(0, "completion-tokens", &points)]);
     let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
-    let said = &found.rows[0].said;
+    let said = &found.rows[0].sentences;
     assert_eq!(said[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
     assert!(
         said[1].starts_with("Each further token takes ")
@@ -91,7 +91,7 @@ fn sample_has_number_of_all_and_deleted_iterations() {
     let amount = |one: &Configuration, points: &[(f64, f64)], is_whole| {
         let found = lengths(&comparison(vec![one.clone()]), &with(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
-            .said
+            .sentences
             .iter()
             .find(|text| text.contains(" iteration") && !text.contains("Theil"))
             .cloned()
@@ -196,17 +196,17 @@ fn iterations_without_valid_length_are_counted() {
     let counted: Vec<(f64, f64)> = points.iter().copied().filter(|(length, _)| counts(*length)).collect();
     assert_eq!(counted.len(), 168);
     let found = lengths(&one, &with(counted.clone(), true)).expect("lengths");
-    let said = &found.rows[0].said;
+    let said = &found.rows[0].sentences;
     assert_eq!(
         said.last().map(String::as_str),
         Some("168 of 295 iterations; the others have no such number.")
     );
     let part = lengths(&one, &with(counted[..100].to_vec(), false)).expect("lengths");
     assert!(
-        part.rows[0].said.iter().any(|text| text
+        part.rows[0].sentences.iter().any(|text| text
             == "100 of 168 iterations, evenly spread; histograms of all. 127 of 295 iterations have no such number."),
         "{:?}",
-        part.rows[0].said
+        part.rows[0].sentences
     );
 }
 
@@ -239,5 +239,5 @@ fn tokens_and_bytes_have_separate_axes() {
         html.split("class=\"yaxis\"").nth(1).map(|rest| rest.split("</svg>").next().map(str::to_owned))
     };
     assert_eq!(rows(&tokens), rows(&bytes));
-    assert!(found.rows[1].said[1].contains("Each further kB takes"), "{:?}", found.rows[1].said);
+    assert!(found.rows[1].sentences[1].contains("Each further kB takes"), "{:?}", found.rows[1].sentences);
 }
