@@ -45,17 +45,17 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
         let half = Span::from_micros(30);
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
-    let told = |link: &LinkSnapshot| {
+    let first_reason_and_hints = |link: &LinkSnapshot| {
         let origin = Origin::of(&Subject::live(link), &time_series(link));
         (origin.why[0].clone(), origin.hints)
     };
-    let (why, hints) = told(&link);
+    let (why, hints) = first_reason_and_hints(&link);
     assert!(why.contains("the offset as claimed by chrony on both hosts narrows it"), "{why}");
     assert_eq!(hints, ["a shorter path between the hosts"]);
     if let Some(offset) = &mut link.live.now.offset {
         offset.sources.truncate(1);
     }
-    let (why, _) = told(&link);
+    let (why, _) = first_reason_and_hints(&link);
     assert!(
         why.contains("of different exchanges, narrow it together") && !why.contains("another source"),
         "{why}"
@@ -121,15 +121,15 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
 #[test]
 fn why_probes_are_not_answered_is_told_where_it_is_known() {
     let mut link = link(Some(0.00065), &[]);
-    let mut told = |reason: Option<&str>| {
+    let mut answers_and_hint = |reason: Option<&str>| {
         link.live.probing =
             Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: reason.map(str::to_owned) };
         let probes = panels::probes(&Subject::live(&link), &time_series(&link));
         (probes[1].1.clone(), Origin::of(&Subject::live(&link), &time_series(&link)).hints[0].clone())
     };
-    let (answers, hint) = told(Some("the two ends have different keys"));
+    let (answers, hint) = answers_and_hint(Some("the two ends have different keys"));
     assert!(answers.contains("different keys") && hint.contains("different keys"), "{answers} {hint}");
-    let (answers, hint) = told(None);
+    let (answers, hint) = answers_and_hint(None);
     assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
 }
 

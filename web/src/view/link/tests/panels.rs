@@ -46,18 +46,18 @@ fn named_reflector_is_shown_as_tied_to_no_host() {
     };
     let answering =
         ReflectorLive { round_trip: link.live.now.round_trip, offset: Some(known), ..silent.clone() };
-    let mut shown = |reflector: ReflectorLive| {
+    let mut panel_text = |reflector: ReflectorLive| {
         link.live.reflector = Some(reflector);
         let pairs = panels::reflector(&Subject::live(&link));
         let text = pairs.into_iter().map(|(name, text)| format!("{name}: {text}\n")).collect::<String>();
         text.replace('\u{202f}', " ")
     };
-    let text = shown(silent);
+    let text = panel_text(silent);
     for part in ["12 sent, 0 answered, 9 lost, 3 refused", "none lately", "not known yet", "no delay uses it"]
     {
         assert!(text.contains(part), "{part}: {text}");
     }
-    let text = shown(answering);
+    let text = panel_text(answering);
     for part in
         ["Configured: udp://192.0.2.7:862", "Round trip: 1.30 ms at least", "its wall clock minus cam-1's"]
     {
@@ -80,22 +80,22 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     link.live.now.basis = Some(basis);
     let subject = Subject::live(&link);
     let pairs = basis::pairs(&subject, &time_series(&link));
-    let of = |name: &str| {
+    let value_of = |name: &str| {
         let found = pairs.iter().find(|(known, _)| *known == name);
         found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
     };
     assert!(
-        of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
+        value_of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
         "{pairs:?}"
     );
-    assert_eq!(of("Assumed drift"), "at most 50.0 ppm (ρ)");
+    assert_eq!(value_of("Assumed drift"), "at most 50.0 ppm (ρ)");
     assert_eq!(
-        of("Proven drift"),
+        value_of("Proven drift"),
         "between +61.5 and +64.0 ppm, beyond what is assumed: raise [clock] max_drift_ppm on cam-1 above 62"
     );
-    assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
-    assert_eq!(of("Claims of time daemons"), "shown for comparison only");
-    assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
+    assert!(value_of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
+    assert_eq!(value_of("Claims of time daemons"), "shown for comparison only");
+    assert!(value_of("Probes").starts_with("not authenticated"), "{pairs:?}");
     assert_eq!(stats::all(&subject, &time_series(&link))[2].name, "Offset of the free-running clocks");
     // The offset of this link is narrowed by a claim.
     assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
