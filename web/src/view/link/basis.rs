@@ -217,9 +217,9 @@ mod tests {
         };
         assert_eq!(
             promise(&weakest),
-            "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than assumed, neither \
-             is stepped unnoticed, the stamps are those of the two hosts (their probes are not authenticated), and the trusted claims of \
-             time daemons are true."
+            "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than \
+             assumed, neither is stepped unnoticed, the stamps are those of the two hosts (their probes are not \
+             authenticated), and the trusted claims of time daemons are true."
         );
     }
 

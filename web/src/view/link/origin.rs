@@ -123,8 +123,8 @@ const TRUST_KEY: &str = "[clock] trust_time_daemons";
 /// Explanation and advice for sources that exclude each other.
 const CONTRADICTING_SOURCES: (&str, &str) = (
     "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here. The \
-     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock when \
-     its servers are, or when the clock is not the one it keeps.",
+     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock \
+     when its servers are, or when the clock is not the one it keeps.",
     "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
      clock; look for a clock that clock fault injection, a container or libfaketime changes without its daemon's knowledge",
 );
