@@ -35,7 +35,7 @@ pub(crate) fn collect(
     baseline: Option<&Path>,
     is_wanted: &dyn Fn(&str) -> bool,
 ) -> Result<CollectedResults, Failure> {
-    let found =
+    let results =
         distinct_paths(named_paths).into_iter().map(|path| find(&path).map(|results| (path, results)));
     let mut results: Vec<(PathBuf, Vec<PathBuf>)> = results.collect::<Result<_, Failure>>()?;
     let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
