@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 /// Sources of the program, from the top of the repository. Tests and documents do not change it.
-const PARTS: [&str; 9] = [
+const SOURCES: [&str; 9] = [
     "Cargo.toml",
     "Cargo.lock",
     "daemon/*/Cargo.toml",
@@ -25,33 +25,37 @@ fn main() {
             println!("cargo::rerun-if-changed={path}");
         }
     }
-    for path in parts() {
+    for path in source_paths() {
         println!("cargo::rerun-if-changed={}", path.display());
     }
     let commit = std::env::var("PEERNET_COMMIT").ok().or_else(commit);
     println!("cargo::rustc-env=PEERNET_COMMIT={}", commit.as_deref().unwrap_or("commit unknown"));
 }
 
+/// Returns the short hash of the commit, with `-dirty` if a source of the program is changed.
 fn commit() -> Option<String> {
     let head = git(&["rev-parse", "--short=10", "HEAD"])?;
-    let parts = PARTS.map(|part| format!(":(top,glob){part}{}", if part.contains('.') { "" } else { "/**" }));
-    let question = ["--no-optional-locks", "status", "--porcelain", "--untracked-files=no", "--"];
-    let question: Vec<&str> = question.into_iter().chain(parts.iter().map(String::as_str)).collect();
-    Some(if git(&question).is_some() { format!("{head}-dirty") } else { head })
+    let pathspecs =
+        SOURCES.map(|part| format!(":(top,glob){part}{}", if part.contains('.') { "" } else { "/**" }));
+    let status = ["--no-optional-locks", "status", "--porcelain", "--untracked-files=no", "--"];
+    let status: Vec<&str> = status.into_iter().chain(pathspecs.iter().map(String::as_str)).collect();
+    // `git status --porcelain` prints nothing if no source is changed, and `git` returns `None` for empty output.
+    Some(if git(&status).is_some() { format!("{head}-dirty") } else { head })
 }
 
-/// Returns the existing parts of the checkout. A change in a part can make the commit dirty, or clean again.
-fn parts() -> Vec<PathBuf> {
+/// Returns the paths of the sources that exist in the checkout. A change of a source can make the commit dirty, or clean again.
+fn source_paths() -> Vec<PathBuf> {
     let top = PathBuf::from("../..");
     let crates = std::fs::read_dir(top.join("daemon")).into_iter().flatten().filter_map(Result::ok);
     let crates: Vec<PathBuf> = crates.map(|entry| entry.path()).collect();
-    let of = |part: &str| match part.strip_prefix("daemon/*/") {
+    let paths_of = |source: &str| match source.strip_prefix("daemon/*/") {
         Some(below) => crates.iter().map(|folder| folder.join(below)).collect(),
-        None => vec![top.join(part)],
+        None => vec![top.join(source)],
     };
-    PARTS.iter().flat_map(|part| of(part)).filter(|path| path.exists()).collect()
+    SOURCES.iter().flat_map(|source| paths_of(source)).filter(|path| path.exists()).collect()
 }
 
+/// Returns the output of a git command; `None` if the command fails or prints nothing.
 fn git(arguments: &[&str]) -> Option<String> {
     let output =
         Command::new("git").args(arguments).output().ok().filter(|output| output.status.success())?;

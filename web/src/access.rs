@@ -46,10 +46,10 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
         (None, _) => return Err(bad_request("the request has no Host header; send one")),
         (Some(_), Some(_)) => return Err(bad_request("the request has several Host headers; send one")),
     };
-    let named = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
-    let (authority, host) =
-        named.ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
-    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2): the check of one covers both.
+    let parsed_host = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
+    let (authority, host) = parsed_host
+        .ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
+    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). Both names are equal, so a check of one is enough.
     match request.uri().authority() {
         Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
             Err(bad_request("the Host header and the request's target name different servers"))
@@ -58,7 +58,7 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
     }
 }
 
-/// Rejects requests that address a host name which is not one of this server's ([`crate::server_names::ServerNames`]).
+/// Rejects requests that address a host name other than the names of this server ([`crate::server_names::ServerNames`]).
 pub(crate) async fn reject_unknown_host_names(
     State(app): State<App>,
     request: Request,
@@ -103,7 +103,7 @@ mod tests {
 
     #[test]
     fn only_own_pages_and_programs_may_change_data() {
-        let own = |pairs: &[(&'static str, &'static str)]| {
+        let is_accepted = |pairs: &[(&'static str, &'static str)]| {
             let host = ("host", "localhost:8040");
             let pairs = pairs.iter().copied().chain([host]);
             is_own_page_or_program(
@@ -112,16 +112,16 @@ mod tests {
                     .collect(),
             )
         };
-        assert!(own(&[]), "a program");
-        assert!(own(&[("sec-fetch-site", "same-origin"), ("origin", "http://localhost:8040")]));
-        assert!(own(&[("sec-fetch-site", "none")]), "typed by the user");
-        assert!(own(&[("origin", "http://LOCALHOST:8040")]), "an old browser");
+        assert!(is_accepted(&[]), "a program");
+        assert!(is_accepted(&[("sec-fetch-site", "same-origin"), ("origin", "http://localhost:8040")]));
+        assert!(is_accepted(&[("sec-fetch-site", "none")]), "typed by the user");
+        assert!(is_accepted(&[("origin", "http://LOCALHOST:8040")]), "an old browser");
         for site in ["cross-site", "same-site", ""] {
-            assert!(!own(&[("sec-fetch-site", site), ("origin", "http://localhost:8040")]), "{site}");
+            assert!(!is_accepted(&[("sec-fetch-site", site), ("origin", "http://localhost:8040")]), "{site}");
         }
-        assert!(!own(&[("sec-fetch-site", "same-origin"), ("origin", "http://evil.example")]));
+        assert!(!is_accepted(&[("sec-fetch-site", "same-origin"), ("origin", "http://evil.example")]));
         for origin in ["http://evil.example", "http://localhost:9999", "null", "localhost:8040"] {
-            assert!(!own(&[("origin", origin)]), "{origin}");
+            assert!(!is_accepted(&[("origin", origin)]), "{origin}");
         }
     }
 

@@ -104,13 +104,13 @@ pub(crate) async fn serve(
     }
     let accepts = |value: &HeaderValue| value.to_str().is_ok_and(|text| text.contains("gzip"));
     let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
-    let head = [
+    let headers_of_asset = [
         (CONTENT_TYPE, asset.content_type),
         (CACHE_CONTROL, "public, max-age=31536000, immutable"),
         (VARY, "accept-encoding"),
     ];
     Ok(match gzipped {
-        Some(bytes) => (head, [(CONTENT_ENCODING, "gzip")], bytes.clone()).into_response(),
-        None => (head, asset.plain.clone()).into_response(),
+        Some(bytes) => (headers_of_asset, [(CONTENT_ENCODING, "gzip")], bytes.clone()).into_response(),
+        None => (headers_of_asset, asset.plain.clone()).into_response(),
     })
 }

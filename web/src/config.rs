@@ -93,12 +93,12 @@ mod tests {
 
     #[test]
     fn other_addresses_need_allow_unauthenticated() {
-        for wide in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
-            let problems = listening(wide, false);
-            assert_eq!(problems.len(), 1, "{wide}");
+        for address in ["0.0.0.0:8040", "[::]:8040", "192.0.2.7:8040"] {
+            let problems = listening(address, false);
+            assert_eq!(problems.len(), 1, "{address}");
             assert!(problems[0].message.contains("allow_unauthenticated = true"), "{}", problems[0]);
             assert!(problems[0].message.contains("everyone"), "{}", problems[0]);
-            assert_eq!(listening(wide, true), []);
+            assert_eq!(listening(address, true), []);
         }
     }
 
@@ -110,13 +110,13 @@ mod tests {
 
     #[test]
     fn server_name_with_port_or_scheme_is_refused() {
-        let named =
+        let problems_of_name =
             |name: &str| WebConfig { server_names: vec![name.to_owned()], ..WebConfig::default() }.check();
         for name in ["robot", "robot.example.org", "Robot.local"] {
-            assert_eq!(named(name), [], "{name}");
+            assert_eq!(problems_of_name(name), [], "{name}");
         }
         for name in ["", "robot:8040", "http://robot", "robot/x", "a b", "*.example.org", "user@robot"] {
-            assert_eq!(named(name)[0].key, "server_names", "{name}");
+            assert_eq!(problems_of_name(name)[0].key, "server_names", "{name}");
         }
     }
 

@@ -1,7 +1,8 @@
 //! The accept loop, the limits of a connection that sends no request, and the shutdown of all connections.
 //!
 //! At most [`Limits::connections`] connections are open at a time, and client addresses share them ([`FairSlots`]). A further connection
-//! replaces the oldest one of the address that has most, or is closed itself.
+//! replaces the oldest connection of the address that has the most connections. It is closed instead if no address has at least two more
+//! connections than its own address.
 //!
 //! Live streams never end. At most [`Limits::streams`] of them are open, shared in the same way, and at most
 //! [`Limits::streams_per_address`] of one address, so that connections and processor time remain for all other requests. A further
@@ -74,7 +75,8 @@ impl Limits {
     }
 }
 
-/// Serves until `stop` is cancelled and every connection is closed, at the latest [`Limits::grace_period`] after it.
+/// Serves until `stop` is cancelled, and then until every connection is closed. After [`Limits::grace_period`] it closes the connections
+/// that are still open.
 pub(crate) async fn accept(
     listener: TcpListener,
     router: Router,
@@ -84,25 +86,25 @@ pub(crate) async fn accept(
 ) {
     let slots = FairSlots::new(limits.connections, usize::MAX);
     let streams = FairSlots::new(limits.streams, limits.streams_per_address);
-    let open = TaskTracker::new();
+    let tasks = TaskTracker::new();
     let close_all = CancellationToken::new();
     let mut acceptor = Acceptor { slots, close_all: close_all.clone(), clock, log: LogThrottle::default() };
     while let Some(accepted) = stop.run_until_cancelled(acceptor.accept(&listener)).await {
         let AcceptedConnection { stream, address, evict, slot } = accepted;
         let streams = StreamSlots { slots: streams.clone(), address, evict: evict.clone() };
-        let served = serve(stream, router.clone(), streams, stop.clone(), limits);
-        open.spawn(async move {
-            evict.run_until_cancelled(served).await;
+        let serve = serve(stream, router.clone(), streams, stop.clone(), limits);
+        tasks.spawn(async move {
+            evict.run_until_cancelled(serve).await;
             drop(slot);
         });
     }
     drop(listener);
-    open.close();
-    if tokio::time::timeout(limits.grace_period, open.wait()).await.is_err() {
-        let requests = open.len();
+    tasks.close();
+    if tokio::time::timeout(limits.grace_period, tasks.wait()).await.is_err() {
+        let requests = tasks.len();
         tracing::warn!(requests, grace = ?limits.grace_period, "requests were still in progress when the grace period of the web server ended; closing their connections");
         close_all.cancel();
-        open.wait().await;
+        tasks.wait().await;
     }
 }
 
@@ -111,7 +113,7 @@ pub(crate) async fn accept(
 pub(crate) struct StreamSlots {
     slots: FairSlots,
     address: AddressGroup,
-    /// Ends the connection: a stream ends with the connection that carries it, also while its listener reads nothing.
+    /// Closes the connection when it is cancelled. A stream ends together with its connection, even while its listener reads nothing.
     evict: CancellationToken,
 }
 
@@ -213,18 +215,18 @@ async fn serve(
         .max_header_size(MAX_HEADER_BYTES)
         .serve_connection(TokioIo::new(stream), service);
     let mut connection = pin!(connection);
-    let ended = tokio::select! {
-        ended = connection.as_mut() => ended,
-        () = stop.cancelled() => {
-            // An idle connection closes on this request. A connection that has received a part of a header would wait for the rest.
-            if !has_received_request.load(Ordering::Relaxed) {
-                return;
+    let result = tokio::select! {
+            result = connection.as_mut() => result,
+            () = stop.cancelled() => {
+    // `graceful_shutdown` closes an idle connection. It would wait for the rest of a header of which a part has arrived.
+                if !has_received_request.load(Ordering::Relaxed) {
+                    return;
+                }
+                connection.as_mut().graceful_shutdown();
+                connection.await
             }
-            connection.as_mut().graceful_shutdown();
-            connection.await
-        }
-    };
-    if let Err(error) = ended {
+        };
+    if let Err(error) = result {
         tracing::debug!(%error, "a connection to the web server ended with an error");
     }
 }

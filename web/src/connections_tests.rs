@@ -83,12 +83,12 @@ impl Server {
     /// Returns an open connection on which one request was answered.
     async fn connect_and_get_answer(&self) -> TcpStream {
         let mut stream = self.connect_and_send("GET / HTTP/1.1\r\nHost: here\r\n\r\n").await;
-        let mut heard = String::new();
-        while !heard.ends_with("here") {
+        let mut received = String::new();
+        while !received.ends_with("here") {
             let mut chunk = [0; 512];
             let length = stream.read(&mut chunk).await.expect("reads");
-            assert_ne!(length, 0, "closed early: {heard}");
-            heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
+            assert_ne!(length, 0, "closed early: {received}");
+            received.push_str(&String::from_utf8_lossy(&chunk[..length]));
         }
         stream
     }
@@ -99,8 +99,8 @@ impl Server {
             let mut stream = self.connect().await;
             let sent = stream.write_all(request.as_bytes()).await;
             let mut answer = String::new();
-            let heard = stream.read_to_string(&mut answer).await;
-            if sent.is_ok() && heard.is_ok() && answer.starts_with("HTTP/1.1 200") {
+            let received = stream.read_to_string(&mut answer).await;
+            if sent.is_ok() && received.is_ok() && answer.starts_with("HTTP/1.1 200") {
                 return;
             }
         }

@@ -133,7 +133,7 @@ impl WebError {
             return ProblemDetails::new(status, text, None);
         }
         let text = Chain(self).to_string();
-        // The same failure has the same id, so that it is found in the log although only some occurrences are written there.
+        // The same failure always has the same id. The id is therefore in the log even if this occurrence is not logged.
         let id = text_id(&text);
         if let Some(times) = app.count_failure(&text) {
             if matches!(self, Self::TookTooLong(_)) {
@@ -178,7 +178,7 @@ impl fmt::Display for Chain<'_> {
 }
 
 impl IntoResponse for WebError {
-    /// Converts the error to a response without a body: the router renders it in the form that suits the path.
+    /// Converts the error to a response without a body. The router adds the body in the form that suits the path.
     fn into_response(self) -> Response {
         let mut response = self.status().into_response();
         response.extensions_mut().insert(Arc::new(self));

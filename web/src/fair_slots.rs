@@ -1,7 +1,7 @@
 //! Slots that client addresses share. When all slots are taken, the address with the most slots loses its oldest slot.
 //!
 //! An address that holds slots without using them, because it sends nothing or reads slowly, therefore cannot exclude other addresses.
-//! Each of `n` addresses gets a share of `1/n` if it requests so many slots (max-min fairness).
+//! Each of `n` addresses gets a share of `1/n` if it requests that many slots (max-min fairness).
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,20 +15,20 @@ use tokio_util::sync::CancellationToken;
 pub(crate) struct FairSlots {
     count: usize,
     max_per_address: usize,
-    /// Slots that are not in use. It lags behind `held` while an evicted slot is still in use.
+    /// Slots that are not in use. An evicted slot is removed from `held` at once, but is free only when it is dropped.
     free: Arc<Semaphore>,
     held: Arc<Mutex<HeldSlots>>,
 }
 
 #[derive(Debug, Default)]
 struct HeldSlots {
-    next: u64,
+    next_id: u64,
     count: usize,
     /// For each slot the token that ends its use, oldest slot first.
     by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
 }
 
-/// Reason why no slot is granted.
+/// Reason why a slot is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SlotRefusal {
     /// The address holds this number of slots, the maximum of one address.
@@ -87,8 +87,8 @@ impl FairSlots {
             let (largest_holder, _) = largest_holder.ok_or(SlotRefusal::AllSlotsTaken(self.count))?;
             held.evict_oldest(largest_holder);
         }
-        let id = held.next;
-        held.next += 1;
+        let id = held.next_id;
+        held.next_id += 1;
         held.count += 1;
         held.by_address.entry(address).or_default().insert(id, evict);
         Ok(Entry { address, id, held: Arc::clone(&self.held) })
@@ -140,7 +140,7 @@ mod tests {
         AddressGroup::from_address(format!("{text}:1").parse().expect("an address"))
     }
 
-    /// Returns the result of `take` if it is ready at once.
+    /// Returns the result of `acquire` if it is ready at once, and the token that ends the use of the slot.
     fn take(slots: &FairSlots, address: &str) -> (Option<Result<Slot, SlotRefusal>>, CancellationToken) {
         let evict = CancellationToken::new();
         (slots.acquire(group(address), evict.clone()).now_or_never(), evict)

@@ -16,10 +16,10 @@ pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 /// Name of the rest of an iteration, if neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
-/// Time from the intended start to the actual start: a named part of the unattributed time.
+/// Time from the intended start to the actual start. It is a part of the unattributed time with a name of its own.
 pub(crate) const LATENESS: &str = "lateness";
 
-/// Values of a model's accuracy, and their titles: means of 0 and 1.
+/// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
 /// Returns the label of a node in tables and sentences: its name, except for `lateness`.
@@ -81,7 +81,7 @@ mod tests {
             "actuation",
             "unattributed",
         ];
-        // `send-queue` comes before `upload` in a stack, and `queue`, whose look it has, after it.
+        // `send-queue` has the colour of `queue`. It comes before `upload` in a stack, `queue` after it.
         assert!(key().eq(keys));
         assert_eq!(class("\"><script>"), "other");
     }

@@ -21,12 +21,12 @@ impl fmt::Display for Picture {
 impl askama::filters::HtmlSafe for Picture {}
 
 impl Picture {
-    /// Draws items without axes. `label` describes them in words; it is empty where the figures beside the picture already do.
+    /// Draws items without axes. `label` describes the items in words. It is empty if numbers next to the picture say the same.
     pub(crate) fn of_items(items: &[Item], class: &str, label: &str) -> Self {
         Self(page::picture(items, class, label))
     }
 
-    /// Draws a plot with its axes. `class` is its grid in the style sheet, `label` describes it in words.
+    /// Draws a plot with its axes. `class` names the layout of the plot in the style sheet, and `label` describes the plot in words.
     pub(crate) fn of_plot(plot: &Plot, class: &str, label: &str) -> Self {
         Self(page::plot(plot, class, label))
     }
@@ -42,7 +42,8 @@ impl Picture {
         Self(page::legend(keys, class))
     }
 
-    /// Draws the labels of a scale in ms, with the unit at the first; `class` is `small` for the axis under a bar that only phones show.
+    /// Draws the labels of a scale in ms. The first label has the unit. `class` is `small` for the axis under a single bar, which only
+    /// narrow screens show.
     pub(crate) fn milliseconds_axis(scale: &Scale, class: &str) -> Self {
         let mut ticks = scale.ticks(6);
         if let Some(first) = ticks.first_mut() {

@@ -55,7 +55,7 @@ pub(crate) fn build_router(app: App) -> Router {
         .layer(header(X_FRAME_OPTIONS, "DENY"))
         .layer(header(REFERRER_POLICY, "same-origin"))
         .layer(header(HeaderName::from_static("cross-origin-opener-policy"), "same-origin"))
-        // `WebError` logs failures. An answer of 503 is not a failure: /readyz returns it for as long as nothing is stored.
+        // `WebError` logs failures. An answer of 503 is not always a failure: /readyz returns it while events are not being stored.
         .layer(TraceLayer::new_for_http().on_failure(()))
         .with_state(app)
 }
@@ -116,12 +116,12 @@ async fn render_error(State(app): State<App>, request: Request, next: Next) -> R
 /// Returns the error for a path without a route.
 async fn not_found(request: Request) -> WebError {
     let path = request.uri().path();
-    // Users guess /links/EDGE/CLOUD, but a link is one path segment.
+    // Users may try /links/EDGE/CLOUD, but the name of a link is one path segment.
     let link = path
         .strip_prefix("/api/v1")
         .unwrap_or(path)
         .strip_prefix("/links/")
-        .and_then(|it| it.split_once('/'));
+        .and_then(|rest| rest.split_once('/'));
     let hint = link.map_or_else(String::new, |(edge, rest)| {
         let cloud = rest.split('/').next().unwrap_or_default();
         format!("; a link is named EDGE~CLOUD, so try {edge}~{cloud}")

@@ -38,7 +38,7 @@ impl ServerNames {
         address.parse::<IpAddr>().is_ok()
             || name == "localhost"
             || name.ends_with(".localhost")
-            || self.0.iter().any(|known| known.eq_ignore_ascii_case(&name))
+            || self.0.iter().any(|own_name| own_name.eq_ignore_ascii_case(&name))
     }
 }
 

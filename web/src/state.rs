@@ -15,7 +15,7 @@ use crate::zone::Zone;
 /// Shared by all handlers.
 pub(crate) type App = Arc<AppState>;
 
-/// The aggregator and how its answers are shown.
+/// The aggregator, and the settings of the pages that show its data.
 #[derive(Debug)]
 pub(crate) struct AppState {
     pub aggregator: Aggregator,
@@ -93,12 +93,12 @@ impl AppState {
 
     /// Returns the newest incidents, at most [`Self::INCIDENT_CACHE_AGE`] old.
     pub(crate) async fn recent_incidents(&self) -> Result<Arc<Vec<IncidentRow>>, StoreError> {
-        // Every live page needs them four times a second: one query serves all pages. The lock is held during the query, so that pages
-        // that ask meanwhile wait for its answer and do not query, too.
+        // Every live page needs the incidents four times a second, so one query serves all pages. The lock is held during the query:
+        // pages that need the incidents meanwhile wait for its result instead of sending a query of their own.
         let mut cached = self.incident_cache.lock().await;
         let now = self.clock.mono();
-        if let Some((read, rows)) = &*cached
-            && now - *read < Self::INCIDENT_CACHE_AGE
+        if let Some((read_at, rows)) = &*cached
+            && now - *read_at < Self::INCIDENT_CACHE_AGE
         {
             return Ok(Arc::clone(rows));
         }

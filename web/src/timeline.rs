@@ -9,7 +9,7 @@ use peernet_store::{IterationDetail, QuantityStatistics};
 
 /// A node with a duration, placed on the edge's time line. Times are in seconds.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Placed {
+pub(crate) struct PlacedNode {
     pub name: Name,
     pub depth: u8,
     pub at: NodeLocation,
@@ -46,12 +46,12 @@ pub(crate) struct Delay {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Visit {
     /// Time at which the edge sent the request.
-    pub left: f64,
+    pub sent_at: f64,
     /// Estimated arrival time of the request; the middle of the possible interval if there is no estimate.
-    pub arrived: f64,
+    pub arrival: f64,
     /// Times at which the other host sent the answer and at which the edge received it.
-    pub answered: Option<(f64, f64)>,
-    /// Uncertainty of `arrived` and of the whole visit: maximum shift to an earlier (negative) and to a later time.
+    pub answer_times: Option<(f64, f64)>,
+    /// Uncertainty of `arrival`, and thereby of all times of the visit: the maximum shift to an earlier time (negative) and to a later time.
     pub shift: (f64, f64),
     /// Sum of upload and download, which does not depend on the clock relation.
     pub network: Option<f64>,
@@ -60,7 +60,7 @@ pub(crate) struct Visit {
 /// All nodes of an iteration on one time line.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Timeline {
-    pub nodes: Vec<Placed>,
+    pub nodes: Vec<PlacedNode>,
     /// One entry per host other than the edge.
     pub visits: Vec<Option<Visit>>,
     /// End of the last node.
@@ -74,42 +74,42 @@ fn transits(tree: &Tree) -> impl Iterator<Item = (&Node, &Transit)> {
     })
 }
 
-/// Returns the visit of an iteration to the host of anchor `index`. `together` is the sum of upload and download if only the sum is known.
-fn visit(tree: &Tree, index: usize, together: Option<f64>) -> Option<Visit> {
+/// Returns the visit of an iteration to the host of anchor `index`. `both_ways` is the sum of upload and download if only the sum is known.
+fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
     let edge = tree.anchors().first()?;
     let anchor = tree.anchors().get(index)?;
-    let (up, sent) = transits(tree)
+    let (upload, request) = transits(tree)
         .find(|(node, transit)| node.host == HostIndex::EDGE && transit.received == Some(anchor.wall))?;
-    let left = up.start.seconds();
-    let back = transits(tree)
+    let sent_at = upload.start.seconds();
+    let download = transits(tree)
         .find(|(node, transit)| usize::from(node.host.0) == index && transit.received.is_some());
     // The free-running clock of the edge is preferred, because nothing steps it. A tree without its stamps uses the wall clock.
-    let answered = back.and_then(|(node, transit)| {
-        let (there, back) = (sent.raw_stamps, transit.raw_stamps);
-        let waited = there.zip(back).map(|(there, back)| left + (back.received - there.sent).seconds());
-        let by_wall = transit.received? - edge.wall;
-        Some((node.start, waited.unwrap_or_else(|| by_wall.seconds())))
+    let answer = download.and_then(|(node, transit)| {
+        let stamps = request.raw_stamps.zip(transit.raw_stamps);
+        let by_raw_clock = stamps.map(|(there, back)| sent_at + (back.received - there.sent).seconds());
+        let by_wall_clock = transit.received? - edge.wall;
+        Some((node.start, by_raw_clock.unwrap_or_else(|| by_wall_clock.seconds())))
     });
     // The time that the agent measured is valid even if a clock was stepped meanwhile; the difference of the stamps is not.
-    let network = answered.and(together.or(tree.stages().transport().map(Span::seconds)));
+    let network = answer.and(both_ways.or(tree.stages().transport().map(Span::seconds)));
 
-    let delay = sent.delay.as_ref();
-    let (arrived, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {
+    let delay = request.delay.as_ref();
+    let (arrival, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {
         (Some(value), Some(bounds)) => {
-            (left + value.seconds(), ((bounds.lo - value).seconds(), (bounds.hi - value).seconds()))
+            (sent_at + value.seconds(), ((bounds.lo - value).seconds(), (bounds.hi - value).seconds()))
         }
-        (Some(value), None) => (left + value.seconds(), (0.0, 0.0)),
+        (Some(value), None) => (sent_at + value.seconds(), (0.0, 0.0)),
         // The arrival may be anywhere between "the upload took no time" and "the download took no time".
         (None, _) => {
             let half = network?.max(0.0) / 2.0;
-            (left + half, (-half, half))
+            (sent_at + half, (-half, half))
         }
     };
-    let answered = answered.map(|(start, back)| {
-        let there = start.seconds();
-        (arrived + there, together.map_or(back, |both| left + there + both))
+    let answer_times = answer.map(|(start, received_at)| {
+        let stay = start.seconds();
+        (arrival + stay, both_ways.map_or(received_at, |network| sent_at + stay + network))
     });
-    Some(Visit { left, arrived, answered, shift, network })
+    Some(Visit { sent_at, arrival, answer_times, shift, network })
 }
 
 impl Timeline {
@@ -129,7 +129,7 @@ impl Timeline {
     /// Sorts nodes by start. Children stay with their parents, and nodes without a start keep their order.
     fn sort(&mut self) {
         let mut parent_start = f64::NEG_INFINITY;
-        let mut keyed: Vec<(f64, Placed)> = Vec::with_capacity(self.nodes.len());
+        let mut keyed: Vec<(f64, PlacedNode)> = Vec::with_capacity(self.nodes.len());
         for node in self.nodes.drain(..) {
             if node.depth == 0 {
                 parent_start = node.start.unwrap_or(parent_start);
@@ -148,25 +148,25 @@ impl Timeline {
         figures: &[(Name, QuantityStatistics)],
     ) {
         for (id, node) in tree.children(parent) {
-            let sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
-            if depth == 0 && sum {
+            let is_sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
+            if depth == 0 && is_sum {
                 continue;
             }
             if let Some(placed) = self.position_node(node, depth, figures) {
                 self.nodes.push(placed);
             }
-            // Trees from a hostile agent may be deep. Nodes deeper than a page can show are in the API.
+            // An agent with bad intent may send a deep tree. The API returns the nodes that are too deep for the page.
             if depth < 6 {
                 self.add_children(tree, id, depth + 1, figures);
             }
         }
     }
 
-    /// Returns the position on the edge's time line of the zero of a host's node starts.
+    /// Returns the position on the edge's time line to which the starts of a host's nodes are relative. `None` if it is unknown.
     fn zero(&self, host: HostIndex) -> Option<f64> {
         match usize::from(host.0).checked_sub(1) {
             None => Some(0.0),
-            Some(index) => self.visits.get(index).copied().flatten().map(|visit| visit.arrived),
+            Some(index) => self.visits.get(index).copied().flatten().map(|visit| visit.arrival),
         }
     }
 
@@ -175,11 +175,11 @@ impl Timeline {
         node: &Node,
         depth: u8,
         figures: &[(Name, QuantityStatistics)],
-    ) -> Option<Placed> {
+    ) -> Option<PlacedNode> {
         let zero = self.zero(node.host);
         let median = figures.iter().find(|(name, _)| *name == node.name).map(|(_, figures)| figures.p50);
         let start = zero.map(|zero| zero + node.start.seconds());
-        let placed = Placed {
+        let placed = PlacedNode {
             name: node.name.clone(),
             depth,
             at: NodeLocation::Host(node.host.0),
@@ -189,11 +189,12 @@ impl Timeline {
             median,
         };
         match &node.measure {
-            Measure::Timer(length) => Some(Placed { length: length.map(Span::seconds), ..placed }),
+            Measure::Timer(length) => Some(PlacedNode { length: length.map(Span::seconds), ..placed }),
             Measure::Container => Some(placed).filter(|_| depth == 0),
             Measure::Transit(transit) => {
                 let delay = transit.delay.map(|delay| Delay {
-                    // The raw value of the page is the difference of wall clocks, even if free-running clocks gave the delay.
+                    // The page shows the difference of the wall-clock stamps as the raw value, even if the delay was computed by free-running
+                    // clocks.
                     raw: transit.received.map_or(delay.raw, |received| received - transit.sent).seconds(),
                     value: delay.value.map(Span::seconds),
                     bounds: delay.bounds.map(|bounds| (bounds.lo.seconds(), bounds.hi.seconds())),
@@ -201,7 +202,7 @@ impl Timeline {
                     verdict: delay.verdict,
                 });
                 let length = delay.and_then(|delay| delay.value);
-                Some(Placed { at: NodeLocation::Network, length, delay, ..placed })
+                Some(PlacedNode { at: NodeLocation::Network, length, delay, ..placed })
             }
             _ => None,
         }

@@ -65,7 +65,7 @@ fn close(a: f64, b: f64) -> bool {
 fn with_one_clock_everything_has_its_place() {
     let timeline = Timeline::of(&offloaded(Span::ZERO, |raw, _| OneWayDelay::same_clock(raw)));
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.left, 0.002) && close(visit.arrived, 0.022), "{visit:?}");
+    assert!(close(visit.sent_at, 0.002) && close(visit.arrival, 0.022), "{visit:?}");
     assert_eq!(visit.shift, (0.0, 0.0));
     assert!(close(visit.network.expect("it came back"), 0.021));
     let inference = timeline.nodes.iter().find(|node| node.name == "inference").expect("was recorded");
@@ -85,7 +85,7 @@ fn bound_of_upload_shifts_whole_visit() {
     });
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.arrived, 0.022));
+    assert!(close(visit.arrival, 0.022));
     assert!(close(visit.shift.0, -0.000_65) && close(visit.shift.1, 0.000_63));
     assert!(close(visit.network.expect("the sum is free of clocks"), 0.021));
 }
@@ -96,7 +96,7 @@ fn unrelated_clocks_leave_the_sum_exact_and_the_place_open() {
         Timeline::of(&offloaded(Span::from_seconds(-77), |raw, _| OneWayDelay::unsynchronised(raw)));
     let visit = timeline.visit().expect("one other host");
     assert!(close(visit.network.expect("the sum is exact"), 0.021));
-    assert!(close(visit.arrived, 0.002 + 0.0105));
+    assert!(close(visit.arrival, 0.002 + 0.0105));
     assert!(close(visit.shift.1, 0.0105));
     let upload = timeline.nodes.iter().find(|node| node.name == "upload").expect("was recorded");
     assert_eq!(
@@ -121,8 +121,8 @@ fn wall_clock_step_during_visit_moves_no_node() {
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
     assert!(close(visit.network.expect("the sum is exact"), 0.021));
-    let (left, back) = visit.answered.expect("it came back");
-    assert!(close(visit.arrived, 0.002 + 0.0105) && close(left, 0.0165) && close(back, 0.027), "{visit:?}");
+    let (left, back) = visit.answer_times.expect("it came back");
+    assert!(close(visit.arrival, 0.002 + 0.0105) && close(left, 0.0165) && close(back, 0.027), "{visit:?}");
 }
 
 #[test]
@@ -163,8 +163,8 @@ fn visit_is_placed_despite_edge_clock_step() {
     }
     let timeline = Timeline::of(&detail);
     let visit = timeline.visit().expect("one other host");
-    assert!(close(visit.arrived, 0.022), "{visit:?}");
-    let (left, back) = visit.answered.expect("it was answered");
+    assert!(close(visit.arrival, 0.022), "{visit:?}");
+    let (left, back) = visit.answer_times.expect("it was answered");
     assert!(close(left, 0.026) && close(back, 0.027), "{visit:?}");
     assert!(timeline.end < 0.1, "{}", timeline.end);
     // The raw delay that is shown is a difference of wall clocks.

@@ -32,12 +32,12 @@ impl Api {
     /// Requests the document at a path below the dashboard's address.
     ///
     /// # Errors
-    /// When no server answers, or not in the expected form (69).
+    /// When no server answers, or the answer does not have the expected form (69).
     pub(crate) fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.request(path, STORED_TIMEOUT).map_err(|error| Failure::new(Exit::Unavailable, error))
     }
 
-    /// Requests a document that has to be computed; otherwise as [`Self::get`].
+    /// Requests a document like [`Self::get`], with a longer timeout because the aggregator computes the document.
     ///
     /// # Errors
     /// The same as for [`Self::get`].
@@ -49,16 +49,16 @@ impl Api {
         let config = ureq::Agent::config_builder().timeout_global(Some(timeout)).http_status_as_error(false);
         let agent: ureq::Agent = config.build().into();
         let url = format!("{}{path}", self.url.trim_end_matches('/'));
-        let why = |error: ureq::Error| match error {
+        let describe = |error: ureq::Error| match error {
             ureq::Error::Timeout(_) => {
                 anyhow!("no complete answer within {}", duration(timeout.as_secs_f64()))
             }
-            // The library would put a word before the cause.
+            // The library's text of this error begins with "io: ", so only the cause is kept.
             ureq::Error::Io(error) => error.into(),
             error => error.into(),
         };
         let mut response = agent.get(&url).call().map_err(|error| {
-            let cause = why(error);
+            let cause = describe(error);
             anyhow!(
                 "cannot reach {url}: {cause}; start an aggregator with a table [web] there (`peernetd run FILE`), or give the address of one \
                  with --url"
@@ -67,7 +67,7 @@ impl Api {
         let text = response
             .body_mut()
             .read_to_string()
-            .map_err(why)
+            .map_err(describe)
             .with_context(|| format!("cannot read the answer of {url}"))?;
         let status = response.status();
         if !status.is_success() {

@@ -14,20 +14,20 @@ pub fn system(identity: &str) -> io::Result<SharedClock> {
     Ok(Arc::new(SystemClock::new(ClockIdentity::from_system(identity)?)))
 }
 
-/// Returns `truth`, or a clock that has the errors of `[clock_fault]` from now on.
+/// Returns `system_clock` itself without faults. With faults, returns a clock that has the errors of `[clock_fault]` from now on.
 ///
 /// # Errors
 /// When the kernel's boot id cannot be read.
-pub fn with_faults(truth: &SharedClock, faults: Option<&ClockFaultConfig>) -> io::Result<SharedClock> {
-    let Some(faults) = faults else { return Ok(Arc::clone(truth)) };
-    let since = truth.wall();
-    let identity = match &*truth.identity().clock {
-        // Each start gives a different clock, because its drift starts from zero.
+pub fn with_faults(system_clock: &SharedClock, faults: Option<&ClockFaultConfig>) -> io::Result<SharedClock> {
+    let Some(faults) = faults else { return Ok(Arc::clone(system_clock)) };
+    let since = system_clock.wall();
+    let identity = match &*system_clock.identity().clock {
+        // The drift starts from zero at each start, so each start needs an identity of its own.
         ClockIdentity::SYSTEM => {
             let name = format!("clock-fault-{}-{:x}", std::process::id(), since.unix_nanos());
             ClockIdentity::from_system(&name)?
         }
-        _ => truth.identity().clone(),
+        _ => system_clock.identity().clone(),
     };
-    Ok(Arc::new(FaultyClock::new(Arc::clone(truth), identity, faults.description(since))))
+    Ok(Arc::new(FaultyClock::new(Arc::clone(system_clock), identity, faults.description(since))))
 }

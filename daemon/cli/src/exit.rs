@@ -21,7 +21,7 @@ pub enum Exit {
     Software = 70,
     /// Results cannot be written (73).
     Unwritten = 73,
-    /// Some iterations have no answer, or the peer went away during the run; the results are written (75).
+    /// The results are written, but some iterations have no answer or the peer went away during the run (75).
     Incomplete = 75,
     /// The configuration is wrong: starting again will not help (78). systemd does not restart the service after it.
     Configuration = 78,
@@ -58,8 +58,8 @@ impl fmt::Display for Failure {
     }
 }
 
-/// Returns an error and its causes in one line, each text once: many errors contain the text of their cause, because they are
-/// mostly read without the chain.
+/// Returns an error and its causes in one line. Many errors already contain the text of their cause, so a text that is contained in
+/// another one is left out.
 pub fn error_line(error: &anyhow::Error) -> String {
     let mut parts: Vec<String> = Vec::new();
     for cause in error.chain().map(ToString::to_string) {

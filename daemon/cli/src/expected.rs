@@ -1,4 +1,4 @@
-//! Errors about values of a configuration, without names of Rust types.
+//! Texts of errors about invalid values of a configuration, without names of Rust types.
 
 use toml::de::Error;
 
@@ -9,16 +9,16 @@ const WORDS: [(&str, &str); 3] =
 /// Returns the text of the error in words for users.
 pub fn describe_error(error: &Error) -> String {
     let text = error.message();
-    let Some((wrong, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
+    let Some((problem, kind)) = text.rsplit_once(", expected ") else { return text.to_owned() };
     if kind.starts_with("struct ") {
-        return format!("{wrong}, expected a table");
+        return format!("{problem}, expected a table");
     }
     for (prefix, words) in WORDS {
         if kind.strip_prefix(prefix).is_some_and(is_size_or_type) {
-            return format!("{wrong}, expected {words}");
+            return format!("{problem}, expected {words}");
         }
     }
-    if matches!(kind, "f32" | "f64") { format!("{wrong}, expected a number") } else { text.to_owned() }
+    if matches!(kind, "f32" | "f64") { format!("{problem}, expected a number") } else { text.to_owned() }
 }
 
 /// Returns whether `rest` is the `64` of `u64`, the `size` of `usize`, or the whole type after `a nonzero`.

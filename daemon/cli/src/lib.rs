@@ -1,5 +1,5 @@
-//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, errors about values, output to the
-//! terminal and shortening of long texts, the form of log lines, requests to end, and the version.
+//! The command `peernet`, and the parts that it shares with `peernetd`: clocks, exit codes, texts of errors about invalid values, output
+//! to the terminal, shortening of long texts, the form of log lines, requests to end, and the version.
 
 mod address;
 mod api;
@@ -104,10 +104,12 @@ const DAEMON_COMMANDS: [&str; 5] = ["check", "backup", "doctor", "rebuild-rollup
 
 /// Adds the name of the program with the command to an error about an unknown subcommand.
 fn with_program(mut error: clap::Error) -> clap::Error {
-    let Some(ContextValue::String(wanted)) = error.get(ContextKind::InvalidSubcommand) else { return error };
-    if DAEMON_COMMANDS.contains(&wanted.as_str()) {
-        let tip = format!("the daemon has this command: peernetd {wanted}");
-        let _no_other = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+    let Some(ContextValue::String(unknown_command)) = error.get(ContextKind::InvalidSubcommand) else {
+        return error;
+    };
+    if DAEMON_COMMANDS.contains(&unknown_command.as_str()) {
+        let tip = format!("the daemon has this command: peernetd {unknown_command}");
+        let _previous = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
     }
     error
 }
@@ -118,13 +120,13 @@ pub fn main() -> ExitCode {
         Ok(line) => line,
         Err(error) => return output::report_parser_message(with_program(error)).into(),
     };
-    let done = match line {
+    let result = match line {
         Cli { command: Some(command), .. } => command.run(),
         Cli { published: Some(published), .. } => published::run(&published),
         // The parser requires one of the two.
         Cli { .. } => Ok(()),
     };
-    output::report_result(done).into()
+    output::report_result(result).into()
 }
 
 #[cfg(test)]

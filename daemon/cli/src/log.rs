@@ -1,4 +1,4 @@
-//! Form of the log's lines, in which journald finds the priority.
+//! Form of the log's lines. Under journald each line begins with its priority.
 
 use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::fmt::format::Writer;
@@ -42,8 +42,9 @@ where
         } else {
             use tracing_subscriber::fmt::time::FormatTime;
             tracing_subscriber::fmt::time::SystemTime.format_time(&mut writer)?;
-            let (on, off) = if writer.has_ansi_escapes() { (colour(level), "\x1b[0m") } else { ("", "") };
-            write!(writer, " {on}{level:>5}{off} ")?;
+            let (colour_start, colour_end) =
+                if writer.has_ansi_escapes() { (colour(level), "\x1b[0m") } else { ("", "") };
+            write!(writer, " {colour_start}{level:>5}{colour_end} ")?;
         }
         write!(writer, "{source}: ")?;
         context.format_fields(writer.by_ref(), event)?;

@@ -29,7 +29,7 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
         match short::lines(&plain) {
             // If standard error cannot be written to, the error cannot be reported.
             Cow::Borrowed(_) => drop(error.print()),
-            // The check of the value has repeated it, so the text is shortened.
+            // The message of the value's check repeats the value, so the text is shortened.
             Cow::Owned(short) => print_to_stderr(short.trim_end()),
         }
         return Exit::Usage;
@@ -57,8 +57,8 @@ fn with_short_values(mut error: clap::Error) -> clap::Error {
 }
 
 /// Prints the error, if any, and returns the exit code: 73 on success if the result could not be written.
-pub fn report_result(done: Result<(), Failure>) -> Exit {
-    match done {
+pub fn report_result(result: Result<(), Failure>) -> Exit {
+    match result {
         Ok(()) => with_output_errors(Exit::Ok),
         Err(failure) => {
             print_to_stderr(&failure);
@@ -67,13 +67,13 @@ pub fn report_result(done: Result<(), Failure>) -> Exit {
     }
 }
 
-/// Returns `exit`, but 73 in place of success if the result could not be written.
+/// Returns `exit`, or 73 instead of success if the result could not be written.
 pub fn with_output_errors(exit: Exit) -> Exit {
     if exit == Exit::Ok && IS_OUTPUT_LOST.load(Ordering::Relaxed) { Exit::Unwritten } else { exit }
 }
 
-fn record_write(written: io::Result<()>) {
-    let Err(error) = written else { return };
+fn record_write(result: io::Result<()>) {
+    let Err(error) = result else { return };
     if !IS_OUTPUT_LOST.swap(true, Ordering::Relaxed) {
         print_to_stderr(format_args!("cannot write the result: {error}"));
     }
@@ -87,8 +87,8 @@ pub fn print_to_stderr(text: impl Display) {
 
 /// Writes a line. A pipe that the reader has closed is no error.
 fn write(stream: &mut impl Write, text: &dyn Display) -> io::Result<()> {
-    let written = writeln!(stream, "{text}").and_then(|()| stream.flush());
-    written.or_else(ignore_closed_reader)
+    let result = writeln!(stream, "{text}").and_then(|()| stream.flush());
+    result.or_else(ignore_closed_reader)
 }
 
 fn ignore_closed_reader(error: io::Error) -> io::Result<()> {
@@ -118,7 +118,7 @@ mod tests {
         let argument = message(&format!("--{text}"));
         assert!(argument.starts_with("error: unexpected argument '--a.b"), "{argument}");
         assert!(argument.len() < 1200 && argument.lines().count() < 9, "{argument}");
-        assert!(message("--sett=1").contains("'--set'"), "what fits is said as the parser has it");
+        assert!(message("--sett=1").contains("'--set'"), "a short value is quoted unchanged");
     }
 
     #[test]

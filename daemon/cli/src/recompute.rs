@@ -97,12 +97,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 /// Returns the hosts with clock faults, and the faults, from the facts of a run; `None` for an ordinary run.
 fn clock_fault(facts: &[Fact]) -> Option<String> {
-    let whose = |name: &str| match FaultyHost::of_fact(name)? {
+    let owner = |name: &str| match FaultyHost::of_fact(name)? {
         FaultyHost::Edge => Some("the edge's".to_owned()),
         FaultyHost::Cloud(cloud) => Some(format!("{cloud}'s")),
     };
     let parts: Vec<String> =
-        facts.iter().filter_map(|fact| Some(format!("{} ({})", whose(&fact.name)?, fact.value))).collect();
+        facts.iter().filter_map(|fact| Some(format!("{} ({})", owner(&fact.name)?, fact.value))).collect();
     (!parts.is_empty()).then(|| parts.join(", "))
 }
 
@@ -122,7 +122,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         })
         .collect();
     let table = text(&header, &rows);
-    let learnt = match samples {
+    let basis = match samples {
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
         0 => "no usable exchanges of the two clocks are stored".to_owned(),
         samples => format!(
@@ -130,7 +130,7 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
             describe_clocks(clocks)
         ),
     };
-    format!("{table}\n\nrun {run}: {learnt}; nothing stored was changed")
+    format!("{table}\n\nrun {run}: {basis}; nothing stored was changed")
 }
 
 fn wall_clocks() -> Vec<String> {
@@ -139,12 +139,12 @@ fn wall_clocks() -> Vec<String> {
 
 /// Describes the clocks by which delays were judged again.
 fn describe_clocks(clocks: &[String]) -> String {
-    let words = clocks.iter().map(|clocks| match clocks.as_str() {
+    let phrases = clocks.iter().map(|clocks| match clocks.as_str() {
         "raw" => "by free-running clocks",
         "raw-to-wall" => "by the edge's raw and the cloud's wall clock",
         _ => "by wall clocks, whose steps and slews reach these delays,",
     });
-    words.collect::<Vec<_>>().join(" and ")
+    phrases.collect::<Vec<_>>().join(" and ")
 }
 
 /// Returns whether all delays are exact.

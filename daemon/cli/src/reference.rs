@@ -1,4 +1,4 @@
-//! Check of `docs/cli.md`: its tables are made from the command line's own words and compared with it, so that it stays up to date.
+//! Check that the tables in `docs/cli.md` are those generated from the command line's help.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -23,13 +23,13 @@ fn command_line_is_well_formed() {
 fn reference_matches_help_of_program() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
     let text = std::fs::read_to_string(&file).expect("the checkout has the document");
-    let (above, found) = text.split_once(MARK).expect("the document has the mark");
-    let made = reference();
+    let (above, committed) = text.split_once(MARK).expect("the document has the mark");
+    let generated = reference();
     if std::env::var_os("PEERNET_WRITE_DOCS").is_some() {
-        std::fs::write(&file, format!("{above}{MARK}{made}")).expect("the checkout can be written to");
+        std::fs::write(&file, format!("{above}{MARK}{generated}")).expect("the checkout can be written to");
     } else {
         assert!(
-            found == made,
+            committed == generated,
             "{FILE} is out of date: run PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference"
         );
     }
@@ -61,24 +61,25 @@ fn section(text: &mut String, command: &Command, path: &str) {
 }
 
 fn row(text: &mut String, argument: &Arg) {
-    let takes = !matches!(argument.get_action(), ArgAction::SetTrue | ArgAction::Count | ArgAction::SetFalse);
+    let takes_value =
+        !matches!(argument.get_action(), ArgAction::SetTrue | ArgAction::Count | ArgAction::SetFalse);
     let values: Vec<String> =
         argument.get_value_names().unwrap_or_default().iter().map(|name| format!("<{name}>")).collect();
     let name = match argument.get_long() {
-        Some(long) if takes => format!("--{long} {}", values.join(" ")),
+        Some(long) if takes_value => format!("--{long} {}", values.join(" ")),
         Some(long) => format!("--{long}"),
         None => values.join(" "),
     };
     let short = argument.get_short().map(|short| format!("`-{short}`, ")).unwrap_or_default();
     let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
-    let help = format!("{help}{}", if takes { choice(argument) } else { String::new() });
+    let help = format!("{help}{}", if takes_value { choice(argument) } else { String::new() });
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
     let default: Vec<_> = argument.get_default_values().iter().map(|value| value.to_string_lossy()).collect();
-    let from = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
-    let default = (!default.is_empty() && takes).then(|| format!("`{}`", default.join(" ")));
-    let default = match (from, default) {
+    let variable = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
+    let default = (!default.is_empty() && takes_value).then(|| format!("`{}`", default.join(" ")));
+    let default = match (variable, default) {
         (None, None) if argument.is_required_set() => "required".to_owned(),
-        (from, default) => from.into_iter().chain(default).collect::<Vec<_>>().join(", else "),
+        (variable, default) => variable.into_iter().chain(default).collect::<Vec<_>>().join(", else "),
     };
     let name = name.replace('|', "\\|");
     let _ = writeln!(text, "| {short}`{name}` | {help} | {default} |");

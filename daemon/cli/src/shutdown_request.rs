@@ -18,7 +18,8 @@ pub struct ShutdownRequests {
 impl ShutdownRequests {
     /// Returns whether a signal that arrives at `now` is another request.
     pub fn is_another(&mut self, kind: SignalKind, now: Instant) -> bool {
-        let repeats = |(before, at): (SignalKind, Instant)| before == kind && now - at < ONE_REQUEST;
+        let repeats =
+            |(last_kind, last_at): (SignalKind, Instant)| last_kind == kind && now - last_at < ONE_REQUEST;
         if self.last.is_some_and(repeats) {
             return false;
         }
@@ -34,11 +35,11 @@ mod tests {
     #[test]
     fn equal_signals_within_moment_are_one_request() {
         let (mut shutdown_requests, begin) = (ShutdownRequests::default(), Instant::now());
-        let mut come = |kind, ms| shutdown_requests.is_another(kind, begin + Duration::from_millis(ms));
+        let mut is_request = |kind, ms| shutdown_requests.is_another(kind, begin + Duration::from_millis(ms));
         let (terminate, interrupt) = (SignalKind::terminate(), SignalKind::interrupt());
-        assert!(come(terminate, 0));
-        assert!(!come(terminate, 0) && !come(terminate, 499));
-        assert!(come(terminate, 500), "somebody insists");
-        assert!(come(interrupt, 501), "another signal is another wish");
+        assert!(is_request(terminate, 0));
+        assert!(!is_request(terminate, 0) && !is_request(terminate, 499));
+        assert!(is_request(terminate, 500), "somebody insists");
+        assert!(is_request(interrupt, 501), "another signal is another wish");
     }
 }

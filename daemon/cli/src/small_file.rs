@@ -21,7 +21,7 @@ pub fn read(path: &Path, largest: u64) -> io::Result<String> {
     if !kind.is_file() && !kind.is_fifo() {
         return Err(io::Error::other("it is neither a regular file nor a pipe: is this the right file?"));
     }
-    text(path, largest)
+    read_text(path, largest)
 }
 
 /// Reads a regular file of at most `largest` bytes that was found in a folder. A pipe found there is refused: there may be no
@@ -33,10 +33,10 @@ pub fn read_found(path: &Path, largest: u64) -> io::Result<String> {
     if !path.metadata()?.is_file() {
         return Err(io::Error::other("it is not a regular file"));
     }
-    text(path, largest)
+    read_text(path, largest)
 }
 
-fn text(path: &Path, largest: u64) -> io::Result<String> {
+fn read_text(path: &Path, largest: u64) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(largest + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > largest {
@@ -88,20 +88,20 @@ mod tests {
 
     #[test]
     fn pipe_is_read_to_end_or_limit() {
-        let of = |text: &'static [u8], largest: u64| {
+        let read_from_pipe = |text: &'static [u8], largest: u64| {
             let (reader, mut writer) = io::pipe().expect("a pipe");
-            let writing = std::thread::spawn(move || writer.write_all(text));
+            let writer_thread = std::thread::spawn(move || writer.write_all(text));
             let path = format!("/dev/fd/{}", reader.as_raw_fd());
-            let found = read(Path::new(&path), largest);
+            let content = read(Path::new(&path), largest);
             drop(reader);
-            let written = writing.join().expect("no panic");
-            (found, written)
+            let written = writer_thread.join().expect("no panic");
+            (content, written)
         };
-        let (found, written) = of(b"four", 4);
-        assert!(found.expect("fits") == "four" && written.is_ok());
+        let (content, written) = read_from_pipe(b"four", 4);
+        assert!(content.expect("fits") == "four" && written.is_ok());
         // A writer without an end is cut off.
-        let (found, written) = of(&[b'x'; 1 << 20], 3);
-        assert!(found.expect_err("refused").to_string().contains("larger than 3 bytes"));
+        let (content, written) = read_from_pipe(&[b'x'; 1 << 20], 3);
+        assert!(content.expect_err("refused").to_string().contains("larger than 3 bytes"));
         assert_eq!(written.map_err(|error| error.kind()), Err(io::ErrorKind::BrokenPipe));
     }
 }

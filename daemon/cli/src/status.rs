@@ -139,7 +139,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     print_to_stdout(text(&header, &hosts.iter().map(|one| host_row(one, &faulty)).collect::<Vec<_>>()));
     for (name, how) in &faulty {
         print_to_stdout(format_args!(
-            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its delays should not move"
+            "\nCLOCK FAULT INJECTION: {name}'s clock is made wrong on purpose ({how}); its measured delays should stay the same"
         ));
     }
     Ok(())

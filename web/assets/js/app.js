@@ -102,9 +102,9 @@
   // --- pinning of a run
   async function togglePin(button) {
     if (button.ariaBusy === "true") return;
-    const on = button.getAttribute("aria-pressed") !== "true", said = find("#pin-said");
+    const on = button.getAttribute("aria-pressed") !== "true", message = find("#pin-said");
     button.ariaBusy = "true";
-    said.textContent = "";
+    message.textContent = "";
     try {
       const answer = await fetch(button.dataset.pin, { method: on ? "PUT" : "DELETE" });
       if (!answer.ok) throw new Error((await answer.json()).detail);
@@ -113,7 +113,7 @@
       button.title = on ? "Unpin" : "Pin: nothing of this run is deleted by age";
       find("#pinned").hidden = !on;
     } catch (error) {
-      said.textContent = `Not changed: ${error.message}`;
+      message.textContent = `Not changed: ${error.message}`;
     } finally {
       button.ariaBusy = null;
     }
@@ -149,7 +149,7 @@
   document.addEventListener("input", (event) => { if (event.target.id === "search") filterRows(); });
   document.addEventListener("peer-updated", filterRows);
 
-  // --- keyboard; a key without an action on this page keeps that of the browser, such as scrolling by the space bar
+  // --- keyboard; a key without an action on this page keeps its action in the browser, such as scrolling by the space bar
   let gPressedAt = 0;
   const clickAction = (selector) => { const found = find(selector); return found && (() => found.click()); };
   const keys = {

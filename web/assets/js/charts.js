@@ -7,22 +7,22 @@ const PEER = (() => {
   let probe = null;
 
   // Values of the style sheets, cached until the theme or the size changes: reading them makes the browser compute styles.
-  const kept = new Map();
-  function once(key, read) {
-    if (!kept.has(key)) kept.set(key, read());
-    return kept.get(key);
+  const cache = new Map();
+  function cached(key, read) {
+    if (!cache.has(key)) cache.set(key, read());
+    return cache.get(key);
   }
   // These listeners run before those that redraw the charts, so that the charts read the new values.
-  document.addEventListener("peer-theme", () => kept.clear());
-  addEventListener("resize", () => kept.clear());
+  document.addEventListener("peer-theme", () => cache.clear());
+  addEventListener("resize", () => cache.clear());
 
   // The browser resolves light-dark() in a computed colour.
-  const css = (name) => once(name, () => {
+  const css = (name) => cached(name, () => {
     if (!probe || !probe.isConnected) { probe = document.createElement("i"); probe.hidden = true; document.body.appendChild(probe); }
     probe.style.color = `var(${name})`;
     return getComputedStyle(probe).color;
   });
-  const px = (rem) => rem * once("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
+  const px = (rem) => rem * cached("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
   const look = (stage) => ({ "send-queue": "queue", ipc: "encode" })[stage] ?? stage;
 
   function hatch(ground, line, angle) {
@@ -52,7 +52,7 @@ const PEER = (() => {
     pen.fillRect(0, 6, 1, 2);
     return { image: canvas, repeat: "repeat" };
   }
-  const fill = (stage) => once(`fill ${stage}`, () => {
+  const fill = (stage) => cached(`fill ${stage}`, () => {
     if (look(stage) === "queue") return hatch(css("--s-queue"), css("--e-queue"), 1);
     if (stage === "network") return both(css("--s-upload"), css("--s-download"));
     if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
@@ -66,13 +66,13 @@ const PEER = (() => {
   const text = () => ({ color: css("--ink-3"), fontSize: px(0.6875), fontFamily: FONT });
   // Returns the width of the widest of some labels.
   const ruler = document.createElement("canvas").getContext("2d");
-  function room(labels) {
+  function maxLabelWidth(labels) {
     const { fontSize, fontFamily } = text();
     ruler.font = `${fontSize}px ${fontFamily}`;
     return Math.ceil(Math.max(0, ...labels.map((label) => ruler.measureText(label).width)));
   }
   // Margins of a plot: on the left for the labels of its values, on the right for half a label of the time axis.
-  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + room(values)), right: room([clock(0, seconds)]) / 2 });
+  const sides = (values, seconds) => ({ left: Math.max(px(2.25), px(0.375) + maxLabelWidth(values)), right: maxLabelWidth([clock(0, seconds)]) / 2 });
   function timeAxis(more) {
     return {
       type: "time", axisLine: { lineStyle: { color: css("--line") } }, axisTick: { show: false }, splitLine: { show: false },
@@ -139,9 +139,9 @@ const PEER = (() => {
     run: "M3 1.8v8.4L10 6z",
   };
   const TOUCHING = 6;
-  // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `said` is given, only the widest gap has it as its
-  // text.
-  function spans(gaps, api, area, said) {
+  // Returns the visible gaps in pixels. Neighbours closer than TOUCHING px are merged. If `commonText` is given, it is
+  // the text of the widest gap, and the others have none.
+  function spans(gaps, api, area, commonText) {
     const found = [];
     gaps.forEach((gap, index) => {
       const from = Math.max(api.coord([gap.from, 0])[0], area.x), to = Math.min(api.coord([gap.to, 0])[0], area.x + area.width);
@@ -152,11 +152,11 @@ const PEER = (() => {
     });
     const widest = found.reduce((best, span) => (best && best.to - best.from >= span.to - span.from ? best : span), null);
     // The text of a short gap could overlap a sign, so short gaps have none.
-    for (const span of found) span.said = said ? (span === widest ? said : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
+    for (const span of found) span.shownText = commonText ? (span === widest ? commonText : "") : span.to - span.from >= px(0.75) || gaps.length === 1 ? span.text : "";
     return new Map(found.map((span) => [span.index, span]));
   }
-  function marks(list, gaps, plots, said) {
-    const faint = css("--ink-3"), ink = css("--ink-2"), shade = once("shade", () => hatch(null, css("--line"), 1)), words = text();
+  function marks(list, gaps, plots, commonText) {
+    const faint = css("--ink-3"), ink = css("--ink-2"), shade = cached("shade", () => hatch(null, css("--line"), 1)), words = text();
     const rows = gaps.map((gap) => [gap.from, gap.to, "gap-span"]).concat(list.map((mark) => [mark.at, mark.at, mark.sign]));
     return {
       type: "custom", silent: true, z: 6, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
@@ -164,12 +164,12 @@ const PEER = (() => {
         const kind = rows[params.dataIndex][2], area = params.coordSys, unit = px(0.75) / 12;
         const dash = (x) => plots.map(([top, bottom]) => ({ type: "line", shape: { x1: x, x2: x, y1: top, y2: bottom }, style: { stroke: faint, lineWidth: 1, lineDash: [2, 3] } }));
         if (kind === "gap-span") {
-          params.context.spans ??= spans(gaps, api, area, said);
+          params.context.spans ??= spans(gaps, api, area, commonText);
           const span = params.context.spans.get(params.dataIndex);
           if (!span) return null;
-          const { from, to, said: note } = span;
+          const { from, to, shownText: note } = span;
           // With one text for all gaps, narrow gaps are bands without edges, because edges alone would look like marks.
-          const band = Boolean(said) && to - from < px(0.75);
+          const band = Boolean(commonText) && to - from < px(0.75);
           const style = band ? { fill: css("--line-strong"), opacity: 0.35 } : { fill: shade };
           const shades = plots.map(([top, bottom]) => ({ type: "rect", shape: { x: from, y: top, width: Math.max(to - from, 2), height: bottom - top }, style }));
           const label = { type: "text", style: { text: note, x: Math.max(area.x + px(2), Math.min(area.x + area.width - px(2.25), (from + to) / 2)), y: plots[0][0] - px(0.25), align: "center", verticalAlign: "bottom", fill: ink, fontSize: words.fontSize, fontFamily: FONT } };
@@ -204,9 +204,9 @@ const PEER = (() => {
   }
 
   // --- length of the buckets of means. It depends only on time range and rate, so that every screen shows the same figures. It is the
-  // shortest one that contains an iteration even with jitter, and of which the range has at most MOST, as many as a small screen shows.
-  const BUCKETS = [1, 2, 5, 10, 30, 60], MOST = 150;
-  const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MOST && (!(rate > 0) || rate * size >= 1.5)) || 60;
+  // shortest one that contains an iteration even with jitter, and of which the range has at most MAX_BUCKETS, as many as a small screen shows.
+  const BUCKETS = [1, 2, 5, 10, 30, 60], MAX_BUCKETS = 150;
+  const bucket = (range, rate) => BUCKETS.find((size) => range / size <= MAX_BUCKETS && (!(rate > 0) || rate * size >= 1.5)) || 60;
   const ticks = ({ max, interval }) => Array.from({ length: Math.round(max / interval) + 1 }, (_, step) => NUMBERS.tick(step * interval));
   // Returns a round end of an axis above a value, in at most five steps of 1, 2 or 5 times a power of ten.
   function steps(value) {

@@ -1,12 +1,12 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
 // Means are combined here. The aggregator computes percentiles, because a mean of percentiles is not a percentile.
 (() => {
-  const KEPT = 600, RETRY = 2000;
-  // Seconds between two figures of a host, which reports every five seconds, from which on it counts as disconnected.
-  const SILENT = 15;
-  // Minimum time between two drawings of new data. Only the newest bucket changes meanwhile, too little to be visible.
-  const PACE = 1000;
-  let cards = [], range = 600, alone = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
+  const MAX_SECONDS = 600, RETRY_MS = 2000;
+  // Longest time between two reports of a connected host, which reports every five seconds.
+  const MAX_REPORT_GAP_S = 15;
+  // Minimum time between two drawings of new data, milliseconds. Only the newest bucket changes meanwhile, too little to be visible.
+  const MIN_REDRAW_MS = 1000;
+  let cards = [], range = 600, isolatedStage = null, paused = false, marks = [], scale = { max: 0, since: 0 }, queued = 0, drawnAt = 0;
 
   function begin() {
     PEER.forget();
@@ -47,7 +47,7 @@
       grow(card.transfers[way], length);
       card.transfers[way][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
     }
-    const extra = card.n.length - KEPT;
+    const extra = card.n.length - MAX_SECONDS;
     if (extra > 0) {
       card.from += extra;
       for (const list of [card.n, ...Object.values(card.means), ...Object.values(card.transfers)]) list.splice(0, extra);
@@ -124,25 +124,25 @@
   // Seconds without a report, between seconds with one.
   function gaps(card) {
     const found = [];
-    let begun = null;
+    let gapStart = null;
     card.n.forEach((count, index) => {
-      if (count == null) { begun ??= index; return; }
-      if (begun != null && begun > 0 && index - begun >= 3) found.push({ from: (card.from + begun) * 1e3, to: (card.from + index) * 1e3, text: "no report" });
-      begun = null;
+      if (count == null) { gapStart ??= index; return; }
+      if (gapStart != null && gapStart > 0 && index - gapStart >= 3) found.push({ from: (card.from + gapStart) * 1e3, to: (card.from + index) * 1e3, text: "no report" });
+      gapStart = null;
     });
     return found;
   }
 
   // Returns one scale for all charts, so that they can be compared. It grows at once and shrinks after half a minute.
-  function shared() {
+  function sharedScale() {
     let highest = 0;
     for (const card of cards) {
       const { rows, p95 } = bucketed(card);
       for (const row of rows) {
-        const value = alone ? PEER.STAGES.filter((stage) => PEER.look(stage) === alone).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : row.total || 0;
+        const value = isolatedStage ? PEER.STAGES.filter((stage) => PEER.look(stage) === isolatedStage).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : row.total || 0;
         highest = Math.max(highest, value);
       }
-      if (!alone) for (const [, , value] of p95) highest = Math.max(highest, value);
+      if (!isolatedStage) for (const [, , value] of p95) highest = Math.max(highest, value);
     }
     const wanted = PEER.steps(highest), now = performance.now();
     if (wanted.max >= scale.max || now - scale.since > 30000) scale = { ...wanted, since: now };
@@ -150,23 +150,23 @@
   }
 
   // The line is interrupted while the host was disconnected.
-  function parted(list) {
+  function withGaps(list) {
     const points = [];
     list.forEach(([at, value], index) => {
-      if (index > 0 && at - list[index - 1][0] > SILENT) points.push([list[index - 1][0] * 1e3 + 1, null]);
+      if (index > 0 && at - list[index - 1][0] > MAX_REPORT_GAP_S) points.push([list[index - 1][0] * 1e3 + 1, null]);
       points.push([at * 1e3, value]);
     });
     return points;
   }
 
   // A single point between gaps is no visible line, so it is drawn as a dot.
-  function dotted(points) {
+  function withDots(points) {
     const isNone = (point) => point?.[1] == null;
     return points.map((point, index) => (!isNone(point) && isNone(points[index - 1]) && isNone(points[index + 1]) ? { value: point, symbol: "circle", symbolSize: PEER.px(0.3125) } : point));
   }
 
   // Each percentile is a horizontal line as long as its bucket. Buckets without a percentile interrupt the line.
-  function levels(p95) {
+  function percentileLines(p95) {
     const points = [];
     p95.forEach(([from, to, value], index) => {
       if (index > 0 && p95[index - 1][1] < from) points.push([p95[index - 1][1], null]);
@@ -192,28 +192,28 @@
       const strip = (key, color, why) => (why ? { name: `${key}: ${why}`, color, points: [], known: false } : { name: `${key} while sending, MB/s`, color, points: points(key), known: true });
       return [strip("up", "--s-upload", card.obstacles[0]), strip("down", "--s-download", card.obstacles[1])];
     }
-    const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: parted(list), known: list.length > 0, max: 100 });
+    const host = (list, name) => ({ name: list.length ? `${name} of ${card.host}, %` : `${name} of ${card.host}: not readable`, color: "--ink-2", points: withGaps(list), known: list.length > 0, max: 100 });
     return [host(card.cpu, "CPU"), host(card.gpu, "GPU")].filter((strip, index) => index === 0 || strip.known);
   }
 
   function options(card, node) {
     const { rows, size, p95, stages, start, end } = bucketed(card);
-    const seconds = range <= 60, ends = shared(), below = strips(card, rows);
+    const seconds = range <= 60, ends = sharedScale(), below = strips(card, rows);
     for (const strip of below) strip.max ??= PEER.steps(strip.points.reduce((most, point) => Math.max(most, point[1] || 0), 0)).max;
     const { left, right } = PEER.sides(PEER.ticks(ends).concat(below.map((strip) => NUMBERS.tick(strip.max))), seconds);
     const main = { left, right, top: PEER.px(2.25), height: PEER.px(below.length > 1 ? 9.25 : 11.5) };
     const tops = below.map((_, index) => main.top + main.height + PEER.px(1.1 + index * 2.25)), low = PEER.px(1.1);
     const plots = [[main.top, main.top + main.height], ...tops.map((top) => [top, top + low])];
-    const shown = alone ? stages.filter((stage) => PEER.look(stage) === alone) : stages;
+    const shown = isolatedStage ? stages.filter((stage) => PEER.look(stage) === isolatedStage) : stages;
     const axes = { min: start, max: end };
     const series = shown.map((stage) => ({
       name: stage, type: "line", stack: "stages", symbol: "none", data: areas(rows, stage, size),
       lineStyle: { width: 0 }, areaStyle: { color: PEER.fill(stage), opacity: 1 }, emphasis: { disabled: true }, z: 2,
     }));
-    if (!alone) series.push({ name: "p95", type: "line", symbol: "none", data: levels(p95), lineStyle: { width: 1.25, color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
-    below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: dotted(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
-    const mine = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
-    series.push(PEER.marks(mine, gaps(card), plots));
+    if (!isolatedStage) series.push({ name: "p95", type: "line", symbol: "none", data: percentileLines(p95), lineStyle: { width: 1.25, color: PEER.css("--ink") }, emphasis: { disabled: true }, z: 5 });
+    below.forEach((strip, index) => series.push({ name: `strip ${index} ${strip.known}`, type: "line", symbol: "none", xAxisIndex: index + 1, yAxisIndex: index + 1, data: withDots(strip.points), lineStyle: { width: 1.25, color: PEER.css(strip.color) }, itemStyle: { color: PEER.css(strip.color) }, emphasis: { disabled: true }, z: 3 }));
+    const cardMarks = marks.filter((mark) => mark.host === card.host && (!mark.pipeline || mark.pipeline === card.pipeline) && mark.at >= start);
+    series.push(PEER.marks(cardMarks, gaps(card), plots));
     return {
       grid: [main, ...tops.map((top) => ({ left, right, top, height: low }))],
       axisPointer: { link: [{ xAxisIndex: "all" }] },
@@ -238,7 +238,7 @@
     };
   }
 
-  // Draws at once after an action of the user, and at most once per PACE for new data.
+  // Draws at once after an action of the user, and at most once per MIN_REDRAW_MS for new data.
   function refresh() {
     clearTimeout(queued);
     queued = 0;
@@ -246,10 +246,10 @@
     drawnAt = performance.now();
     requestAnimationFrame(() => cards.forEach((card) => card.one && PEER.redraw(card.one)));
   }
-  function arrived() {
+  function scheduleRefresh() {
     if (queued || paused || document.hidden) return;
     // Until a bucket ends, only the newest one changes.
-    const pace = Math.max(PACE, ...cards.map((card) => (card.view?.size ?? 0) * 1000));
+    const pace = Math.max(MIN_REDRAW_MS, ...cards.map((card) => (card.view?.size ?? 0) * 1000));
     queued = setTimeout(refresh, Math.max(0, pace - (performance.now() - drawnAt)));
   }
 
@@ -267,15 +267,15 @@
         const list = card[name];
         if (card.remote || !host?.connected || host[name] == null || (list.length && at - list[list.length - 1][0] < 5)) continue;
         list.push([at, host[name] * 100]);
-        if (list.length > KEPT / 5) list.shift();
+        if (list.length > MAX_SECONDS / 5) list.shift();
       }
     }
-    arrived();
+    scheduleRefresh();
   });
   // Seconds that this page missed are fetched; seconds that were never reported remain a gap.
   async function catchUp(card) {
     card.missed = true;
-    if (performance.now() - (card.asked ?? -RETRY) < RETRY) return;
+    if (performance.now() - (card.asked ?? -RETRY_MS) < RETRY_MS) return;
     card.asked = performance.now();
     try {
       const answer = await fetch(`/api/v1/pipelines/${encodeURIComponent(card.host)}/${encodeURIComponent(card.pipeline)}`);
@@ -298,7 +298,7 @@
   document.addEventListener("peer-pause", ({ detail }) => { paused = detail; refresh(); });
   document.addEventListener("visibilitychange", refresh);
   document.addEventListener("peer-range", ({ detail }) => { range = detail; scale = { max: 0, since: 0 }; refresh(); });
-  document.addEventListener("peer-isolate", ({ detail }) => { alone = detail; scale = { max: 0, since: 0 }; refresh(); });
+  document.addEventListener("peer-isolate", ({ detail }) => { isolatedStage = detail; scale = { max: 0, since: 0 }; refresh(); });
   document.addEventListener("peer-renewed", begin);
   begin();
 })();

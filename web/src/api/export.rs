@@ -81,11 +81,11 @@ async fn export(
             Ok(Some((Bytes::from(text), Some(ExportProgress { header, after: last, last_number }))))
         }
     });
-    let head = [
+    let headers = [
         (CONTENT_TYPE, "text/csv; charset=utf-8".to_owned()),
         (CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\"")),
     ];
-    Ok((head, Body::from_stream(chunks)).into_response())
+    Ok((headers, Body::from_stream(chunks)).into_response())
 }
 
 /// Progress of an export whose header row was sent.
@@ -100,8 +100,8 @@ struct ExportProgress {
 /// Returns the columns of all iterations of a run, and the number of its last iteration.
 async fn scan_columns(store: &Store, run: &RunSummary) -> Result<(Header, u64), WebError> {
     let (mut header, mut last_number) = (Header::default(), 0);
-    while let Some((last, firsts)) = store.iterations_by_shape(run, last_number).await? {
-        firsts.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
+    while let Some((last, first_of_shapes)) = store.iterations_by_shape(run, last_number).await? {
+        first_of_shapes.iter().for_each(|iteration| header.add(&Row::from_iteration(iteration)));
         last_number = last;
     }
     Ok((header, last_number))

@@ -59,8 +59,8 @@ async fn ready(State(app): State<App>, headers: HeaderMap) -> Response {
 
 /// Returns whether an `Accept` header names `application/json` with a quality above zero.
 fn accepts_json(headers: &HeaderMap) -> bool {
-    let named = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
-    named.flat_map(|value| value.split(',')).any(|kind| {
+    let values = headers.get_all(ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    values.flat_map(|value| value.split(',')).any(|kind| {
         let mut parts = kind.split(';').map(str::trim);
         parts.next().is_some_and(|kind| kind.eq_ignore_ascii_case("application/json"))
             && !parts.any(|parameter| matches!(parameter, "q=0" | "q=0.0" | "q=0.00" | "q=0.000"))
@@ -75,7 +75,7 @@ mod tests {
 
     #[test]
     fn json_is_sent_only_if_accept_names_it() {
-        let takes = |accept: &'static str| {
+        let accepts = |accept: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert(ACCEPT, HeaderValue::from_static(accept));
             accepts_json(&headers)
@@ -83,10 +83,10 @@ mod tests {
         for accept in
             ["application/json", "text/html, Application/JSON;q=0.5", "application/json; charset=utf-8"]
         {
-            assert!(takes(accept), "{accept}");
+            assert!(accepts(accept), "{accept}");
         }
         for accept in ["*/*", "text/plain", "application/json;q=0", "application/jsonx"] {
-            assert!(!takes(accept), "{accept}");
+            assert!(!accepts(accept), "{accept}");
         }
         assert!(!accepts_json(&HeaderMap::new()));
     }

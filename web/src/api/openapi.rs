@@ -97,7 +97,7 @@ fn problem_response(name: &str, description: &str) -> Response {
 mod tests {
     use serde_json::Value;
 
-    /// Every `$ref` of a document.
+    /// Appends every `$ref` of a document.
     fn references<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
         match value {
             Value::Object(fields) => {
@@ -149,9 +149,9 @@ mod tests {
         for (path, item) in paths {
             for parameter in item["get"]["parameters"].as_array().into_iter().flatten() {
                 let (name, schema) = (&parameter["name"], &parameter["schema"]);
-                let counts = ["limit", "points", "bins"].iter().any(|known| name == known);
+                let is_count = ["limit", "points", "bins"].iter().any(|known| name == known);
                 assert!(
-                    !counts || (schema["minimum"] == 1 && schema["maximum"].is_u64()),
+                    !is_count || (schema["minimum"] == 1 && schema["maximum"].is_u64()),
                     "{path}: {parameter}"
                 );
             }

@@ -59,11 +59,11 @@ pub(crate) struct Sentence {
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
-        let sentence = |sentence: &Finding| Sentence {
-            about: sentence.about.clone(),
-            grade: grade_name(sentence.grade),
-            text: sentence.text.clone(),
-            advice: sentence.advice.clone(),
+        let sentence = |finding: &Finding| Sentence {
+            about: finding.about.clone(),
+            grade: grade_name(finding.grade),
+            text: finding.text.clone(),
+            advice: finding.advice.clone(),
         };
         Self {
             verdict: report.verdict.name(),

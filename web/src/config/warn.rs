@@ -44,12 +44,12 @@ impl WarnConfig {
             ("warn.skipped_percent", skipped_percent),
             ("warn.late_percent", late_percent),
         ];
-        let wrong = limits.into_iter().filter(|(_, limit)| limit.is_nan() || *limit < 0.0);
+        let invalid = limits.into_iter().filter(|(_, limit)| limit.is_nan() || *limit < 0.0);
         let new_problem = |(key, limit)| ConfigProblem {
             key,
             message: format!("{limit} is not a valid limit: write 0 or more, or inf for no warning"),
         };
-        wrong.map(new_problem).collect()
+        invalid.map(new_problem).collect()
     }
 }
 

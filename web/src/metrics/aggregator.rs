@@ -18,7 +18,7 @@ pub(super) struct AggregatorFigures {
     /// Size of the database's files; `None` if there are none.
     pub(super) database_bytes: Option<u64>,
     /// Number of refused connections by reason.
-    pub(super) rejected: Vec<(&'static str, u64)>,
+    pub(super) rejections: Vec<(&'static str, u64)>,
     pub(super) totals: Totals,
 }
 
@@ -31,14 +31,14 @@ impl AggregatorFigures {
             known: live_state.hosts.len() as u64,
             refused: live_state.refused.len() as u64,
             database_bytes: None,
-            rejected: Vec::new(),
+            rejections: Vec::new(),
             totals: live_state.totals,
         }
     }
 
     /// Adds the counts of refused connections.
     pub(super) fn with_rejections(mut self, counts: &RejectionCounts) -> Self {
-        self.rejected = Rejection::ALL.map(|reason| (reason.name(), counts.count(reason))).to_vec();
+        self.rejections = Rejection::ALL.map(|reason| (reason.name(), counts.count(reason))).to_vec();
         self
     }
 
@@ -48,7 +48,7 @@ impl AggregatorFigures {
     }
 
     /// Writes the refused connections, by reason.
-    pub(super) fn write_rejected(&self, sink: &mut Sink<'_>) {
-        self.rejected.iter().for_each(|(reason, count)| sink(&[reason], Sample::Count(*count)));
+    pub(super) fn write_rejections(&self, sink: &mut Sink<'_>) {
+        self.rejections.iter().for_each(|(reason, count)| sink(&[reason], Sample::Count(*count)));
     }
 }

@@ -58,7 +58,7 @@ pub(super) enum End {
 
 impl End {
     /// Returns the counts of this end; `None` if it reported none.
-    const fn account(self, connection: &Connection) -> Option<&ConnectionStatistics> {
+    const fn statistics(self, connection: &Connection) -> Option<&ConnectionStatistics> {
         match self {
             Self::Edge => Some(&connection.statistics),
             Self::Cloud => connection.cloud.as_ref(),
@@ -66,10 +66,13 @@ impl End {
     }
 
     /// Returns the directions: from edge to cloud, and from cloud to edge.
-    const fn directions(self, account: &ConnectionStatistics) -> [(&'static str, &DirectionStatistics); 2] {
+    const fn directions(
+        self,
+        statistics: &ConnectionStatistics,
+    ) -> [(&'static str, &DirectionStatistics); 2] {
         let (upload, download) = match self {
-            Self::Edge => (&account.sent, &account.received),
-            Self::Cloud => (&account.received, &account.sent),
+            Self::Edge => (&statistics.sent, &statistics.received),
+            Self::Cloud => (&statistics.received, &statistics.sent),
         };
         [("upload", upload), ("download", download)]
     }
@@ -84,8 +87,8 @@ pub(super) fn write_directions(
 ) {
     for (link, connection) in scrape.connections() {
         let [edge, cloud, network, pipeline] = names(link, connection);
-        let Some(account) = end.account(connection) else { continue };
-        for (direction, statistics) in end.directions(account) {
+        let Some(connection_statistics) = end.statistics(connection) else { continue };
+        for (direction, statistics) in end.directions(connection_statistics) {
             if let Some(total) = total_of(statistics) {
                 sink(&[edge, cloud, network, pipeline, direction], Sample::Count(total));
             }
@@ -96,7 +99,7 @@ pub(super) fn write_directions(
 /// Writes the smoothed round trips of the transports' own packets, as an end measures them.
 pub(super) fn write_transport_round_trips(scrape: &Scrape, sink: &mut Sink<'_>, end: End) {
     for (link, connection) in scrape.connections() {
-        if let Some(trip) = end.account(connection).and_then(|account| account.round_trip) {
+        if let Some(trip) = end.statistics(connection).and_then(|statistics| statistics.round_trip) {
             sink(&names(link, connection), Sample::Value(trip.smoothed.seconds()));
         }
     }

@@ -25,14 +25,14 @@ pub(super) struct Scrape {
     pub(super) hosts: Vec<Arc<HostSnapshot>>,
     pub(super) pipelines: Vec<Arc<PipelineSnapshot>>,
     pub(super) links: Vec<Arc<LinkSnapshot>>,
-    /// Connections of all links: the link, and the index in its list.
+    /// Connections of all links: the link, and the index in the link's list of connections.
     connections: Vec<(Arc<LinkSnapshot>, usize)>,
     omitted: [(&'static str, usize); 4],
 }
 
 impl Scrape {
-    /// Copies the required data of the live state. Of several hosts with one name, only the connected one or else the one that reported
-    /// last is taken, because names are the labels.
+    /// Copies the required data of the live state. Samples are labelled with names, so only one of several hosts with the same name is
+    /// taken: a connected host before a disconnected one, then the host that reported last.
     pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorFigures) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &live_state.hosts {
@@ -41,23 +41,24 @@ impl Scrape {
                 *current = host;
             }
         }
-        let shown: HashSet<_> = by_name.values().map(|host| host.id).collect();
+        let host_ids: HashSet<_> = by_name.values().map(|host| host.id).collect();
         let mut hosts: Vec<Arc<HostSnapshot>> = by_name.into_values().cloned().collect();
         let mut pipelines: Vec<Arc<PipelineSnapshot>> =
-            live_state.pipelines.iter().filter(|one| shown.contains(&one.host)).cloned().collect();
+            live_state.pipelines.iter().filter(|one| host_ids.contains(&one.host)).cloned().collect();
         let mut names = HashSet::new();
         let mut links: Vec<Arc<LinkSnapshot>> = live_state
             .links
             .iter()
             .filter(|link| {
                 let live = &link.live;
-                shown.contains(&link.edge) && names.insert((&link.edge_name, &live.peer_name, live.network()))
+                host_ids.contains(&link.edge)
+                    && names.insert((&link.edge_name, &live.peer_name, live.network()))
             })
             .cloned()
             .collect();
         let connections_of = |link: &Arc<LinkSnapshot>| {
-            let places = 0..link.live.connections.len();
-            places.map(|place| (Arc::clone(link), place)).collect::<Vec<_>>()
+            let indexes = 0..link.live.connections.len();
+            indexes.map(|index| (Arc::clone(link), index)).collect::<Vec<_>>()
         };
         // A link that is not reported any more has no open connections.
         let mut connections: Vec<_> =
@@ -75,7 +76,7 @@ impl Scrape {
     pub(super) fn connections(&self) -> impl Iterator<Item = (&LinkSnapshot, &Connection)> {
         self.connections
             .iter()
-            .filter_map(|(link, place)| Some((&**link, link.live.connections.get(*place)?)))
+            .filter_map(|(link, index)| Some((&**link, link.live.connections.get(*index)?)))
     }
 
     /// Writes the number of items beyond the limits, by kind.
@@ -100,7 +101,7 @@ mod tests {
     use crate::tests::samples;
 
     #[test]
-    fn of_hosts_with_one_name_the_reporting_one_is_taken() {
+    fn connected_host_is_taken_of_hosts_with_one_name() {
         let mut old = samples::host("cam-1", "Orin");
         (old.id, old.connected) = (HostId::from_bytes([8; 16]), false);
         old.last_seen = samples::NOW + Span::from_seconds(9);

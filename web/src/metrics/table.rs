@@ -22,16 +22,16 @@ pub(super) enum Sample {
 }
 
 impl Sample {
-    /// 1 or 0.
-    pub(super) fn from_bool(is: bool) -> Self {
-        Self::Size(u64::from(is))
+    /// Returns a gauge of 1 if the condition is true, else of 0.
+    pub(super) fn from_bool(condition: bool) -> Self {
+        Self::Size(u64::from(condition))
     }
 }
 
 /// Receiver of samples: the values of the metric's labels, in their order, and the figure.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
-/// One metric; its full name is `peernet_<name>_<unit>`, of a counter with `_total`.
+/// One metric. Its full name is `peernet_<name>_<unit>`, and `peernet_<name>_<unit>_total` for a counter.
 pub(super) struct Metric {
     pub(super) name: &'static str,
     pub(super) unit: &'static str,
@@ -84,7 +84,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Counter, "aggregator_damaged", "batches"), NONE, "Batches whose bytes did not match their hash, since the aggregator started.", |s, sink| sink(&[], Sample::Count(s.aggregator.totals.arrivals.damaged))),
     metric((Counter, "aggregator_unreadable", "frames"), NONE, "Frames that could not be decoded as a message, since the aggregator started.", |s, sink| sink(&[], Sample::Count(s.aggregator.totals.refused.unreadable))),
     metric((Counter, "aggregator_stranger", "messages"), NONE, "Messages and batches of hosts that sent no hello on that connection, since the aggregator started.", |s, sink| sink(&[], Sample::Count(s.aggregator.totals.refused.strangers))),
-    metric((Counter, "aggregator_rejected", "connections"), &["reason"], "Connections to the agents' port that were refused or closed because of a limit, by reason, since the aggregator started.", |s, sink| s.aggregator.write_rejected(sink)),
+    metric((Counter, "aggregator_rejected", "connections"), &["reason"], "Connections to the agents' port that were refused or closed because of a limit, by reason, since the aggregator started.", |s, sink| s.aggregator.write_rejections(sink)),
 
     metric((Gauge, "host_connected", "bool"), HOST, "1 while the host reports, else 0.", |s, sink| hosts::write_each(s, sink, |host| Sample::from_bool(host.connected))),
     metric((Counter, "host_produced", "events"), HOST, "Events that the agent produced since its spool was created, as the agent counts.", |s, sink| hosts::write_each(s, sink, |host| Sample::Count(host.accounting.produced))),

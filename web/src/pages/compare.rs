@@ -21,7 +21,7 @@ use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
     Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting,
     StackRow, StageDifference, Table, Throughput, UsersRow, accuracy, answers, boxes, caveats, commands,
-    distributions, lengths, load_comparison, over_time, pairs, pairwise, payload, run_courses, run_means,
+    distributions, lengths, load_comparison, over_time, pairs, pairwise, payload, run_means, run_time_series,
     stacks, throughput, title, unknown_labels, users,
 };
 use crate::view::counted;
@@ -38,7 +38,7 @@ const STAGE: &str = "stage";
 /// Query parameter with the run whose configuration is the baseline.
 const BASELINE: &str = "baseline";
 /// Number of experiments offered when nothing is selected.
-const OFFERED: u32 = 50;
+const MAX_OFFERED: u32 = 50;
 /// Longest label, in letters, that stays on one line.
 const SHORT: usize = 24;
 /// Largest number of excluded runs that are named.
@@ -90,7 +90,7 @@ struct Compare {
 /// The configuration that others are compared with, and their differences from it.
 struct Baseline {
     name: String,
-    /// Each configuration with the number of its first run, by which it is selected; `true` for the baseline.
+    /// Names of the configurations, each with the number of its first run, which selects it. `true` for the baseline.
     choices: Vec<(String, i64, bool)>,
     address: Address,
     others: Vec<OtherRow>,
@@ -122,22 +122,23 @@ async fn show(
 ) -> Page {
     let (store, snapshot) = (app.store(), app.live_state());
     let shell = |title: &str| Shell::new(&app, &snapshot, "/compare", title);
-    let (asked, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
-    let asked = asked.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
+    let (selected_stage, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == STAGE);
+    let selected_stage =
+        selected_stage.last().map(|(_, stage)| stage.as_str()).filter(|stage| !stage.is_empty());
     let (baseline, query): (Vec<_>, Vec<_>) = query.into_iter().partition(|(name, _)| name == BASELINE);
     let baseline = baseline.last().map(|(_, run)| run.as_str());
-    let Some(which) =
+    let Some(selection) =
         CompareSelection::parse(&query, "runs or experiment, and optionally stage and baseline")?
     else {
-        let experiments = store.experiments(OFFERED).await?;
+        let experiments = store.experiments(MAX_OFFERED).await?;
         return page(&Empty { shell: shell("Compare"), experiments });
     };
-    let comparison = load_comparison(store, &which).await?;
-    let distributions = distributions(&comparison, asked)?;
+    let comparison = load_comparison(store, &selection).await?;
+    let distributions = distributions(&comparison, selected_stage)?;
     let baseline = comparison.baseline(baseline)?;
     let means = run_means(store, &comparison).await?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let over_time = over_time(&comparison, &run_courses(store, &comparison).await?);
+    let over_time = over_time(&comparison, &run_time_series(store, &comparison).await?);
     let lengths = lengths(&comparison, &answers(store, &comparison).await?);
     let compare = assemble(shell("Compare"), &comparison, (&means, baseline), distributions, host);
     page(&Compare { over_time, lengths, ..compare })
@@ -160,7 +161,7 @@ fn assemble(
         Some((name, _)) => format!("experiment {name}"),
         None => counted(runs, "run", "runs"),
     };
-    let mut facts = common(comparison);
+    let mut facts = common_pipeline(comparison);
     facts.push(counted(comparison.configurations.len(), "configuration", "configurations"));
     facts.push(counted(runs, "run", "runs"));
     facts.push("successful iterations, warm-up left out".to_owned());
@@ -173,8 +174,8 @@ fn assemble(
         left_out: comparison.left_out.clone(),
         table: Table::of(comparison, &differences),
         doubts: Some(caveats(comparison).join(" "))
-            .filter(|said| !said.is_empty())
-            .map(|said| (Chip::new(Tone::Warn, "remark", "caveat"), said)),
+            .filter(|sentences| !sentences.is_empty())
+            .map(|sentences| (Chip::new(Tone::Warn, "remark", "caveat"), sentences)),
         long_settings: comparison.long_settings.join(", "),
         unknown: unknown_labels(comparison),
         stacks,
@@ -200,33 +201,38 @@ fn assemble(
 impl Baseline {
     fn of(comparison: &Comparison, differences: &Differences) -> Self {
         let all = &comparison.configurations;
-        let choice = |(place, one): (usize, &Configuration)| {
-            Some((one.name.clone(), one.runs.first()?.number, place == differences.baseline))
+        let choice = |(index, one): (usize, &Configuration)| {
+            Some((one.name.clone(), one.runs.first()?.number, index == differences.baseline))
         };
         let mut pairs = pairwise(comparison, differences).into_iter();
-        let mut other = |(place, stages): &(usize, Vec<StageDifference>)| OtherRow {
-            name: all[*place].name.clone(),
-            total: differences.total(*place).map(DifferenceRow::of),
+        let mut other = |(index, stages): &(usize, Vec<StageDifference>)| OtherRow {
+            name: all[*index].name.clone(),
+            total: differences.total(*index).map(DifferenceRow::of),
             pairs: pairs.next().flatten(),
             stages: DifferenceRow::of_stages(stages),
         };
-        let is_known = |stages: &[StageDifference]| stages.iter().any(|stage| stage.found.is_some());
+        let has_difference =
+            |stages: &[StageDifference]| stages.iter().any(|stage| stage.mean_difference.is_some());
         let others = differences.others.iter();
-        let found = others.clone().flat_map(|(_, stages)| stages.iter().filter_map(|stage| stage.found));
-        let rows = others.clone().map(|one| (is_known(&one.1), other(one))).filter(|(is_known, _)| *is_known);
+        let mean_differences =
+            others.clone().flat_map(|(_, stages)| stages.iter().filter_map(|stage| stage.mean_difference));
+        let rows = others
+            .clone()
+            .map(|one| (has_difference(&one.1), other(one)))
+            .filter(|(has_difference, _)| *has_difference);
         let rows: Vec<OtherRow> = rows.map(|(_, row)| row).collect();
         Self {
             name: all.get(differences.baseline).map_or_else(String::new, |one| one.name.clone()),
             choices: all.iter().enumerate().filter_map(choice).collect(),
             address: Address::of(comparison),
-            is_too_short: found.into_iter().any(|found| found.interval.is_none()),
+            is_too_short: mean_differences.into_iter().any(|difference| difference.interval.is_none()),
             others: rows,
         }
     }
 }
 
-/// Returns what all runs have in common: their pipeline, if it is one.
-fn common(comparison: &Comparison) -> Vec<String> {
+/// Returns the name of the pipeline if all runs have the same one, else an empty list.
+fn common_pipeline(comparison: &Comparison) -> Vec<String> {
     let mut pipelines: Vec<String> = comparison.runs().map(|run| run.pipeline.to_string()).collect();
     pipelines.dedup();
     if let [_] = pipelines.as_slice() { pipelines } else { Vec::new() }
@@ -237,10 +243,10 @@ pub(super) fn rendered(
     shell: Shell,
     comparison: &Comparison,
     means: &RunMeans,
-    (asked, baseline): (Option<&str>, Option<&str>),
+    (selected_stage, baseline): (Option<&str>, Option<&str>),
 ) -> Result<String, crate::error::WebError> {
-    let distributions = distributions(comparison, asked)?;
-    let over_time = over_time(comparison, &crate::view::compare::tests::run_courses(comparison));
+    let distributions = distributions(comparison, selected_stage)?;
+    let over_time = over_time(comparison, &crate::view::compare::tests::run_time_series(comparison));
     let baseline = comparison.baseline(baseline)?;
     let compare = assemble(shell, comparison, (means, baseline), distributions, "localhost:8040");
     let lengths = lengths(comparison, &crate::view::compare::lengths::tests::read(comparison));

@@ -13,7 +13,7 @@ struct ErrorPage<'a> {
     problem: &'a ProblemDetails,
 }
 
-/// Returns the page of a problem; its bare text if even that cannot be rendered.
+/// Returns the page of a problem. Returns the text of the problem alone if the page cannot be rendered.
 pub(crate) fn render(app: &AppState, problem: &ProblemDetails) -> String {
     let shell = Shell::new(app, &app.live_state(), "", problem.title());
     ErrorPage { shell, problem }.render().unwrap_or_else(|_| problem.detail().to_owned())

@@ -142,19 +142,19 @@ fn step_count(clock: &HostClock) -> String {
 
 /// Returns the links of a host with the addresses of their pages.
 fn links(snapshot: &LiveState, name: &str) -> Vec<(String, String)> {
-    let mine = snapshot.links.iter().map(|link| Subject::live(link));
-    let mine = mine.filter(|link| link.edge == name || link.cloud == name);
-    mine.map(|link| (link.route(), link.href())).take(list_limits::MAX_IN_LIST).collect()
+    let links = snapshot.links.iter().map(|link| Subject::live(link));
+    let links = links.filter(|link| link.edge == name || link.cloud == name);
+    links.map(|link| (link.route(), link.href())).take(list_limits::MAX_IN_LIST).collect()
 }
 
 fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host {
     let description = &host.description;
     let name = description.name.to_string();
-    let mine: Vec<_> =
+    let own_pipelines: Vec<_> =
         snapshot.pipelines.iter().filter(|one| one.host == host.id).map(|one| &**one).collect();
     let serving =
         snapshot.pipelines.iter().filter(|one| one.placement.peer.as_ref() == Some(&description.name));
-    let title = match (host.connected, mine.len(), serving.count()) {
+    let title = match (host.connected, own_pipelines.len(), serving.count()) {
         (false, ..) if host.has_left => {
             format!("{name} disconnected at {}", app.zone.moment(host.last_seen).clock())
         }
@@ -166,9 +166,9 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         }
         (true, own, others) => format!("{name} runs {own} and serves {others}"),
     };
-    let ours = app.clock.identity();
-    let (words, hint) = clock_words(&description.clock, ours, host.clock_ahead);
-    let memory = host.metrics.agent_memory_bytes.map(|held| format!("agent holds {}", bytes(held as f64)));
+    let own_identity = app.clock.identity();
+    let (words, hint) = clock_words(&description.clock, own_identity, host.clock_ahead);
+    let memory = host.metrics.agent_memory_bytes.map(|size| format!("agent holds {}", bytes(size as f64)));
     let cpu = host
         .metrics
         .agent_cpu
@@ -182,7 +182,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
             .filter(|fact| !fact.is_empty())
             .collect(),
         links: links(snapshot, &name),
-        line: HostLine::new(host, ours, app.zone),
+        line: HostLine::new(host, own_identity, app.zone),
         agent: agent(description),
         hardware: hardware(description),
         clock: vec![
@@ -197,7 +197,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
         ],
         events: Events::of(host),
         stored: events::stored(&host.stored, Some(&host.arrivals), host.newest_stored, app.zone),
-        pipelines: NowTable::new(&mine).rows,
+        pipelines: NowTable::new(&own_pipelines).rows,
         name,
     }
 }

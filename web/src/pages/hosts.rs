@@ -42,7 +42,7 @@ struct Hosts {
     /// Sentence shown if the list is truncated.
     truncation_note: Option<String>,
     /// Sentence about hosts that connected before, shown while none reports.
-    known: Option<String>,
+    absent_hosts: Option<String>,
     /// Hosts whose connections were refused recently.
     refused: Vec<RefusedLine>,
     /// Hosts that are stored but not in the live state: name and time of the last report.
@@ -96,7 +96,7 @@ fn hosts(app: &AppState, snapshot: &LiveState, stored: &[HostRow]) -> Hosts {
             .map(|host| EventLine::new(host))
             .collect(),
         truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, snapshot.hosts.len()),
-        known: startup::absent_hosts_sentence(snapshot),
+        absent_hosts: startup::absent_hosts_sentence(snapshot),
         refused: RefusedLine::all(snapshot, app.zone),
         past_truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, past.len()),
         past: past

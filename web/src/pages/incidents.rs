@@ -57,8 +57,9 @@ struct Incidents {
     shell: Shell,
     title: &'static str,
     lines: Vec<IncidentLine>,
-    /// `true` if any of them belongs to a run.
-    runs: bool,
+    /// `true` if any incident belongs to a run.
+    has_runs: bool,
+    /// `before` of the next page; `None` on the last.
     older: Option<i64>,
     /// Kinds that can be selected; `true` for the selected one.
     kinds: Vec<(&'static str, bool)>,
@@ -68,12 +69,12 @@ struct Incidents {
 
 /// `GET /incidents`.
 async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> Page {
-    let chosen = |value: Option<String>| value.filter(|value| !value.is_empty());
+    let non_empty = |value: Option<String>| value.filter(|value| !value.is_empty());
     let Query { before, kind, host } = query;
-    let filter = IncidentFilter { limit: ROWS + 1, before, kind: chosen(kind), host: chosen(host) };
+    let filter = IncidentFilter { limit: ROWS + 1, before, kind: non_empty(kind), host: non_empty(host) };
     let (mut rows, hosts) = tokio::try_join!(app.store().incidents(&filter), app.store().hosts())?;
     let is_filtered = filter.kind.is_some() || filter.host.is_some();
-    let more = rows.len() > ROWS as usize;
+    let has_more = rows.len() > ROWS as usize;
     rows.truncate(ROWS as usize);
     page(&Incidents {
         shell: Shell::new(&app, &app.live_state(), "/incidents", "Incidents"),
@@ -87,8 +88,8 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
             .iter()
             .map(|host| (host.name.to_string(), filter.host.as_deref() == Some(host.name.as_str())))
             .collect(),
-        older: rows.last().filter(|_| more).map(|last| last.id),
-        runs: rows.iter().any(|row| row.run.is_some()),
+        older: rows.last().filter(|_| has_more).map(|last| last.id),
+        has_runs: rows.iter().any(|row| row.run.is_some()),
         lines: IncidentLine::all(&rows, app.zone),
         filter,
     })

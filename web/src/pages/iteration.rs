@@ -41,7 +41,7 @@ struct Iteration {
     facts: Vec<String>,
     warm_up: bool,
     clock_fault: Option<Chip>,
-    /// The page of the link that it went over.
+    /// Address of the page of the link that the iteration used.
     link: Option<String>,
     previous: Option<(u64, String)>,
     next: Option<(u64, String)>,
@@ -55,7 +55,7 @@ struct Iteration {
     note: Option<String>,
     delays: Vec<DelayRow>,
     bytes: Vec<ByteRow>,
-    beside: Vec<OtherMeasurement>,
+    other_measurements: Vec<OtherMeasurement>,
 }
 
 /// `GET /runs/{run}/iterations/{iteration}`.
@@ -75,18 +75,18 @@ async fn show(State(app): State<App>, numbers: Result<Path<(i64, u64)>, PathReje
 fn title(row: &IterationRow) -> String {
     let Some(total) = row.total.filter(|_| row.outcome == "ok") else {
         let reason = row.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        let what = match row.outcome.as_str() {
+        let outcome = match row.outcome.as_str() {
             "timeout" => "No answer in time",
             "lost" => "Lost in transit",
             _ => "Failed",
         };
-        let after = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
-        return format!("{what}{after}{reason}");
+        let duration_text = row.total.map_or_else(String::new, |total| format!(" after {}", duration(total)));
+        return format!("{outcome}{duration_text}{reason}");
     };
-    let took = duration(total);
-    let Some(factor) = row.factor else { return format!("{took}") };
+    let total_text = duration(total);
+    let Some(factor) = row.factor else { return format!("{total_text}") };
     if (0.95..1.05).contains(&factor) {
-        return format!("{took}, close to the run's median");
+        return format!("{total_text}, close to the run's median");
     }
     let causes = row
         .causes
@@ -94,7 +94,7 @@ fn title(row: &IterationRow) -> String {
         .map(|cause| format!("{} +{}", look::label(cause.name.as_str()), duration(cause.excess())));
     let causes = causes.collect::<Vec<_>>().join(", ");
     let because = if causes.is_empty() { String::new() } else { format!(": {causes}") };
-    format!("{took}, {} the run's median{because}", times(factor))
+    format!("{total_text}, {} the run's median{because}", times(factor))
 }
 
 fn ordinal(number: u64) -> String {
@@ -161,7 +161,7 @@ fn assemble(app: &AppState, stored: &RunDetail, detail: &IterationDetail) -> Ite
         note: cloud.as_ref().and_then(|cloud| footnote(&timeline, cloud)),
         delays: delays(&timeline, &detail.row.delays),
         bytes: ByteRow::both(detail),
-        beside: OtherMeasurement::all(detail),
+        other_measurements: OtherMeasurement::all(detail),
         edge,
         cloud,
     }
@@ -175,7 +175,7 @@ mod tests {
     use peernet_statistics::number::SPACE;
 
     #[test]
-    fn the_title_says_how_long_how_unusual_and_why() {
+    fn title_names_duration_factor_and_causes() {
         let mut row = samples::iteration().row;
         row.total = Some(0.030_21);
         row.factor = Some(1.873);
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn ranks_read_as_english() {
+    fn ranks_are_english_ordinals() {
         let words: Vec<String> = [2, 3, 11, 19, 21, 112, 1_003].map(ordinal).to_vec();
         assert_eq!(words, ["2nd", "3rd", "11th", "19th", "21st", "112th", "1,003rd"]);
     }

@@ -14,7 +14,7 @@ use crate::state::{App, AppState};
 pub(crate) struct PageKind {
     /// Routes of the page.
     pub routes: fn() -> Router<App>,
-    /// Entry in the navigation; `None` for a page below the entry of another.
+    /// Entry in the navigation; `None` for a page that belongs to the entry of another page.
     pub entry: Option<NavigationEntry>,
     /// Topic that updates the page while it is open; `None` for a page without live updates.
     pub topic: Option<LiveTopic>,
@@ -48,12 +48,12 @@ pub(crate) struct PageTopic {
 }
 
 impl PageTopic {
-    /// Returns the page topic that a text names.
+    /// Finds the topic of a text, such as `host/cam-1`, among `topics`.
     pub(crate) fn find(text: &str, mut topics: impl Iterator<Item = &'static LiveTopic>) -> Option<Self> {
         let (name, rest) = parts(text);
         let matches = |topic: &&LiveTopic| {
-            let (known, form) = parts(topic.form);
-            known == name && form.is_some() == rest.is_some()
+            let (topic_name, form) = parts(topic.form);
+            topic_name == name && form.is_some() == rest.is_some()
         };
         topics.find(matches).map(|topic| Self { topic, rest: rest.unwrap_or_default().to_owned() })
     }

@@ -20,16 +20,16 @@ use crate::view::chip::Chip;
 use crate::view::clock_fault::{self, FaultyClocks};
 use crate::view::incidents::IncidentLine;
 use crate::view::link::basis;
-use crate::view::link::carried::CarriedRow;
 use crate::view::link::chart::{OffsetView, tracks};
 use crate::view::link::connections::{self, DirectionRow, Route};
-use crate::view::link::course::Course;
 use crate::view::link::finding::{Meaning, meanings, title};
 use crate::view::link::origin::Origin;
 use crate::view::link::panels::{self, HostRow, Pairs};
 use crate::view::link::stats::{self, Stat};
 use crate::view::link::table::Row;
+use crate::view::link::time_series::LinkTimeSeries;
 use crate::view::link::tracks::Tracks;
+use crate::view::link::traffic::TrafficRow;
 use crate::view::link::{Subject, canonical, find, no_link};
 
 /// Registration of this page.
@@ -138,7 +138,7 @@ pub(super) struct Link {
     assumptions: Pairs,
     probes: Pairs,
     reflector: Pairs,
-    carried: Vec<CarriedRow>,
+    traffic: Vec<TrafficRow>,
     directions: Vec<DirectionRow>,
     connections: Vec<Route>,
     hosts: Vec<HostRow>,
@@ -152,57 +152,70 @@ async fn show(
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<Query>,
 ) -> Page {
-    let wanted = canonical(path(link)?);
+    let link_name = canonical(path(link)?);
     let snapshot = app.live_state();
     let incidents = AppState::empty_while_closed(
         app.store().incidents(&IncidentFilter::newest(SEARCHED_INCIDENTS)).await,
     )?;
-    if let Some(link) = find(&snapshot, &wanted) {
+    if let Some(link) = find(&snapshot, &link_name) {
         let subject = Subject::live(link);
-        let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
-        let shown = match query.range {
+        let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::Minutes.seconds());
+        let selected_series = match query.range {
             Range::Minutes => None,
-            range => Some(stored(&app, &subject, range).await?),
+            range => Some(read_time_series(&app, &subject, range).await?),
         };
-        return page(&link_page(&app, &snapshot, &subject, &now, shown.as_ref(), query, &incidents));
+        return page(&link_page(
+            &app,
+            &snapshot,
+            &subject,
+            &recent_series,
+            selected_series.as_ref(),
+            query,
+            &incidents,
+        ));
     }
     let rows = app.store().links().await?;
     let mut stored_links = rows.iter().map(Subject::past);
-    let subject = stored_links.find(|link| link.name() == wanted).ok_or_else(|| no_link(&wanted))?;
-    let course = stored(&app, &subject, query.range).await?;
+    let subject = stored_links.find(|link| link.name() == link_name).ok_or_else(|| no_link(&link_name))?;
+    let time_series = read_time_series(&app, &subject, query.range).await?;
     let assumptions = app.store().link_assumptions(&subject.key).await?;
-    let subject = subject.with_last_offset(&course).with_assumptions(assumptions);
-    page(&link_page(&app, &snapshot, &subject, &course, None, query, &incidents))
+    let subject = subject.with_last_offset(&time_series).with_assumptions(assumptions);
+    page(&link_page(&app, &snapshot, &subject, &time_series, None, query, &incidents))
 }
 
-async fn stored(app: &AppState, subject: &Subject<'_>, range: Range) -> Result<Course, WebError> {
+async fn read_time_series(
+    app: &AppState,
+    subject: &Subject<'_>,
+    range: Range,
+) -> Result<LinkTimeSeries, WebError> {
     let (from, to) = (subject.end - Span::from_seconds(range.seconds()), subject.end);
     let series = app.store().clock_series(&subject.key, from, to, MAX_POINTS).await?;
-    Ok(Course::stored(series, from, to))
+    Ok(LinkTimeSeries::stored(series, from, to))
 }
 
 /// Renders the changed parts of the page.
 pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> Result<Update, WebError> {
     let mut parts = rest.splitn(3, '/');
-    let (Some(wanted), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
+    let (Some(link_name), Some(range), Some(view)) = (parts.next(), parts.next(), parts.next()) else {
         return Err(WebError::BadRequest(
             "query parameter topics: the topic of a link has the form link/EDGE~CLOUD/RANGE/OFFSET"
                 .to_owned(),
         ));
     };
-    let range = Range::ALL.into_iter().find(|known| known.query_value() == range);
-    let view = [OffsetView::Removed, OffsetView::Measured].into_iter().find(|known| known.word() == view);
+    let range = Range::ALL.into_iter().find(|candidate| candidate.query_value() == range);
+    let view =
+        [OffsetView::Removed, OffsetView::Measured].into_iter().find(|candidate| candidate.word() == view);
     let (Some(range), Some(offset)) = (range, view) else {
         return Err(WebError::BadRequest(
             "query parameter topics: the range of a link is 10min, 1h or 24h, its offset removed or measured"
                 .to_owned(),
         ));
     };
-    let link = find(snapshot, wanted).ok_or_else(|| no_link(wanted))?;
+    let link = find(snapshot, link_name).ok_or_else(|| no_link(link_name))?;
     let incidents = app.recent_incidents().await?;
     let subject = Subject::live(link);
-    let now = Course::live(&link.history, subject.end, Range::Minutes.seconds());
-    let page = link_page(app, snapshot, &subject, &now, None, Query { range, offset }, &incidents);
+    let recent_series = LinkTimeSeries::live(&link.history, subject.end, Range::Minutes.seconds());
+    let page = link_page(app, snapshot, &subject, &recent_series, None, Query { range, offset }, &incidents);
     let mut parts = vec![
         ("title", page.as_title().render()?),
         ("figures", page.as_figures().render()?),
@@ -226,24 +239,32 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState, rest: &str) -> 
 }
 
 /// Returns the incidents of both hosts within the time range, newest first. Their times are converted to the edge's clock.
-fn incidents_of_link(subject: &Subject<'_>, course: &Course, rows: &[IncidentRow]) -> Vec<IncidentRow> {
+fn incidents_of_link(
+    subject: &Subject<'_>,
+    time_series: &LinkTimeSeries,
+    rows: &[IncidentRow],
+) -> Vec<IncidentRow> {
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
     let is_end = |name: &str| names.contains(&name);
     // Other incidents of the two hosts say nothing about the network between them.
     let concerns_network = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
-    let ours = rows.iter().filter(concerns_network);
-    let ours = ours.filter(|row| {
+    let of_link = rows.iter().filter(concerns_network);
+    let of_link = of_link.filter(|row| {
         row.host_name.as_ref().is_some_and(|name| is_end(name.as_str()))
             && row.peer.as_deref().is_none_or(is_end)
     });
-    let placed = ours.map(|row| {
-        let reported_by = row.host_name.as_ref().map(peernet_logger::Slug::as_str);
-        let there = reported_by == Some(subject.cloud.as_str()) && subject.cloud != subject.edge;
-        IncidentRow { at: if there { course.on_the_edge(row.at) } else { row.at }, ..row.clone() }
+    let with_edge_times = of_link.map(|row| {
+        let reporter = row.host_name.as_ref().map(peernet_logger::Slug::as_str);
+        let is_from_cloud = reporter == Some(subject.cloud.as_str()) && subject.cloud != subject.edge;
+        IncidentRow {
+            at: if is_from_cloud { time_series.edge_time_at(row.at) } else { row.at },
+            ..row.clone()
+        }
     });
-    let mut placed: Vec<_> = placed.filter(|row| row.at > course.from && row.at <= course.to).collect();
-    placed.sort_by_key(|row| std::cmp::Reverse(row.at));
-    placed
+    let mut with_edge_times: Vec<_> =
+        with_edge_times.filter(|row| row.at > time_series.from && row.at <= time_series.to).collect();
+    with_edge_times.sort_by_key(|row| std::cmp::Reverse(row.at));
+    with_edge_times
 }
 
 fn facts(subject: &Subject<'_>, snapshot: &LiveState) -> Vec<String> {
@@ -264,14 +285,14 @@ pub(super) fn link_page(
     app: &AppState,
     snapshot: &LiveState,
     subject: &Subject<'_>,
-    now: &Course,
-    shown: Option<&Course>,
+    recent_series: &LinkTimeSeries,
+    selected_series: Option<&LinkTimeSeries>,
     query: Query,
     incidents: &[IncidentRow],
 ) -> Link {
-    let course = shown.unwrap_or(now);
+    let time_series = selected_series.unwrap_or(recent_series);
     let name = subject.name();
-    let mine = incidents_of_link(subject, course, incidents);
+    let link_incidents = incidents_of_link(subject, time_series, incidents);
     let address =
         |range: Range, offset: OffsetView| format!("?range={}&offset={}", range.query_value(), offset.word());
     let shell = Shell::new(app, snapshot, "/links", subject.route());
@@ -293,21 +314,21 @@ pub(super) fn link_page(
         views: [(OffsetView::Removed, "drift removed"), (OffsetView::Measured, "as measured")]
             .map(|(view, name)| (address(query.range, view), name, view == query.offset))
             .to_vec(),
-        stats: stats::all(subject, now),
-        chart: tracks(subject, course, query.offset, &mine, app.zone),
-        rows: Row::all(course, app.zone),
+        stats: stats::all(subject, recent_series),
+        chart: tracks(subject, time_series, query.offset, &link_incidents, app.zone),
+        rows: Row::all(time_series, app.zone),
         meanings: meanings(subject),
-        origin: Origin::of(subject, now),
+        origin: Origin::of(subject, recent_series),
         promise: subject.assumptions.as_ref().map(basis::promise),
-        assumptions: basis::pairs(subject, now),
-        probes: panels::probes(subject, now),
+        assumptions: basis::pairs(subject, recent_series),
+        probes: panels::probes(subject, recent_series),
         reflector: panels::reflector(subject),
-        carried: CarriedRow::all(snapshot, subject),
+        traffic: TrafficRow::all(snapshot, subject),
         directions: connections::rows(subject),
         connections: connections::routes(subject),
         hosts: panels::hosts(subject),
         exchanges: panels::exchanges(subject),
-        incidents: IncidentLine::all(&mine[..mine.len().min(MAX_INCIDENTS)], app.zone),
+        incidents: IncidentLine::all(&link_incidents[..link_incidents.len().min(MAX_INCIDENTS)], app.zone),
         name,
     }
 }

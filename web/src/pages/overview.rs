@@ -59,7 +59,7 @@ pub(super) struct Empty {
     refused: Vec<RefusedLine>,
     title: &'static str,
     /// Sentence about hosts that connected before. It replaces the instructions for a first host.
-    known: Option<String>,
+    absent_hosts: Option<String>,
 }
 
 /// `GET /`.
@@ -95,19 +95,20 @@ pub(super) async fn update(app: &AppState, snapshot: &LiveState) -> Result<Updat
 
 type Incidents = Result<Vec<IncidentRow>, String>;
 
-/// Returns the newest incidents, or the id of the logged error: a failing store affects only its own panel.
+/// Returns the newest incidents, or the id of the logged error. An error of the store does not fail the page: only the panel of
+/// incidents shows it.
 async fn incidents(app: &AppState) -> Incidents {
     let rows = app.newest_incidents().await;
     rows.map_err(|error| WebError::from(error).to_problem(app).id().unwrap_or_default().to_owned())
 }
 
 pub(super) fn empty(app: &AppState, snapshot: &LiveState) -> Empty {
-    let known = startup::absent_hosts_sentence(snapshot);
-    let title = if known.is_some() { startup::WAITING } else { "No host has reported yet" };
+    let absent_hosts = startup::absent_hosts_sentence(snapshot);
+    let title = if absent_hosts.is_some() { startup::WAITING } else { "No host has reported yet" };
     Empty {
         shell: Shell::new(app, snapshot, "/", title).live(TOPIC),
         title,
-        known,
+        absent_hosts,
         layout: "empty".to_owned(),
         listening: snapshot.listening.clone(),
         since: app.zone.moment(app.started_at),

@@ -48,8 +48,8 @@ pub(super) const PAGE: PageKind = PageKind {
 
 /// Name of its topic of the live stream.
 const TOPIC: &str = "pipeline";
-/// Runs listed on the page.
-const RUNS: u32 = 20;
+/// Maximum number of runs listed on the page.
+const MAX_RUNS: u32 = 20;
 
 /// Query parameters.
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
@@ -68,7 +68,7 @@ struct PipelinePage {
     title: String,
     chip: Option<Chip>,
     clock_fault: Option<Chip>,
-    /// The page of the link that it uses.
+    /// Address of the page of the link that the pipeline uses.
     link: Option<String>,
     notes: Vec<Note>,
     facts: Vec<String>,
@@ -143,7 +143,7 @@ async fn runs(app: &AppState, pipeline: &PipelineSnapshot) -> Result<Vec<RunSumm
     let filter = RunFilter {
         pipeline: Some(pipeline.pipeline.clone()),
         host: Some(pipeline.host),
-        limit: RUNS,
+        limit: MAX_RUNS,
         ..RunFilter::default()
     };
     Ok(AppState::empty_while_closed(app.store().runs(&filter).await)?)
@@ -160,22 +160,22 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
         (_, None) => format!("{name}: no iteration in this time"),
         (_, Some(total)) => {
             let largest = stack.parts.iter().max_by(|a, b| a.seconds.total_cmp(&b.seconds));
-            let most = largest.filter(|part| part.name != "unattributed");
-            let most = most.map_or_else(String::new, |part| {
+            let largest = largest.filter(|part| part.name != "unattributed");
+            let largest_text = largest.map_or_else(String::new, |part| {
                 let share = part.seconds / total.mean;
                 let how = if share > 0.5 { "most of it" } else { "longest" };
                 format!(", {how} {} ({}{SPACE}%)", part.name, percent(share))
             });
-            // The mean, because the parts are means and add up to it.
-            format!("{name}: {} on average{most}", duration(total.mean))
+            // The title states the mean and not the median: the parts are means, and only means add up.
+            format!("{name}: {} on average{largest_text}", duration(total.mean))
         }
     }
 }
 
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
-    let time = |name, of: fn(&QuantityStatistics) -> Option<f64>| {
-        let value = total.and_then(of).map(short_duration);
+    let time = |name, figure_of: fn(&QuantityStatistics) -> Option<f64>| {
+        let value = total.and_then(figure_of).map(short_duration);
         let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
     };
@@ -192,10 +192,10 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     };
     let traffic = speed::traffic(kind, window);
     let lost = window.lost_fraction.map_or_else(|| NONE.to_owned(), percent);
-    let right = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
+    let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
         let number = share(window.value(name)?.mean);
         let title = "accuracy: how often the model was right, where samples have labels".to_owned();
-        Some(Stat { name: shown, number, unit: "%", title })
+        Some(Stat { name: label, number, unit: "%", title })
     });
     let stats = vec![
         time("Median", |total| Some(total.p50)),
@@ -220,7 +220,7 @@ fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
         unit: "%",
         title: "share of iterations that took longer than the deadline or have no answer".to_owned(),
     });
-    stats.into_iter().chain(missed).chain(right).collect()
+    stats.into_iter().chain(missed).chain(accuracies).collect()
 }
 
 fn pipeline_page(
@@ -261,7 +261,7 @@ fn pipeline_page(
         windows: vec![(1, "1\u{202f}s"), (10, "10\u{202f}s"), (60, "1\u{202f}min")],
         stats: stats(placement.kind, window),
         clock: ClockCell::of(placement.kind, &window.bounds),
-        bar: stack.whole("stages big"),
+        bar: stack.full_width_bar("stages big"),
         stages: StageRow::of_window(window),
         runs: runs.iter().map(|run| RunLine::new(run, snapshot, app.zone)).collect(),
         layout: format!("{host}/{}", pipeline.pipeline),
@@ -281,13 +281,13 @@ mod tests {
     #[test]
     fn miss_rate_is_shown_where_there_is_a_deadline() {
         let mut window = samples::window(10, 30.0, 1.0, Verdict::Ok);
-        let shown = |window: &Window| {
+        let miss_rate = |window: &Window| {
             let stats = stats(PlacementKind::Remote, window);
             stats.into_iter().find(|stat| stat.name == "Missed deadline").map(|stat| stat.number)
         };
-        assert_eq!(shown(&window), None);
+        assert_eq!(miss_rate(&window), None);
         window.miss_rate = Some(0.012);
-        assert_eq!(shown(&window).as_deref(), Some("1.2"));
+        assert_eq!(miss_rate(&window).as_deref(), Some("1.2"));
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Every pipeline of every host.
+//! Page of all pipelines of all hosts.
 
 use std::future::ready;
 
@@ -34,7 +34,7 @@ struct Pipelines {
     shell: Shell,
     title: String,
     /// The title in the past tense, for when the connection is lost.
-    past: String,
+    past_title: String,
     lines: Vec<Line>,
     /// Sentence shown if the list is truncated.
     truncation_note: Option<String>,
@@ -81,7 +81,7 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
         1 => format!("1 pipeline, {running} running"),
         many => format!("{many} pipelines, {running} running"),
     };
-    let past = match all.len() {
+    let past_title = match all.len() {
         0 => "No pipeline had reported".to_owned(),
         many => format!("{running} of {many} pipelines ran"),
     };
@@ -99,7 +99,7 @@ fn pipelines(app: &AppState, snapshot: &LiveState) -> Pipelines {
     Pipelines {
         shell: Shell::new(app, snapshot, "/pipelines", "Pipelines").live(TOPIC),
         title,
-        past,
+        past_title,
         lines: lines.collect(),
         truncation_note: list_limits::truncation_note(list_limits::MAX_IN_LIST, all.len()),
     }

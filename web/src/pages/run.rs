@@ -38,14 +38,14 @@ use crate::zone::Zone;
 pub(super) const PAGE: PageKind =
     PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
-/// Number of bins of a distribution.
-const BINS: usize = 48;
+/// Maximum number of bins of a distribution.
+const MAX_BINS: usize = 48;
 /// Maximum number of points of the line over time.
-const POINTS: usize = 240;
+const MAX_POINTS: usize = 240;
 /// Number of slowest iterations that are drawn over time.
-const OUTLIERS: u32 = 40;
-/// Number of rows of the table of iterations without an answer.
-const UNANSWERED: u32 = 8;
+const DRAWN_SLOWEST: u32 = 40;
+/// Maximum number of rows of the table of iterations without an answer.
+const MAX_UNANSWERED: u32 = 8;
 
 /// Reason why a run has no rate.
 const NO_LENGTH: &str =
@@ -110,10 +110,10 @@ struct Run {
     distribution: Distribution,
     bucket: u32,
     buckets: Vec<Bucket>,
-    /// Sentences about episodes and about iterations without an answer.
-    parted: Vec<String>,
+    /// Texts about episodes, iterations without an answer, and a standstill.
+    time_remarks: Vec<String>,
     /// Kinds of marks that the chart over time has.
-    marked: Marked,
+    marks: MarkKinds,
     /// `true` if any bucket has enough samples for a 95th percentile.
     has_p95: bool,
     axis: Picture,
@@ -121,7 +121,7 @@ struct Run {
     unanswered: Vec<Unanswered>,
     trust: Trust,
     experiment: Option<ExperimentPlace>,
-    /// Column, share and its interval, percent.
+    /// Label of each accuracy, its value in percent, and the interval of the value.
     accuracies: Vec<(&'static str, String, Option<String>)>,
     configuration: Vec<(String, String)>,
     toml: String,
@@ -129,7 +129,7 @@ struct Run {
 }
 
 /// Kinds of marks in the chart over time.
-struct Marked {
+struct MarkKinds {
     borders: bool,
     warm_up: bool,
     unanswered: bool,
@@ -141,8 +141,8 @@ struct Distribution {
     plot: Option<Picture>,
     views: [(&'static str, String, bool); 2],
     scales: [(&'static str, String, bool); 2],
-    /// Appended to a stage's link, so that the choice of view stays.
-    rest: String,
+    /// Query parameters of view and scale. They are appended to the link of a stage, so that the link keeps both.
+    view_query: String,
 }
 
 /// `GET /runs/{run}`.
@@ -155,23 +155,23 @@ async fn show(
     let store = app.store();
     let run = store.run(number).await?;
     let run = run.ok_or_else(|| WebError::NotFound(format!("no run #{number} is stored")))?;
-    let wanted = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
+    let stage_name = query.stage.clone().unwrap_or_else(|| stage::TOTAL.to_string());
     let names = [stage::TOTAL];
-    let without_answer = IterationFilter { after: 0, limit: UNANSWERED, without_answer: true };
-    let (known, known_histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
+    let without_answer = IterationFilter { after: 0, limit: MAX_UNANSWERED, without_answer: true };
+    let (statistics, stored_histogram, series, slowest, unanswered, episodes, trust) = tokio::try_join!(
         store.statistics_of(number),
-        store.histogram(number, &wanted, BINS),
-        store.series(number, &names, POINTS),
-        store.slowest_iterations(number, OUTLIERS),
+        store.histogram(number, &stage_name, MAX_BINS),
+        store.series(number, &names, MAX_POINTS),
+        store.slowest_iterations(number, DRAWN_SLOWEST),
         store.iterations(number, &without_answer),
         store.episodes(number),
         store.trust_input(&run),
     )?;
-    let plot = known_histogram.map(|known| histogram(&known, query.view, query.scale == CountScale::Log));
-    let distribution = Distribution::new(wanted, plot, &query);
+    let plot = stored_histogram.map(|stored| histogram(&stored, query.view, query.scale == CountScale::Log));
+    let distribution = Distribution::new(stage_name, plot, &query);
     let stored = Stored {
         run: &run,
-        known: &known,
+        statistics: &statistics,
         series: &series,
         slowest: &slowest,
         unanswered: &unanswered,
@@ -185,7 +185,9 @@ impl Distribution {
     fn new(stage: String, plot: Option<Picture>, query: &Query) -> Self {
         let view = |view| if view == View::Cumulative { "cumulative" } else { "histogram" };
         let scale = |scale| if scale == CountScale::Log { "log" } else { "linear" };
-        let link = |of: View, on: CountScale| format!("&view={}&scale={}", view(of), scale(on));
+        let link = |chosen_view: View, chosen_scale: CountScale| {
+            format!("&view={}&scale={}", view(chosen_view), scale(chosen_scale))
+        };
         Self {
             views: [View::Counts, View::Cumulative].map(|one| {
                 let name = if one == View::Counts { "Histogram" } else { "Cumulative" };
@@ -193,7 +195,7 @@ impl Distribution {
             }),
             scales: [CountScale::Linear, CountScale::Log]
                 .map(|one| (scale(one), link(query.view, one), one == query.scale)),
-            rest: link(query.view, query.scale),
+            view_query: link(query.view, query.scale),
             stage,
             plot,
         }
@@ -242,7 +244,7 @@ fn assemble(
     distribution: Distribution,
     report: &Report,
 ) -> Result<Run, WebError> {
-    let Stored { run, known: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
+    let Stored { run, statistics: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
@@ -293,15 +295,15 @@ fn assemble(
         skipped: skipped(&Starts::from(summary)),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
-        bar: stack.whole("stages big"),
+        bar: stack.full_width_bar("stages big"),
         stages: StageRow::of_run(stages, bounds),
         others: stored.others(),
         distribution,
         bucket: series.bucket_s,
         buckets: stored.buckets(zone),
         has_p95: series.stages.iter().flat_map(|stage| &stage.points).any(|point| point.p95.is_some()),
-        parted: stored.parted(),
-        marked: Marked {
+        time_remarks: stored.time_remarks(),
+        marks: MarkKinds {
             borders: !episodes.borders.is_empty(),
             warm_up: episodes.warm_up_until.is_some(),
             unanswered: !episodes.unanswered.is_empty(),
@@ -320,11 +322,11 @@ fn assemble(
 
 /// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
-    let known = look::ACCURACIES.into_iter().filter_map(|(name, shown)| {
+    let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
         let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;
-        Some((shown, share(figures.mean), accuracy::interval(&figures)))
+        Some((label, share(figures.mean), accuracy::interval(&figures)))
     });
-    known.collect()
+    accuracies.collect()
 }
 
 fn configuration(run: &RunDetail) -> Vec<(String, String)> {
@@ -354,9 +356,9 @@ mod tests {
 
     #[test]
     fn skipped_starts_are_a_sum_and_a_share() {
-        let of = |skipped| Starts { started: 155, skipped, ..Starts::default() };
-        assert_eq!(skipped(&of(0)), None);
-        let said = skipped(&of(161)).expect("there are some");
-        assert_eq!(said, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
+        let starts = |skipped| Starts { started: 155, skipped, ..Starts::default() };
+        assert_eq!(skipped(&starts(0)), None);
+        let texts = skipped(&starts(161)).expect("there are some");
+        assert_eq!(texts, ("161".to_owned(), "51\u{202f}% of those that came due".to_owned()));
     }
 }

@@ -41,7 +41,8 @@ struct Runs {
     shell: Shell,
     title: String,
     pipeline: Option<String>,
-    paged: bool,
+    /// `true` for a page after the first.
+    is_later_page: bool,
     runs: Vec<RunLine>,
     /// Query of the next page.
     older: Option<String>,
@@ -52,15 +53,15 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
     let pipeline =
         query.pipeline.as_deref().map(|name| parameters::parse_slug("pipeline", name)).transpose()?;
     let filter = RunFilter { pipeline, limit: ROWS + 1, before: query.before, ..RunFilter::default() };
-    let mut found = app.store().runs(&filter).await?;
-    let more = found.len() > ROWS as usize;
-    found.truncate(ROWS as usize);
-    let older = found.last().filter(|_| more).map(|last| {
+    let mut runs = app.store().runs(&filter).await?;
+    let has_more = runs.len() > ROWS as usize;
+    runs.truncate(ROWS as usize);
+    let older = runs.last().filter(|_| has_more).map(|last| {
         let name = query.pipeline.as_ref().map_or_else(String::new, |name| format!("&pipeline={name}"));
         format!("?before={}{name}", last.number)
     });
-    let newest = found.first().map_or(0, |run| run.number).unsigned_abs();
-    let title = match (found.is_empty(), &query.pipeline, query.before) {
+    let newest = runs.first().map_or(0, |run| run.number).unsigned_abs();
+    let title = match (runs.is_empty(), &query.pipeline, query.before) {
         (true, None, None) => "No run is stored yet".to_owned(),
         (true, Some(name), None) => format!("No run of {name} is stored"),
         (true, _, Some(_)) => "No older run is stored".to_owned(),
@@ -69,14 +70,15 @@ async fn show(State(app): State<App>, Parameters(query): Parameters<Query>) -> P
         (_, None, None) if newest == 1 => "1 run".to_owned(),
         (_, None, None) => format!("{} runs", count(newest)),
     };
-    let window = query.pipeline.as_ref().map_or_else(|| "Runs".to_owned(), |name| format!("Runs of {name}"));
+    let window_title =
+        query.pipeline.as_ref().map_or_else(|| "Runs".to_owned(), |name| format!("Runs of {name}"));
     let snapshot = app.live_state();
     page(&Runs {
-        shell: Shell::new(&app, &snapshot, "/runs", window),
+        shell: Shell::new(&app, &snapshot, "/runs", window_title),
         title,
-        paged: query.before.is_some(),
+        is_later_page: query.before.is_some(),
         pipeline: query.pipeline,
-        runs: found.iter().map(|run| RunLine::new(run, &snapshot, app.zone)).collect(),
+        runs: runs.iter().map(|run| RunLine::new(run, &snapshot, app.zone)).collect(),
         older,
     })
 }

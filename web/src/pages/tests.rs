@@ -44,8 +44,9 @@ async fn overview_of(
 
 #[tokio::test]
 async fn overview_shows_running_pipeline_without_warnings() {
-    let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
-    let html = overview_of(&shown, vec![incident("connected", "reconnected to rack-a")]).await;
+    let live_state =
+        snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let html = overview_of(&live_state, vec![incident("connected", "reconnected to rack-a")]).await;
     assert!(html.contains(">1 pipeline running</h1>"), "{html}");
     assert!(html.contains("cam-1 → rack-a · zmq-tcp"));
     assert!(html.contains(">upload </tspan>6.3"));
@@ -103,14 +104,14 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
         pipeline(&format!("line-{index:04}"), 5.0, 1.0 + f64::from(index), Verdict::Limited, &[])
     });
     let hosts = (0..2_000).map(|index| host(&format!("cam-{index:04}"), "Orin"));
-    let shown = snapshot(hosts.collect(), pipelines.collect());
-    let html = overview_of(&shown, Vec::new()).await;
+    let live_state = snapshot(hosts.collect(), pipelines.collect());
+    let html = overview_of(&live_state, Vec::new()).await;
     assert_eq!(html.matches("class=\"chart live-chart").count(), 100);
     assert_eq!(html.matches("the first 100 of 2,000").count(), 2);
     assert!(html.contains("2,000 pipelines running") || html.contains("2000 pipelines running"));
 
     let (app, _folder) = samples::app().await;
-    for update in [pipelines::update(&app, &shown), hosts::update(&app, &shown)] {
+    for update in [pipelines::update(&app, &live_state), hosts::update(&app, &live_state)] {
         let parts = update.expect("renders").parts;
         assert!(parts.iter().any(|(_, html)| html.contains("the first 500 of 2,000")), "{parts:?}");
         let tables = parts.iter().map(|(_, html)| html.matches("<tr><th scope=\"row\"").count());
@@ -122,9 +123,9 @@ async fn thousands_of_pipelines_and_hosts_are_cut_off_where_the_page_says() {
 #[tokio::test]
 async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
     let (app, _folder) = samples::app().await;
-    let mut shown = snapshot(Vec::new(), Vec::new());
-    shown.refused.push(refused("its name is taken"));
-    let update = hosts::update(&app, &shown).expect("renders");
+    let mut live_state = snapshot(Vec::new(), Vec::new());
+    live_state.refused.push(refused("its name is taken"));
+    let update = hosts::update(&app, &live_state).expect("renders");
     let (_, html) = &update.parts[0];
     check(html);
     assert!(html.contains("cam-9 at ") && html.contains("its name is taken"), "{html}");
@@ -133,16 +134,16 @@ async fn hosts_that_were_turned_away_stand_on_the_page_of_hosts() {
 #[tokio::test]
 async fn hosts_that_are_known_from_before_are_waited_for() {
     let (app, _folder) = samples::app().await;
-    let mut shown = snapshot(Vec::new(), Vec::new());
-    shown.absent = 2;
-    let html = askama::Template::render(&overview::empty(&app, &shown)).expect("renders");
+    let mut live_state = snapshot(Vec::new(), Vec::new());
+    live_state.absent = 2;
+    let html = askama::Template::render(&overview::empty(&app, &live_state)).expect("renders");
     check(&html);
     assert!(
         html.contains("<h1>Waiting for agents to report</h1>") && html.contains("2 hosts are known"),
         "{html}"
     );
     assert!(!html.contains("make demo"), "{html}");
-    for update in [hosts::update(&app, &shown), pipelines::update(&app, &shown)] {
+    for update in [hosts::update(&app, &live_state), pipelines::update(&app, &live_state)] {
         let (_, html) = &update.expect("renders").parts[0];
         check(html);
         assert!(html.contains(">Waiting for agents to report</h1>"), "{html}");
@@ -180,8 +181,8 @@ async fn bars_quantiles_and_whiskers_are_of_one_window() {
 async fn gaps_stay_gaps() {
     let (app, _folder) = samples::app().await;
     let gap: Vec<i64> = (20..50).collect();
-    let shown = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
-    let page = overview::overview(&app, &shown, Ok(Vec::new())).expect("assembles");
+    let live_state = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &gap)]);
+    let page = overview::overview(&app, &live_state, Ok(Vec::new())).expect("assembles");
     let html = askama::Template::render(&page).expect("renders");
     let data =
         html.split("id=\"data\">").nth(1).and_then(|rest| rest.split("</script>").next()).expect("a block");
@@ -220,9 +221,9 @@ async fn hostile_texts_are_escaped_everywhere() {
     remote.windows[1].values.insert(0, (Name::from(HOSTILE), figures(0.1, 300)));
     let mut failed = pipeline("failed", 30.0, 1.0, Verdict::Ok, &[]);
     failed.state = PipelineState::Failed(HOSTILE.into());
-    let mut shown = snapshot(vec![host("cam-1", HOSTILE)], vec![remote, failed]);
-    shown.refused.push(refused(HOSTILE));
-    let html = overview_of(&shown, vec![incident(HOSTILE, HOSTILE)]).await;
+    let mut live_state = snapshot(vec![host("cam-1", HOSTILE)], vec![remote, failed]);
+    live_state.refused.push(refused(HOSTILE));
+    let html = overview_of(&live_state, vec![incident(HOSTILE, HOSTILE)]).await;
     assert!(html.contains("&#60;b&#62;"), "{html}");
 
     let (app, _folder) = samples::app().await;
@@ -231,15 +232,15 @@ async fn hostile_texts_are_escaped_everywhere() {
     hostile.live.probing = peernet_stream::Probing::Off(HOSTILE.into());
     hostile.live.edge =
         hostile.live.edge.map(|clock| peernet_stream::HostClock { text: HOSTILE.into(), ..clock });
-    shown.links.push(std::sync::Arc::new(hostile));
+    live_state.links.push(std::sync::Arc::new(hostile));
     for update in [
-        pipelines::update(&app, &shown),
-        hosts::update(&app, &shown),
-        links::update(&app, &shown),
-        link::update(&app, &shown, "cam-1~rack-a/10min/removed").await,
-        host::update(&app, &shown, "cam-1"),
-        pipeline::update(&app, &shown, "cam-1/line/10"),
-        pipeline::update(&app, &shown, "cam-1/failed/60"),
+        pipelines::update(&app, &live_state),
+        hosts::update(&app, &live_state),
+        links::update(&app, &live_state),
+        link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await,
+        host::update(&app, &live_state, "cam-1"),
+        pipeline::update(&app, &live_state, "cam-1/line/10"),
+        pipeline::update(&app, &live_state, "cam-1/failed/60"),
     ] {
         update.expect("renders").parts.iter().for_each(|(_, html)| check(html));
     }
@@ -269,14 +270,14 @@ async fn host_that_said_goodbye_is_no_problem() {
     (left.connected, left.has_left) = (false, true);
     let mut ended = pipeline("line", 0.0, 1.0, Verdict::Ok, &[]);
     ended.state = PipelineState::Finished;
-    let shown = snapshot(vec![left], vec![ended]);
-    let html = overview_of(&shown, Vec::new()).await;
+    let live_state = snapshot(vec![left], vec![ended]);
+    let html = overview_of(&live_state, Vec::new()).await;
     assert!(!html.contains("to look at") && !html.contains("has not reported"), "{html}");
     let (app, _folder) = samples::app().await;
     let hosts: String =
-        hosts::update(&app, &shown).expect("renders").parts.into_iter().map(|(_, html)| html).collect();
+        hosts::update(&app, &live_state).expect("renders").parts.into_iter().map(|(_, html)| html).collect();
     assert!(hosts.contains("dot quiet") && !hosts.contains("dot bad"), "{hosts}");
-    let one = host::update(&app, &shown, "cam-1").expect("renders");
+    let one = host::update(&app, &live_state, "cam-1").expect("renders");
     let one: String = one.parts.into_iter().map(|(_, html)| html).collect();
     assert!(one.contains("cam-1 disconnected at 12:01:07"), "{one}");
 }
@@ -284,8 +285,8 @@ async fn host_that_said_goodbye_is_no_problem() {
 #[tokio::test]
 async fn unreadable_incidents_fail_only_their_panel() {
     let (app, _folder) = samples::app().await;
-    let shown = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
-    let page = overview::overview(&app, &shown, Err("abc123".into())).expect("assembles");
+    let live_state = snapshot(Vec::new(), vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let page = overview::overview(&app, &live_state, Err("abc123".into())).expect("assembles");
     let html = askama::Template::render(&page).expect("renders");
     check(&html);
     assert!(html.contains("The incidents could not be read") && html.contains("abc123"), "{html}");
@@ -312,17 +313,17 @@ async fn pipeline_that_only_senses_shows_no_model() {
 #[tokio::test]
 async fn accuracy_is_shown_for_labelled_samples() {
     let (app, _folder) = samples::app().await;
-    let mut shown =
+    let mut live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
-    let html = |shown: &peernet_aggregator::LiveState| {
-        let update = pipeline::update(&app, shown, "cam-1/line/10").expect("renders");
+    let html = |live_state: &peernet_aggregator::LiveState| {
+        let update = pipeline::update(&app, live_state, "cam-1/line/10").expect("renders");
         update.parts.into_iter().map(|(_, html)| html).collect::<String>()
     };
-    assert!(!html(&shown).contains("accuracy"), "no label, no accuracy");
-    for window in &mut std::sync::Arc::make_mut(&mut shown.pipelines[0]).windows {
+    assert!(!html(&live_state).contains("accuracy"), "no label, no accuracy");
+    for window in &mut std::sync::Arc::make_mut(&mut live_state.pipelines[0]).windows {
         window.values.push((Name::from("top-1"), figures(0.875, 300)));
     }
-    let html = html(&shown);
+    let html = html(&live_state);
     check(&html);
     assert!(html.contains("how often the model was right") && html.contains("87.5"), "{html}");
 }
@@ -336,9 +337,9 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
         steps: Vec::new(),
         since,
     };
-    let mut shown = linked(Some(0.00065), Verdict::Ok);
-    std::sync::Arc::make_mut(&mut shown.hosts[0]).clock.faults = Some(clock_fault);
-    let html = overview_of(&shown, Vec::new()).await;
+    let mut live_state = linked(Some(0.00065), Verdict::Ok);
+    std::sync::Arc::make_mut(&mut live_state.hosts[0]).clock.faults = Some(clock_fault);
+    let html = overview_of(&live_state, Vec::new()).await;
     assert!(
         html.contains(
             "Clock fault injection: cam-1&#39;s clock is made wrong on purpose (+1,000\u{202f}ms, +50\u{202f}ppm)."
@@ -347,25 +348,26 @@ async fn clock_fault_is_shown_on_every_page_it_concerns() {
     );
     let (app, _folder) = samples::app().await;
     for update in [
-        pipeline::update(&app, &shown, "cam-1/line/10"),
-        host::update(&app, &shown, "cam-1"),
-        hosts::update(&app, &shown),
-        links::update(&app, &shown),
-        link::update(&app, &shown, "cam-1~rack-a/10min/removed").await,
+        pipeline::update(&app, &live_state, "cam-1/line/10"),
+        host::update(&app, &live_state, "cam-1"),
+        hosts::update(&app, &live_state),
+        links::update(&app, &live_state),
+        link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await,
     ] {
         let html: String = update.expect("renders").parts.into_iter().map(|(_, html)| html).collect();
         assert!(html.contains("#i-clock-fault"), "{html}");
     }
-    std::sync::Arc::make_mut(&mut shown.hosts[0]).connected = false;
-    let html = overview_of(&shown, Vec::new()).await;
+    std::sync::Arc::make_mut(&mut live_state.hosts[0]).connected = false;
+    let html = overview_of(&live_state, Vec::new()).await;
     assert!(!html.contains("made wrong on purpose"), "{html}");
 }
 
 #[tokio::test]
 async fn update_of_live_page_has_only_its_parts() {
     let (app, _folder) = samples::app().await;
-    let shown = snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
-    let update = overview::update(&app, &shown).await.expect("renders");
+    let live_state =
+        snapshot(vec![host("cam-1", "Orin")], vec![pipeline("line", 30.0, 1.0, Verdict::Ok, &[])]);
+    let update = overview::update(&app, &live_state).await.expect("renders");
     let parts: Vec<&str> = update.parts.iter().map(|(id, _)| *id).collect();
     assert_eq!(parts, ["health", "now", "nowtable", "hosts", "incidents"]);
     assert_eq!(update.layout, "cam-1/line");
@@ -374,13 +376,13 @@ async fn update_of_live_page_has_only_its_parts() {
         assert!(!html.contains("<html"), "{id} is a whole page");
     }
     for update in [
-        pipelines::update(&app, &shown),
-        hosts::update(&app, &shown),
-        host::update(&app, &shown, "cam-1"),
-        pipeline::update(&app, &shown, "cam-1/line/10"),
+        pipelines::update(&app, &live_state),
+        hosts::update(&app, &live_state),
+        host::update(&app, &live_state, "cam-1"),
+        pipeline::update(&app, &live_state, "cam-1/line/10"),
     ] {
         assert!(update.expect("renders").parts.iter().all(|(_, html)| !html.trim().is_empty()));
     }
-    assert!(pipeline::update(&app, &shown, "cam-1/other/10").is_err());
-    assert!(pipeline::update(&app, &shown, "cam-1/line/7").is_err());
+    assert!(pipeline::update(&app, &live_state, "cam-1/other/10").is_err());
+    assert!(pipeline::update(&app, &live_state, "cam-1/line/7").is_err());
 }

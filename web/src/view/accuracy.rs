@@ -4,7 +4,7 @@ use peernet_analysis::accuracy::Accuracy;
 use peernet_statistics::number::{SPACE, share};
 use peernet_store::QuantityStatistics;
 
-/// Returns the accuracy that the figures of a score tell.
+/// Returns the accuracy from the statistics of scores that are 0 or 1.
 pub(crate) fn of(scores: &QuantityStatistics) -> Option<Accuracy> {
     Accuracy::from_mean(scores.mean, scores.count, scores.count)
 }

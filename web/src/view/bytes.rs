@@ -33,28 +33,32 @@ fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
     detail.tree.nodes().iter().find(|node| node.name == *name).and_then(|node| node.measure.value())
 }
 
-fn median<'a>(figures: &'a [(Name, QuantityStatistics)], name: &str) -> Option<&'a QuantityStatistics> {
-    figures.iter().find(|(known, _)| known == name).map(|(_, figures)| figures)
+fn run_statistics<'a>(
+    figures: &'a [(Name, QuantityStatistics)],
+    name: &str,
+) -> Option<&'a QuantityStatistics> {
+    figures.iter().find(|(node, _)| node == name).map(|(_, figures)| figures)
 }
 
 impl ByteRow {
-    /// Returns both directions, for an iteration that was sent anywhere.
+    /// Returns a row for each direction in which a payload was sent.
     pub(crate) fn both(detail: &IterationDetail) -> Vec<Self> {
         let rows = [
             ("upload", "upload-bytes", "upload-logger-bytes", "upload-throughput"),
             ("download", "download-bytes", "download-logger-bytes", "download-throughput"),
         ];
-        let known = rows.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
-        let shown = known.map(|(name, payload, metadata, speed)| {
+        let measured_rows = rows.into_iter().filter(|(_, payload, ..)| value(detail, payload).is_some());
+        let byte_rows = measured_rows.map(|(name, payload, metadata, speed)| {
             let size = |name: &str| {
                 value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
             let (throughput, title) = speed_of(detail, speed, name);
-            let usual =
-                median(&detail.run_figures, speed).map(|figures| figures.p50).filter(|usual| *usual > 0.0);
-            // A ratio of a throughput that is known only as an interval would look exact.
-            let ratio = value(detail, speed).zip(usual).filter(|_| title.is_empty());
-            let ratio = ratio.map(|(now, usual)| times(now / usual));
+            let run_median = run_statistics(&detail.run_figures, speed)
+                .map(|figures| figures.p50)
+                .filter(|median| *median > 0.0);
+            // `title` is empty if the throughput is a single value. The ratio of an interval to the median would look exact, so it is left out.
+            let ratio = value(detail, speed).zip(run_median).filter(|_| title.is_empty());
+            let ratio = ratio.map(|(value, median)| times(value / median));
             Self {
                 name,
                 payload: size(payload),
@@ -64,11 +68,12 @@ impl ByteRow {
                 against_median: ratio.unwrap_or_else(|| NONE.to_owned()),
             }
         });
-        shown.collect()
+        byte_rows.collect()
     }
 }
 
-/// Returns a throughput; over a delay that is known only within a wide bound its interval, never one figure.
+/// Returns a throughput, and the reason if it is missing or an interval. If the verdict of the delay is `limited`, the throughput is its
+/// interval and never a single value.
 fn speed_of(detail: &IterationDetail, name: &str, delay: &str) -> (String, &'static str) {
     let node =
         |name: &str| detail.tree.nodes().iter().find(|node| node.name == *name).map(|node| &node.measure);
@@ -110,22 +115,22 @@ impl OtherMeasurement {
                 kind: node.measure.kind().to_string(),
                 value: text(node.measure.value()),
                 unit,
-                median: text(median(&detail.run_figures, &node.name).map(|figures| figures.p50)),
+                median: text(run_statistics(&detail.run_figures, &node.name).map(|figures| figures.p50)),
             }
         });
         rows.collect()
     }
 }
 
-/// Returns a node's names from below the root, as `inference / tokens`.
-fn path(detail: &IterationDetail, of: NodeId) -> String {
+/// Returns the names of a node's ancestors below the root and its own name, such as `inference / tokens`.
+fn path(detail: &IterationDetail, node_id: NodeId) -> String {
     let mut names = Vec::new();
-    let mut at = Some(of);
-    while let Some(node) = at.and_then(|id| detail.tree.get(id)) {
+    let mut current = Some(node_id);
+    while let Some(node) = current.and_then(|id| detail.tree.get(id)) {
         if node.parent.is_some() {
             names.push(node.name.to_string());
         }
-        at = node.parent;
+        current = node.parent;
     }
     names.reverse();
     names.join(&format!("{SPACE}/ "))

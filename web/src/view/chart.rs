@@ -1,4 +1,4 @@
-//! The last minutes of a pipeline: data for its chart, and the same as a table.
+//! The last minutes of a pipeline: data for its chart, and a table with means per minute.
 
 use std::collections::BTreeMap;
 
@@ -27,7 +27,7 @@ pub(crate) type Obstacles = [Option<&'static str>; 2];
 pub(crate) struct Mark {
     /// Unix time, milliseconds.
     pub at: i64,
-    /// Name of its sign.
+    /// Name of the icon.
     pub sign: &'static str,
     /// Reporting host; the mark is drawn in the charts of this host.
     pub host: String,
@@ -138,7 +138,7 @@ fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedN
 }
 
 fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
-    second.means.iter().find(|(known, _)| known == name).map(|(_, mean)| *mean)
+    second.means.iter().find(|(node, _)| node == name).map(|(_, mean)| *mean)
 }
 
 impl ChartCard {
@@ -196,13 +196,15 @@ impl ChartData {
             host,
         };
         for second in series {
-            let Some(at) = usize::try_from(second.at - from).ok().filter(|at| *at < length) else { continue };
-            data.n[at] = Some(second.counts.ok);
-            data.transfers.up[at] = timed_transfer(second.transfers.up);
-            data.transfers.down[at] = timed_transfer(second.transfers.down);
+            let Some(index) = usize::try_from(second.at - from).ok().filter(|index| *index < length) else {
+                continue;
+            };
+            data.n[index] = Some(second.counts.ok);
+            data.transfers.up[index] = timed_transfer(second.transfers.up);
+            data.transfers.down[index] = timed_transfer(second.transfers.down);
             for name in drawn_names() {
                 if let Some(value) = mean(second, name) {
-                    data.means.entry(name).or_insert_with(|| vec![RoundedNumber(None); length])[at] =
+                    data.means.entry(name).or_insert_with(|| vec![RoundedNumber(None); length])[index] =
                         RoundedNumber(Some(value * 1e3));
                 }
             }
@@ -210,13 +212,13 @@ impl ChartData {
         if !data.remote
             && let Some(host) = snapshot.hosts.iter().find(|host| host.id == pipeline.host)
         {
-            let points = |of: fn(&peernet_stream::HostMetrics) -> Option<f64>| {
-                let shown = host.history.iter().filter(|point| of(&point.metrics).is_some());
-                shown
+            let points = |share_of: fn(&peernet_stream::HostMetrics) -> Option<f64>| {
+                let measured = host.history.iter().filter(|point| share_of(&point.metrics).is_some());
+                measured
                     .map(|point| {
                         (
                             point.at.unix_seconds(),
-                            RoundedNumber(of(&point.metrics).map(|share| share * 100.0)),
+                            RoundedNumber(share_of(&point.metrics).map(|share| share * 100.0)),
                         )
                     })
                     .collect()
@@ -236,10 +238,10 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
     }
     let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
         let average = |name: &str| {
-            let known =
+            let weighted_means =
                 seconds.iter().filter_map(|second| Some((mean(second, name)?, second.counts.ok as f64)));
-            let (sum, weight) =
-                known.fold((0.0, 0.0), |(sum, all), (mean, weight)| (sum + mean * weight, all + weight));
+            let (sum, weight) = weighted_means
+                .fold((0.0, 0.0), |(sum, all), (mean, weight)| (sum + mean * weight, all + weight));
             if weight > 0.0 { stage_ms(sum / weight) } else { NONE.to_owned() }
         };
         Minute {

@@ -47,21 +47,21 @@ impl FaultyClocks {
     /// Collects the clock faults of the hosts in the live state.
     pub(crate) fn of(snapshot: &LiveState) -> Self {
         let connected = snapshot.hosts.iter().filter(|host| host.connected);
-        let told = connected
+        let own_faults = connected
             .filter_map(|host| Some((host.description.name.to_string(), words(host.clock.faults.as_ref()?))));
-        // A cloud may report to another aggregator: its edges report its clock.
+        // A cloud may report to another aggregator. In that case its edges report the fault of its clock.
         let links = snapshot.links.iter().filter(|link| link.connected);
-        let heard = links.filter_map(|link| {
+        let faults_reported_by_edges = links.filter_map(|link| {
             Some((link.live.peer_name.to_string(), words(link.live.cloud.as_ref()?.faults.as_ref()?)))
         });
-        Self(heard.chain(told).collect())
+        Self(faults_reported_by_edges.chain(own_faults).collect())
     }
 
     /// Returns the sentences of the banner on every page, one per host.
     pub(crate) fn banner(&self) -> Vec<String> {
-        let sentence = |(name, how): (&String, &String)| {
+        let sentence = |(name, fault): (&String, &String)| {
             format!(
-                "Clock fault injection: {name}'s clock is made wrong on purpose ({how}). Its delays should not move."
+                "Clock fault injection: {name}'s clock is made wrong on purpose ({fault}). Its measured delays should stay the same."
             )
         };
         self.0.iter().map(sentence).collect()

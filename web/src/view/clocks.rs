@@ -12,11 +12,11 @@ use super::chip::Chip;
 pub(crate) struct ClockCell {
     /// Bound, such as `±0.65`; `None` without a one-way delay or without a known bound.
     pub bound: Option<String>,
-    /// The worse of the two directions' prevailing verdicts.
+    /// Prevailing verdict of the direction whose verdict is worse.
     pub chip: Option<Chip>,
-    /// Text that is shown if there is no bound.
+    /// Text that replaces the bound; empty if there is a bound or a verdict.
     pub words: &'static str,
-    /// Explanation of the words.
+    /// Explanation of the cell.
     pub title: &'static str,
 }
 

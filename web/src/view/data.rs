@@ -12,18 +12,18 @@ impl JsonBlock {
     /// Returns the JSON form of a value.
     pub(crate) fn new(value: &impl Serialize) -> Result<Self, serde_json::Error> {
         let text = serde_json::to_string(value)?;
-        let mut safe = String::with_capacity(text.len());
+        let mut escaped = String::with_capacity(text.len());
         for character in text.chars() {
             match character {
-                '<' => safe.push_str("\\u003c"),
-                '>' => safe.push_str("\\u003e"),
-                '&' => safe.push_str("\\u0026"),
-                '\u{2028}' => safe.push_str("\\u2028"),
-                '\u{2029}' => safe.push_str("\\u2029"),
-                other => safe.push(other),
+                '<' => escaped.push_str("\\u003c"),
+                '>' => escaped.push_str("\\u003e"),
+                '&' => escaped.push_str("\\u0026"),
+                '\u{2028}' => escaped.push_str("\\u2028"),
+                '\u{2029}' => escaped.push_str("\\u2029"),
+                other => escaped.push(other),
             }
         }
-        Ok(Self(safe))
+        Ok(Self(escaped))
     }
 }
 
@@ -57,8 +57,8 @@ mod tests {
         let block =
             JsonBlock::new(&["</script><script>alert(1)</script>", "a & b"]).expect("serialises").to_string();
         assert!(!block.contains('<') && !block.contains('&'), "{block}");
-        let back: Vec<String> = serde_json::from_str(&block).expect("still JSON");
-        assert_eq!(back[1], "a & b");
+        let values: Vec<String> = serde_json::from_str(&block).expect("still JSON");
+        assert_eq!(values[1], "a & b");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Account of a host's events, from measuring to the database, in figures that add up.
+//! Counts of a host's events on their way from the measurement to the database. The counts add up.
 
 use std::cmp::Reverse;
 
@@ -14,11 +14,11 @@ use super::counted;
 use crate::picture::Picture;
 use crate::zone::Zone;
 
-/// Delay of storing behind measuring from which on a note is shown.
+/// Lag of storage behind measurement above which a note is shown.
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
 /// Fill level above which a spool is reported as nearly full.
 const NEARLY_FULL: f64 = 0.95;
-/// Reasons why events are lost. The gaps name the actual reason.
+/// Possible reasons why events were lost. The gaps of a run name the actual reason.
 const LOST: &str = "dropped because the agent's spool was full, or lost when the agent was killed";
 /// Explanation of compression: the agent compresses when batches wait, for any reason.
 const COMPRESSED: &str = "batches wait for the link or the aggregator";
@@ -41,23 +41,23 @@ impl Remark {
 pub(crate) struct Step {
     pub name: &'static str,
     pub number: String,
-    /// Note below the number, mostly the events of the previous step that have not reached this one.
+    /// Note below the number. For all steps but the first, the number of events that have not reached this step yet.
     pub about: String,
 }
 
-/// The agent's account.
+/// Counts of the agent, as its page shows them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Events {
     pub remarks: Vec<Remark>,
-    /// Produced, spooled, sent, acknowledged.
+    /// The steps produced, spooled, sent and acknowledged.
     pub flow: Vec<Step>,
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Reason why some are lost; `None` when none is.
+    /// Reason why events were lost; `None` if no event was lost.
     pub lost: Option<&'static str>,
     pub spool: Spool,
-    /// Delay of storing with its unit, and an explanation.
+    /// Lag of storage with its unit, and an explanation.
     pub behind: (String, String),
 }
 
@@ -96,10 +96,10 @@ impl Events {
         let name = host.description.name.as_str();
         let in_memory = account.produced.saturating_sub(account.dropped).saturating_sub(account.spooled);
         let unsent = account.spooled.saturating_sub(account.sent);
-        let under_way = account.sent.saturating_sub(account.stored);
+        let unacknowledged = account.sent.saturating_sub(account.stored);
         let memory = match account.memory_bytes {
             0 => format!("{} in memory", count(in_memory)),
-            held => format!("{} in memory, {}", count(in_memory), bytes(held as f64)),
+            size => format!("{} in memory, {}", count(in_memory), bytes(size as f64)),
         };
         let step = |name, number, about| Step { name, number: count(number), about };
         Self {
@@ -108,17 +108,17 @@ impl Events {
                 step("Produced", account.produced, "since the spool was made".to_owned()),
                 step("Spooled", account.spooled, memory),
                 step("Sent", account.sent, format!("{} not yet", count(unsent))),
-                step("Acknowledged", account.stored, format!("{} under way", count(under_way))),
+                step("Acknowledged", account.stored, format!("{} under way", count(unacknowledged))),
             ],
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: counted(usize::try_from(account.gaps).unwrap_or(usize::MAX), "gap", "gaps"),
-            lost: lost(account),
+            lost: loss_reasons(account),
             spool: Spool::of(name, account),
             behind: (
                 host.behind.map_or_else(|| format!("0{SPACE}s"), |behind| length(behind.seconds())),
                 match host.catching_up {
-                    Some(found) => format!("about {} left", roughly(found.remaining.seconds())),
+                    Some(progress) => format!("about {} left", roughly(progress.remaining.seconds())),
                     None if account.waiting == 0 => "nothing waits".to_owned(),
                     None => format!("{} wait", counted_events(account.waiting)),
                 },
@@ -127,13 +127,13 @@ impl Events {
     }
 }
 
-/// Returns the reason why events are lost; `None` when none is.
-fn lost(account: &Accounting) -> Option<&'static str> {
+/// Returns the possible reasons why events were lost; `None` if no event was lost.
+fn loss_reasons(account: &Accounting) -> Option<&'static str> {
     (account.dropped > 0).then_some(LOST)
 }
 
-fn counted_events(many: u64) -> String {
-    counted(usize::try_from(many).unwrap_or(usize::MAX), "event", "events")
+fn counted_events(number: u64) -> String {
+    counted(usize::try_from(number).unwrap_or(usize::MAX), "event", "events")
 }
 
 fn remarks(host: &HostSnapshot) -> Vec<Remark> {
@@ -143,9 +143,9 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
         let text = format!("the spool cannot be used: {trouble}. Events wait in memory, which holds fewer.");
         remarks.push(Remark::new(Tone::Bad, "failed", "spool fails", text));
     }
-    let full = account.spool_limit_bytes as f64 * NEARLY_FULL;
-    if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= full {
-        // Events are dropped when their batch does not fit, which may be somewhat below the limit.
+    let warned_bytes = account.spool_limit_bytes as f64 * NEARLY_FULL;
+    if account.spool_limit_bytes > 0 && account.spool_bytes as f64 >= warned_bytes {
+        // Events are dropped when their batch does not fit. A spool can therefore be full slightly below its limit.
         let (tone, word) = if account.spool_bytes >= account.spool_limit_bytes {
             (Tone::Bad, "spool full")
         } else {
@@ -160,8 +160,9 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
         let behind = length(behind.seconds());
         remarks.push(match host.catching_up {
-            Some(found) => {
-                let (left, rate) = (roughly(found.remaining.seconds()), figure(found.events_per_second));
+            Some(progress) => {
+                let (left, rate) =
+                    (roughly(progress.remaining.seconds()), figure(progress.events_per_second));
                 let text = format!(
                     "{behind} behind, about {left} left at {rate} events/s. Live figures are not affected."
                 );
@@ -173,7 +174,7 @@ fn remarks(host: &HostSnapshot) -> Vec<Remark> {
             }
         });
     }
-    if let Some(why) = lost(account) {
+    if let Some(why) = loss_reasons(account) {
         let text = format!("{} {why}; the gaps say which.", counted_events(account.dropped));
         remarks.push(Remark::new(Tone::Warn, "gap", "lost", text));
     }
@@ -188,7 +189,7 @@ pub(crate) fn worst(host: &HostSnapshot) -> Option<Remark> {
     remarks(host).into_iter().min_by_key(|remark| Reverse(remark.chip.tone))
 }
 
-/// Returns the aggregator's account, as pairs.
+/// Returns the aggregator's counts of a host's data, as pairs of name and text.
 pub(crate) fn stored(
     stored: &StoredCounts,
     arrivals: Option<&Arrivals>,
@@ -214,7 +215,7 @@ pub(crate) fn stored(
     pairs
 }
 
-/// Event account of one host as a row of a table; figures are without their unit, which the header shows.
+/// Event counts of one host as a row of a table. The texts have no units, because the header of the table shows them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct EventLine {
     pub name: String,
@@ -225,7 +226,7 @@ pub(crate) struct EventLine {
     pub waiting: String,
     pub dropped: String,
     pub gaps: String,
-    /// Reason why some are lost; `None` when none is.
+    /// Reason why events were lost; `None` if no event was lost.
     pub lost: Option<&'static str>,
     pub spool: Spool,
     pub behind: String,
@@ -245,7 +246,7 @@ impl EventLine {
             waiting: count(account.waiting),
             dropped: count(account.dropped),
             gaps: count(account.gaps),
-            lost: lost(account),
+            lost: loss_reasons(account),
             spool: Spool::of(&name, account),
             behind: host.behind.map_or_else(|| "0".to_owned(), |behind| fixed(behind.seconds(), 1)),
             remark: worst(host),
@@ -268,15 +269,15 @@ mod tests {
     }
 
     #[test]
-    fn each_step_says_what_is_not_there_yet_and_the_sum_is_what_waits() {
+    fn missing_events_of_steps_add_up_to_waiting_events() {
         let host = host();
         let account = &host.accounting;
         assert_eq!(account.produced, account.stored + account.waiting + account.dropped);
         let events = Events::of(&host);
-        let told: Vec<(&str, &str)> =
+        let steps: Vec<(&str, &str)> =
             events.flow.iter().map(|step| (step.number.as_str(), step.about.as_str())).collect();
         assert_eq!(
-            told,
+            steps,
             [
                 ("1,204,500", "since the spool was made"),
                 ("1,204,370", "80 in memory, 21.2\u{202f}kB"),
@@ -292,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn catching_up_is_said_in_words_and_with_its_rate() {
+    fn catching_up_remark_has_remaining_time_and_rate() {
         let mut host = host();
         host.accounting.dropped = 0;
         host.behind = Some(Span::from_seconds(11_520));
@@ -317,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_the_spool_comes_first() {
+    fn remarks_about_spool_come_first() {
         let mut host = host();
         host.accounting.trouble = Some("no space left on device".into());
         host.accounting.spool_bytes = host.accounting.spool_limit_bytes;
@@ -354,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn an_agent_that_has_not_told_yet_has_no_spool() {
+    fn spool_without_report_is_not_known_yet() {
         let spool = Events::of(&samples::host("cam-1", "Orin")).spool;
         assert_eq!((spool.percent.as_str(), spool.words.as_str()), ("—", "not known yet"));
     }

@@ -14,7 +14,7 @@ use super::{link, place, startup, warnings};
 use crate::config::WarnConfig;
 use crate::zone::Zone;
 
-/// Maximum number of notes shown; further notes are counted.
+/// Maximum number of notes that are shown. Of further notes only the number is shown.
 const MAX_NOTES: usize = 5;
 /// Share of lost iterations above which a note is shown.
 const MIN_WARNED_LOSS: f64 = 0.001;
@@ -24,12 +24,12 @@ const MIN_WARNED_LOSS: f64 = 0.001;
 pub(crate) struct Health {
     pub title: String,
     /// The title in the past tense, for when the connection is lost.
-    pub past: String,
+    pub past_title: String,
     /// `true` if known agents may still reconnect after a restart of the aggregator.
     pub starting: bool,
     pub notes: Vec<Note>,
     /// Number of notes that are not shown.
-    pub more: usize,
+    pub hidden_notes: usize,
 }
 
 impl Health {
@@ -45,7 +45,7 @@ impl Health {
         }));
         notes.extend(snapshot.hosts.iter().flat_map(|host| host_notes(host, snapshot.at, zone, warn)));
         notes.extend(snapshot.pipelines.iter().flat_map(|pipeline| pipeline_notes(pipeline, snapshot, warn)));
-        // The worst first; the sort is stable, so that notes of one kind stay in order.
+        // The most severe notes come first. The sort is stable, so notes of the same severity keep their order.
         notes.sort_by_key(|note| std::cmp::Reverse(note.chip.tone));
 
         let running = snapshot.pipelines.iter().filter(|one| one.state == PipelineState::Running).count();
@@ -54,7 +54,7 @@ impl Health {
             1 => "1 pipeline".to_owned(),
             many => format!("{many} pipelines"),
         };
-        let (is, was) = if running > 1 {
+        let (present_verb, past_verb) = if running > 1 {
             ("", "were ")
         } else if running == 1 {
             ("", "was ")
@@ -66,22 +66,22 @@ impl Health {
             many => format!(", {many} to look at"),
         };
         let starting = startup::is_waiting_for_agents(snapshot, since);
-        let more = notes.len().saturating_sub(MAX_NOTES);
+        let hidden_notes = notes.len().saturating_sub(MAX_NOTES);
         notes.truncate(MAX_NOTES);
         Self {
             title: if starting {
                 format!("{}{rest}", startup::WAITING)
             } else {
-                format!("{subject} {is}running{rest}")
+                format!("{subject} {present_verb}running{rest}")
             },
-            past: if starting {
+            past_title: if starting {
                 "No agent had reported".to_owned()
             } else {
-                format!("{subject} {was}running")
+                format!("{subject} {past_verb}running")
             },
             starting,
             notes,
-            more,
+            hidden_notes,
         }
     }
 }
@@ -108,9 +108,9 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
         notes.push(note(Chip::new(Tone::Warn, "gap", "gap"), text));
     }
     if let Some(behind) = host.behind.filter(|behind| *behind > FAR_BEHIND) {
-        let left = host
-            .catching_up
-            .map_or_else(String::new, |found| format!(", about {} left", roughly(found.remaining.seconds())));
+        let left = host.catching_up.map_or_else(String::new, |progress| {
+            format!(", about {} left", roughly(progress.remaining.seconds()))
+        });
         let text = format!(
             "stores {} behind measuring{left}, {} events wait there. Live figures are not affected.",
             length(behind.seconds()),

@@ -9,33 +9,34 @@ use peernet_store::Histogram;
 use super::units::shown_in;
 use crate::picture::Picture;
 
-/// Width of the plot on the narrowest of phones, in the type size of its labels.
-const NARROWEST: f64 = 19.6;
+/// Width of the plot on the narrowest phones, in ems of its labels.
+const NARROWEST_EMS: f64 = 19.6;
 
 /// Draws a distribution with lines at its quantiles.
-pub(crate) fn histogram(known: &Histogram, view: View, is_logarithmic: bool) -> Picture {
-    let (symbol, per_si) = shown_in(&known.unit);
-    let end = known.edges.last().copied().unwrap_or_default();
-    let figures = &known.figures;
+pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
+    let (symbol, per_si) = shown_in(&stored.unit);
+    let end = stored.edges.last().copied().unwrap_or_default();
+    let figures = &stored.figures;
     let quantiles = [("median", Some(figures.p50)), ("p95", figures.p95), ("p99", figures.p99)];
     let quantiles: Vec<(&str, f64)> = quantiles
         .into_iter()
         .filter_map(|(name, value)| Some((name, value?)))
         .filter(|(_, value)| *value <= end)
         .collect();
-    let said =
+    let quantile_texts =
         quantiles.iter().map(|(name, value)| format!("{name} {}{SPACE}{symbol}", figure(value * per_si)));
-    let label = format!("Distribution of {}: {}", known.stage, said.collect::<Vec<_>>().join(", "));
+    let label =
+        format!("Distribution of {}: {}", stored.stage, quantile_texts.collect::<Vec<_>>().join(", "));
     let distribution = Distribution {
-        edges: known.edges.clone(),
-        counts: known.counts.clone(),
-        beyond: (0, known.beyond),
+        edges: stored.edges.clone(),
+        counts: stored.counts.clone(),
+        beyond: (0, stored.beyond),
         quantiles,
         unit: Unit::symbol(&symbol, per_si),
-        stage: stage(known.stage.trim_end_matches("-throughput")),
+        stage: stage(stored.stage.trim_end_matches("-throughput")),
         view,
         is_logarithmic,
-        ems: NARROWEST,
+        ems: NARROWEST_EMS,
     };
     Picture::of_plot(&distribution.plot(), "histogram", &label)
 }

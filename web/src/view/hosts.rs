@@ -13,16 +13,16 @@ use super::link::panels::discipline;
 use crate::picture::Picture;
 use crate::zone::{Zone, ZonedTime};
 
-/// Current state of one host. Texts are figures without their unit, which the header shows.
+/// Current state of one host. The texts have no units, because the header of the table shows them.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct HostLine {
     pub name: String,
     pub tone: Tone,
-    /// The reason of that tone, where there is one.
+    /// Reason for the tone; `None` if there is nothing to remark.
     pub remark: Option<Remark>,
-    /// `last seen 14:09:12`, for a host that does not report.
+    /// Time of the last report, for a host that does not report now.
     pub away: Option<ZonedTime>,
-    /// Accelerator of the host, or its processor where it has none.
+    /// Accelerator of the host, or its processor if it has no accelerator.
     pub kind: String,
     pub cpu: String,
     pub cpu_spark: Picture,
@@ -42,15 +42,15 @@ pub(crate) struct HostLine {
 /// A host whose connection was refused.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct RefusedLine {
-    /// Name that it sent, with its address where it is known.
+    /// Name that the host sent, with its address if the address is known.
     pub who: String,
     pub why: String,
     pub at: ZonedTime,
 }
 
 impl RefusedLine {
-    pub(crate) fn all(picture: &LiveState, zone: Zone) -> Vec<Self> {
-        let lines = picture.refused.iter().map(|one| Self {
+    pub(crate) fn all(snapshot: &LiveState, zone: Zone) -> Vec<Self> {
+        let lines = snapshot.refused.iter().map(|one| Self {
             who: match &one.address {
                 Some(address) => format!("{} ({address})", one.name),
                 None => one.name.to_string(),
@@ -62,28 +62,28 @@ impl RefusedLine {
     }
 }
 
-/// The points of the sparklines: ten minutes at five seconds.
+/// Number of points of a sparkline: one every five seconds for ten minutes.
 const POINTS: usize = 120;
-const POINT_EVERY_S: f64 = 5.0;
-/// Time between two points from which on the host counts as absent.
-const SILENT: Span = Span::from_seconds(15);
+const POINT_INTERVAL_S: f64 = 5.0;
+/// Time between two points above which the host counts as absent between them.
+const MIN_ABSENCE: Span = Span::from_seconds(15);
 
 fn history(
     points: &[std::sync::Arc<MetricsPoint>],
-    of: impl Fn(&HostMetrics) -> Option<f64>,
+    share_of: impl Fn(&HostMetrics) -> Option<f64>,
 ) -> Vec<Option<f64>> {
-    // Younger than ten minutes: the line begins at the right, where it will end up.
+    // With less than ten minutes of points, the missing older points are filled with gaps. The newest point is always at the right end.
     let mut newest_first = Vec::with_capacity(POINTS);
-    let mut later = None;
+    let mut later_time = None;
     for point in points.iter().rev() {
-        // The line is interrupted where the host did not report.
-        let silent = later.map_or(Span::ZERO, |later| later - point.at);
-        if silent > SILENT {
-            let missing = ((silent.seconds() / POINT_EVERY_S) as usize).saturating_sub(1);
+        // The line has a gap for the time in which the host did not report.
+        let time_to_next = later_time.map_or(Span::ZERO, |later_time| later_time - point.at);
+        if time_to_next > MIN_ABSENCE {
+            let missing = ((time_to_next.seconds() / POINT_INTERVAL_S) as usize).saturating_sub(1);
             newest_first.resize((newest_first.len() + missing).min(POINTS), None);
         }
-        newest_first.push(of(&point.metrics));
-        later = Some(point.at);
+        newest_first.push(share_of(&point.metrics));
+        later_time = Some(point.at);
     }
     newest_first.resize(POINTS, None);
     newest_first.reverse();
@@ -94,7 +94,7 @@ fn percent(share: Option<f64>) -> String {
     share.map_or_else(|| NONE.to_owned(), |share| fixed(share * 100.0, 0))
 }
 
-/// Returns the name by which people know a machine: its accelerator, else its processor.
+/// Returns a short name of the hardware: the first accelerator, or the processor if there is no accelerator.
 pub(crate) fn hardware_name(hardware: &Hardware) -> String {
     let name = hardware.gpus.first().unwrap_or(&hardware.cpu);
     ["(R)", "(TM)", "NVIDIA ", "Processor", "CPU"]
@@ -105,8 +105,9 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
         .join(" ")
 }
 
-/// Describes a host's wall clock relative to the aggregator's. Processes of one machine report the same boot id, but so does a copied
-/// virtual machine: a clock that is far away is therefore a different clock.
+/// Describes a host's wall clock relative to the aggregator's. Returns a text for the table, and an explanation. Processes of one machine
+/// report the same boot id, but so do copies of a virtual machine. A clock that differs by a second or more is therefore described as a
+/// different clock.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());
@@ -117,7 +118,7 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
         return ("the aggregator's".to_owned(), title.to_owned());
     }
     let title = format!("its own clock, within 1{SPACE}s of the aggregator's when its last update arrived");
-    // The comparison includes the time that the update travelled, so small differences mean nothing.
+    // The difference includes the time that the update took on the network, so small differences mean nothing.
     if size < 1.0 {
         return ("its own".to_owned(), title);
     }
@@ -126,26 +127,26 @@ pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: S
 }
 
 impl HostLine {
-    /// Returns the first `most` hosts of a picture.
-    pub(crate) fn first(most: usize, picture: &LiveState, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
-        picture.hosts.iter().take(most).map(|host| Self::new(host, ours, zone)).collect()
+    /// Returns the first `limit` hosts of a picture.
+    pub(crate) fn first(limit: usize, snapshot: &LiveState, ours: &ClockIdentity, zone: Zone) -> Vec<Self> {
+        snapshot.hosts.iter().take(limit).map(|host| Self::new(host, ours, zone)).collect()
     }
 
     pub(crate) fn new(host: &HostSnapshot, ours: &ClockIdentity, zone: Zone) -> Self {
         let name = host.description.name.to_string();
         let metrics = &host.metrics;
         let (clock, clock_title) = clock_words(&host.description.clock, ours, host.clock_ahead);
-        let late = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
-        let remark = events::worst(host).filter(|remark| late || remark.chip.tone >= Tone::Warn);
+        let is_far_behind = host.behind.is_some_and(|behind| behind > FAR_BEHIND);
+        let remark = events::worst(host).filter(|remark| is_far_behind || remark.chip.tone >= Tone::Warn);
         let tone = match &remark {
             _ if host.has_left => Tone::Quiet,
             _ if !host.connected => Tone::Bad,
             Some(remark) => remark.chip.tone.max(Tone::Warn),
             None => Tone::Ok,
         };
-        let spark = |what: &str, of: fn(&HostMetrics) -> Option<f64>| {
-            let items = sparkline(&history(&host.history, of));
-            Picture::of_items(&items, "spark", &format!("{what} of {name}, last 10 minutes"))
+        let spark = |quantity: &str, share_of: fn(&HostMetrics) -> Option<f64>| {
+            let items = sparkline(&history(&host.history, share_of));
+            Picture::of_items(&items, "spark", &format!("{quantity} of {name}, last 10 minutes"))
         };
         Self {
             tone,
@@ -178,7 +179,7 @@ mod tests {
     use crate::tests::samples::NOW;
 
     #[test]
-    fn names_of_hardware_lose_their_noise() {
+    fn hardware_names_lose_trademarks_and_generic_words() {
         let cpu = Hardware { cpu: "Intel(R) Core(TM) i5-1135G7 CPU @ 2.40GHz".into(), ..Hardware::default() };
         assert_eq!(hardware_name(&cpu), "Intel Core i5-1135G7 @ 2.40GHz");
         let gpu = Hardware { gpus: vec!["NVIDIA GeForce RTX 3090".into()], ..cpu };
@@ -186,24 +187,24 @@ mod tests {
     }
 
     #[test]
-    fn the_line_of_a_host_that_was_away_stops() {
+    fn sparkline_has_gap_while_host_was_absent() {
         let at = |seconds: i64, cpu| {
             let metrics = HostMetrics { cpu: Some(cpu), ..HostMetrics::default() };
             Arc::new(MetricsPoint { at: NOW + Span::from_seconds(seconds), metrics })
         };
         let of = |points: &[Arc<MetricsPoint>]| history(points, |metrics| metrics.cpu);
-        let known = of(&[at(0, 0.1), at(5, 0.2), at(65, 0.3), at(70, 0.4)]);
-        assert_eq!(known.len(), POINTS);
-        let last = &known[POINTS - 16..];
+        let points = of(&[at(0, 0.1), at(5, 0.2), at(65, 0.3), at(70, 0.4)]);
+        assert_eq!(points.len(), POINTS);
+        let last = &points[POINTS - 16..];
         assert_eq!(last[..3], [None, Some(0.1), Some(0.2)]);
         assert!(last[3..14].iter().all(Option::is_none), "{last:?}");
         assert_eq!(last[14..], [Some(0.3), Some(0.4)]);
-        let known = of(&[at(0, 0.1), at(6_000, 0.3)]);
-        assert_eq!((known.len(), known.iter().flatten().count()), (POINTS, 1), "longer ago than is shown");
+        let points = of(&[at(0, 0.1), at(6_000, 0.3)]);
+        assert_eq!((points.len(), points.iter().flatten().count()), (POINTS, 1), "longer ago than is shown");
     }
 
     #[test]
-    fn one_clock_is_said_to_be_one() {
+    fn shared_clock_is_described_as_aggregators() {
         let ours = ClockIdentity::new("boot", "system");
         assert_eq!(clock_words(&ours, &ours, Span::from_seconds(9)).0, "the aggregator's");
         let other_process = ClockIdentity { process: Some(7), ..ours.clone() };

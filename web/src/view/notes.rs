@@ -12,26 +12,26 @@ use super::clocks;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Note {
     pub chip: Chip,
-    /// Subject of the sentence, a link before it.
+    /// Subject of the sentence, shown before the text as a hyperlink to `href`.
     pub subject: String,
-    /// Empty on the page of the subject itself.
+    /// Address of the page of the subject; empty on that page itself.
     pub href: String,
     pub text: String,
-    /// The page of the link whose clocks the sentence is about.
+    /// Address of the page of the link (an edge and a cloud) whose clocks the sentence is about.
     pub link: Option<String>,
 }
 
 /// Returns the notes on one-way delays whose verdicts are not `ok`: chip and sentence.
 pub(crate) fn delay_notes(
     bounds: &[DelayAccuracy],
-    of: impl Fn(&Name) -> Option<QuantityStatistics>,
+    delay_of: impl Fn(&Name) -> Option<QuantityStatistics>,
 ) -> Vec<(Chip, String)> {
-    let unsure: Vec<(&DelayAccuracy, Verdict)> = bounds
+    let not_ok: Vec<(&DelayAccuracy, Verdict)> = bounds
         .iter()
         .filter_map(|bound| Some((bound, clocks::verdict(bound)?)))
         .filter(|(_, verdict)| *verdict != Verdict::Ok)
         .collect();
-    if let [(_, verdict), (_, other)] = unsure.as_slice()
+    if let [(_, verdict), (_, other)] = not_ok.as_slice()
         && verdict == other
         && *verdict != Verdict::Limited
     {
@@ -40,9 +40,9 @@ pub(crate) fn delay_notes(
             format!("has no one-way delays to trust: {}.", clocks::meaning(*verdict)),
         )];
     }
-    let sentences = unsure.into_iter().map(|(bound, verdict)| {
+    let sentences = not_ok.into_iter().map(|(bound, verdict)| {
         let name = &bound.stage;
-        let text = match (verdict, of(name), bound.half_width) {
+        let text = match (verdict, delay_of(name), bound.half_width) {
             (Verdict::Limited, Some(delay), Some(width)) => format!(
                 "has a {name} of {} with a clock bound of {}: read it as {}\u{202f}ms.",
                 duration(delay.p50),
@@ -63,9 +63,9 @@ impl Note {
         href: &str,
         link: Option<&str>,
         bounds: &[DelayAccuracy],
-        of: impl Fn(&Name) -> Option<QuantityStatistics>,
+        delay_of: impl Fn(&Name) -> Option<QuantityStatistics>,
     ) -> Vec<Self> {
-        let notes = delay_notes(bounds, of).into_iter().map(|(chip, text)| Self {
+        let notes = delay_notes(bounds, delay_of).into_iter().map(|(chip, text)| Self {
             chip,
             subject: subject.to_owned(),
             href: href.to_owned(),

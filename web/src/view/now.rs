@@ -15,10 +15,10 @@ use super::stack::Stack;
 use crate::look;
 use crate::picture::Picture;
 
-/// Largest length of the axis that a whisker may cause, as a multiple of the longest bar.
+/// Whiskers extend the axis only up to this multiple of the longest bar.
 const TAIL: f64 = 2.0;
-/// Seconds of the window of every figure: the shortest that holds enough iterations for a p99 at 5 Hz. Bars, quantiles and
-/// whiskers come from one window, since figures of different windows cannot be compared.
+/// Length of the window of all figures, seconds: the shortest window with enough iterations for a p99 at 5 Hz. Bars, quantiles and
+/// whiskers come from the same window, because figures of different windows cannot be compared.
 const WINDOW_S: u32 = 60;
 
 /// Bars on a shared scale.
@@ -90,27 +90,30 @@ pub(crate) fn state_chip(state: &PipelineState) -> Option<Chip> {
 
 /// Returns the reason why a pipeline does not run, in words: `waits: the cloud loads its model`.
 pub(crate) fn trouble(state: &PipelineState) -> Option<String> {
-    let what = match state {
+    let verb = match state {
         PipelineState::Failed(_) => "stopped",
         PipelineState::Waiting(_) => "waits",
         PipelineState::Starting | PipelineState::Running | PipelineState::Finished | PipelineState::Away => {
             return None;
         }
     };
-    state.reason().map(|reason| format!("{what}: {reason}"))
+    state.reason().map(|reason| format!("{verb}: {reason}"))
 }
 
-/// Returns a quantile of `total`.
+/// Returns a quantile of `total`, and its cell. Without a value the cell explains that the quantile needs `min_iterations` iterations.
 fn quantile(
     total: Option<&QuantityStatistics>,
-    needs: u64,
-    of: fn(&QuantityStatistics) -> Option<f64>,
+    min_iterations: u64,
+    quantile_of: fn(&QuantityStatistics) -> Option<f64>,
 ) -> (Option<f64>, Cell) {
-    let value = total.and_then(of);
+    let value = total.and_then(quantile_of);
     let cell = value.map_or_else(
         || {
-            let held = total.map_or(0, |total| total.count);
-            Cell::none(format!("needs {needs} iterations; the last minute has {}", count(held)))
+            let iterations = total.map_or(0, |total| total.count);
+            Cell::none(format!(
+                "needs {min_iterations} iterations; the last minute has {}",
+                count(iterations)
+            ))
         },
         |value| Cell::new(total_ms(value)),
     );
@@ -123,8 +126,8 @@ impl NowTable {
         let windows: Vec<(&PipelineSnapshot, &Window)> =
             pipelines.iter().filter_map(|one| Some((*one, one.window(WINDOW_S)?))).collect();
         let stacks: Vec<Stack> = windows.iter().map(|(_, window)| Stack::of_window(window)).collect();
-        // A whisker that is far longer than the bars would compress them: its figure is in the table, and it is cut at the end of the
-        // axis.
+        // A whisker that is far longer than the bars would compress the bars. Such a whisker is cut at the end of the axis, and the table shows
+        // its value.
         let longest = stacks.iter().map(Stack::end_ms).fold(0.0, f64::max);
         let reach = windows.iter().map(|(_, window)| {
             window
@@ -132,12 +135,12 @@ impl NowTable {
                 .map_or(0.0, |total| total.p99.or(total.p95).unwrap_or(total.p50) * 1e3)
         });
         let scale = Scale::up_to(reach.fold(0.0, f64::max).min(TAIL * longest).max(longest), 6);
-        let has = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
+        let is_measured = |name: &&str| windows.iter().any(|(_, window)| window.value(name).is_some());
         let mut columns: Vec<&'static str> =
-            look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(has).collect();
+            look::STACK.iter().copied().filter(|name| *name != "unattributed").filter(is_measured).collect();
         if stacks.iter().any(|stack| stack.parts.iter().any(|part| part.name == look::NETWORK)) {
-            let at = columns.iter().position(|name| *name == "actuation").unwrap_or(columns.len());
-            columns.insert(at, look::NETWORK);
+            let index = columns.iter().position(|name| *name == "actuation").unwrap_or(columns.len());
+            columns.insert(index, look::NETWORK);
         }
         let rows = windows
             .iter()
@@ -174,7 +177,7 @@ impl NowRow {
             about: format!(
                 "{} · {}",
                 place::route(host, &pipeline.placement),
-                place::means(&pipeline.placement, Some(window))
+                place::details(&pipeline.placement, Some(window))
             ),
             state: state_chip(&pipeline.state),
             bar: stack.bar("stages", (p95, p99), scale),

@@ -19,8 +19,8 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
     }
 }
 
-/// Returns the details of the placement: `resnet on board` or `zmq-tcp · 1.23 MB`.
-pub(crate) fn means(placement: &Placement, window: Option<&Window>) -> String {
+/// Returns the model of a local pipeline, or network and mean payload of a remote one: `resnet on board`, `zmq-tcp · 1.23 MB`.
+pub(crate) fn details(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),
         PlacementKind::None => SENSOR_ONLY.to_owned(),

@@ -24,18 +24,18 @@ use crate::picture::Picture;
 use crate::view::units::shown_in;
 use crate::zone::{Zone, ZonedTime};
 
-/// Rows of the table of the slowest iterations.
-const SLOWEST: usize = 8;
-/// Number of iterations from which on a run can stand still: in a shorter run, a gap of more than half of its time may be one slow
+/// Maximum number of rows of the table of the slowest iterations.
+const MAX_SLOWEST: usize = 8;
+/// Minimum number of iterations for a standstill. In a run with fewer iterations, a gap of more than half of its time may be one slow
 /// iteration.
-const MANY: u64 = 100;
-/// Seconds that are longer than any wait for an answer or a model.
-const LONG: f64 = 600.0;
+const MIN_ITERATIONS_FOR_STANDSTILL: u64 = 100;
+/// Time that is longer than any wait for an answer or a model, seconds.
+const MAX_WAIT_S: f64 = 600.0;
 
 /// Stored data of a run.
 pub(crate) struct Stored<'a> {
     pub run: &'a RunDetail,
-    pub known: &'a RunStatistics,
+    pub statistics: &'a RunStatistics,
     pub series: &'a Series,
     pub slowest: &'a [IterationRow],
     /// The first iterations without an answer.
@@ -52,7 +52,7 @@ pub(crate) struct OtherStatistics {
     pub unit: String,
 }
 
-/// One bucket of the course over time.
+/// One bucket of the time series of the total.
 pub(crate) struct Bucket {
     pub at: ZonedTime,
     pub count: String,
@@ -98,7 +98,7 @@ struct Data {
 }
 
 impl Stored<'_> {
-    /// Returns the first iterations without an answer, and why.
+    /// Returns rows of the first iterations without an answer, with the reasons.
     pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<Unanswered> {
         let row = |row: &IterationRow| Unanswered {
             number: row.number,
@@ -110,47 +110,50 @@ impl Stored<'_> {
         self.unanswered.iter().map(row).collect()
     }
 
-    /// Returns sentences about the number of episodes, the iterations without an answer, and the longest time without iterations.
-    pub(crate) fn parted(&self) -> Vec<String> {
+    /// Returns texts about the number of episodes, the iterations without an answer, and a standstill.
+    pub(crate) fn time_remarks(&self) -> Vec<String> {
         let unanswered = episodes::unanswered(self.episodes, &self.run.summary);
-        let still = self
+        let standstill = self
             .standstill()
             .map(|seconds| format!("nothing for {}: the clock was set, or it stood still", length(seconds)));
-        [episodes::said(self.episodes), unanswered, still].into_iter().flatten().collect()
+        [episodes::summary(self.episodes), unanswered, standstill].into_iter().flatten().collect()
     }
 
-    /// Returns the longest time without an iteration after the warm-up, seconds, where that is more than half of the run, longer than any
-    /// iteration took, and no events of it are missing: the host's clock was set, or the host was suspended. In both cases the length of
-    /// the run gives no rate.
+    /// Returns the longest time without an iteration after the warm-up, seconds, if it is a standstill: more than half of the run, longer
+    /// than [`MAX_WAIT_S`] and than any iteration, while no events of the run are missing. In a standstill the host's clock was set or the
+    /// host was suspended. In both cases no rate follows from the length of the run.
     pub(crate) fn standstill(&self) -> Option<f64> {
         let summary = &self.run.summary;
-        let until = runs::end(summary)?;
+        let end = runs::end(summary)?;
         let points = &self.series.stages.first()?.points;
-        if points.is_empty() || summary.counts.total() < MANY || !self.run.gaps.is_empty() {
+        if points.is_empty()
+            || summary.counts.total() < MIN_ITERATIONS_FOR_STANDSTILL
+            || !self.run.gaps.is_empty()
+        {
             return None;
         }
         let bucket = Span::from_seconds(self.series.bucket_s.into());
-        // The warm-up has no points: all the time before the first point may be warm-up.
-        let single = self.episodes.unanswered.iter().chain([&until]).map(|at| (*at, *at));
+        // The warm-up has no points, so all the time before the first point may be warm-up.
+        let single_times = self.episodes.unanswered.iter().chain([&end]).map(|at| (*at, *at));
         let mut busy: Vec<_> =
-            points.iter().map(|point| (point.at, point.at + bucket)).chain(single).collect();
+            points.iter().map(|point| (point.at, point.at + bucket)).chain(single_times).collect();
         busy.sort();
-        let (mut longest, mut done) = (0.0_f64, busy.first()?.1);
+        let (mut longest, mut busy_until) = (0.0_f64, busy.first()?.1);
         for (from, to) in busy {
-            longest = longest.max((from - done).seconds());
-            done = done.max(to);
+            longest = longest.max((from - busy_until).seconds());
+            busy_until = busy_until.max(to);
         }
-        let half = (until - summary.started).seconds() / 2.0;
+        let half = (end - summary.started).seconds() / 2.0;
         let slowest = summary.total.as_ref().map_or(0.0, |total| total.max);
-        (longest > half.max(slowest).max(LONG)).then_some(longest)
+        (longest > half.max(slowest).max(MAX_WAIT_S)).then_some(longest)
     }
 
     /// Returns iterations per second, the warm-up included; `None` where the length of the run is unknown.
     pub(crate) fn rate(&self) -> Option<f64> {
         let summary = &self.run.summary;
-        let lasted = (runs::end(summary)? - summary.started).seconds();
-        let is_known = lasted > 0.0 && self.standstill().is_none();
-        is_known.then(|| (summary.counts.total() + summary.warm_up) as f64 / lasted)
+        let length_s = (runs::end(summary)? - summary.started).seconds();
+        let is_known = length_s > 0.0 && self.standstill().is_none();
+        is_known.then(|| (summary.counts.total() + summary.warm_up) as f64 / length_s)
     }
 
     /// Returns a scale that holds the slowest iteration.
@@ -158,7 +161,7 @@ impl Stored<'_> {
         Scale::up_to(self.slowest.first().and_then(|row| row.total).unwrap_or(0.0) * 1e3, 5)
     }
 
-    /// Returns the course of the total, bucket by bucket.
+    /// Returns the time series of the total, bucket by bucket.
     pub(crate) fn buckets(&self, zone: Zone) -> Vec<Bucket> {
         let points = self.series.stages.iter().flat_map(|stage| &stage.points);
         let rows = points.map(|point| Bucket {
@@ -175,26 +178,26 @@ impl Stored<'_> {
     pub(crate) fn others(&self) -> Vec<OtherStatistics> {
         // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
         let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
-        let counted = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
-        // A mean of the throughputs of single iterations is not a speed: `sent` returns the speed.
-        let ratio = |stage: &StageStatistics| {
+        let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
+        // A mean of the throughputs of single iterations is not a speed. `transfer_rows` returns the speed.
+        let is_ratio = |stage: &StageStatistics| {
             [stage::UPLOAD_THROUGHPUT, stage::DOWNLOAD_THROUGHPUT].contains(&stage.stage)
         };
-        let wanted = |stage: &&StageStatistics| stage.unit != "s" && !counted(stage) && !ratio(stage);
-        let beside = self.known.stages.iter().filter(wanted);
-        let shown = beside.map(|stage| {
+        let is_other = |stage: &&StageStatistics| stage.unit != "s" && !is_count(stage) && !is_ratio(stage);
+        let other_stages = self.statistics.stages.iter().filter(is_other);
+        let rows = other_stages.map(|stage| {
             let (unit, factor) = shown_in(&stage.unit);
             let figures = &stage.figures;
             let [mean, p50, max] =
                 [figures.mean, figures.p50, figures.max].map(|value| figure(value * factor));
             OtherStatistics { name: stage.stage.to_string(), mean, p50, max, unit }
         });
-        shown.chain(self.sent()).collect()
+        rows.chain(self.transfer_rows()).collect()
     }
 
     /// Returns the speed while sending and traffic of both directions.
-    fn sent(&self) -> Vec<OtherStatistics> {
-        let transfers = self.known.transfers();
+    fn transfer_rows(&self) -> Vec<OtherStatistics> {
+        let transfers = self.statistics.transfers();
         let row = |name, value: Option<String>| OtherStatistics {
             name,
             mean: value.unwrap_or_else(|| NONE.to_owned()),
@@ -217,11 +220,11 @@ impl Stored<'_> {
     /// Returns the speed while sending: a figure, or its interval where the delays are known only within a wide bound.
     fn speed(&self, way: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
-        let bound = self.known.bounds.iter().find(|bound| bound.stage == *way.delay());
+        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *way.delay());
         match bound.and_then(clocks::verdict) {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
-                let delay = self.known.stages.iter().find(|stage| stage.stage == *way.delay());
+                let delay = self.statistics.stages.iter().find(|stage| stage.stage == *way.delay());
                 let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
                 speed::interval(speed, delay.map(|stage| stage.figures.mean), half)
             }
@@ -240,7 +243,7 @@ impl Stored<'_> {
     /// Returns the slowest iterations, on one scale.
     pub(crate) fn slow_rows(&self, zone: Zone) -> Vec<SlowIteration> {
         let scale = self.scale();
-        let rows = self.slowest.iter().take(SLOWEST).map(|row| {
+        let rows = self.slowest.iter().take(MAX_SLOWEST).map(|row| {
             let stack = Stack::of_iteration(row);
             let bar = StageBar { has_values: false, ..StageBar::new(&stack.parts, scale) };
             SlowIteration {
@@ -261,7 +264,7 @@ impl Stored<'_> {
         rows.collect()
     }
 
-    /// Data for the chart over time.
+    /// Returns the data of the chart over time.
     pub(crate) fn data(&self) -> Result<JsonBlock, serde_json::Error> {
         let Self { series, slowest, episodes, .. } = self;
         let milliseconds = |time: WallTime| time.unix_nanos() / 1_000_000;
@@ -318,17 +321,17 @@ mod tests {
         (summary.counts, summary.warm_up) = (Default::default(), 0);
         summary.counts.ok = iterations;
         let run = RunDetail::from(summary);
-        let known = RunStatistics::default();
+        let statistics = RunStatistics::default();
         let stored = Stored {
             run: &run,
-            known: &known,
+            statistics: &statistics,
             series: &series,
             slowest: &[],
             unanswered: &[],
             episodes: &episodes,
         };
         assert_eq!(
-            stored.parted().iter().any(|said| said.starts_with("nothing for ")),
+            stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")),
             stored.standstill().is_some()
         );
         let rate = iterations as f64 / seconds as f64;
@@ -337,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clock_that_was_set_by_months_leaves_a_standstill() {
+    fn clock_set_by_months_causes_standstill() {
         let days = 115 * 86_400;
         let found = standstill(895, 3_600, &[-1_800, days], days + 4, &[]).expect("a standstill");
         assert!((found - f64::from(days as i32 - 1_800)).abs() < 1e-6, "{found}");

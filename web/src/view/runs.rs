@@ -20,24 +20,26 @@ pub(crate) const PINNED: Chip = Chip::new(Tone::Quiet, "pin", "pinned");
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum End {
     /// The run has not ended: its host reports it.
-    GoesOn,
-    /// The run ended, for this reason.
-    Told(String),
-    /// The run ended without a report, because its agent was killed or is away: start of its last stored iteration.
-    Untold(Option<ZonedTime>),
+    InProgress,
+    /// The run ended, and its agent reported this reason.
+    Reported(String),
+    /// No end was reported, because the agent was killed or is not connected. Contains the start of the last stored iteration.
+    Unreported(Option<ZonedTime>),
 }
 
 impl End {
     pub(crate) fn of(run: &RunSummary, snapshot: &LiveState, zone: Zone) -> Self {
         if run.ended.is_some() {
-            return Self::Told(run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string));
+            return Self::Reported(
+                run.reason.as_ref().map_or_else(|| "ended".to_owned(), ToString::to_string),
+            );
         }
         let connected = || snapshot.hosts.iter().any(|host| host.id == run.host && host.connected);
-        let current = snapshot.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
-        if current && connected() {
-            return Self::GoesOn;
+        let is_current = snapshot.pipelines.iter().any(|one| one.host == run.host && one.run == Some(run.id));
+        if is_current && connected() {
+            return Self::InProgress;
         }
-        Self::Untold(run.last_iteration.map(|at| zone.moment(at)))
+        Self::Unreported(run.last_iteration.map(|at| zone.moment(at)))
     }
 }
 
@@ -46,7 +48,7 @@ impl End {
 pub(crate) struct Labels {
     pub name: String,
     pub id: String,
-    /// `NodeLocation = cloud, Resize = yes, repeat 2`.
+    /// `Where = cloud, Resize = yes, repeat 2`.
     pub text: String,
 }
 
@@ -125,16 +127,17 @@ pub(crate) fn gap_notes(gaps: &[GapRow], zone: Zone) -> Vec<Note> {
     reasons.sort_unstable();
     reasons.dedup();
     let notes = reasons.into_iter().filter_map(|reason| {
-        let those = || gaps.iter().filter(|gap| gap.reason == reason);
-        let (from, to) = (those().map(|gap| gap.from).min()?, those().map(|gap| gap.to).max()?);
-        let missing: u64 = those().map(|gap| gap.count).sum();
+        let gaps_of_reason = || gaps.iter().filter(|gap| gap.reason == reason);
+        let (from, to) =
+            (gaps_of_reason().map(|gap| gap.from).min()?, gaps_of_reason().map(|gap| gap.to).max()?);
+        let missing: u64 = gaps_of_reason().map(|gap| gap.count).sum();
         let (subject, was) = match missing {
             0 => ("An unknown number of events of this run".to_owned(), "were"),
             1 => ("1 event of this run".to_owned(), "was"),
             many => (format!("{} events of this run", count(many)), "were"),
         };
         let [from, to] = [from, to].map(|at| zone.moment(at).clock());
-        let gaps = counted(those().count(), "gap", "gaps");
+        let gaps = counted(gaps_of_reason().count(), "gap", "gaps");
         Some(Note {
             chip: Chip::new(Tone::Warn, "gap", "gap"),
             subject,
@@ -151,7 +154,7 @@ pub(crate) fn lost_share(run: &RunSummary) -> Option<f64> {
     unanswered_share(&run.counts)
 }
 
-/// Returns the end of the run, or the latest known time of it.
+/// Returns the end of the run, or the start of its last stored iteration if no end was reported.
 pub(crate) fn end(run: &RunSummary) -> Option<WallTime> {
     run.ended.or(run.last_iteration)
 }
@@ -197,10 +200,10 @@ mod tests {
         };
         let gaps =
             [gap(60, 849, "no room"), gap(0, 40_000, "no room"), gap(30, 0, "batches 3 to 9 are missing")];
-        let told = gap_notes(&gaps, Zone::Utc);
-        let told: Vec<String> = told.iter().map(|note| format!("{} {}", note.subject, note.text)).collect();
+        let notes = gap_notes(&gaps, Zone::Utc);
+        let texts: Vec<String> = notes.iter().map(|note| format!("{} {}", note.subject, note.text)).collect();
         assert_eq!(
-            told,
+            texts,
             [
                 "An unknown number of events of this run were not recorded: batches 3 to 9 are missing (from 12:01:37 \
                  to 12:01:42, in 1 gap).",

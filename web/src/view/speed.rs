@@ -23,7 +23,7 @@ pub(crate) enum NetworkDirection {
 }
 
 impl NetworkDirection {
-    /// Returns the name of the delay's node.
+    /// Returns the name of the node with the delay of this direction.
     pub(crate) const fn delay(self) -> &'static str {
         match self {
             Self::Up => "upload",
@@ -46,16 +46,15 @@ pub(crate) fn obstacle(window: &Window, direction: NetworkDirection) -> Option<&
     find_obstacle(bound.and_then(clocks::verdict), window.counts.ok)
 }
 
-/// Returns the reason why a chart of `series` has no line for a direction. Only the minute up to the last answered iteration counts,
-/// even if it is long ago.
+/// Returns the reason why a chart of `series` has no line for a direction; `None` if it has one. Only the minute that ends with the last
+/// answered iteration is considered, even if that iteration is long ago.
 pub(crate) fn obstacle_in(series: &[Arc<LiveSecond>], direction: NetworkDirection) -> Option<&'static str> {
     let last = series.iter().rfind(|second| second.counts.ok > 0).map(|second| second.at);
     let minute = || series.iter().filter(|second| last.is_some_and(|last| second.at > last - MINUTE_S));
     let verdict_count = |verdict: &Verdict| {
-        let in_direction = minute().flat_map(|second| &second.verdicts);
-        let in_direction =
-            in_direction.filter(|(stage, known, _)| *stage == *direction.delay() && known == verdict);
-        (*verdict, in_direction.map(|(.., count)| count).sum())
+        let verdicts = minute().flat_map(|second| &second.verdicts);
+        let verdicts = verdicts.filter(|(stage, other, _)| *stage == *direction.delay() && other == verdict);
+        (*verdict, verdicts.map(|(.., count)| count).sum())
     };
     find_obstacle(
         Verdict::prevailing(Verdict::ALL.iter().map(verdict_count)),
@@ -74,7 +73,7 @@ fn find_obstacle(verdict: Option<Verdict>, ok: u64) -> Option<&'static str> {
     }
 }
 
-/// Returns the speed while sending in a direction in MB/s; over a delay that is known within a wide bound, the interval.
+/// Returns the speed while sending in a direction in MB/s. If the verdict of the delay is `limited`, returns the interval of the speed.
 pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirection) -> Cell {
     if kind != PlacementKind::Remote {
         return Cell::none("one host: nothing is sent");
@@ -102,20 +101,20 @@ pub(crate) fn traffic(kind: PlacementKind, window: &Window) -> Cell {
         return Cell::none("one host: nothing is sent");
     }
     let directions =
-        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| carried(window, direction));
+        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| direction_traffic(window, direction));
     if directions.iter().all(Option::is_none) {
         return Cell::none("no successful iteration in this time");
     }
-    let [up, down] = directions.map(|carried| carried.map_or_else(|| NONE.to_owned(), throughput));
+    let [up, down] = directions.map(|traffic| traffic.map_or_else(|| NONE.to_owned(), throughput));
     Cell { text: format!("{up} / {down}"), title: Some("up / down, of successful iterations".to_owned()) }
 }
 
 /// Returns the traffic of a direction in bits per second.
-pub(crate) fn carried(window: &Window, direction: NetworkDirection) -> Option<f64> {
+pub(crate) fn direction_traffic(window: &Window, direction: NetworkDirection) -> Option<f64> {
     direction.of(&window.transfers)?.traffic(window.covered_s)
 }
 
-/// Returns the throughput that follows from the ends of a delay's interval, in MB/s; `None` if the delay has no bound.
+/// Returns the interval of a throughput in MB/s, from the mean delay and half the width of its bounds. `None` if one of them is unknown.
 pub(crate) fn interval(rate: f64, delay: Option<f64>, half: Option<f64>) -> Option<String> {
     let (delay, half) = delay.zip(half)?;
     Some(throughput_between(speed_between(rate, delay, half)))

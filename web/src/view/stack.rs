@@ -23,18 +23,18 @@ pub(crate) struct Stack {
 impl Stack {
     /// Returns the stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
-        let crossed = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
-        Self::new(crossed, |name| window.value(name).copied()).bounded(&window.bounds)
+        let was_sent = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
+        Self::new(was_sent, |name| window.value(name).copied()).with_bounds(&window.bounds)
     }
 
     /// Returns the stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        Self::new(!bounds.is_empty(), find).bounded(bounds)
+        Self::new(!bounds.is_empty(), find).with_bounds(bounds)
     }
 
     /// Adds the error bars of the one-way delays.
-    fn bounded(mut self, bounds: &[DelayAccuracy]) -> Self {
+    fn with_bounds(mut self, bounds: &[DelayAccuracy]) -> Self {
         for bound in bounds {
             if let Some(part) = self.parts.iter_mut().find(|part| part.name == bound.stage.as_str()) {
                 part.bound = bound.half_width.map(|width| width.p50).filter(|width| *width > 0.0);
@@ -43,32 +43,34 @@ impl Stack {
         self
     }
 
-    fn new(crossed: bool, of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
-        let parts = parts(crossed, |name| of(name).map(|figures| (figures.count, figures.mean)));
-        Self { parts, total: of("total") }
+    fn new(was_sent: bool, statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
+        let parts = parts(was_sent, |name| statistics_of(name).map(|figures| (figures.count, figures.mean)));
+        Self { parts, total: statistics_of("total") }
     }
 
-    /// Returns the stages of an iteration of a list, with both directions of the network where those are not known.
+    /// Returns the stack of one iteration. If a direction of the network is unknown, the stack has the sum of both directions instead.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
         let part = |(name, seconds): &(Name, f64)| StagePart {
             name: name.to_string(),
             seconds: *seconds,
             bound: None,
         };
-        // Where both are known only together, one that is known is a part of that.
-        let apart = |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
-        let mut parts: Vec<StagePart> = row.stages.iter().filter(apart).map(part).collect();
+        // The sum of both directions contains a direction that is known by itself, so that direction is left out.
+        let is_separate =
+            |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
+        let mut parts: Vec<StagePart> = row.stages.iter().filter(is_separate).map(part).collect();
         if let Some(seconds) = row.both_ways {
-            let at = look::STACK
+            let index = look::STACK
                 .iter()
                 .take_while(|name| stage::UPLOAD != **name)
                 .filter(|name| parts.iter().any(|part| part.name == **name))
                 .count();
-            parts.insert(at, StagePart { name: look::NETWORK.to_owned(), seconds, bound: None });
+            parts.insert(index, StagePart { name: look::NETWORK.to_owned(), seconds, bound: None });
         }
-        let left = row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
-        if left > 0.0 {
-            parts.push(StagePart { name: "unattributed".to_owned(), seconds: left, bound: None });
+        let unattributed =
+            row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
+        if unattributed > 0.0 {
+            parts.push(StagePart { name: "unattributed".to_owned(), seconds: unattributed, bound: None });
         }
         Self { parts, total: None }
     }
@@ -90,7 +92,7 @@ impl Stack {
     }
 
     /// Returns the stack as a bar that fills its panel.
-    pub(crate) fn whole(&self, class: &'static str) -> Picture {
+    pub(crate) fn full_width_bar(&self, class: &'static str) -> Picture {
         Picture::of_items(&StageBar::whole(&self.parts).items(), class, &self.finding((None, None)))
     }
 
@@ -113,49 +115,55 @@ impl Stack {
     }
 }
 
-/// Returns the parts of the mean of the total, in the order of [`look::STACK`]; empty without a total. `of` gives the number of samples
-/// of a name and their mean in seconds; `sent` is `true` if anything was sent to another host.
-pub(crate) fn parts(sent: bool, of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<StagePart> {
-    let Some((count, total)) = of("total") else { return Vec::new() };
-    let mut left = total;
-    // Without a relation of the clocks neither direction has a value; their sum needs none.
-    let network = both_ways(&of, sent);
+/// Returns the parts of the mean of the total, in the order of [`look::STACK`]; empty without a total. `mean_of` returns the number of
+/// samples of a node and their mean in seconds. `was_sent` is `true` if anything was sent to another host.
+pub(crate) fn parts(was_sent: bool, mean_of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<StagePart> {
+    let Some((count, total)) = mean_of("total") else { return Vec::new() };
+    let mut unattributed = total;
+    // Without a relation between the clocks neither direction has a value. The sum of both directions needs no clock relation.
+    let network = both_ways(&mean_of, was_sent);
     let mut parts = Vec::with_capacity(look::STACK.len());
-    let mut network_at = 0;
+    let mut network_index = 0;
     for name in stage::ORDER.iter().map(|name| name.as_str()) {
-        if let Some(seconds) = of(name).map(|known| shared(known, count)) {
-            left -= seconds;
+        if let Some(seconds) = mean_of(name).map(|count_and_mean| mean_per_iteration(count_and_mean, count)) {
+            unattributed -= seconds;
             parts.push(StagePart { name: name.to_owned(), seconds, bound: None });
         }
         if name == "send-queue" {
-            network_at = parts.len();
+            network_index = parts.len();
         }
     }
     if let Some(network) = network {
-        parts.insert(network_at, StagePart { name: look::NETWORK.to_owned(), seconds: network, bound: None });
-        left -= network;
+        parts.insert(
+            network_index,
+            StagePart { name: look::NETWORK.to_owned(), seconds: network, bound: None },
+        );
+        unattributed -= network;
     }
-    if left > 0.0 {
-        parts.push(StagePart { name: "unattributed".to_owned(), seconds: left, bound: None });
+    if unattributed > 0.0 {
+        parts.push(StagePart { name: "unattributed".to_owned(), seconds: unattributed, bound: None });
     }
     parts
 }
 
-/// Returns the mean time of a stage per iteration. A stage that not every iteration had is weighted with its share, so that the
-/// sum of all stages stays exact.
-pub(super) fn shared((count, mean): (u64, f64), of: u64) -> f64 {
-    mean * count as f64 / of.max(1) as f64
+/// Returns the mean time of a stage per iteration, from the count and the mean of the stage and the number of iterations. Iterations
+/// without the stage count as zero, so that the sum of all stages stays exact.
+pub(super) fn mean_per_iteration((count, mean): (u64, f64), iterations: u64) -> f64 {
+    mean * count as f64 / iterations.max(1) as f64
 }
 
-/// Returns the mean time of both directions together, seconds, where the clocks give neither; `None` when one is known or nothing was
-/// sent.
-fn both_ways(of: impl Fn(&str) -> Option<(u64, f64)>, sent: bool) -> Option<f64> {
-    let (count, total) = of(&stage::TOTAL)?;
-    if !sent || of(&stage::UPLOAD).is_some() || of(&stage::DOWNLOAD).is_some() {
+/// Returns the mean of the sum of both directions, seconds, if neither direction is known by itself. `None` if a direction is known or
+/// nothing was sent.
+fn both_ways(mean_of: impl Fn(&str) -> Option<(u64, f64)>, was_sent: bool) -> Option<f64> {
+    let (count, total) = mean_of(&stage::TOTAL)?;
+    if !was_sent || mean_of(&stage::UPLOAD).is_some() || mean_of(&stage::DOWNLOAD).is_some() {
         return None;
     }
-    let known = stage::ORDER.into_iter().filter_map(|name| of(&name)).map(|known| shared(known, count));
-    let network = slowness::both_ways(total, known, of(&stage::UNATTRIBUTED)?.1);
+    let stage_means = stage::ORDER
+        .into_iter()
+        .filter_map(|name| mean_of(&name))
+        .map(|count_and_mean| mean_per_iteration(count_and_mean, count));
+    let network = slowness::both_ways(total, stage_means, mean_of(&stage::UNATTRIBUTED)?.1);
     Some(network).filter(|network| *network > 0.0)
 }
 
@@ -170,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_over_is_shown_and_not_hidden() {
+    fn rest_of_total_is_shown_as_unattributed() {
         let stack = Stack::new(false, |name| match name {
             "total" => Some(figures(0.020, 50)),
             "sensing" => Some(figures(0.005, 50)),
@@ -183,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_that_cannot_be_told_apart_stand_as_their_exact_sum() {
+    fn unknown_directions_are_shown_as_their_sum() {
         let stack = Stack::new(true, |name| match name {
             "total" => Some(figures(0.020, 50)),
             "sensing" => Some(figures(0.004, 50)),
@@ -198,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn the_bar_of_a_stepped_iteration_holds_both_ways_once() {
+    fn bar_of_stepped_iteration_has_directions_once() {
         let mut row = crate::tests::samples::iteration().row;
         row.total = Some(1.200);
         row.stages = vec![(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
@@ -210,21 +218,22 @@ mod tests {
     }
 
     #[test]
-    fn directions_that_are_known_need_no_sum() {
-        let known = |name: &str| matches!(name, "total" | "upload" | "unattributed").then_some((9, 0.01));
-        assert_eq!(both_ways(known, true), None);
-        let unknown = |name: &str| matches!(name, "total" | "unattributed").then_some((9, 0.01));
-        assert_eq!(both_ways(unknown, false), None);
+    fn known_direction_needs_no_sum() {
+        let with_upload =
+            |name: &str| matches!(name, "total" | "upload" | "unattributed").then_some((9, 0.01));
+        assert_eq!(both_ways(with_upload, true), None);
+        let without_directions = |name: &str| matches!(name, "total" | "unattributed").then_some((9, 0.01));
+        assert_eq!(both_ways(without_directions, false), None);
     }
 
     #[test]
-    fn without_a_total_there_is_nothing_to_stack() {
+    fn stack_without_total_is_empty() {
         assert_eq!(Stack::new(true, |name| (name != "total").then(|| figures(1.0, 1))), Stack::default());
     }
 
     proptest! {
         #[test]
-        fn the_parts_add_up_to_the_total(
+        fn parts_add_up_to_total(
             means in proptest::collection::vec((0.0f64..0.1, 1u64..100), stage::ORDER.len()),
             rest in 0.0f64..0.01,
         ) {
@@ -233,8 +242,8 @@ mod tests {
                 if name == "total" {
                     return Some(figures(sum + rest, 100));
                 }
-                let at = stage::ORDER.iter().position(|known| known == name)?;
-                Some(figures(means[at].0, means[at].1))
+                let index = stage::ORDER.iter().position(|stage| stage == name)?;
+                Some(figures(means[index].0, means[index].1))
             });
             prop_assert!((stack.end_ms() - (sum + rest) * 1e3).abs() < 1e-6);
         }

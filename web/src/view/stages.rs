@@ -25,7 +25,8 @@ pub(crate) struct StageRow {
     pub max: String,
     pub bound: BoundCell,
     pub share: Option<Picture>,
-    pub sum: bool,
+    /// `true` for the row of the total.
+    pub is_total: bool,
 }
 
 /// The clock bound of a stage.
@@ -46,8 +47,8 @@ impl StageRow {
         bound: Option<&DelayAccuracy>,
         share: Option<f64>,
     ) -> Self {
-        let text = |of: fn(&QuantityStatistics) -> Option<f64>| {
-            figures.and_then(of).map_or_else(|| NONE.to_owned(), stage_ms)
+        let text = |figure_of: fn(&QuantityStatistics) -> Option<f64>| {
+            figures.and_then(figure_of).map_or_else(|| NONE.to_owned(), stage_ms)
         };
         Self {
             look: look::class(name),
@@ -63,17 +64,17 @@ impl StageRow {
                 let class = if name == "total" { "sharebar full" } else { "sharebar" };
                 Picture::of_items(&share_bar(name, share), class, &number::share(share))
             }),
-            sum: name == "total",
+            is_total: name == "total",
             name: name.to_owned(),
         }
     }
 
     /// Returns whether there are samples, and therefore a distribution.
-    pub(crate) fn measured(&self) -> bool {
+    pub(crate) fn is_measured(&self) -> bool {
         self.p50 != NONE
     }
 
-    /// Returns both directions together, exact where neither alone is known.
+    /// Returns the row of the sum of both directions.
     fn network(part: &StagePart, share: Option<f64>) -> Self {
         let title = "free of any clock: the round trip less the time on the other host";
         Self {
@@ -85,7 +86,7 @@ impl StageRow {
 
     /// Returns the rows of a stored run: the stages, the unattributed time, the total.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Vec<Self> {
-        let shown = |stage: &&StageStatistics| {
+        let has_own_row = |stage: &&StageStatistics| {
             stage.unit == "s"
                 && stage.stage != "stages-total"
                 && stage.stage != "total"
@@ -94,20 +95,20 @@ impl StageRow {
         };
         let mut rows: Vec<Self> = stages
             .iter()
-            .filter(shown)
+            .filter(has_own_row)
             .map(|stage| Self::new(&stage.stage, Some(&stage.figures), stage.bound.as_ref(), stage.share))
             .collect();
-        // A direction without a known delay has a bound and no statistics.
+        // A direction without a known delay has a bound but no statistics, so its row is inserted here.
         for bound in bounds.iter().filter(|bound| stages.iter().all(|stage| stage.stage != bound.stage)) {
-            let at = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
-            rows.insert(at, Self::new(&bound.stage, None, Some(bound), None));
+            let index = rows.partition_point(|row| rank(&row.name) < rank(&bound.stage));
+            rows.insert(index, Self::new(&bound.stage, None, Some(bound), None));
         }
         let stack = Stack::of_run(stages, bounds);
         if let (Some(network), Some(total)) =
             (stack.parts.iter().find(|part| part.name == look::NETWORK), stack.total)
         {
-            let at = rows.iter().position(|row| row.name == "actuation").unwrap_or(rows.len());
-            rows.insert(at, Self::network(network, Some(network.seconds / total.mean)));
+            let index = rows.iter().position(|row| row.name == "actuation").unwrap_or(rows.len());
+            rows.insert(index, Self::network(network, Some(network.seconds / total.mean)));
         }
         let has = |name: &str| stages.iter().any(|stage| stage.stage == *name);
         rows.extend(
@@ -167,8 +168,8 @@ impl BoundCell {
     }
 }
 
-/// Formats the verdicts of both directions of a run, for its summary.
+/// Returns the names and verdicts of the directions of a run, for its summary.
 pub(crate) fn directions(bounds: &[DelayAccuracy]) -> Vec<(String, Chip)> {
-    let known = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
-    known.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()
+    let verdicts = bounds.iter().filter_map(|bound| Some((bound, clocks::verdict(bound)?)));
+    verdicts.map(|(bound, verdict)| (bound.stage.to_string(), Chip::verdict(verdict))).collect()
 }

@@ -24,15 +24,15 @@ pub(crate) struct Line {
 
 impl From<&Report> for Trust {
     fn from(report: &Report) -> Self {
-        let (worse, rest) =
-            report.findings.iter().partition::<Vec<_>, _>(|sentence| sentence.grade > Grade::Unknown);
-        let lines = |sentences: Vec<&Finding>| {
-            let line = |sentence: &Finding| Line {
-                chip: chip(sentence.grade),
-                text: sentence.text.clone(),
-                advice: sentence.advice.clone(),
+        let (remarks, rest) =
+            report.findings.iter().partition::<Vec<_>, _>(|finding| finding.grade > Grade::Unknown);
+        let lines = |findings: Vec<&Finding>| {
+            let line = |finding: &Finding| Line {
+                chip: chip(finding.grade),
+                text: finding.text.clone(),
+                advice: finding.advice.clone(),
             };
-            sentences.into_iter().map(line).collect()
+            findings.into_iter().map(line).collect()
         };
         Self {
             chip: match report.verdict {
@@ -41,13 +41,13 @@ impl From<&Report> for Trust {
                 Publish::No => Chip::new(Tone::Bad, "failed", "no"),
             },
             answer: report.answer(),
-            remarks: lines(worse),
+            remarks: lines(remarks),
             rest: lines(rest),
         }
     }
 }
 
-/// Returns a grade by word and sign.
+/// Returns the chip of a grade.
 const fn chip(grade: Grade) -> Chip {
     match grade {
         Grade::Good => Chip::new(Tone::Ok, "ok", "good"),

@@ -7,24 +7,25 @@ use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, count, duration, percent, times};
 
 use super::chip::{Chip, Tone};
-use super::stack::shared;
+use super::stack::mean_per_iteration;
 use crate::config::WarnConfig;
 use crate::look::LATENESS;
 
 /// Minimum time for which the processors must have been busy.
 const MIN_BUSY_TIME: Span = Span::from_seconds(10);
-/// Minimum unattributed time or lateness that causes a warning, seconds. Less is normal cost of instructions and of the scheduler.
+/// Minimum unattributed time or lateness that causes a warning, seconds. Shorter times are the normal cost of instructions and of the
+/// scheduler.
 const MIN_WARNED_S: f64 = 1e-4;
 
 /// Returns a warning if a host's processors have been busy for ten seconds.
 pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
     let limit = warn.cpu_percent / 100.0;
     let current = host.metrics.cpu.filter(|_| host.connected)?;
-    // The points within the time, and the point at its start.
-    let mut before = host.history.iter().rev();
+    // Checks all points of the last `MIN_BUSY_TIME`, and the first point before it.
+    let mut points = host.history.iter().rev();
     let mut least = current;
     loop {
-        let MetricsPoint { at, metrics } = &**before.next()?;
+        let MetricsPoint { at, metrics } = &**points.next()?;
         least = least.min(metrics.cpu?);
         if now - *at >= MIN_BUSY_TIME {
             break;
@@ -64,7 +65,7 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     Some((Chip::new(Tone::Warn, "slow", "tail"), text))
 }
 
-/// Returns the seconds per iteration, and their share of the total.
+/// Returns the share of `seconds` in the mean total of an iteration; `None` below [`MIN_WARNED_S`].
 fn share(minute: &Window, seconds: f64) -> Option<f64> {
     let total = minute.value(&stage::TOTAL)?;
     (seconds > MIN_WARNED_S && total.mean > 0.0).then(|| seconds / total.mean)
@@ -73,7 +74,7 @@ fn share(minute: &Window, seconds: f64) -> Option<f64> {
 /// Returns the mean of a node per successful iteration. Iterations without the node count as zero.
 fn mean(minute: &Window, name: &str) -> f64 {
     let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
-    minute.value(name).map_or(0.0, |known| shared((known.count, known.mean), total.count))
+    minute.value(name).map_or(0.0, |figures| mean_per_iteration((figures.count, figures.mean), total.count))
 }
 
 fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
@@ -122,7 +123,7 @@ mod tests {
     use super::*;
     use crate::tests::samples::{self, NOW, figures};
 
-    /// Returns the words of the warnings about a minute that was changed like this.
+    /// Returns the words of the warnings about a minute that `change` has changed.
     fn words(change: impl FnOnce(&mut Window)) -> Vec<&'static str> {
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         change(&mut minute);
@@ -130,7 +131,7 @@ mod tests {
     }
 
     fn set(minute: &mut Window, name: &str, mean: f64) {
-        minute.values.retain(|(known, _)| known != name);
+        minute.values.retain(|(node, _)| node != name);
         minute.values.push((Name::from(name.to_owned()), figures(mean, minute.counts.ok)));
     }
 
@@ -171,8 +172,8 @@ mod tests {
         let mut minute = samples::window(60, 30.0, 1.0, Verdict::Ok);
         set(&mut minute, SKIPPED_STARTS, 0.01);
         assert_eq!(pipeline_warnings(&minute, &patient), []);
-        let said = &pipeline_warnings(&minute, &WarnConfig::default())[0].1;
-        assert!(said.starts_with("skipped 18 starts in the last minute"), "{said}");
+        let text = &pipeline_warnings(&minute, &WarnConfig::default())[0].1;
+        assert!(text.starts_with("skipped 18 starts in the last minute"), "{text}");
     }
 
     #[test]

@@ -15,14 +15,14 @@ use super::chip::Chip;
 use super::link::basis::{brief, source_words};
 use crate::look;
 use crate::picture::Picture;
-use crate::timeline::{NodeLocation, Placed, Timeline};
+use crate::timeline::{NodeLocation, PlacedNode, Timeline};
 
 /// One node in the waterfall and in its table. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
-    /// The host, in the first row of a group of rows of one host.
+    /// Name of the host, in the first of consecutive rows of one host.
     pub group: Option<String>,
-    /// Rows in that group.
+    /// Number of these rows.
     pub span: usize,
     pub class: &'static str,
     pub name: String,
@@ -67,25 +67,24 @@ pub(crate) fn rows(
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
-    // In an iteration that took as long as usual no part is marked.
+    // If an iteration took about as long as usual, no part of it is marked as a cause.
     let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
     let is_cause = |name: &str| unusual && detail.row.causes.iter().any(|cause| cause.name == *name);
-    let row = |node: &Placed| {
+    let row = |node: &PlacedNode| {
         let strong = is_cause(node.name.as_str());
         Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong))
     };
-    let is_late = |node: &&Placed| node.depth == 0 && node.name == *look::LATENESS;
+    let is_late = |node: &&PlacedNode| node.depth == 0 && node.name == *look::LATENESS;
     let mut rows: Vec<Row> = timeline.nodes.iter().filter(|node| !is_late(node)).map(row).collect();
-    // Lateness is a part of the unattributed time: next to it the column would add up to more than the total.
+    // Lateness is a part of the unattributed time, so its row is indented. Otherwise the column would seem to add up to more than the total.
     let late = timeline.nodes.iter().find(is_late).map(|node| Row { depth: 1, ..row(node) });
 
-    let figures = |name: &str| {
-        detail.run_figures.iter().find(|(known, _)| known == name).map(|(_, figures)| figures.p50)
-    };
+    let figures =
+        |name: &str| detail.run_figures.iter().find(|(node, _)| node == name).map(|(_, figures)| figures.p50);
     let edge = hosts.first().cloned().unwrap_or_default();
     if let Some(total) = detail.row.total {
-        let left = Left::of(detail, timeline, total);
-        if let Some((name, seconds)) = left.network {
+        let unaccounted = UnaccountedTime::of(detail, timeline, total);
+        if let Some((name, seconds)) = unaccounted.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
             let usual = figures("upload").zip(figures("download")).map(|(up, down)| up + down);
             let usual = usual.filter(|_| name == look::NETWORK);
@@ -93,50 +92,54 @@ pub(crate) fn rows(
             row.strong = is_cause(name);
             rows.insert(after, row);
         }
-        if let Some(rest) = left.rest {
+        if let Some(rest) = unaccounted.unattributed {
             let median = figures("unattributed");
             let mut row = Row::sum("unattributed", edge.clone(), rest, median, bars::blank(scale));
             row.strong = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(late);
-        let mut whole = Row::sum("total", edge, total, figures("total"), bars::total(total, scale));
-        whole.class = "total";
-        rows.push(whole);
+        let mut total_row = Row::sum("total", edge, total, figures("total"), bars::total(total, scale));
+        total_row.class = "total";
+        rows.push(total_row);
     }
     group(&mut rows);
     rows
 }
 
 /// Parts of a total that no stage accounts for.
-struct Left {
-    /// Name and seconds of the directions together, where one of them is not known.
+struct UnaccountedTime {
+    /// Name and seconds of the sum of upload and download, if one of them is not known.
     network: Option<(&'static str, f64)>,
     /// Time that no stage accounts for, if it is known and above zero.
-    rest: Option<f64>,
+    unattributed: Option<f64>,
 }
 
-impl Left {
-    /// Splits the total as the API does: by the agent's own sum, which a step of a clock does not change.
+impl UnaccountedTime {
+    /// Splits the total as the API does: by the sum of both directions that the agent measured, which a step of a clock does not change.
     fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
         let row = &detail.row;
-        let open =
+        let has_unknown_delay =
             timeline.nodes.iter().any(|node| node.at == NodeLocation::Network && node.length.is_none());
-        let known = |one_way: bool| {
-            let counted = row.stages.iter().filter(|(name, _)| one_way || !look::is_one_way(name.as_str()));
+        let sum_of_stages = |with_one_way: bool| {
+            let counted =
+                row.stages.iter().filter(|(name, _)| with_one_way || !look::is_one_way(name.as_str()));
             counted.map(|(_, seconds)| seconds).sum::<f64>()
         };
-        let (network, rest) = match (row.both_ways, open) {
+        let (network, unattributed) = match (row.both_ways, has_unknown_delay) {
             (Some(both), _) => (Some((look::NETWORK, both)), row.unattributed),
-            (None, false) => (None, Some(total - known(true))),
+            (None, false) => (None, Some(total - sum_of_stages(true))),
             // An answered iteration has unattributed time, but its amount is unknown.
             (None, true) if row.outcome == "ok" => {
-                (Some((look::NETWORK_AND_REST, total - known(false))), None)
+                (Some((look::NETWORK_AND_REST, total - sum_of_stages(false))), None)
             }
             (None, true) => (None, None),
         };
-        let something = |seconds: &f64| *seconds > 0.0;
-        Self { network: network.filter(|(_, seconds)| something(seconds)), rest: rest.filter(something) }
+        let is_positive = |seconds: &f64| *seconds > 0.0;
+        Self {
+            network: network.filter(|(_, seconds)| is_positive(seconds)),
+            unattributed: unattributed.filter(is_positive),
+        }
     }
 }
 
@@ -154,7 +157,7 @@ fn group(rows: &mut [Row]) {
 }
 
 impl Row {
-    fn of(node: &Placed, hosts: &[String], strong: bool, bar: Picture) -> Self {
+    fn of(node: &PlacedNode, hosts: &[String], strong: bool, bar: Picture) -> Self {
         let (host, class) = match node.at {
             NodeLocation::Network => ("network".to_owned(), "net"),
             NodeLocation::Host(0) => (hosts.first().cloned().unwrap_or_default(), ""),
@@ -212,14 +215,15 @@ fn digits(seconds: f64, bounds: Option<(f64, f64)>) -> String {
 }
 
 /// Returns the computation of each one-way delay.
-pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
-    let known = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
-    let shown = known.map(|(node, delay)| {
+pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayRow]) -> Vec<DelayRow> {
+    let nodes_with_delay = timeline.nodes.iter().filter_map(|node| Some((node, node.delay?)));
+    let rows = nodes_with_delay.map(|(node, delay)| {
         let bounds = delay.bounds;
-        // An exact delay needs no interval beside its value.
-        let apart = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
-        let end =
-            |at: usize| apart.as_ref().map(|ends| ends[at].clone()).or(bounds.map(|_| EXACT.to_owned()));
+        // An exact delay has no interval next to its value.
+        let interval_ends = bounds.filter(|(lo, hi)| hi > lo).map(|(lo, hi)| ends_ms(lo, hi));
+        let end = |at: usize| {
+            interval_ends.as_ref().map(|ends| ends[at].clone()).or(bounds.map(|_| EXACT.to_owned()))
+        };
         DelayRow {
             name: node.name.to_string(),
             raw: digits(delay.raw, bounds),
@@ -231,7 +235,7 @@ pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) ->
             lo: dash(end(0)),
             hi: dash(end(1)),
             source: source_words(delay.source),
-            basis: judged
+            basis: stored_delays
                 .iter()
                 .find(|row| row.stage == node.name)
                 .and_then(|row| row.assumptions.as_ref())
@@ -239,21 +243,21 @@ pub(crate) fn delays(timeline: &Timeline, judged: &[peernet_store::DelayRow]) ->
             chip: Chip::verdict(delay.verdict),
         }
     });
-    shown.collect()
+    rows.collect()
 }
 
-/// Returns the journey in a sentence, for those who do not see the rails.
+/// Describes the way of the iteration to the other host and back in a sentence, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let at = |seconds: f64| format!("{}{SPACE}ms", stage_ms(seconds));
-    let back = visit.answered.map_or_else(
+    let back = visit.answer_times.map_or_else(
         || "no answer came back".to_owned(),
         |(_, back)| format!("the answer is back at {}", at(back)),
     );
     format!(
         "The sample leaves {edge} at {}, reaches {cloud} at {}, {back}",
-        at(visit.left),
-        at(visit.arrived)
+        at(visit.sent_at),
+        at(visit.arrival)
     )
 }
 
@@ -303,15 +307,17 @@ mod tests {
     }
 
     #[test]
-    fn the_table_of_a_stepped_iteration_agrees_with_the_api() {
+    fn table_of_stepped_iteration_agrees_with_api() {
         let rows = shown(&stepped());
-        let of = |wanted: &str| rows.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.as_str());
+        let of = |stage_name: &str| {
+            rows.iter().find(|(name, _)| name == stage_name).map(|(_, value)| value.as_str())
+        };
         assert_eq!((of("upload"), of("download")), (Some("—"), Some("—")));
         assert_eq!((of("upload + download"), of("unattributed")), (Some("1,186.00"), Some("11.80")));
     }
 
     #[test]
-    fn what_is_not_known_apart_is_named_together() {
+    fn inseparable_times_have_one_common_row() {
         let mut detail = stepped();
         (detail.row.unattributed, detail.row.both_ways) = (None, None);
         let rows = shown(&detail);
@@ -320,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn lateness_stands_below_what_it_is_a_part_of() {
+    fn lateness_row_follows_unattributed_time() {
         let mut detail = samples::iteration();
         let late = Measure::Timer(Some(Span::from_micros(500)));
         detail.tree.add(NodeId::ROOT, Name::from(look::LATENESS), Span::ZERO, late);
@@ -333,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_has_the_digits_of_its_bounds() {
+    fn delay_has_digits_of_its_bounds() {
         let mut detail = samples::iteration();
         let micros = Span::from_micros;
         let delay = OneWayDelay {

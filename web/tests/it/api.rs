@@ -288,10 +288,10 @@ async fn export_has_one_row_per_iteration() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("export.csv");
     std::fs::write(&file, &answer.body).expect("writable");
-    let read = peernet_results::ResultFolder::open(&file).expect("it is one");
+    let loaded = peernet_results::ResultFolder::open(&file).expect("it is one");
     let run = dashboard.get("/api/v1/runs/1").await.json();
-    assert_eq!(serde_json::json!(read.record.counts.ok), run["counts"]["ok"]);
-    assert_eq!(serde_json::json!(read.record.counts.warm_up), run["warm_up"], "{run}");
+    assert_eq!(serde_json::json!(loaded.record.counts.ok), run["counts"]["ok"]);
+    assert_eq!(serde_json::json!(loaded.record.counts.warm_up), run["warm_up"], "{run}");
 }
 
 #[tokio::test]

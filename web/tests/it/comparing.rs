@@ -45,9 +45,12 @@ async fn skipped_starts_before_unanswered_iterations_are_shown() {
     assert_eq!(dashboard.get("/api/v1/runs/2").await.json()["skipped_starts"], 70);
     let trust = dashboard.get("/api/v1/runs/2/trust").await.json();
     let sentences = trust["sentences"].as_array().expect("sentences");
-    let said = sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("said");
-    assert_eq!(said["grade"], "bad", "{said}");
-    assert!(said["text"].as_str().expect("text").starts_with("70 of 170 starts (41\u{202f}%)"), "{said}");
+    let finding = sentences.iter().find(|sentence| sentence["about"] == "skipped starts").expect("said");
+    assert_eq!(finding["grade"], "bad", "{finding}");
+    assert!(
+        finding["text"].as_str().expect("text").starts_with("70 of 170 starts (41\u{202f}%)"),
+        "{finding}"
+    );
     let page = dashboard.get("/runs/2").await;
     assert!(page.text().contains("<dt>Skipped starts</dt><dd>70</dd>"), "{}", page.text());
 

@@ -27,12 +27,12 @@ async fn server_stops_despite_open_stream() {
         .write_all(b"GET /api/v1/live?topics=overview HTTP/1.1\r\nHost: localhost\r\n\r\n")
         .await
         .expect("sends");
-    let mut heard = String::new();
-    while !heard.contains("event: page") {
+    let mut received = String::new();
+    while !received.contains("event: page") {
         let mut chunk = [0; 4096];
         let length = listener.read(&mut chunk).await.expect("reads");
-        assert_ne!(length, 0, "the stream ended early: {heard}");
-        heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
+        assert_ne!(length, 0, "the stream ended early: {received}");
+        received.push_str(&String::from_utf8_lossy(&chunk[..length]));
     }
     stop.cancel();
     server.join().await.expect("ends when asked to");
@@ -51,14 +51,14 @@ async fn send_request(server: std::net::SocketAddr, from: &str, head: &str) -> T
 
 /// Returns the received text up to a chunk that contains `sign`.
 async fn read_until(stream: &mut TcpStream, sign: &str) -> String {
-    let mut heard = String::new();
-    while !heard.contains(sign) {
+    let mut received = String::new();
+    while !received.contains(sign) {
         let mut chunk = [0; 4096];
         let length = stream.read(&mut chunk).await.expect("reads");
-        assert_ne!(length, 0, "closed early: {heard}");
-        heard.push_str(&String::from_utf8_lossy(&chunk[..length]));
+        assert_ne!(length, 0, "closed early: {received}");
+        received.push_str(&String::from_utf8_lossy(&chunk[..length]));
     }
-    heard
+    received
 }
 
 #[tokio::test]
@@ -77,10 +77,10 @@ async fn streams_leave_connections_to_other_requests() {
         assert!(read_until(&mut stream, "event: status").await.starts_with("HTTP/1.1 200"));
         open.push(stream);
     }
-    let heard =
+    let received =
         read_until(&mut send_request(server, "127.0.0.1", LIVE).await, "4 live streams are open, ").await;
-    assert!(heard.starts_with("HTTP/1.1 503") && heard.contains("retry-after: 2"), "{heard}");
-    assert!(heard.contains("application/problem+json"), "{heard}");
+    assert!(received.starts_with("HTTP/1.1 503") && received.contains("retry-after: 2"), "{received}");
+    assert!(received.contains("application/problem+json"), "{received}");
     // Another address takes the place of the oldest.
     let mut other = send_request(server, "127.0.0.2", LIVE).await;
     assert!(read_until(&mut other, "event: status").await.starts_with("HTTP/1.1 200"));
@@ -98,8 +98,8 @@ async fn streams_leave_connections_to_other_requests() {
     // A stream that its listener closes makes room for another.
     drop((open, other));
     loop {
-        let heard = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
-        if heard.starts_with("HTTP/1.1 200") {
+        let received = read_until(&mut send_request(server, "127.0.0.3", LIVE).await, "\r\n").await;
+        if received.starts_with("HTTP/1.1 200") {
             break;
         }
         tokio::time::sleep(std::time::Duration::from_millis(10)).await;
@@ -126,16 +126,16 @@ async fn host_that_is_no_name_or_address_is_refused() {
         ("GET http://evil.example/healthz HTTP/1.1\r\nHost: evil.example", 421),
         ("GET /healthz HTTP/1.0", 400),
     ] {
-        let heard = read_until(&mut send_request(server, "127.0.0.1", head).await, "\r\n").await;
-        assert!(heard.split(' ').nth(1) == Some(&status.to_string()), "{head}: {heard}");
+        let received = read_until(&mut send_request(server, "127.0.0.1", head).await, "\r\n").await;
+        assert!(received.split(' ').nth(1) == Some(&status.to_string()), "{head}: {received}");
     }
 }
 
 #[tokio::test]
 async fn port_in_use_is_named_in_the_error() {
     let dashboard = TestDashboard::empty().await;
-    let taken = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
-    let listen = taken.local_addr().expect("an address").to_string();
+    let occupied_port = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("binds");
+    let listen = occupied_port.local_addr().expect("an address").to_string();
     let config = WebConfig { listen: listen.clone(), ..dashboard.config.clone() };
     let error = peernet_web::serve(
         config,

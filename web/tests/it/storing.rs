@@ -74,9 +74,9 @@ async fn damaged_database_errors_match_readiness() {
     let answer = dashboard.get("/api/v1/runs/1/iterations").await;
     assert_eq!(answer.status, StatusCode::INTERNAL_SERVER_ERROR, "{}", answer.text());
     let detail = answer.json()["detail"].as_str().expect("a detail").to_owned();
-    let told = detail.split_once(": ").map_or("", |(_, told)| told);
+    let problem = detail.split_once(": ").map_or("", |(_, problem)| problem);
     assert!(
-        told.contains("is damaged") && reason.contains(told),
+        problem.contains("is damaged") && reason.contains(problem),
         "{detail} is not what readiness says: {reason}"
     );
     drop(connection);

@@ -12,18 +12,19 @@ use super::Arguments;
 /// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Folder {
     path: PathBuf,
-    made: bool,
+    /// `true` if the folder was created for this calibration.
+    is_created: bool,
 }
 
 impl Folder {
     /// Creates the requested folder, or one named after peer and time.
     ///
     /// # Errors
-    /// When it is not empty (64) or cannot be created (73).
+    /// When the folder is not empty (64) or cannot be created (73).
     pub(super) fn make(arguments: &Arguments, peer: &Address, at: WallTime) -> Result<Self, Failure> {
-        let path = arguments.result_loc.clone().unwrap_or_else(|| default(peer, at));
+        let path = arguments.result_loc.clone().unwrap_or_else(|| default_path(peer, at));
         let entries = std::fs::read_dir(&path);
-        let made = entries.is_err();
+        let is_created = entries.is_err();
         if entries.is_ok_and(|mut entries| entries.next().is_some()) && !arguments.overwrite {
             let text = anyhow!(
                 "the folder {} is not empty; name another with --result-loc, or add --overwrite",
@@ -31,11 +32,10 @@ impl Folder {
             );
             return Err(Failure::new(Exit::Usage, text));
         }
-        let made_or_there = std::fs::create_dir_all(&path);
-        made_or_there.map_err(|error| {
+        std::fs::create_dir_all(&path).map_err(|error| {
             Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         })?;
-        Ok(Self { path, made })
+        Ok(Self { path, is_created })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -44,14 +44,14 @@ impl Folder {
 
     /// Removes the folder if it was created here, because there is nothing to keep.
     pub(super) fn discard(self) {
-        if self.made {
+        if self.is_created {
             // Only an empty folder is removed; one that remains does no harm.
             let _ = std::fs::remove_dir(self.path);
         }
     }
 }
 
-fn default(peer: &Address, at: WallTime) -> PathBuf {
+fn default_path(peer: &Address, at: WallTime) -> PathBuf {
     let at = chrono::DateTime::from_timestamp_nanos(at.unix_nanos()).format("%Y-%m-%d-%H%M%S");
     let peer: String = peer
         .host()
@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn folder_is_named_after_peer_and_time() {
         let at = WallTime::from_unix_nanos(1_795_179_293_000_000_000);
-        let name = |peer: &str| default(&peer.parse().expect("an address"), at).display().to_string();
+        let name = |peer: &str| default_path(&peer.parse().expect("an address"), at).display().to_string();
         assert_eq!(name("tcp://cloud.lab:5551"), "calibration-cloud.lab-2026-11-20-125453");
         assert_eq!(name("tcp://[fe80::1]:5551"), "calibration-fe80--1-2026-11-20-125453");
     }

@@ -23,7 +23,7 @@ use peernet_clock::WallTime;
 use peernet_figures::draw_calibration;
 use peernet_inference::Scratch;
 
-use crate::foreground::{Ended, LogDestination, Ready, Watched, start_log};
+use crate::foreground::{AgentEnd, AgentResult, LogDestination, ReadyAgent, start_log};
 use folder::Folder;
 use observe::{SweepObserver, UnmeasurableSize};
 use plan::Plan;
@@ -42,26 +42,26 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;
 
-    let ready = Ready::new(config)?;
-    let started = ready.truth.wall();
+    let ready = ReadyAgent::new(config)?;
+    let started = ready.system_clock.wall();
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
-    let mut watch = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
-    let Watched { ended, name: edge, missed } = ready.watch(&mut watch)?;
-    let observed = watch.observed;
-    let failed = match &ended {
-        Ended::Finished => None,
-        Ended::Interrupted => Some(Failure::new(
+    let mut observer = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
+    let AgentResult { ended, name: edge, missed } = ready.watch(&mut observer)?;
+    let measurements = observer.measurements;
+    let failure = match &ended {
+        AgentEnd::Finished => None,
+        AgentEnd::Interrupted => Some(Failure::new(
             Exit::Interrupted,
             anyhow!("ended early: the results above cover the measurements until then"),
         )),
-        Ended::OwnReason(UnmeasurableSize(reason)) | Ended::Failed(reason) => {
+        AgentEnd::OwnReason(UnmeasurableSize(reason)) | AgentEnd::Failed(reason) => {
             Some(unavailable(anyhow!("{reason}")))
         }
     };
-    if observed.samples.is_empty() || matches!(ended, Ended::OwnReason(_)) {
+    if measurements.samples.is_empty() || matches!(ended, AgentEnd::OwnReason(_)) {
         folder.discard();
-        return match failed {
+        return match failure {
             Some(Failure { exit: Exit::Interrupted, .. }) => {
                 Err(Failure::new(Exit::Interrupted, anyhow!("ended before the first measurement")))
             }
@@ -72,21 +72,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let setting = Setting {
         peer: plan.peer.to_string(),
         edge,
-        cloud: observed.cloud,
+        cloud: measurements.cloud,
         network: plan.peer.network().name().to_owned(),
         started: rfc3339(started),
         version: VERSION.to_owned(),
         sizes_bytes: plan.sizes().to_vec(),
         repeats: arguments.repeats.get(),
-        interrupted: ended != Ended::Finished,
+        interrupted: ended != AgentEnd::Finished,
         ended: match &ended {
-            Ended::Failed(reason) => Some(reason.clone()),
+            AgentEnd::Failed(reason) => Some(reason.clone()),
             _ => None,
         },
-        reconnections: observed.reconnections,
-        has_clock_fault: observed.has_clock_fault,
+        reconnections: measurements.reconnections,
+        has_clock_fault: measurements.has_clock_fault,
     };
-    let study = Study::new(setting, observed.samples, &observed.clocks);
+    let study = Study::new(setting, measurements.samples, &measurements.clocks);
     // Printed first: a full disk must not prevent the result from being shown.
     print_to_stdout(study.text());
     let written = write(&study, folder.path()).map_err(|error| {
@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     if missed > 0 {
         print_to_stderr(format_args!("{missed} iterations were not recorded: this machine is too busy"));
     }
-    match failed {
+    match failure {
         Some(failure) => Err(failure),
         None if study.verdict.kind.is_result() => Ok(()),
         None => Err(unavailable(anyhow!("the study has no result: {}", study.verdict.sentence))),

@@ -11,9 +11,9 @@ use peernet_stream::{ClockSample, Event, FaultyHost, HostClock, IncidentKind, Ou
 
 use super::plan::Plan;
 use super::sweep::Sweep;
-use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver};
+use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
-/// Wait for an absent peer after the time for the sweep is over.
+/// Time to wait for an absent peer after the time for the sweep is over.
 const ABSENCE_TIMEOUT: Span = Span::from_seconds(10);
 
 /// The peer cannot answer payloads of one of the sizes; the text names the size and the reason.
@@ -22,14 +22,14 @@ pub(super) struct UnmeasurableSize(pub(super) String);
 
 /// Measurements of the sweep.
 #[derive(Default)]
-pub(super) struct Observed {
+pub(super) struct SweepMeasurements {
     pub(super) samples: Vec<Sample>,
     pub(super) clocks: Vec<ClockSample>,
     /// The peer's own name.
     pub(super) cloud: Option<String>,
     /// `true` if the clock of either host was made wrong on purpose.
     pub(super) has_clock_fault: bool,
-    /// Number of times that the peer returned with the same clock after an absence.
+    /// Number of times that the peer came back after an absence with the same clock as before.
     pub(super) reconnections: u64,
 }
 
@@ -38,17 +38,17 @@ pub(super) struct SweepObserver<'a> {
     plan: &'a Plan,
     clock: SharedClock,
     progress: Sweep,
-    pub(super) observed: Observed,
-    began: MonoTime,
+    pub(super) measurements: SweepMeasurements,
+    started_at: MonoTime,
     peer_wait: PeerWait,
-    /// The peer was absent, or refused, at the first attempt.
+    /// Kind of the incident if the peer was absent, or refused the session, at the first attempt.
     refused_kind: Option<IncidentKind>,
     /// Sizes of which at least one payload was sent.
-    tried: BTreeSet<u64>,
+    tried_sizes: BTreeSet<u64>,
     /// The peer's clock as last reported.
     cloud_clock: Option<HostClock>,
-    /// `true` if a host reads another clock now, so that later measurements are not part of the study.
-    over: bool,
+    /// `true` if the peer returned with another clock. Later measurements are then not part of the study.
+    has_other_clock: bool,
 }
 
 impl<'a> SweepObserver<'a> {
@@ -58,24 +58,25 @@ impl<'a> SweepObserver<'a> {
             plan,
             progress: Sweep::new(plan, quiet, now),
             clock,
-            observed: Observed::default(),
-            began: now,
+            measurements: SweepMeasurements::default(),
+            started_at: now,
             peer_wait: PeerWait::new(now),
             refused_kind: None,
-            tried: BTreeSet::new(),
+            tried_sizes: BTreeSet::new(),
             cloud_clock: None,
-            over: false,
+            has_other_clock: false,
         }
     }
 
-    /// Handles a new session. Measurements with another clock would be another study.
-    fn handle_reconnect(&mut self, clock: Option<HostClock>) -> Option<Ended<UnmeasurableSize>> {
+    /// Handles a new session with the peer. Ends the study if the peer has another clock now.
+    fn handle_reconnect(&mut self, clock: Option<HostClock>) -> Option<AgentEnd<UnmeasurableSize>> {
         self.peer_wait.record_answer(self.clock.mono());
-        let before = std::mem::replace(&mut self.cloud_clock, clock);
-        let change = match (&before, &self.cloud_clock) {
-            // A restarted program begins its artificial clock error and its count of steps again.
+        let previous_clock = std::mem::replace(&mut self.cloud_clock, clock);
+        let change = match (&previous_clock, &self.cloud_clock) {
+            // After a restart of the peer's program, its clock fault and its count of steps begin again. Both are unchanged or grown if the
+            // same program is back.
             (Some(before), Some(now)) if before.faults == now.faults && before.epoch <= now.epoch => {
-                self.observed.reconnections += 1;
+                self.measurements.reconnections += 1;
                 return None;
             }
             (_, Some(HostClock { faults: Some(change), .. })) => {
@@ -85,12 +86,12 @@ impl<'a> SweepObserver<'a> {
             // The peer left again before its clock could be read.
             (_, None) => "an unknown clock".to_owned(),
         };
-        self.over = true;
-        let name = self.observed.cloud.as_deref().unwrap_or("the peer");
+        self.has_other_clock = true;
+        let name = self.measurements.cloud.as_deref().unwrap_or("the peer");
         let text = format!(
             "{name} disconnected and returned with {change}: the study ends with the measurements until then"
         );
-        Some(Ended::Failed(text))
+        Some(AgentEnd::Failed(text))
     }
 }
 
@@ -101,16 +102,16 @@ impl RunObserver for SweepObserver<'_> {
         &mut self,
         event: Event,
         running: Option<&RunningAgent>,
-    ) -> Option<Ended<UnmeasurableSize>> {
-        if self.over {
+    ) -> Option<AgentEnd<UnmeasurableSize>> {
+        if self.has_other_clock {
             return None;
         }
         match event {
             Event::RunStarted(run) => {
                 // There is one fact for each host with an artificial clock error.
-                self.observed.has_clock_fault |=
+                self.measurements.has_clock_fault |=
                     run.facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
-                self.observed.cloud = run.placement.peer.map(|peer| peer.to_string());
+                self.measurements.cloud = run.placement.peer.map(|peer| peer.to_string());
                 self.cloud_clock = running.and_then(cloud_clock);
                 self.peer_wait.record_answer(self.clock.mono());
                 self.progress.begin(self.peer_wait.last_present());
@@ -120,23 +121,26 @@ impl RunObserver for SweepObserver<'_> {
                 if sample.is_counted() || sample.warm_up {
                     self.peer_wait.record_answer(self.clock.mono());
                 }
-                let (payload, first) = (sample.payload_bytes, self.tried.insert(sample.payload_bytes));
-                self.observed.samples.push(sample);
-                // A failure at the first payload of a size would repeat.
-                if let (true, Outcome::Failed(reason)) = (first, &iteration.outcome) {
-                    return Some(Ended::OwnReason(UnmeasurableSize(describe_unmeasurable(payload, reason))));
+                let (payload, is_first) =
+                    (sample.payload_bytes, self.tried_sizes.insert(sample.payload_bytes));
+                self.measurements.samples.push(sample);
+                // If the first payload of a size fails, all payloads of that size would fail.
+                if let (true, Outcome::Failed(reason)) = (is_first, &iteration.outcome) {
+                    return Some(AgentEnd::OwnReason(UnmeasurableSize(describe_unmeasurable(
+                        payload, reason,
+                    ))));
                 }
             }
-            Event::Clock(second) => self.observed.clocks.push(*second),
+            Event::Clock(second) => self.measurements.clocks.push(*second),
             Event::RunEnded(run) => {
-                return Some(Ended::from_run_end(run.reason, "sweep"));
+                return Some(AgentEnd::from_run_end(run.reason, "sweep"));
             }
             Event::Incident(incident) => match incident.kind {
-                IncidentKind::PipelineFailed => return Some(Ended::Failed(incident.text)),
-                IncidentKind::Disconnected | IncidentKind::Refused if self.observed.cloud.is_none() => {
+                IncidentKind::PipelineFailed => return Some(AgentEnd::Failed(incident.text)),
+                IncidentKind::Disconnected | IncidentKind::Refused if self.measurements.cloud.is_none() => {
                     self.refused_kind = Some(incident.kind);
                 }
-                IncidentKind::Connected if self.observed.cloud.is_some() => {
+                IncidentKind::Connected if self.measurements.cloud.is_some() => {
                     return self.handle_reconnect(running.and_then(cloud_clock));
                 }
                 _ => {}
@@ -146,7 +150,7 @@ impl RunObserver for SweepObserver<'_> {
         None
     }
 
-    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<UnmeasurableSize>> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<UnmeasurableSize>> {
         let activity = PipelineActivity::current(running);
         let wait_reason = activity.wait_reason();
         if let (Some(kind), Some(reason)) = (self.refused_kind, wait_reason) {
@@ -158,17 +162,18 @@ impl RunObserver for SweepObserver<'_> {
                 }
                 _ => "",
             };
-            return Some(Ended::Failed(format!("{reason}{advice}")));
+            return Some(AgentEnd::Failed(format!("{reason}{advice}")));
         }
         let now = self.clock.mono();
         self.peer_wait.update(&activity, now);
-        // A user who limits the time does not want to wait much longer for an absent peer.
-        let left = self.began + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
-        let timeout = (left + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
-        let name = self.observed.cloud.as_deref();
+        // An absent peer is waited for until shortly after the end of the time that the user gave the sweep.
+        let remaining =
+            self.started_at + Span::from_seconds_f64(self.plan.seconds) - self.peer_wait.last_present();
+        let timeout = (remaining + ABSENCE_TIMEOUT).clamp(ABSENCE_TIMEOUT, PeerWait::DEFAULT_TIMEOUT);
+        let name = self.measurements.cloud.as_deref();
         let trouble = name.and_then(|name| self.peer_wait.describe_trouble(name, wait_reason, now, timeout));
-        self.progress.show(&self.observed.samples, now, trouble);
-        self.peer_wait.timeout_reason(wait_reason, now, timeout).map(Ended::Failed)
+        self.progress.show(&self.measurements.samples, now, trouble);
+        self.peer_wait.timeout_reason(wait_reason, now, timeout).map(AgentEnd::Failed)
     }
 
     fn end_decided(&mut self) {

@@ -15,7 +15,7 @@ use serde_json::json;
 use super::Arguments;
 use crate::foreground::tables;
 
-/// Number of rounds in random order before they repeat: enough that size and time are not correlated.
+/// Maximum number of rounds that are shuffled. Then the order repeats. The number is large enough that size and time are not correlated.
 const ROUNDS: u64 = 64;
 /// Seed of the order.
 const SEED: u64 = 1;
@@ -23,9 +23,10 @@ const SEED: u64 = 1;
 const TIMEOUT_MS: u64 = 60_000;
 /// Timeout of connecting in milliseconds.
 const OPEN_TIMEOUT_MS: u64 = 10_000;
-/// Size limit of a message in bytes unless a payload needs more, and the part of a message besides the payload.
-const MESSAGE_BYTES: u64 = 64 << 20;
-const BESIDE_PAYLOAD: u64 = 1 << 20;
+/// Size limit of a message in bytes, unless a payload needs more.
+const MIN_MESSAGE_LIMIT_BYTES: u64 = 64 << 20;
+/// Maximum size of the parts of a message other than the payload, bytes.
+const MAX_OVERHEAD_BYTES: u64 = 1 << 20;
 
 /// Plan of a sweep.
 pub(super) struct Plan {
@@ -35,7 +36,7 @@ pub(super) struct Plan {
     /// Sizes in the order in which they are sent; the order repeats.
     order: Vec<u64>,
     warm_up: u64,
-    /// Number of iterations that count.
+    /// Number of iterations without the warm-up.
     pub(super) iterations: u64,
     /// Time limit, seconds.
     pub(super) seconds: f64,
@@ -46,8 +47,7 @@ impl Plan {
     /// Makes the plan.
     ///
     /// # Errors
-    /// When there are fewer than three sizes, which make no line, or the peer's address belongs to another network than the named
-    /// one.
+    /// When there are fewer than three sizes, too few for a line, or the peer's address does not belong to the network of `--network`.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();
@@ -78,7 +78,7 @@ impl Plan {
                 "model": "calibration",
                 "session": {
                     "open_timeout_ms": OPEN_TIMEOUT_MS,
-                    "max_message_bytes": MESSAGE_BYTES.max(largest + BESIDE_PAYLOAD),
+                    "max_message_bytes": MIN_MESSAGE_LIMIT_BYTES.max(largest + MAX_OVERHEAD_BYTES),
                 },
             },
             "load": { "mode": "closed" },
@@ -95,17 +95,17 @@ impl Plan {
     }
 
     /// Returns the number of iterations, including the warm-up.
-    pub(super) fn all(&self) -> u64 {
+    pub(super) fn all_iterations(&self) -> u64 {
         self.iterations.saturating_add(self.warm_up)
     }
 
     /// Returns the payload of an iteration, counted from 1.
     pub(super) fn payload(&self, number: u64) -> u64 {
-        let at = number.saturating_sub(1) % self.order.len() as u64;
-        self.order[at as usize]
+        let index = number.saturating_sub(1) % self.order.len() as u64;
+        self.order[index as usize]
     }
 
-    /// Makes the configuration of an agent for the sweep; tables that relate the clocks are read from `file`, if one is named.
+    /// Makes the configuration of an agent for the sweep. The tables for clocks and probes are read from `file` if it is given.
     ///
     /// # Errors
     /// When the file cannot be read (66) or its tables are wrong (78).
@@ -139,7 +139,7 @@ mod tests {
     fn each_round_has_all_sizes_in_own_order() {
         let plan = plan("cloud --sizes 1kB,100,1MB,100,10kB --repeats 50 --warm-up 1").expect("four sizes");
         assert_eq!(
-            (plan.sizes(), plan.iterations, plan.all()),
+            (plan.sizes(), plan.iterations, plan.all_iterations()),
             (&[100, 1_000, 10_000, 1_000_000][..], 200, 204)
         );
         let rounds: Vec<Vec<u64>> = plan

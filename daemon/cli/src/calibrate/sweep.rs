@@ -11,14 +11,15 @@ use crate::foreground::Progress;
 /// Display of the sweep's progress.
 pub(super) struct Sweep {
     progress: Progress,
-    scale: Scale,
-    began: MonoTime,
+    extent: Extent,
+    started_at: MonoTime,
 }
 
 /// Extent of the sweep.
-struct Scale {
+struct Extent {
     iterations: u64,
     seconds: f64,
+    /// Smallest and largest size, bytes.
     extremes: (u64, u64),
 }
 
@@ -27,19 +28,19 @@ impl Sweep {
         let sizes = plan.sizes();
         let extremes =
             (sizes.first().copied().unwrap_or_default(), sizes.last().copied().unwrap_or_default());
-        let scale = Scale { iterations: plan.all(), seconds: plan.seconds, extremes };
-        Self { progress: Progress::new(quiet, now), scale, began: now }
+        let extent = Extent { iterations: plan.all_iterations(), seconds: plan.seconds, extremes };
+        Self { progress: Progress::new(quiet, now), extent, started_at: now }
     }
 
     /// Records the start of the first iteration.
     pub(super) const fn begin(&mut self, now: MonoTime) {
-        self.began = now;
+        self.started_at = now;
     }
 
     /// Shows the state at `now`. If there is `trouble`, it replaces the state.
     pub(super) fn show(&mut self, samples: &[Sample], now: MonoTime, trouble: Option<String>) {
-        let (scale, elapsed) = (&self.scale, (now - self.began).seconds());
-        self.progress.show(now, trouble, || scale.describe(samples, elapsed));
+        let (extent, elapsed) = (&self.extent, (now - self.started_at).seconds());
+        self.progress.show(now, trouble, || extent.describe(samples, elapsed));
     }
 
     /// Removes the bar.
@@ -48,7 +49,7 @@ impl Sweep {
     }
 }
 
-impl Scale {
+impl Extent {
     /// Describes the state, and returns the share that is done.
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
         let done = samples.len() as f64;

@@ -8,72 +8,74 @@ use anyhow::anyhow;
 use peernet_analysis::loaded::Loaded;
 use peernet_results::{FolderError, ResultFolder};
 
-use super::excluded::Excluded;
+use super::excluded::ExclusionReasons;
 use super::experiment::Experiments;
-use super::order::as_declared;
+use super::order::declared_order;
 use super::selected_results::SelectedResults;
 use crate::measure::previous_results_folder;
 
 /// Results to compare, without duplicates.
-pub(crate) struct Collected {
+pub(crate) struct CollectedResults {
     pub(crate) runs: Vec<Loaded>,
     /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
-    /// Sentences on excluded runs (unfinished runs, copies), and on facts about them that are unknown.
+    /// Sentences about excluded runs (unfinished runs, copies), and about experiments whose records cannot be read.
     pub(crate) notes: Vec<String>,
 }
 
-/// Reads the columns that `wanted` accepts of all results at the named paths, without excluded results.
+/// Reads all results at the named paths, except for excluded results. Only columns that `is_wanted` accepts are read.
 ///
 /// Results keep the order of the paths, and runs of an experiment have the order of its file. A baseline comes first, unless all its runs
 /// are at the named paths.
 ///
 /// # Errors
-/// When a path has no results or all are excluded (66), or some cannot be read (65).
+/// When a path has no results or all results are excluded (66), or some results cannot be read (65).
 pub(crate) fn collect(
     named_paths: &[PathBuf],
     baseline: Option<&Path>,
-    wanted: &dyn Fn(&str) -> bool,
-) -> Result<Collected, Failure> {
-    let found = distinct_paths(named_paths).into_iter().map(|path| find(&path).map(|found| (path, found)));
-    let mut found: Vec<(PathBuf, Vec<PathBuf>)> = found.collect::<Result<_, Failure>>()?;
+    is_wanted: &dyn Fn(&str) -> bool,
+) -> Result<CollectedResults, Failure> {
+    let results =
+        distinct_paths(named_paths).into_iter().map(|path| find(&path).map(|results| (path, results)));
+    let mut results: Vec<(PathBuf, Vec<PathBuf>)> = results.collect::<Result<_, Failure>>()?;
     let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
-    let all = found.iter().flat_map(|(_, found)| found).chain(&baseline_paths).map(PathBuf::as_path);
+    let all = results.iter().flat_map(|(_, results)| results).chain(&baseline_paths).map(PathBuf::as_path);
     let experiments = Experiments::find(all);
-    let mut chosen = SelectedResults::new(&found, &experiments);
+    let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&chosen.paths, path)))
+        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {
-        found.insert(0, (baseline.to_owned(), baseline_paths.clone()));
-        chosen = SelectedResults::new(&found, &experiments);
+        results.insert(0, (baseline.to_owned(), baseline_paths.clone()));
+        selected = SelectedResults::new(&results, &experiments);
     }
-    let SelectedResults { paths, unselected } = chosen;
-    let numbers = (0..paths.len()).filter(|at| contains_same_path(&baseline_paths, &paths[*at]));
-    let baseline_numbers: Vec<usize> = numbers.collect();
-    unselected.iter().for_each(|runs| print_to_stderr(&runs.remark));
-    let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.what).collect();
+    let SelectedResults { paths, unselected } = selected;
+    let baseline_indexes: Vec<usize> =
+        (0..paths.len()).filter(|index| contains_same_path(&baseline_paths, &paths[*index])).collect();
+    unselected.iter().for_each(|runs| print_to_stderr(&runs.message));
+    let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.caveat).collect();
     if paths.is_empty() {
-        let named: Vec<String> = named_paths.iter().map(|path| path.display().to_string()).collect();
+        let path_texts: Vec<String> = named_paths.iter().map(|path| path.display().to_string()).collect();
         let text = format!(
             "no results in {} can be compared; give the folder of a run to include it",
-            named.join(", ")
+            path_texts.join(", ")
         );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
-    let runs = paths.iter().map(|path| open(path, wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
-    let named: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
-    let excluded = Excluded::new(&runs, &baseline_numbers, &named, &experiments);
-    let unknown = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
-    for note in unknown.into_iter().chain(excluded.notes(&runs)) {
+    let runs = paths.iter().map(|path| open(path, is_wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
+    let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
+    let unreadable = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
+    for note in unreadable.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
         notes.push(sentence(&note));
     }
-    let is_kept = |at: usize| !excluded.contains(at);
-    let kept = runs.iter().enumerate().filter(|(at, _)| is_kept(*at));
+    let is_kept = |index: usize| !exclusions.contains(index);
+    let kept = runs.iter().enumerate().filter(|(index, _)| is_kept(*index));
     kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
-    let order: Vec<usize> = as_declared(&runs, &experiments).into_iter().filter(|at| is_kept(*at)).collect();
+    let order: Vec<usize> =
+        declared_order(&runs, &experiments).into_iter().filter(|index| is_kept(*index)).collect();
     let baseline_runs =
-        (0..order.len()).filter(|at| baseline_numbers.contains(&order[*at])).collect::<Vec<_>>();
+        (0..order.len()).filter(|index| baseline_indexes.contains(&order[*index])).collect::<Vec<_>>();
     if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {
         let text = format!(
             "no run of the baseline {} is finished; give the folder of a run to include it",
@@ -83,12 +85,12 @@ pub(crate) fn collect(
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(Collected { runs, baseline: baseline_runs, notes })
+    Ok(CollectedResults { runs, baseline: baseline_runs, notes })
 }
 
 /// Turns a note into a sentence for the text below a table.
-fn sentence(remark: &str) -> String {
-    let mut letters = remark.chars();
+fn sentence(note: &str) -> String {
+    let mut letters = note.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
 }
@@ -106,10 +108,10 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
         ));
     }
     match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {
-        Some(of) => Some(format!(
+        Some(unfinished) => Some(format!(
             "{folder} belongs to an unfinished run, {}: tables and figures of its experiment exclude it; {} completes it",
-            of.state(),
-            of.experiment.remedy()
+            unfinished.state(),
+            unfinished.experiment.remedy()
         )),
         None => Some(format!("{folder} is incomplete: {}", run.incompleteness()?)),
     }
@@ -131,22 +133,23 @@ fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
     if path.is_file() {
         return Ok(vec![folder_of(path).to_owned()]);
     }
-    let found = ResultFolder::find(path);
-    if found.is_empty() {
-        let what = if path.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
-        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {what}", path.display())));
+    let results = ResultFolder::find(path);
+    if results.is_empty() {
+        let reason =
+            if path.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
+        return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {reason}", path.display())));
     }
-    Ok(found)
+    Ok(results)
 }
 
-/// Returns the path to open for a file of rows: its folder if the file belongs to a folder of results.
+/// Returns the path to open for a file of rows: its folder for `FOLDER/data.csv`, else the file itself.
 fn folder_of(file: &Path) -> &Path {
     let folder = file.parent().filter(|folder| file.ends_with("data.csv") && *folder != Path::new(""));
     folder.unwrap_or(file)
 }
 
-fn open(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
-    ResultFolder::open_columns(path, wanted).map_err(|error| match error {
+fn open(path: &Path, is_wanted: &dyn Fn(&str) -> bool) -> Result<Loaded, Failure> {
+    ResultFolder::open_columns(path, is_wanted).map_err(|error| match error {
         FolderError::NoResults(_) => Failure::new(Exit::NoInput, error),
         _ => Failure::new(Exit::Data, error),
     })
@@ -187,8 +190,8 @@ mod tests {
             std::fs::write(run.join("data.csv"), "iteration,inference\n1,0.1\n").expect("written");
         }
         for baseline in [runs[1].clone(), runs[1].join("data.csv")] {
-            let found = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
-            assert_eq!((found.runs.len(), found.baseline), (2, vec![1]), "{}", baseline.display());
+            let results = collect(&runs, Some(&baseline), &|_| true).expect("they are there");
+            assert_eq!((results.runs.len(), results.baseline), (2, vec![1]), "{}", baseline.display());
         }
         let of_both = collect(&runs[..1], Some(folder.path()), &|_| true).expect("they are there");
         assert_eq!((of_both.runs.len(), of_both.baseline), (2, vec![0, 1]));
@@ -199,11 +202,11 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let data = folder.path().join("data.csv");
         std::fs::write(&data, "iteration,inference,warm-up,outcome\n1,0.1,0,ok\n").expect("written");
-        let told = || {
+        let note = || {
             let run = open(folder.path(), &|_| true).expect("readable");
             incompleteness_note(&run, &Experiments::find(std::iter::once(folder.path())))
         };
-        assert!(told().is_some_and(|told| told.contains("in progress or was killed")), "{:?}", told());
+        assert!(note().is_some_and(|text| text.contains("in progress or was killed")), "{:?}", note());
         let record = |reason: &str| {
             let text = format!(
                 r#"{{"format":1,"reason":"{reason}","pipeline":{{"limit":{{"total":9}}}},"counts":{{"ok":1}}}}"#
@@ -212,11 +215,11 @@ mod tests {
         };
         record("stopped");
         assert!(
-            told().is_some_and(|told| told.ends_with("interrupted after 1 of 9 iterations")),
+            note().is_some_and(|text| text.ends_with("interrupted after 1 of 9 iterations")),
             "{:?}",
-            told()
+            note()
         );
         record("finished");
-        assert_eq!(told(), None);
+        assert_eq!(note(), None);
     }
 }

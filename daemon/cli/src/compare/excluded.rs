@@ -12,26 +12,26 @@ use super::selected_results::is_named;
 const MAX_NAMED: usize = 8;
 
 /// Reason for excluding each result, in the order of the results; `None` if a result is compared.
-pub(super) struct Excluded(Vec<Option<Exclusion>>);
+pub(super) struct ExclusionReasons(Vec<Option<Exclusion>>);
 
-impl Excluded {
-    /// Finds the excluded results; `named` are the paths on the command line.
+impl ExclusionReasons {
+    /// Finds the excluded results. `named` are the paths on the command line.
     ///
-    /// If there are several results of a run, the baseline is compared, otherwise a named result, otherwise the result in the folder that
-    /// the experiment gave the run, otherwise the first result.
+    /// Of several results of one run only one is compared. It is the first of these that exists: the baseline, a result whose path is on the
+    /// command line, the result in the run's folder of the experiment, the first result.
     pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
         named: &[&Path],
         experiments: &Experiments,
     ) -> Self {
-        let candidate = |(at, run): (usize, &Loaded)| {
-            let (known, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
+        let candidate = |(index, run): (usize, &Loaded)| {
+            let (candidate, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
             Candidate {
-                state: in_experiment.map(|run| run.state()).or(known.state),
+                state: in_experiment.map(|run| run.state()).or(candidate.state),
                 is_named: named.iter().any(|path| is_named(path, &run.folder, experiments)),
-                rank: if baseline.contains(&at) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
-                ..known
+                rank: if baseline.contains(&index) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
+                ..candidate
             }
         };
         Self(exclusions(&runs.iter().enumerate().map(candidate).collect::<Vec<_>>()))
@@ -44,29 +44,31 @@ impl Excluded {
 
     /// Returns notes on the excluded results, one for each kind of reason.
     pub(super) fn notes(&self, runs: &[Loaded]) -> Vec<String> {
-        let folder = |at: usize| runs[at].folder.display().to_string();
-        let note = |what: &str, why: &dyn Fn(&Exclusion) -> Option<String>| {
+        let folder = |index: usize| runs[index].folder.display().to_string();
+        let note = |kind: &str, describe: &dyn Fn(&Exclusion) -> Option<String>| {
             let all: Vec<String> = (0..self.0.len())
-                .filter_map(|at| Some(format!("{} ({})", folder(at), why(self.0[at].as_ref()?)?)))
+                .filter_map(|index| {
+                    Some(format!("{} ({})", folder(index), describe(self.0[index].as_ref()?)?))
+                })
                 .collect();
             let more = all.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let named = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!all.is_empty()).then(|| format!("excluded, {what}: {named}{more}"))
+            let listed = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+            (!all.is_empty()).then(|| format!("excluded, {kind}: {listed}{more}"))
         };
-        let unfinished = note("unfinished runs", &|why| match why {
-            Exclusion::Unfinished(_) => Some(why.describe(folder)),
+        let unfinished = note("unfinished runs", &|exclusion| match exclusion {
+            Exclusion::Unfinished(_) => Some(exclusion.describe(folder)),
             _ => None,
         });
-        let copies = note("copies of other results with the same run id", &|why| match why {
-            Exclusion::CopyOf(of) => Some(format!("of {}", folder(*of))),
+        let copies = note("copies of other results with the same run id", &|exclusion| match exclusion {
+            Exclusion::CopyOf(original) => Some(format!("of {}", folder(*original))),
             _ => None,
         });
-        let again = note("repeated runs", &|why| match why {
-            Exclusion::MeasuredAgain(by) => Some(format!("as {}", folder(*by))),
+        let repeated = note("repeated runs", &|exclusion| match exclusion {
+            Exclusion::MeasuredAgain(later) => Some(format!("as {}", folder(*later))),
             _ => None,
         });
-        [unfinished, copies, again].into_iter().flatten().collect()
+        [unfinished, copies, repeated].into_iter().flatten().collect()
     }
 }
 
@@ -77,7 +79,7 @@ mod tests {
 
     use serde_json::json;
 
-    use crate::compare::{Collected, collect};
+    use crate::compare::{CollectedResults, collect};
     use crate::experiment::RECORD;
 
     const ID: &str = "285ef326-f4f1-4f29-bdd3-c62b42cfe2f4";
@@ -90,7 +92,7 @@ mod tests {
         fs::write(folder.join("run.json"), record.to_string()).expect("written");
     }
 
-    fn names(found: &Collected) -> Vec<&str> {
+    fn names(found: &CollectedResults) -> Vec<&str> {
         found.runs.iter().filter_map(|run| run.folder.file_name()?.to_str()).collect()
     }
 
@@ -100,7 +102,7 @@ mod tests {
         let home = folder.path().join("rates");
         let place = |name: &str| home.join("runs").join(name);
         run(&place("007-a"), Some(ID));
-        // In front of what it is a copy of.
+        // The copy comes before the original in the order of names.
         run(&place("000-copy"), Some(ID));
         run(&place("008-b"), Some("94e108fc-ef56-4bf8-8876-6288987521aa"));
         for name in ["unknown-1", "unknown-2"] {
@@ -115,9 +117,9 @@ mod tests {
         let all = std::slice::from_ref(&home);
         let found = collect(all, None, &|_| true).expect("they are there");
         assert_eq!(names(&found), ["007-a", "008-b", "unknown-1", "unknown-2"]);
-        let [told] = found.notes.as_slice() else { panic!("{:?}", found.notes) };
+        let [note] = found.notes.as_slice() else { panic!("{:?}", found.notes) };
         let copy = format!("{} (of {}).", place("000-copy").display(), place("007-a").display());
-        assert!(told.starts_with("Excluded, copies of ") && told.ends_with(&copy), "{told}");
+        assert!(note.starts_with("Excluded, copies of ") && note.ends_with(&copy), "{note}");
 
         let found = collect(all, Some(&place("000-copy")), &|_| true).expect("they are there");
         assert_eq!(names(&found), ["000-copy", "008-b", "unknown-1", "unknown-2"], "it was named");

@@ -12,7 +12,8 @@ use serde::Deserialize;
 
 use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS, Stage};
 
-/// Number of parent folders of results in which their experiment is searched: `runs`, the run's folder, a folder of the user's.
+/// Number of parent folders of results that are searched for the record of their experiment. Between the results and the experiment's
+/// folder are `runs`, the run's folder with several users, and possibly a folder of the user's own.
 const MAX_ANCESTORS: usize = 4;
 
 /// Experiments by their folders, or the error of reading their records. Runs without a readable record are compared like other
@@ -39,7 +40,7 @@ pub(super) struct Experiment {
     pub(super) id: String,
     #[serde(default)]
     pub(super) name: String,
-    /// The file that declares it, as it was typed.
+    /// Path of the experiment's file, as it was typed.
     #[serde(default)]
     file: String,
     /// States of the runs, in their order.
@@ -84,43 +85,43 @@ pub(super) struct ExperimentRun<'a> {
 impl Experiments {
     /// Finds the experiments of these results.
     pub(super) fn find<'a>(results: impl Iterator<Item = &'a Path>) -> Self {
-        let mut read = BTreeMap::new();
+        let mut records = BTreeMap::new();
         for folder in results.flat_map(ancestor_folders) {
-            read.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
+            records.entry(folder).or_insert_with_key(|folder| self::read(&folder.join(RECORD)));
         }
-        Self(read.into_iter().filter_map(|(folder, read)| Some((folder, read.transpose()?))).collect())
+        Self(records.into_iter().filter_map(|(folder, record)| Some((folder, record.transpose()?))).collect())
     }
 
     /// Returns notes on these results for which the record of the experiment cannot be read.
     pub(super) fn unreadable_notes<'a>(&self, results: impl Iterator<Item = &'a Path>) -> Vec<String> {
         let results: Vec<PathBuf> = results.filter_map(|path| path.canonicalize().ok()).collect();
-        let unread = self.0.iter().filter_map(|(home, read)| Some((home, read.as_ref().err()?)));
+        let unreadable = self.0.iter().filter_map(|(home, record)| Some((home, record.as_ref().err()?)));
         let has_runs = |home: &Path| results.iter().any(|path| path.starts_with(home.join(RUNS)));
-        unread
+        unreadable
             .filter(|(home, _)| has_runs(home))
-            .map(|(home, why)| {
-                let (record, why) = (home.join(RECORD), why.to_string());
-                let why = printable_line(&why);
-                format!("cannot read {}: {why}; the states of its runs are unknown", record.display())
+            .map(|(home, error)| {
+                let (record, reason) = (home.join(RECORD), error.to_string());
+                let reason = printable_line(&reason);
+                format!("cannot read {}: {reason}; the states of its runs are unknown", record.display())
             })
             .collect()
     }
 
     /// Returns the execution with this id to which results belong.
     pub(super) fn execution(&self, results: &Path, id: &str) -> Option<&Experiment> {
-        let read = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
-        ancestor_folders(results).iter().filter_map(read).find(|experiment| experiment.id == id)
+        let experiment_in = |folder: &PathBuf| self.0.get(folder)?.as_ref().ok();
+        ancestor_folders(results).iter().filter_map(experiment_in).find(|experiment| experiment.id == id)
     }
 
     /// Returns the run to which results belong, by their path.
     pub(super) fn run(&self, results: &Path) -> Option<ExperimentRun<'_>> {
         let path = results.canonicalize().ok()?;
         ancestor_folders(results).iter().find_map(|folder| {
-            let (home, read) = self.0.get_key_value(folder)?;
-            let experiment = read.as_ref().ok()?;
+            let (home, record) = self.0.get_key_value(folder)?;
+            let experiment = record.as_ref().ok()?;
             let name = path.strip_prefix(home.join(RUNS)).ok()?.iter().next()?;
-            let at = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
-            let (run, state) = (&experiment.plan.runs[at], experiment.states.get(at)?);
+            let index = experiment.plan.runs.iter().position(|run| *run.folder == *name)?;
+            let (run, state) = (&experiment.plan.runs[index], experiment.states.get(index)?);
             Some(ExperimentRun { home, experiment, run, state })
         })
     }
@@ -160,13 +161,13 @@ fn ancestor_folders(results: &Path) -> Vec<PathBuf> {
 /// Reads a record; `None` if it does not exist.
 ///
 /// # Errors
-/// When it cannot be read or is not a record.
+/// When the file cannot be read or is not a record.
 fn read(record: &Path) -> Result<Option<Experiment>, RecordError> {
     let text = match small_file::read_found(record, MAX_RECORD_BYTES) {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
-        read => read?,
+        result => result?,
     };
     let experiment: Experiment = serde_json::from_str(&text)?;
     if experiment.format != FORMAT {

@@ -1,4 +1,4 @@
-//! `peernet compare`: runs side by side, as the paper's table.
+//! `peernet compare`: runs side by side, in a table like that of the paper.
 
 mod collect;
 mod excluded;
@@ -19,13 +19,13 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::table::CaptionedTable;
 use peernet_statistics::number::counted;
 
-pub(crate) use collect::{Collected, collect, distinct_paths};
+pub(crate) use collect::{CollectedResults, collect, distinct_paths};
 
 /// Arguments of `peernet compare`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
     /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv,
-    /// also of the published program.
+    /// including those of the paper's original program.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
     /// Format of the table.
@@ -35,8 +35,8 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Baseline of the comparison stage by stage: a run's folder or its data.csv, or a folder with several runs of one
-    /// configuration, which are pooled [default: the first line if there are two; if there are more, the best line,
-    /// without the stages]. With --format csv the table of differences replaces the other table.
+    /// configuration, which are pooled [default: the first line of a table with two lines; with more lines, only the
+    /// totals are compared, with the best line]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a separate line.
@@ -60,12 +60,13 @@ enum Format {
     Latex,
 }
 
-/// Prints the table and the differences. With two lines or a baseline these are differences stage by stage, otherwise from the best line.
+/// Prints the table and the differences. With two lines or a baseline, the differences are stage by stage. Otherwise they are differences
+/// of the totals from the best line.
 ///
 /// # Errors
 /// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let Collected { runs, baseline, notes } =
+    let CollectedResults { runs, baseline, notes } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
         (true, _) => Repeats::Separate,
@@ -74,19 +75,19 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     let mut comparison = Comparison::with_repeats(&runs, repeats);
     comparison.caveats.extend(notes);
-    let first = if baseline.is_empty() {
+    let baseline_line = if baseline.is_empty() {
         first_of_two(&comparison)
     } else {
         let line = line_of(&comparison, &baseline)?;
-        let said = baseline_sentence(&comparison.lines[line]);
+        let sentence = baseline_sentence(&comparison.lines[line]);
         if arguments.format == Format::Csv {
-            print_to_stderr(&said);
+            print_to_stderr(&sentence);
         }
-        comparison.caveats.push(said);
+        comparison.caveats.push(sentence);
         missing_comparison_reason(&comparison).iter().for_each(print_to_stderr);
         Some(line)
     };
-    let differences = differences(&comparison, &runs, first, arguments.seed);
+    let differences = differences(&comparison, &runs, baseline_line, arguments.seed);
     let tables = difference_tables(&comparison, &differences);
     let text = match arguments.format {
         Format::Csv if !baseline.is_empty() => Differences::csv(&differences),
@@ -109,9 +110,9 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 /// # Errors
 /// When several lines have runs of the baseline.
 fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure> {
-    let holds = |line: &Line| line.runs.iter().any(|run| baseline.contains(run));
+    let has_baseline_run = |line: &Line| line.runs.iter().any(|run| baseline.contains(run));
     let lines: Vec<usize> =
-        (0..comparison.lines.len()).filter(|line| holds(&comparison.lines[*line])).collect();
+        (0..comparison.lines.len()).filter(|line| has_baseline_run(&comparison.lines[*line])).collect();
     match lines.as_slice() {
         [line] => Ok(*line),
         lines => Err(Failure::new(
@@ -125,7 +126,7 @@ fn line_of(comparison: &Comparison, baseline: &[usize]) -> Result<usize, Failure
     }
 }
 
-/// Returns the sentence that says how many runs the baseline consists of.
+/// Returns a sentence with the name of the baseline and its number of runs.
 fn baseline_sentence(line: &Line) -> String {
     let runs = match line.repeats {
         1 => "one run".to_owned(),
@@ -140,8 +141,8 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
         [line] => line.runs.len(),
         _ => return None,
     };
-    let why = if runs == 1 { "it is the only run" } else { "all runs belong to it" };
-    Some(format!("nothing is compared with the baseline: {why}"))
+    let reason = if runs == 1 { "it is the only run" } else { "all runs belong to it" };
+    Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
 /// Returns the line that is the default baseline of a comparison of two lines.
@@ -164,14 +165,14 @@ pub(crate) fn differences(
         .collect()
 }
 
-/// Returns the tables below the table of the paper: these differences, or if there are none, the differences from the best line.
+/// Returns the tables of differences: those of `differences`, or the differences from the best line if `differences` is empty.
 pub(crate) fn difference_tables(comparison: &Comparison, differences: &[Differences]) -> Vec<CaptionedTable> {
     if differences.is_empty() {
         return differences_to_best(comparison).into_iter().collect();
     }
-    // Nothing is compared with a line that measured nothing.
-    let told = differences.iter().filter(|differences| !differences.stages.is_empty());
-    told.map(Differences::captioned).collect()
+    // If one of the two lines has no measurements, there are no stages to compare.
+    let with_stages = differences.iter().filter(|differences| !differences.stages.is_empty());
+    with_stages.map(Differences::captioned).collect()
 }
 
 /// Joins tables to one text.
@@ -207,17 +208,17 @@ mod tests {
             rows: Rows::default(),
         };
         let runs = [run(0), run(1), run(2)];
-        let beside = |baseline: &[usize]| {
+        let describe = |baseline: &[usize]| {
             let comparison = Comparison::with_repeats(&runs, Repeats::PooledExcept(baseline));
             let line = line_of(&comparison, baseline).expect("one line");
             (baseline_sentence(&comparison.lines[line]), missing_comparison_reason(&comparison))
         };
-        assert_eq!(beside(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
-        let (said, told) = beside(&[0, 2]);
-        assert_eq!((said.as_str(), told), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
-        let (said, told) = beside(&[0, 1, 2]);
-        assert_eq!(said, "Baseline: a: 3 runs, pooled.");
-        assert!(told.expect("nothing is left").contains("all runs belong to it"));
+        assert_eq!(describe(&[1]), ("Baseline: a, repeat 2: one run.".to_owned(), None));
+        let (sentence, reason) = describe(&[0, 2]);
+        assert_eq!((sentence.as_str(), reason), ("Baseline: a, 2 repeats: 2 runs, pooled.", None));
+        let (sentence, reason) = describe(&[0, 1, 2]);
+        assert_eq!(sentence, "Baseline: a: 3 runs, pooled.");
+        assert!(reason.expect("nothing is left").contains("all runs belong to it"));
         let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
         let differences = differences(&apart, &runs, first_of_two(&apart), SEED);

@@ -8,31 +8,31 @@ use super::experiment::Experiments;
 
 /// Returns the indexes of the runs in the order of display. Runs of an experiment are in the order of its file, as in `peernet run`.
 ///
-/// Only the runs of an experiment change positions among each other; all others keep theirs. If the folder of an experiment does not exist
-/// or cannot be read, its runs keep their order.
-pub(super) fn as_declared(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
+/// The runs of one experiment exchange positions among each other. All other results keep their positions. If the folder of an experiment
+/// does not exist or cannot be read, its runs keep their order.
+pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<usize> {
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
-    for (at, run) in runs.iter().enumerate() {
+    for (index, run) in runs.iter().enumerate() {
         if let Some(place) = &run.record.experiment {
-            executions.entry(&place.id).or_default().push(at);
+            executions.entry(&place.id).or_default().push(index);
         }
     }
-    for (id, places) in executions {
-        let of = |at: &usize| experiments.execution(&runs[*at].folder, id);
-        let Some(experiment) = places.iter().find_map(of) else { continue };
-        let rank = |at: &usize| {
-            let place = runs[*at].record.experiment.as_ref();
+    for (id, indexes) in executions {
+        let experiment_of = |index: &usize| experiments.execution(&runs[*index].folder, id);
+        let Some(experiment) = indexes.iter().find_map(experiment_of) else { continue };
+        let rank = |index: &usize| {
+            let place = runs[*index].record.experiment.as_ref();
             let declared = &experiment.plan.configurations;
             place.map(|place| {
-                let at = declared.iter().position(|one| one.labels == place.configuration);
-                (at.unwrap_or(declared.len()), place.repeat)
+                let configuration = declared.iter().position(|one| one.labels == place.configuration);
+                (configuration.unwrap_or(declared.len()), place.repeat)
             })
         };
-        let mut sorted = places.clone();
+        let mut sorted = indexes.clone();
         // The sort is stable: the users of one run keep their order.
         sorted.sort_by_key(rank);
-        places.into_iter().zip(sorted).for_each(|(place, run)| order[place] = run);
+        indexes.into_iter().zip(sorted).for_each(|(position, run)| order[position] = run);
     }
     order
 }
@@ -49,8 +49,8 @@ mod tests {
     use super::*;
     use crate::experiment::RECORD;
 
-    fn as_declared(runs: &[Loaded]) -> Vec<usize> {
-        super::as_declared(runs, &Experiments::find(runs.iter().map(|run| &*run.folder)))
+    fn declared_order(runs: &[Loaded]) -> Vec<usize> {
+        super::declared_order(runs, &Experiments::find(runs.iter().map(|run| &*run.folder)))
     }
 
     #[test]
@@ -82,10 +82,10 @@ mod tests {
             run("3/user-1", Some(("b", 0))),
             run("3/user-2", Some(("b", 0))),
         ];
-        assert_eq!(as_declared(&runs), [3, 1, 4, 2, 0]);
+        assert_eq!(declared_order(&runs), [3, 1, 4, 2, 0]);
         fs::remove_file(experiment.path().join(RECORD)).expect("removed");
-        assert_eq!(as_declared(&runs), [0, 1, 2, 3, 4], "as they came");
+        assert_eq!(declared_order(&runs), [0, 1, 2, 3, 4], "as they came");
         runs.clear();
-        assert!(as_declared(&runs).is_empty());
+        assert!(declared_order(&runs).is_empty());
     }
 }

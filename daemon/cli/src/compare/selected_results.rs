@@ -19,21 +19,21 @@ pub(super) struct SelectedResults {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct UnselectedRuns {
     /// Sentence for the caveats of the tables: the runs and their states.
-    pub(super) what: String,
+    pub(super) caveat: String,
     /// Message for the terminal: the runs, their experiment, and the command that completes them.
-    pub(super) remark: String,
+    pub(super) message: String,
 }
 
 impl SelectedResults {
     /// Selects among the results that were found at each named path. A run whose own folder is on the command line is always selected.
     pub(super) fn new(found: &[(PathBuf, Vec<PathBuf>)], experiments: &Experiments) -> Self {
         let mut paths: Vec<PathBuf> = Vec::new();
-        let mut searched: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
+        let mut searched_experiments: BTreeMap<&Path, (&Path, &Experiment)> = BTreeMap::new();
         for (named_path, path) in
             found.iter().flat_map(|(named_path, paths)| paths.iter().map(move |path| (named_path, path)))
         {
             if let Some(run) = experiments.run(path).filter(|_| !is_named(named_path, path, experiments)) {
-                searched.entry(run.home).or_insert((named_path, run.experiment));
+                searched_experiments.entry(run.home).or_insert((named_path, run.experiment));
                 if !run.state().is_finished() {
                     continue;
                 }
@@ -42,15 +42,15 @@ impl SelectedResults {
                 paths.push(path.clone());
             }
         }
-        let read: Vec<PathBuf> =
+        let selected_folders: Vec<PathBuf> =
             paths.iter().filter_map(|path| Some(experiments.run(path)?.folder())).collect();
-        let unselected = searched.into_iter().filter_map(|(home, (named_path, experiment))| {
-            let is_read = |name: &str| read.contains(&home.join(RUNS).join(name));
-            let others = experiment.runs().filter(|(name, _)| !is_read(name));
-            let what = unfinished_runs_note(&experiment.name, others)?;
-            let (named_path, remedy) = (as_typed(named_path, home), experiment.remedy());
-            let remark = format!("{} is shown {what}; {remedy} completes them", named_path.display());
-            Some(UnselectedRuns { what: format!("Shown {what}."), remark })
+        let unselected = searched_experiments.into_iter().filter_map(|(home, (named_path, experiment))| {
+            let is_selected = |name: &str| selected_folders.contains(&home.join(RUNS).join(name));
+            let others = experiment.runs().filter(|(name, _)| !is_selected(name));
+            let note = unfinished_runs_note(&experiment.name, others)?;
+            let (named_path, remedy) = (shorten_home(named_path, home), experiment.remedy());
+            let message = format!("{} is shown {note}; {remedy} completes them", named_path.display());
+            Some(UnselectedRuns { caveat: format!("Shown {note}."), message })
         });
         Self { unselected: unselected.collect(), paths }
     }
@@ -67,7 +67,7 @@ pub(super) fn is_named(named_path: &Path, results: &Path, experiments: &Experime
 }
 
 /// Shortens the absolute path of an experiment's folder: it starts with the path on the command line if possible.
-fn as_typed(named_path: &Path, home: &Path) -> PathBuf {
+fn shorten_home(named_path: &Path, home: &Path) -> PathBuf {
     let below =
         named_path.canonicalize().ok().and_then(|full| Some(home.strip_prefix(full).ok()?.to_owned()));
     match below {
@@ -83,7 +83,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::compare::{Collected, collect};
+    use crate::compare::{CollectedResults, collect};
     use crate::experiment::RECORD;
 
     /// An experiment of four runs, of which one is done and the last has not begun.
@@ -107,13 +107,13 @@ mod tests {
         std::fs::write(home.join(RECORD), record.to_string()).expect("written");
     }
 
-    fn names(found: &Collected) -> Vec<String> {
+    fn names(found: &CollectedResults) -> Vec<String> {
         let name =
             |run: &peernet_analysis::loaded::Loaded| run.folder.file_name().map(|name| name.to_owned());
         found.runs.iter().filter_map(name).map(|name| name.to_string_lossy().into_owned()).collect()
     }
 
-    const LEFT: &str = "Shown without the runs of experiment rates that are not done: 002-a (failed), \
+    const CAVEAT: &str = "Shown without the runs of experiment rates that are not done: 002-a (failed), \
                         003-b (in progress or killed), 004-b (to do).";
 
     #[test]
@@ -124,7 +124,7 @@ mod tests {
         // Wherever the search begins.
         for place in [home.clone(), home.join(RUNS), folder.path().to_owned()] {
             let found = collect(&[place], None, &|_| true).expect("one is done");
-            assert_eq!((names(&found), found.notes), (vec!["001-a".to_owned()], vec![LEFT.to_owned()]));
+            assert_eq!((names(&found), found.notes), (vec!["001-a".to_owned()], vec![CAVEAT.to_owned()]));
         }
         let unfinished = home.join(RUNS).join("003-b");
         let found = collect(&[home.clone(), unfinished.clone()], None, &|_| true).expect("two are wanted");
@@ -151,7 +151,7 @@ mod tests {
         experiment(&home);
         let record = home.join(RECORD);
         let whole = std::fs::read_to_string(&record).expect("written");
-        let told = || {
+        let notes = || {
             let found = collect(std::slice::from_ref(&home), None, &|_| true).expect("three can be read");
             assert_eq!(names(&found), ["001-a", "002-a", "003-b"]);
             found.notes.concat()
@@ -171,19 +171,19 @@ mod tests {
             (&later, "its format is 2, but this program reads format 1"),
         ] {
             std::fs::write(&record, text).expect("written");
-            let told = told();
+            let notes = notes();
             let beginning = format!("Cannot read {}: ", record.canonicalize().expect("there").display());
-            assert!(told.starts_with(&beginning) && told.contains(why), "{why}: {told}");
-            assert!(told.ends_with("; the states of its runs are unknown."), "{told}");
+            assert!(notes.starts_with(&beginning) && notes.contains(why), "{why}: {notes}");
+            assert!(notes.ends_with("; the states of its runs are unknown."), "{notes}");
         }
         std::fs::remove_file(&record).expect("removed");
-        assert_eq!(told(), "", "results of other programs have none");
+        assert_eq!(notes(), "", "results of other programs have none");
         std::fs::create_dir(&record).expect("made");
-        assert!(told().contains("it is not a regular file"), "{}", told());
+        assert!(notes().contains("it is not a regular file"), "{}", notes());
         std::fs::remove_dir(&record).expect("removed");
         // Nobody writes into it.
         mknodat(CWD, &record, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
-        assert!(told().contains("it is not a regular file"), "{}", told());
+        assert!(notes().contains("it is not a regular file"), "{}", notes());
     }
 
     #[test]
@@ -193,12 +193,15 @@ mod tests {
         experiment(&home);
         let found = vec![(folder.path().to_owned(), vec![home.join("runs/001-a"), home.join("runs/002-a")])];
         let experiments = Experiments::find(found[0].1.iter().map(PathBuf::as_path));
-        let [told] =
+        let [unselected] =
             SelectedResults::new(&found, &experiments).unselected.try_into().expect("one experiment");
-        assert!(told.remark.starts_with(&format!("{} is shown without", home.display())), "{told:?}");
         assert!(
-            told.remark.contains("; `peernet run e.toml` with the same options completes them"),
-            "{told:?}"
+            unselected.message.starts_with(&format!("{} is shown without", home.display())),
+            "{unselected:?}"
+        );
+        assert!(
+            unselected.message.contains("; `peernet run e.toml` with the same options completes them"),
+            "{unselected:?}"
         );
         let failed = experiments.run(&home.join("runs/002-a/user-1"));
         assert!(failed.is_none(), "there is no such folder");

@@ -28,14 +28,14 @@ pub(crate) enum Stage {
     Running,
     /// The run was measured to its end.
     Finished,
-    /// The run could not be measured, or not to its end.
+    /// The run could not be measured, or failed before its end.
     Failed,
     /// The user stopped the run.
     Interrupted,
 }
 
 impl Stage {
-    /// Returns the state that decides whether its results count in tables and figures, and whether the run is repeated.
+    /// Returns the state, which decides whether tables and figures include the run and whether the run is repeated.
     pub(crate) fn state(self, reason: Option<&str>) -> RunState {
         match self {
             Self::Pending => RunState::Pending,

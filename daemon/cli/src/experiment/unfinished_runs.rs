@@ -29,13 +29,13 @@ mod tests {
 
     #[test]
     fn unfinished_runs_are_named_up_to_limit() {
-        let told = |runs: &[(&str, Stage)]| unfinished_runs_note("e", runs.iter().copied());
-        assert_eq!(told(&[("001", Stage::Finished)]), None);
+        let note = |runs: &[(&str, Stage)]| unfinished_runs_note("e", runs.iter().copied());
+        assert_eq!(note(&[("001", Stage::Finished)]), None);
         let two = [("001", Stage::Finished), ("002", Stage::Running), ("003", Stage::Pending)];
         let text =
             "without the runs of experiment e that are not done: 002 (in progress or killed), 003 (to do)";
-        assert_eq!(told(&two).as_deref(), Some(text));
-        let many = told(&[("0", Stage::Failed); 20]).expect("none is done");
+        assert_eq!(note(&two).as_deref(), Some(text));
+        let many = note(&[("0", Stage::Failed); 20]).expect("none is done");
         assert!(many.ends_with("0 (failed), 0 (failed) and 12 more"), "{many}");
     }
 }

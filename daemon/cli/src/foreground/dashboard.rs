@@ -1,4 +1,4 @@
-//! Hint at the dashboard on which a streamed run can be seen.
+//! Hint at the dashboard that shows a streamed run.
 
 use std::fmt::Display;
 
@@ -7,19 +7,19 @@ use peernet_networks::Address;
 /// Port of a dashboard unless its `[web] listen` sets another.
 const PORT: u16 = 8040;
 
-/// Returns a sentence about the dashboard that shows `what`. `has_all` is `false` while events wait for delivery.
+/// Returns a sentence about the dashboard that shows `subject`. `has_all` is `false` while events wait for delivery.
 ///
 /// Only the event port of the aggregator is known here, so the port of the dashboard is the usual one.
-pub(crate) fn dashboard_hint(what: impl Display, aggregator: &Address, has_all: bool) -> String {
+pub(crate) fn dashboard_hint(subject: impl Display, aggregator: &Address, has_all: bool) -> String {
     if !has_all {
         let at = aggregator.authority();
         return format!(
-            "{what} will be on the dashboard of the aggregator at {at} once all events have been delivered"
+            "{subject} will be on the dashboard of the aggregator at {at} once all events have been delivered"
         );
     }
     let host = aggregator.host();
     let at = if host.contains(':') { format!("[{host}]") } else { host.clone() };
-    format!("see {what} on the dashboard of the aggregator at {host} (usually http://{at}:{PORT})")
+    format!("see {subject} on the dashboard of the aggregator at {host} (usually http://{at}:{PORT})")
 }
 
 #[cfg(test)]

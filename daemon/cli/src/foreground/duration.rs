@@ -1,22 +1,22 @@
 //! Formatting of durations.
 
 const DAY: u64 = 86_400;
-/// Limit from which durations are given in days.
-const FEW_DAYS: u64 = 10 * DAY;
-/// Limit from which durations are given in years.
-const FEW_YEARS: u64 = 3 * 365 * DAY;
+/// Duration from which days are given, seconds.
+const MIN_DAYS: u64 = 10 * DAY;
+/// Duration from which years are given, seconds.
+const MIN_YEARS: u64 = 3 * 365 * DAY;
 
 /// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are rounded down.
 pub(crate) fn duration(seconds: f64) -> String {
-    // It would be rounded to zero.
+    // A duration below half a second would be rounded to zero.
     if seconds > 0.0 && seconds < 0.5 {
         return format!("0.{} s", (seconds * 10.0).round().max(1.0));
     }
     match seconds.round() as u64 {
         seconds @ ..120 => format!("{seconds} s"),
         seconds @ ..7200 => format!("{} min", seconds.div_ceil(60)),
-        seconds @ ..FEW_DAYS => format!("{} h {} min", seconds / 3600, seconds % 3600 / 60),
-        seconds @ ..FEW_YEARS => format!("{} days", seconds / DAY),
+        seconds @ ..MIN_DAYS => format!("{} h {} min", seconds / 3600, seconds % 3600 / 60),
+        seconds @ ..MIN_YEARS => format!("{} days", seconds / DAY),
         seconds => format!("{} years", seconds / (365 * DAY)),
     }
 }

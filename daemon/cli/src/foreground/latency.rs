@@ -9,7 +9,7 @@ pub(crate) fn p99(latency: &Summary) -> Option<f64> {
     latency.quantile(0.99).filter(|_| latency.count() >= MIN_VALUES_FOR_P99 as u64)
 }
 
-/// Formats both, given in seconds: `p50 101 ms, p99 104 ms`.
+/// Formats the median and the 99th percentile, both in seconds: `p50 101 ms, p99 104 ms`.
 pub(crate) fn describe_quantiles(p50: f64, p99: Option<f64>) -> String {
     let p99 = p99.map_or_else(String::new, |p99| format!(", p99 {} ms", milliseconds(p99)));
     format!("p50 {} ms{p99}", milliseconds(p50))

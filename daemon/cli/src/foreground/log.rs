@@ -1,7 +1,7 @@
 //! Output of users' code, remarks on connections, and with `PEERNET_LOG` the log.
 //!
-//! On a terminal it is printed above the progress. A run of an experiment passes it to the program that shows the progress: on
-//! standard output, each line as a JSON text.
+//! On a terminal, the lines are printed above the progress. A run of an experiment passes the lines to the program that shows the
+//! progress: on standard output, each line as a JSON string.
 
 use std::fmt::{self, Write as _};
 use std::io::{self, Write};
@@ -32,10 +32,10 @@ pub(crate) enum LogDestination {
     Parent,
 }
 
-/// Installs the log. Unless `PEERNET_LOG` sets another level, it has only output of users' code and remarks on connections.
+/// Installs the log. Unless `PEERNET_LOG` sets another level, the log contains only output of users' code and remarks on connections.
 ///
 /// # Errors
-/// When the variable holds no level (78).
+/// When the variable does not contain a valid level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
@@ -50,7 +50,7 @@ pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
         .with_env_filter(filter)
         .with_writer(move || LogWriter(destination))
         .with_ansi(false);
-    // It would print its own errors to standard error, through the bar.
+    // Internal errors of the log would be printed to standard error without hiding the progress bar.
     let log = log.log_internal_errors(false).event_format(LogFormat { other: Line::default() }).finish();
     log.try_init().map_err(|error| wrong(error.into()))
 }

@@ -46,22 +46,22 @@ impl PipelineActivity {
 
     /// Describes a slow sensor for the user.
     pub(crate) fn slow_sensor(&self, now: MonoTime) -> Option<String> {
-        let (since, what) = match self {
+        let (since, problem) = match self {
             Self::Preparing(since) => (*since, "the sensor is not ready after"),
             Self::Sensing(since) => (*since, "the sensor gave no sample for"),
             Self::Away(_) | Self::Running => return None,
         };
         let slow = now - since;
-        (slow > SILENCE).then(|| format!("{what} {:.0} s", slow.seconds()))
+        (slow > SILENCE).then(|| format!("{problem} {:.0} s", slow.seconds()))
     }
 }
 
 /// Wait for the peer of one pipeline.
 pub(crate) struct PeerWait {
-    /// Time of the peer's last answer, or the last time without an open request.
-    answered: MonoTime,
+    /// Later of these times: the peer's last answer, and the last time without an open request.
+    last_answer: MonoTime,
     /// Last time at which the peer was connected.
-    present: MonoTime,
+    last_present: MonoTime,
 }
 
 impl PeerWait {
@@ -69,26 +69,27 @@ impl PeerWait {
     pub(crate) const DEFAULT_TIMEOUT: Span = Span::from_seconds(90);
 
     pub(crate) const fn new(now: MonoTime) -> Self {
-        Self { answered: now, present: now }
+        Self { last_answer: now, last_present: now }
     }
 
     /// Records an answer of the peer.
     pub(crate) const fn record_answer(&mut self, now: MonoTime) {
-        (self.answered, self.present) = (now, now);
+        (self.last_answer, self.last_present) = (now, now);
     }
 
     /// Returns the last time at which the peer was connected.
     pub(crate) const fn last_present(&self) -> MonoTime {
-        self.present
+        self.last_present
     }
 
-    /// Takes the pipeline's activity into account, because only a peer that is away is given up.
+    /// Updates the times from the pipeline's activity. Only a peer that is away is given up.
     ///
-    /// The pipeline itself limits the time of a connected peer for each iteration. While the sensor works, there is no open request.
+    /// A connected peer is not given up, because the pipeline has its own timeout for each iteration. While the sensor works, there is no
+    /// open request.
     pub(crate) const fn update(&mut self, activity: &PipelineActivity, now: MonoTime) {
         match activity {
             PipelineActivity::Preparing(_) | PipelineActivity::Sensing(_) => self.record_answer(now),
-            PipelineActivity::Running => self.present = now,
+            PipelineActivity::Running => self.last_present = now,
             PipelineActivity::Away(_) => {}
         }
     }
@@ -101,7 +102,7 @@ impl PeerWait {
         now: MonoTime,
         timeout: Span,
     ) -> Option<String> {
-        let (away, silent) = (now - self.present, now - self.answered);
+        let (away, silent) = (now - self.last_present, now - self.last_answer);
         let (seconds, timeout) = (away.seconds(), timeout.seconds());
         match wait_reason {
             Some(reason) if away <= SILENCE => {
@@ -122,8 +123,8 @@ impl PeerWait {
         now: MonoTime,
         timeout: Span,
     ) -> Option<String> {
-        let away = now - self.present;
-        // Without a reason the first attempt has not ended. It gets a minimum of time, even if the timeout is shorter.
+        let away = now - self.last_present;
+        // Without a reason the first attempt to connect has not ended yet. It gets at least the time `SILENCE`, even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(UNKNOWN);
         let text = || format!("gave up after {:.0} s without an answer: {reason}", away.seconds());
@@ -148,8 +149,8 @@ mod tests {
         let away = peer_wait.describe_trouble("cloud", Some("refused"), at(5), timeout);
         assert_eq!(away.as_deref(), Some("cloud is away (refused); waiting for 5 s, at most 20 s"));
         assert_eq!(peer_wait.timeout_reason(None, at(20), timeout), None);
-        let spent = peer_wait.timeout_reason(Some("refused"), at(21), timeout);
-        assert_eq!(spent.as_deref(), Some("gave up after 21 s without an answer: refused"));
+        let expired = peer_wait.timeout_reason(Some("refused"), at(21), timeout);
+        assert_eq!(expired.as_deref(), Some("gave up after 21 s without an answer: refused"));
         assert_eq!(peer_wait.timeout_reason(None, at(1), Span::ZERO), None, "nothing has failed yet");
         peer_wait.record_answer(at(21));
         assert_eq!(

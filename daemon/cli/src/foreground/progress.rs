@@ -27,15 +27,15 @@ pub(super) fn without_progress_bar<T>(write: impl FnOnce() -> T) -> T {
 
 /// Display of progress on standard error.
 pub(crate) struct Progress {
-    shown: Shown,
+    display: DisplayKind,
     printed_at: MonoTime,
     /// `true` if there was trouble at the last update.
-    troubled: bool,
+    has_trouble: bool,
     /// Reason of trouble that was printed last.
     last_reason: Option<String>,
 }
 
-enum Shown {
+enum DisplayKind {
     Bar(ProgressBar),
     Lines,
     Nothing,
@@ -44,18 +44,18 @@ enum Shown {
 impl Progress {
     /// Creates a display at 0 %.
     pub(crate) fn new(quiet: bool, now: MonoTime) -> Self {
-        let shown = match (quiet, std::io::stderr().is_terminal()) {
-            (true, _) => Shown::Nothing,
-            (false, false) => Shown::Lines,
+        let display = match (quiet, std::io::stderr().is_terminal()) {
+            (true, _) => DisplayKind::Nothing,
+            (false, false) => DisplayKind::Lines,
             (false, true) => {
                 let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
                 let style = ProgressStyle::with_template("{wide_bar} {msg}");
                 let bar = bar.with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
                 BAR.lock().unwrap_or_else(PoisonError::into_inner).replace(bar.clone());
-                Shown::Bar(bar)
+                DisplayKind::Bar(bar)
             }
         };
-        Self { shown, printed_at: now, troubled: false, last_reason: None }
+        Self { display, printed_at: now, has_trouble: false, last_reason: None }
     }
 
     /// Shows the text and the share (0 to 1) that `state` returns. If there is `trouble`, it replaces the text.
@@ -65,17 +65,17 @@ impl Progress {
         trouble: Option<String>,
         state: impl FnOnce() -> (String, f64),
     ) {
-        let is_news = trouble.is_some() && !self.troubled;
-        self.troubled = trouble.is_some();
-        match &self.shown {
-            Shown::Nothing => {}
-            Shown::Bar(bar) => {
+        let is_new_trouble = trouble.is_some() && !self.has_trouble;
+        self.has_trouble = trouble.is_some();
+        match &self.display {
+            DisplayKind::Nothing => {}
+            DisplayKind::Bar(bar) => {
                 let (text, share) = state();
                 bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
                 bar.set_message(trouble.unwrap_or(text));
             }
-            Shown::Lines if now - self.printed_at < LINE_INTERVAL && !is_news => {}
-            Shown::Lines => {
+            DisplayKind::Lines if now - self.printed_at < LINE_INTERVAL && !is_new_trouble => {}
+            DisplayKind::Lines => {
                 let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.last_reason));
                 print_to_stderr(trouble.unwrap_or_else(|| state().0));
                 self.printed_at = now;
@@ -85,15 +85,15 @@ impl Progress {
 
     /// Prints a line that stays visible. A bar stays below it.
     pub(crate) fn print_line(&self, text: impl Display) {
-        match &self.shown {
-            Shown::Bar(bar) => bar.suspend(|| print_to_stderr(text)),
-            Shown::Lines | Shown::Nothing => print_to_stderr(text),
+        match &self.display {
+            DisplayKind::Bar(bar) => bar.suspend(|| print_to_stderr(text)),
+            DisplayKind::Lines | DisplayKind::Nothing => print_to_stderr(text),
         }
     }
 
     /// Removes the bar.
     pub(crate) fn end(&self) {
-        if let Shown::Bar(bar) = &self.shown {
+        if let DisplayKind::Bar(bar) = &self.display {
             bar.finish_and_clear();
             BAR.lock().unwrap_or_else(PoisonError::into_inner).take();
         }
@@ -102,10 +102,10 @@ impl Progress {
 
 /// Removes the reason in brackets from the text if the last printed reason was the same, because printed lines stay visible.
 fn without_repeated_reason(trouble: String, last_reason: &mut Option<String>) -> String {
-    let Some((what, rest)) = trouble.split_once(" (") else { return trouble };
+    let Some((problem, rest)) = trouble.split_once(" (") else { return trouble };
     let Some((reason, wait)) = rest.rsplit_once(");") else { return trouble };
     if last_reason.as_deref() == Some(reason) {
-        return format!("{what};{wait}");
+        return format!("{problem};{wait}");
     }
     *last_reason = Some(reason.to_owned());
     trouble

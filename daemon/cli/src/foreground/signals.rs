@@ -1,4 +1,4 @@
-//! Signals that request the end.
+//! Signals that request the end of the program.
 
 use std::io;
 
@@ -10,8 +10,8 @@ use tokio::time::Instant;
 pub(crate) struct Signals {
     interrupt: Signal,
     terminate: Signal,
-    /// `None` if it is not listened to: it is ignored, as with `nohup`, or has arrived. A shell and the system both send it at the
-    /// end of a session, which is one request and not two.
+    /// Listener for SIGHUP. `None` if the process ignores SIGHUP, as with `nohup`, or if SIGHUP has arrived once: at the end of a session both
+    /// the shell and the kernel send it, and both signals are one request.
     hang_up: Option<Signal>,
     shutdown_requests: ShutdownRequests,
 }
@@ -34,7 +34,7 @@ impl Signals {
             let kind = tokio::select! {
                 _ = self.interrupt.recv() => SignalKind::interrupt(),
                 _ = self.terminate.recv() => SignalKind::terminate(),
-                () = hung_up(&mut self.hang_up) => {
+                () = wait_for_hang_up(&mut self.hang_up) => {
                     self.hang_up = None;
                     SignalKind::hangup()
                 }
@@ -46,7 +46,7 @@ impl Signals {
     }
 }
 
-async fn hung_up(signal: &mut Option<Signal>) {
+async fn wait_for_hang_up(signal: &mut Option<Signal>) {
     match signal {
         Some(signal) => {
             signal.recv().await;

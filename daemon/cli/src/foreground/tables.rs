@@ -9,10 +9,10 @@ use crate::small_file;
 use anyhow::anyhow;
 use peernet_agent::AgentConfig;
 
-/// Tables that are used.
-const TABLES: [&str; 4] = ["clock", "probes", "clock_fault", "onnxruntime"];
+/// Tables that a foreground run uses.
+const USED_TABLES: [&str; 4] = ["clock", "probes", "clock_fault", "onnxruntime"];
 
-/// Reads the tables of an agent's configuration that relate the clocks and name the library, with the agent's name and clock.
+/// Reads the tables for clocks, probes and ONNX Runtime from an agent's configuration file, and the agent's name and clock identity.
 /// Returns the defaults without a file.
 ///
 /// # Errors
@@ -35,7 +35,7 @@ fn read(text: &str, file: &Path) -> anyhow::Result<AgentConfig> {
         .iter()
         .filter_map(|key| Some(((*key).to_owned(), agent?.get(*key)?.clone())))
         .collect();
-    document.retain(|key, _| TABLES.contains(&key));
+    document.retain(|key, _| USED_TABLES.contains(&key));
     document.insert("agent".to_owned(), toml::Value::Table(agent));
     serde_path_to_error::deserialize(document)
         .map_err(|error| anyhow!("{}: {}: {}", file.display(), error.path(), describe_error(error.inner())))

@@ -23,8 +23,8 @@ pub(crate) struct Arguments {
 /// Executes the order. Prints its progress as lines of JSON objects, and output of users' code as JSON texts.
 ///
 /// # Errors
-/// Those of [`measure`], and when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is no level (78), or iterations have
-/// no answer (75).
+/// Those of [`measure`]. Also when the order cannot be read (66) or parsed (78), `PEERNET_LOG` is not a valid level (78), or iterations
+/// have no answer (75).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     exit_with_parent();
     start_log(LogDestination::Parent)?;
@@ -36,7 +36,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     measured.failure().map_or(Ok(()), Err)
 }
 
-/// Ends this process together with its experiment: otherwise it could write into a folder that is given to another run.
+/// Ends this process if its parent, the experiment, ends. Otherwise this process could write into a folder that a later run uses.
 fn exit_with_parent() {
     if let Err(error) = set_parent_process_death_signal(Some(Signal::KILL)) {
         print_to_stderr(format_args!("this run may outlive its experiment: {error}"));
@@ -62,7 +62,7 @@ impl ProgressDisplay for JsonProgress {
     fn show(&mut self, report: &ProgressReport) {
         match serde_json::to_string(report) {
             Ok(line) => print_to_stdout(line),
-            // This cannot happen with these fields. The next update says more.
+            // These fields can always be serialised, so this does not happen.
             Err(error) => tracing::debug!(%error, "cannot write the progress report"),
         }
     }

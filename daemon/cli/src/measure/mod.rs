@@ -9,8 +9,8 @@
 //! The published client calls [`measure`] itself; an experiment starts one process for each of its runs
 //! (`peernet measure --order FILE`), so that a crash affects one run only.
 
+mod agent_end;
 mod command;
-mod ended;
 mod order;
 mod previous_results;
 mod progress_report;
@@ -40,14 +40,14 @@ use peernet_analysis::trust::{Report, TrustInput};
 use peernet_figures as figures;
 use peernet_stream::Condition;
 
-use crate::foreground::{Ended, Ready, Watched};
+use crate::foreground::{AgentEnd, AgentResult, ReadyAgent};
 use recorder::RunRecorder;
-use results::{Results, Written};
+use results::{Results, WrittenFiles};
 
 /// A run with rows.
 pub(crate) struct Measured {
-    /// Reason for its end.
-    pub(crate) ended: Ended,
+    /// Reason why the agent ended.
+    pub(crate) ended: AgentEnd,
     /// Rows, one per iteration.
     pub(crate) rows: Rows,
     /// Everything else about the run.
@@ -56,7 +56,7 @@ pub(crate) struct Measured {
     pub(crate) folder: PathBuf,
     /// Files in the folder.
     pub(crate) files: Vec<PathBuf>,
-    /// Reason for which the results are not in the requested folder.
+    /// Reason why results are missing or are not in the requested folder.
     trouble: Option<String>,
 }
 
@@ -74,8 +74,8 @@ impl Measured {
 /// Executes an order and writes its results.
 ///
 /// # Errors
-/// When the configuration is wrong (78), the agent cannot start (69), there is nothing to write because the peer or the agent
-/// failed (69) or the user ended it before (130), or the folder for the results cannot be used (64, 73).
+/// When the configuration is wrong (78), the agent cannot start (69), or the folder for the results cannot be used (64, 69, 73). Also when
+/// there are no rows, because the peer or the agent failed (69) or the user ended the run before the first iteration (130).
 pub(crate) fn measure(
     order: &Order,
     progress_display: &mut dyn ProgressDisplay,
@@ -84,9 +84,9 @@ pub(crate) fn measure(
     let state_dir = AgentStateDir::for_agent(&order.agent.agent)?;
     let mut config = order.agent.clone();
     state_dir.configure(&mut config)?;
-    let ready = Ready::new(config)?;
+    let ready = ReadyAgent::new(config)?;
     let mut results = Results::prepare(order)?;
-    let room = conditions::free_space("results", results.path(), "");
+    let free_space = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(
         pipeline,
         order.peer_timeout(),
@@ -94,27 +94,28 @@ pub(crate) fn measure(
         ready.clock.clone(),
         progress_display,
     );
-    let watched = ready.watch(&mut recorder);
-    let (Watched { ended, name, missed }, recorded) = match (watched, recorder.finish()) {
-        (Ok(watched), recorded) => (watched, recorded),
+    let result = ready.watch(&mut recorder);
+    let (AgentResult { ended, name, missed }, recorded) = match (result, recorder.finish()) {
+        (Ok(result), recorded) => (result, recorded),
         (Err(failure), recorded) if recorded.rows.is_empty() => {
             results.discard();
             return Err(failure);
         }
-        (Err(failure), recorded) => {
-            (Watched { ended: Ended::Failed(failure.to_string()), name: String::new(), missed: 0 }, recorded)
-        }
+        (Err(failure), recorded) => (
+            AgentResult { ended: AgentEnd::Failed(failure.to_string()), name: String::new(), missed: 0 },
+            recorded,
+        ),
     };
     if recorded.rows.is_empty() {
         results.discard();
         return Err(ended.without_rows());
     }
     let mut record = record::run_record(order, &recorded, &ended, name, missed);
-    record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..room });
+    record.edge.conditions.push(Condition { host: record.edge.name.clone(), ..free_space });
     record.trust = Some(Report::new(&TrustInput::from_run(&record, &recorded.rows)));
-    let Written { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
+    let WrittenFiles { folder, mut files, mut trouble } = results.finish(&record, &recorded.rows);
     let is_written = !files.is_empty();
-    // If the rows did not fit on the disk, the folder may hold earlier results again.
+    // If the rows did not fit on the disk, the earlier results may have been restored to the folder. Then nothing is added to them.
     match is_written.then(|| study(&record, &recorded.rows, &folder)).transpose() {
         Ok(written) => files.extend(written.flatten()),
         Err(error) => trouble = trouble.or_else(|| Some(error.to_string())),

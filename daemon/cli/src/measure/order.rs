@@ -31,7 +31,7 @@ pub(crate) struct Order {
     pub(crate) plots: bool,
     /// The command that was typed.
     pub(crate) command: String,
-    /// The file of devices that the command names.
+    /// The network configuration file that the command names.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) network_config: Option<NetworkConfig>,
     /// Number of this edge, if several edges send at once.
@@ -48,7 +48,7 @@ impl Order {
     /// Returns the pipeline.
     ///
     /// # Errors
-    /// When there is not exactly one, or it has no limit (78).
+    /// When there is not exactly one pipeline, or the pipeline has no limit (78).
     pub(super) fn pipeline(&self) -> Result<&PipelineConfig, Failure> {
         let wrong = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
         match self.agent.pipelines.as_slice() {
@@ -73,7 +73,7 @@ mod any_path {
 
     #[derive(Deserialize)]
     #[serde(untagged)]
-    enum Written {
+    enum SerializedPath {
         Text(String),
         Bytes(OsString),
     }
@@ -86,9 +86,9 @@ mod any_path {
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<PathBuf, D::Error> {
-        Ok(match Written::deserialize(from)? {
-            Written::Text(text) => text.into(),
-            Written::Bytes(bytes) => bytes.into(),
+        Ok(match SerializedPath::deserialize(from)? {
+            SerializedPath::Text(text) => text.into(),
+            SerializedPath::Bytes(bytes) => bytes.into(),
         })
     }
 

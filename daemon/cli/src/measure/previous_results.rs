@@ -19,36 +19,36 @@ const PREFIX: &str = ".replaced-";
 /// The file that marks results as complete.
 const RECORD: &str = "run.json";
 const DATA: &str = "data.csv";
-/// File names of rows of runs without results.
-const ROWS_WITHOUT_RESULTS: [&str; 2] = [KILLED, UNFINISHED];
-/// File name of the rows of a killed run.
-const KILLED: &str = "killed";
-/// File name of the rows of a run whose results did not fit on the disk.
-const UNFINISHED: &str = "unfinished";
+/// Beginnings of the names of files with rows of runs without results.
+const ROWS_WITHOUT_RESULTS: [&str; 2] = [KILLED_ROWS, UNFINISHED_ROWS];
+/// Beginning of the file name of the rows of a killed run.
+const KILLED_ROWS: &str = "killed";
+/// Beginning of the file name of the rows of a run whose results did not fit on the disk.
+const UNFINISHED_ROWS: &str = "unfinished";
 
 /// Results that were moved away. Dropping it restores them.
 #[derive(Debug)]
 pub(super) struct PreviousResultsGuard {
     results_dir: PathBuf,
     /// Folder in `results_dir` with the moved results; `None` if there is nothing to restore.
-    kept: Option<TempDir>,
+    moved_results: Option<TempDir>,
 }
 
 impl PreviousResultsGuard {
     /// Moves the results of a folder away.
     ///
     /// # Errors
-    /// When they cannot be moved (73).
+    /// When the results cannot be moved (73).
     pub(super) fn move_away(results_dir: &Path) -> Result<Self, Failure> {
-        let mut guard = Self { results_dir: results_dir.to_owned(), kept: None };
+        let mut guard = Self { results_dir: results_dir.to_owned(), moved_results: None };
         if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
             return Ok(guard);
         }
         let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
         let kept =
             kept.with_context(|| format!("cannot write to {}", results_dir.display())).map_err(unwritten)?;
-        let kept = guard.kept.insert(kept).path().to_owned();
-        for name in record_first(results_dir) {
+        let kept = guard.moved_results.insert(kept).path().to_owned();
+        for name in replaced_file_names(results_dir) {
             let from = results_dir.join(&name);
             rename_if_exists(&from, &kept.join(&name))
                 .with_context(|| format!("cannot replace {}", from.display()))
@@ -58,15 +58,15 @@ impl PreviousResultsGuard {
     }
 
     /// Returns whether a run that has moved results here was killed, or is still running.
-    pub(super) fn is_left(results_dir: &Path) -> bool {
+    pub(super) fn has_leftovers(results_dir: &Path) -> bool {
         leftover_folders(results_dir).next().is_some()
     }
 
-    /// Restores results that a killed run had moved away, or removes them if its new results are complete. The rows of the killed
-    /// run are kept under another name. No other program may write to the folder meanwhile.
+    /// Restores the results that a killed run had moved away, or removes them if the new results of the killed run are complete. The rows of
+    /// the killed run are kept under another name. No other program may write to the folder meanwhile.
     ///
     /// # Errors
-    /// When they cannot be moved (73).
+    /// When the results cannot be moved (73).
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
         let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
@@ -86,15 +86,15 @@ impl PreviousResultsGuard {
             ));
             return Ok(());
         }
-        let measured = if kept.join(DATA).is_file() {
-            keep_measured(results_dir, KILLED).map_err(failed)?
+        let renamed_rows = if kept.join(DATA).is_file() {
+            keep_measured(results_dir, KILLED_ROWS).map_err(failed)?
         } else {
             None
         };
         move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
-        let measured = measured.map_or_else(String::new, |name| format!("; its rows are in {name}"));
+        let rows_note = renamed_rows.map_or_else(String::new, |name| format!("; its rows are in {name}"));
         print_to_stderr(format_args!(
-            "a run that was to replace the results in {} was killed: the previous results are restored{measured}",
+            "a run that was to replace the results in {} was killed: the previous results are restored{rows_note}",
             results_dir.display()
         ));
         Ok(())
@@ -103,8 +103,8 @@ impl PreviousResultsGuard {
     /// Renames the new rows, which exist nowhere else, so that they stay when the earlier results are restored. Returns the new
     /// name; `None` if there are no rows or nothing will be restored.
     pub(super) fn keep_rows(&self) -> Option<String> {
-        self.kept.as_ref()?;
-        keep_measured(&self.results_dir, UNFINISHED).unwrap_or_else(|error| {
+        self.moved_results.as_ref()?;
+        keep_measured(&self.results_dir, UNFINISHED_ROWS).unwrap_or_else(|error| {
             print_to_stderr(format_args!("cannot rename the new data.csv: {error}"));
             None
         })
@@ -113,8 +113,8 @@ impl PreviousResultsGuard {
     /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
     /// if there were no earlier results.
     pub(super) fn restore(mut self) -> String {
-        let Some(kept) = self.kept.take() else { return String::new() };
-        let removed = record_first(&self.results_dir).iter().try_for_each(|name| {
+        let Some(kept) = self.moved_results.take() else { return String::new() };
+        let removed = replaced_file_names(&self.results_dir).iter().try_for_each(|name| {
             match remove_file(self.results_dir.join(name)) {
                 Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
                 _ => Ok(()),
@@ -128,9 +128,9 @@ impl PreviousResultsGuard {
 
     /// Removes the earlier results because the new results are complete, and the rows of runs without results.
     pub(super) fn remove(&mut self) {
-        let closed = self.kept.take().map_or(Ok(()), TempDir::close);
-        let removed = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
-        if let Err(error) = closed.and(removed) {
+        let removed_folder = self.moved_results.take().map_or(Ok(()), TempDir::close);
+        let removed_rows = rows_without_results(&self.results_dir).into_iter().try_for_each(remove_file);
+        if let Err(error) = removed_folder.and(removed_rows) {
             print_to_stderr(format_args!("cannot remove all of the replaced results: {error}"));
         }
     }
@@ -138,7 +138,7 @@ impl PreviousResultsGuard {
 
 impl Drop for PreviousResultsGuard {
     fn drop(&mut self) {
-        let Some(kept) = self.kept.take() else { return };
+        let Some(kept) = self.moved_results.take() else { return };
         if std::thread::panicking() {
             // After a panic new rows may have the names of the moved files, so nothing is moved back.
             let folder = kept.keep();
@@ -161,9 +161,9 @@ pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
         .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
 }
 
-/// Returns files with the rows of runs without results.
+/// Returns the files with rows of runs without results.
 fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
-    let is_one = |path: &PathBuf| {
+    let has_rows_name = |path: &PathBuf| {
         let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
         let rest = stem.and_then(|stem| ROWS_WITHOUT_RESULTS.iter().find_map(|name| stem.strip_prefix(name)));
         rest.is_some_and(|rest| {
@@ -171,7 +171,7 @@ fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
         })
     };
     let entries = read_dir(results_dir).into_iter().flatten().filter_map(Result::ok);
-    entries.map(|entry| entry.path()).filter(is_one).collect()
+    entries.map(|entry| entry.path()).filter(has_rows_name).collect()
 }
 
 /// Returns the folders in `results_dir` with moved results.
@@ -182,14 +182,14 @@ fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
 }
 
 /// Returns the names of the replaced files in a folder, in the order in which they are moved away.
-fn record_first(dir: &Path) -> Vec<String> {
+fn replaced_file_names(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = ResultFolder::replaced_files(dir).collect();
     names.sort_by_key(|name| name != RECORD);
     names
 }
 
 fn move_back(kept: &Path, results_dir: &Path) -> std::io::Result<()> {
-    record_first(kept)
+    replaced_file_names(kept)
         .iter()
         .rev()
         .try_for_each(|name| rename_if_exists(&kept.join(name), &results_dir.join(name)))
@@ -206,13 +206,13 @@ fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
 /// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
 fn keep_measured(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
     let data = results_dir.join(DATA);
-    let rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
-    if !rows.unwrap_or(false) {
+    let has_rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
+    if !has_rows.unwrap_or(false) {
         return Ok(None);
     }
-    let free = |name: &String| !results_dir.join(name).exists();
+    let is_free = |name: &String| !results_dir.join(name).exists();
     let numbered = (2_u32..).map(|number| format!("{stem}-{number}.csv"));
-    let name = std::iter::once(format!("{stem}.csv")).chain(numbered).find(free);
+    let name = std::iter::once(format!("{stem}.csv")).chain(numbered).find(is_free);
     if let Some(name) = &name {
         rename(&data, results_dir.join(name))?;
     }
@@ -282,7 +282,7 @@ mod tests {
     /// Leaves a folder as a killed run does: without dropping anything.
     fn killed(results_dir: &Path, measured: &str) {
         let mut guard = PreviousResultsGuard::move_away(results_dir).expect("moved");
-        let _ = guard.kept.take().map(TempDir::keep);
+        let _ = guard.moved_results.take().map(TempDir::keep);
         std::fs::write(results_dir.join(DATA), measured).expect("writable");
     }
 
@@ -302,9 +302,9 @@ mod tests {
         for name in [DATA, RECORD] {
             std::fs::write(results_dir.path().join(name), "earlier").expect("writable");
         }
-        assert!(!PreviousResultsGuard::is_left(results_dir.path()));
+        assert!(!PreviousResultsGuard::has_leftovers(results_dir.path()));
         killed(results_dir.path(), "iteration\n");
-        assert!(PreviousResultsGuard::is_left(results_dir.path()));
+        assert!(PreviousResultsGuard::has_leftovers(results_dir.path()));
         PreviousResultsGuard::recover(results_dir.path()).expect("recovered");
         assert_eq!(
             (names(results_dir.path()), read(DATA)),
@@ -350,7 +350,7 @@ mod tests {
         }
         let kept = results_dir.path().join(format!("{PREFIX}x"));
         std::fs::create_dir(&kept).expect("made");
-        for name in record_first(results_dir.path()).into_iter().take(2) {
+        for name in replaced_file_names(results_dir.path()).into_iter().take(2) {
             rename_if_exists(&results_dir.path().join(&name), &kept.join(&name)).expect("moved");
             let before = names(results_dir.path());
             PreviousResultsGuard::recover(results_dir.path()).expect("recovered");

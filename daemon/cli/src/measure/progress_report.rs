@@ -16,8 +16,9 @@ pub(crate) struct ProgressReport {
     /// Number of finished iterations.
     pub(crate) done: u64,
     /// Total number of iterations; `None` if a time limits the run.
-    pub(crate) of: Option<u64>,
-    /// Iterations per second since the first.
+    #[serde(rename = "of")]
+    pub(crate) iterations: Option<u64>,
+    /// Iterations per second since the first iteration.
     pub(crate) rate: f64,
     /// Median of the total so far, seconds.
     pub(crate) p50: Option<f64>,
@@ -30,14 +31,14 @@ pub(crate) struct ProgressReport {
 }
 
 impl fmt::Display for ProgressReport {
-    /// Writes it in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
+    /// Writes the progress in words: `120 of 10005, 9.8 /s, total p50 101 ms, p99 104 ms, 17 min left`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.phase == Phase::Starting {
             return f.write_str("starting");
         }
         write!(f, "{}", self.done)?;
-        if let Some(of) = self.of {
-            write!(f, " of {of}")?;
+        if let Some(iterations) = self.iterations {
+            write!(f, " of {iterations}")?;
         }
         write!(f, ", {} /s", number::fixed(self.rate, 1))?;
         // There is no median during the warm-up.
@@ -56,7 +57,7 @@ pub(crate) enum Phase {
     Starting,
     /// The agent measures warm-up iterations.
     WarmUp,
-    /// The agent measures iterations that count.
+    /// The agent measures iterations after the warm-up.
     Measuring,
     /// The agent waits for an unreachable peer.
     Waiting,
@@ -67,7 +68,7 @@ pub(crate) enum Phase {
 /// Display of a run's progress.
 pub(crate) trait ProgressDisplay {
     /// Shows the conditions of the hosts when the run begins.
-    fn begun(&mut self, _conditions: &[Condition]) {}
+    fn show_start(&mut self, _conditions: &[Condition]) {}
 
     /// Shows the progress, several times a second.
     fn show(&mut self, report: &ProgressReport);
@@ -82,7 +83,7 @@ mod tests {
         let report = ProgressReport {
             phase: Phase::Measuring,
             done: 120,
-            of: Some(10_005),
+            iterations: Some(10_005),
             rate: 9.81,
             p50: Some(0.1012),
             p99: None,

@@ -18,13 +18,13 @@ use serde_json::{Map, Value};
 
 use super::Order;
 use super::recorder::RecordedRun;
-use crate::foreground::Ended;
+use crate::foreground::AgentEnd;
 
 /// Makes the record of a run with rows.
 pub(super) fn run_record(
     order: &Order,
     recorded: &RecordedRun,
-    ended: &Ended,
+    ended: &AgentEnd,
     edge: String,
     missed: u64,
 ) -> RunRecord {
@@ -38,10 +38,11 @@ pub(super) fn run_record(
         version: recorded.cloud.as_ref().map(|cloud| cloud.version.clone()).unwrap_or_default(),
         hardware: recorded.cloud.as_ref().map(|cloud| cloud.hardware.clone()),
         clock: recorded.cloud_clock.clone().unwrap_or_default(),
-        conditions: conditions.iter().filter(|found| found.host == *name.as_str()).cloned().collect(),
+        conditions: conditions.iter().filter(|condition| condition.host == *name.as_str()).cloned().collect(),
     });
-    let conditions =
-        conditions.into_iter().filter(|found| cloud.as_ref().is_none_or(|cloud| found.host != cloud.name));
+    let conditions = conditions
+        .into_iter()
+        .filter(|condition| cloud.as_ref().is_none_or(|cloud| condition.host != cloud.name));
     let config = order.agent.redacted();
     let pipeline = config.pipelines.first();
     RunRecord {
@@ -50,7 +51,7 @@ pub(super) fn run_record(
         title: order.title.clone(),
         run: description.map(|run| run.run),
         started: description.map(|run| to_utc(run.started)),
-        ended: recorded.ended.map(to_utc),
+        ended: recorded.ended_at.map(to_utc),
         reason: ended.reason(),
         version: VERSION.to_owned(),
         command: order.command.clone(),
@@ -120,26 +121,26 @@ fn agent(config: &AgentConfig) -> Value {
 
 /// Collects every number called `seed`, by the path of its table.
 fn seeds(pipeline: &Value) -> BTreeMap<String, u64> {
-    fn gather(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
+    fn collect_seeds(path: &str, table: &Map<String, Value>, seeds: &mut BTreeMap<String, u64>) {
         for (key, value) in table {
             match value {
                 Value::Number(seed) if key == "seed" => {
                     seeds.extend(seed.as_u64().map(|seed| (path.to_owned(), seed)));
                 }
-                Value::Object(inner) => gather(key, inner, seeds),
+                Value::Object(inner) => collect_seeds(key, inner, seeds),
                 _ => {}
             }
         }
     }
     let mut seeds = BTreeMap::new();
     if let Value::Object(table) = pipeline {
-        gather("pipeline", table, &mut seeds);
+        collect_seeds("pipeline", table, &mut seeds);
     }
     seeds
 }
 
-/// Serialises with the arguments of programs: other users cannot read the file.
-fn json(what: &impl serde::Serialize) -> Value {
-    with_arguments(|| serde_json::to_value(what))
+/// Serialises a value with the arguments of programs. Arguments may be secret, but other users cannot read the file.
+fn json(value: &impl serde::Serialize) -> Value {
+    with_arguments(|| serde_json::to_value(value))
         .unwrap_or_else(|error| Value::String(format!("cannot be written down: {error}")))
 }

@@ -13,7 +13,7 @@ use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::{Phase, ProgressDisplay, ProgressReport};
-use crate::foreground::{Ended, PeerWait, PipelineActivity, RunObserver, p99};
+use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver, p99};
 
 /// Observer of the agent.
 pub(super) struct RunRecorder<'a> {
@@ -23,10 +23,10 @@ pub(super) struct RunRecorder<'a> {
     peer_timeout: Span,
     progress: RunProgress,
     pipeline: Slug,
-    /// Address of the peer, then its name; `None` for a run without a peer.
+    /// Name of the peer, or its address until its name is known. `None` for a run without a peer.
     peer: Option<String>,
     /// `true` if the peer refused the first attempt.
-    refused: bool,
+    is_refused: bool,
     recorded: RecordedRun,
     writer: RowWriter,
 }
@@ -36,16 +36,16 @@ struct RunProgress {
     limit: Limit,
     /// Minimum number of warm-up iterations.
     warm_up: u64,
-    began: Option<MonoTime>,
+    started_at: Option<MonoTime>,
     /// Number of finished iterations.
     done: u64,
-    /// Totals of the iterations that count, seconds.
+    /// Totals of the iterations after the warm-up, seconds.
     totals: Summary,
 }
 
 impl RunProgress {
     fn new(limit: Limit, warm_up: u64) -> Self {
-        Self { limit, warm_up, began: None, done: 0, totals: Summary::default() }
+        Self { limit, warm_up, started_at: None, done: 0, totals: Summary::default() }
     }
 
     fn add(&mut self, row: &Row) {
@@ -66,18 +66,18 @@ impl RunProgress {
         self.limit.total.is_some_and(|total| self.done >= total.get())
     }
 
-    /// Returns the state to be shown in this phase.
-    fn show(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
-        let (done, of) = (self.done, self.iterations());
-        let elapsed = self.began.map_or(0.0, |began| (now - began).seconds());
+    /// Returns the progress to be shown in this phase.
+    fn report(&self, phase: Phase, trouble: Option<String>, now: MonoTime) -> ProgressReport {
+        let (done, iterations) = (self.done, self.iterations());
+        let elapsed = self.started_at.map_or(0.0, |started_at| (now - started_at).seconds());
         let rate = if elapsed > 0.0 { done as f64 / elapsed } else { 0.0 };
-        let by_count = of.filter(|_| rate > 0.0).map(|of| of.saturating_sub(done) as f64 / rate);
-        let by_time = self.limit.duration_s.filter(|_| self.began.is_some());
+        let by_count = iterations.filter(|_| rate > 0.0).map(|all| all.saturating_sub(done) as f64 / rate);
+        let by_time = self.limit.duration_s.filter(|_| self.started_at.is_some());
         let by_time = by_time.map(|seconds| (seconds - elapsed).max(0.0));
         ProgressReport {
             phase,
             done,
-            of,
+            iterations,
             rate,
             p50: self.totals.quantile(0.5),
             p99: p99(&self.totals),
@@ -96,10 +96,10 @@ pub(super) struct RecordedRun {
     /// Description of the run from its start.
     pub(super) description: Option<RunDescription>,
     /// Time of its end by the edge's wall clock.
-    pub(super) ended: Option<WallTime>,
-    /// Host that sensed.
+    pub(super) ended_at: Option<WallTime>,
+    /// The host that runs the sensor.
     pub(super) edge: Option<HostDescription>,
-    /// Host that served.
+    /// The host that serves the model.
     pub(super) cloud: Option<Cloud>,
     /// Description of the edge's clock discipline.
     pub(super) edge_clock: Option<String>,
@@ -129,7 +129,7 @@ impl<'a> RunRecorder<'a> {
             progress: RunProgress::new(pipeline.limit, pipeline.warm_up.iterations),
             pipeline: pipeline.name.clone(),
             peer,
-            refused: false,
+            is_refused: false,
             recorded: RecordedRun::default(),
             writer,
         }
@@ -145,15 +145,15 @@ impl<'a> RunRecorder<'a> {
     fn record_start(&mut self, run: RunDescription) {
         let now = self.clock.mono();
         self.peer_wait.record_answer(now);
-        self.progress.began.get_or_insert(now);
-        self.progress_display.begun(&run.conditions);
+        self.progress.started_at.get_or_insert(now);
+        self.progress_display.show_start(&run.conditions);
         if let (Some(peer), Some(name)) = (&mut self.peer, &run.placement.peer) {
             *peer = name.to_string();
         }
         self.recorded.description = Some(run);
     }
 
-    /// Records the hosts. After an absence another program may serve.
+    /// Records the hosts. It is called again after a reconnection, because the peer may be another program then.
     fn record_hosts(&mut self, running: Option<&RunningAgent>) {
         let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
@@ -177,20 +177,20 @@ impl<'a> RunRecorder<'a> {
     }
 
     fn report(&self, trouble: Option<String>) -> ProgressReport {
-        let phase = match (&trouble, self.progress.began, self.recorded.rows.last()) {
+        let phase = match (&trouble, self.progress.started_at, self.recorded.rows.last()) {
             (_, None, _) => Phase::Starting,
             (Some(_), ..) => Phase::Waiting,
             (None, _, last) if last.is_none_or(|row| row.warm_up()) => Phase::WarmUp,
             _ => Phase::Measuring,
         };
-        self.progress.show(phase, trouble, self.clock.mono())
+        self.progress.report(phase, trouble, self.clock.mono())
     }
 }
 
 impl RunObserver for RunRecorder<'_> {
     type OwnReason = Infallible;
 
-    fn handle_event(&mut self, event: Event, running: Option<&RunningAgent>) -> Option<Ended> {
+    fn handle_event(&mut self, event: Event, running: Option<&RunningAgent>) -> Option<AgentEnd> {
         match event {
             Event::RunStarted(run) => {
                 self.record_start(run);
@@ -202,17 +202,17 @@ impl RunObserver for RunRecorder<'_> {
                 self.record_row(&row);
             }
             Event::RunEnded(run) => {
-                self.recorded.ended = Some(run.ended);
+                self.recorded.ended_at = Some(run.ended);
                 // The claim of a time daemon may have arrived after the start of the run.
                 self.record_hosts(running);
-                return Some(Ended::from_run_end(run.reason, "run"));
+                return Some(AgentEnd::from_run_end(run.reason, "run"));
             }
             Event::Incident(incident) => match incident.kind {
                 // Later incidents are part of the run's end, or ignored.
                 IncidentKind::PipelineFailed if self.recorded.description.is_none() => {
-                    return Some(Ended::Failed(incident.text));
+                    return Some(AgentEnd::Failed(incident.text));
                 }
-                IncidentKind::Refused if self.recorded.description.is_none() => self.refused = true,
+                IncidentKind::Refused if self.recorded.description.is_none() => self.is_refused = true,
                 IncidentKind::Connected => {
                     self.record_hosts(running);
                     if running.is_some() {
@@ -226,43 +226,44 @@ impl RunObserver for RunRecorder<'_> {
         None
     }
 
-    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd> {
         self.writer.flush();
         // The peer may disconnect after the last answer. The run does not wait for it then.
         if self.progress.is_complete() {
-            return Some(Ended::Finished);
+            return Some(AgentEnd::Finished);
         }
         let pipelines = running.live_update().pipelines;
         // The pipeline's last events were queued before its state changed, unless the queue was full.
         match pipelines.into_iter().next().map(|one| one.state) {
-            Some(PipelineState::Failed(reason)) => return Some(Ended::Failed(reason)),
-            Some(PipelineState::Finished) => return Some(Ended::Finished),
+            Some(PipelineState::Failed(reason)) => return Some(AgentEnd::Failed(reason)),
+            Some(PipelineState::Finished) => return Some(AgentEnd::Finished),
             _ => {}
         }
         let activity = PipelineActivity::current(running);
         let reason = activity.wait_reason();
-        if let (true, Some(reason)) = (self.refused, reason) {
-            return Some(Ended::Failed(reason.to_owned()));
+        if let (true, Some(reason)) = (self.is_refused, reason) {
+            return Some(AgentEnd::Failed(reason.to_owned()));
         }
-        // The advice concerns a configuration, which does not exist here.
+        // The library's advice at the end of the reason refers to a configuration file, which a foreground run does not have.
         let reason = reason.map(|reason| reason.strip_suffix(OpenError::LOADING).unwrap_or(reason));
-        let full = self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
+        let write_error =
+            self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();
         let slow = activity.slow_sensor(now);
         let Some(peer) = &self.peer else {
-            let report = self.report(slow.or(full));
+            let report = self.report(slow.or(write_error));
             self.progress_display.show(&report);
             return None;
         };
         self.peer_wait.update(&activity, now);
-        let trouble = match (&self.progress.began, reason) {
+        let trouble = match (&self.progress.started_at, reason) {
             (None, None) => None,
             _ => self.peer_wait.describe_trouble(peer, reason, now, self.peer_timeout),
         };
-        let spent = self.peer_wait.timeout_reason(reason, now, self.peer_timeout);
-        let report = self.report(slow.or(trouble).or(full));
+        let timeout = self.peer_wait.timeout_reason(reason, now, self.peer_timeout);
+        let report = self.report(slow.or(trouble).or(write_error));
         self.progress_display.show(&report);
-        spent.map(Ended::Failed)
+        timeout.map(AgentEnd::Failed)
     }
 
     fn end_decided(&mut self) {

@@ -16,14 +16,14 @@ pub(super) struct Results {
     earlier: Option<PreviousResultsGuard>,
     folder: ResultFolder,
     /// `true` if the folder was created for this run.
-    made: bool,
+    is_created: bool,
 }
 
 /// Place of the written results.
-pub(super) struct Written {
+pub(super) struct WrittenFiles {
     pub(super) folder: PathBuf,
     pub(super) files: Vec<PathBuf>,
-    /// Reason for which they are not in the requested folder, and the path to them.
+    /// Reason why the results are not in the requested folder, and the path to them.
     pub(super) trouble: Option<String>,
 }
 
@@ -31,10 +31,10 @@ impl Results {
     /// Creates and locks the folder that the order names.
     ///
     /// # Errors
-    /// When it holds results that may not be replaced (64), another program writes there (69), or it cannot be created (73).
+    /// When the folder holds results that may not be replaced (64), another program writes there (69), or the folder cannot be created (73).
     pub(super) fn prepare(order: &Order) -> Result<Self, Failure> {
-        // The lock shows that no run is active there; taking it changes nothing.
-        if PreviousResultsGuard::is_left(&order.folder)
+        // Previous results are restored only if the folder can be locked, which shows that no run is active there.
+        if PreviousResultsGuard::has_leftovers(&order.folder)
             && let Ok(folder) = ResultFolder::acquire(&order.folder, Overwrite::Replace)
         {
             PreviousResultsGuard::recover(folder.path())?;
@@ -43,8 +43,8 @@ impl Results {
         let folder = ResultFolder::acquire(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
         let earlier = replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
-        let made = !was_there || folder.path() != order.folder;
-        Ok(Self { folder, made, earlier })
+        let is_created = !was_there || folder.path() != order.folder;
+        Ok(Self { folder, is_created, earlier })
     }
 
     /// Returns the path of the folder.
@@ -64,34 +64,36 @@ impl Results {
     pub(super) fn discard(self) {
         // A file that remains does no harm.
         let _ = std::fs::remove_file(self.path().join("data.csv"));
-        if self.made {
+        if self.is_created {
             let _ = std::fs::remove_dir(self.path());
         }
         drop(self.earlier);
     }
 
     /// Writes all results, to another folder if necessary.
-    pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> Written {
+    pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> WrittenFiles {
         let mut earlier = self.earlier.take();
         match self.folder.finish(record, rows) {
             Ok(WrittenResults { folder, files, write_error: None }) => {
                 if let Some(earlier) = &mut earlier {
                     earlier.remove();
                 }
-                Written { folder, files, trouble: None }
+                WrittenFiles { folder, files, trouble: None }
             }
             Ok(WrittenResults { folder, files, write_error: Some(write_error) }) => {
-                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
-                let trouble =
-                    format!("{write_error}; the measurements are in {} instead{back}", folder.display());
-                Written { folder, files, trouble: Some(trouble) }
+                let restored_note = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
+                let trouble = format!(
+                    "{write_error}; the measurements are in {} instead{restored_note}",
+                    folder.display()
+                );
+                WrittenFiles { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
                 let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
-                let back = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
+                let restored_note = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
-                let trouble = format!("{error}; {rows} has the rows that fit{back}");
-                Written { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
+                let trouble = format!("{error}; {rows} has the rows that fit{restored_note}");
+                WrittenFiles { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Spools of a host that exists only during some runs: one spool for each aggregator to which it streams.
 //!
-//! With a common spool, an aggregator would not get the batches that another aggregator has acknowledged, and count them as lost.
+//! With a common spool, an aggregator would not receive the batches that another aggregator has acknowledged, and would count them as
+//! lost.
 
 use std::fmt;
 use std::fs::{self, File, TryLockError};
@@ -37,8 +38,8 @@ fn spool_name(aggregator: &Address) -> String {
     }
 }
 
-/// Renames the spool of an earlier version to the spool of the first named aggregator. The events that wait in it go there, as with
-/// the earlier version.
+/// Renames the spool of an earlier version to `spool`, the spool of the first aggregator that is used. That aggregator receives the events
+/// that wait in it, as with the earlier version.
 fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
     let old = folder.join(OLD_SPOOL);
     if spool.exists() || !old.exists() {
@@ -51,7 +52,7 @@ fn take_over(folder: &Path, spool: &Path) -> io::Result<()> {
         Err(TryLockError::WouldBlock) => return Ok(()),
         Err(TryLockError::Error(error)) => return Err(error),
     }
-    // The file itself is renamed last: after a kill before that, the next start continues.
+    // The database file itself is renamed last. If the program is killed before that, the next start continues with the renaming.
     for end in ["-wal", "-reserve", ""] {
         match fs::rename(with_end(&old, end), with_end(spool, end)) {
             Err(error) if error.kind() != ErrorKind::NotFound => return Err(error),
@@ -73,42 +74,43 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
 
 /// Events of a host that wait for one of its aggregators, or the error of reading them.
 pub(crate) struct UndeliveredEvents {
-    at: String,
+    /// Aggregator, as in the name of the spool.
+    aggregator: String,
     file: PathBuf,
     events: Result<u64, SpoolReadError>,
 }
 
 impl UndeliveredEvents {
-    /// Returns whether they wait for this aggregator.
+    /// Returns whether the events wait for this aggregator.
     pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
-        self.at == spool_name(aggregator)
+        self.aggregator == spool_name(aggregator)
     }
 
     /// Reads the waiting events of a file; `None` if there are none.
-    async fn read(at: String, file: PathBuf) -> Option<Self> {
+    async fn read(aggregator: String, file: PathBuf) -> Option<Self> {
         let events = pending_events(&file).await;
-        let waits = !matches!(events, Ok(0));
-        waits.then_some(Self { at, file, events })
+        let has_events = !matches!(events, Ok(0));
+        has_events.then_some(Self { aggregator, file, events })
     }
 }
 
 impl fmt::Display for UndeliveredEvents {
     /// Writes a sentence.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { at, file, events } = self;
+        let Self { aggregator, file, events } = self;
         let file = file.display();
         match events {
             Ok(events) => {
                 let (wait, them) = if *events == 1 { ("waits", "it") } else { ("wait", "them") };
                 write!(
                     f,
-                    "{} {wait} for the aggregator at {at}, in {file}; the next run of this host with this aggregator delivers {them}",
+                    "{} {wait} for the aggregator at {aggregator}, in {file}; the next run of this host with this aggregator delivers {them}",
                     counted(*events, "event"),
                 )
             }
             Err(error) => write!(
                 f,
-                "cannot count the events that wait for the aggregator at {at}: cannot read {file}: {error}"
+                "cannot count the events that wait for the aggregator at {aggregator}: cannot read {file}: {error}"
             ),
         }
     }
@@ -121,14 +123,14 @@ pub(crate) async fn undelivered(folder: &Path) -> Vec<UndeliveredEvents> {
     names.sort();
     let mut waiting = Vec::new();
     for name in names {
-        let at = name.strip_prefix(SPOOL_PREFIX.0).and_then(|name| name.strip_suffix(SPOOL_PREFIX.1));
-        let Some(at) = at else { continue };
-        waiting.extend(UndeliveredEvents::read(at.to_owned(), folder.join(&name)).await);
+        let aggregator = name.strip_prefix(SPOOL_PREFIX.0).and_then(|name| name.strip_suffix(SPOOL_PREFIX.1));
+        let Some(aggregator) = aggregator else { continue };
+        waiting.extend(UndeliveredEvents::read(aggregator.to_owned(), folder.join(&name)).await);
     }
     waiting
 }
 
-/// Returns the waiting events for an aggregator in a given file. Its agent must not be running.
+/// Returns the waiting events for an aggregator in a given spool file. The agent of the spool must not be running.
 pub(crate) async fn undelivered_in_spool(file: &Path, aggregator: &Address) -> Option<UndeliveredEvents> {
     if file.exists() { UndeliveredEvents::read(spool_name(aggregator), file.to_owned()).await } else { None }
 }
@@ -164,7 +166,8 @@ mod tests {
 
     #[test]
     fn waiting_events_belong_to_one_aggregator() {
-        let waiting = |at: &str| UndeliveredEvents { at: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
+        let waiting =
+            |at: &str| UndeliveredEvents { aggregator: at.to_owned(), file: PathBuf::new(), events: Ok(1) };
         let is_for = |at: &str, address: &str| waiting(at).is_for(&address.parse().expect("an address"));
         assert!(is_for("localhost:5550", "tcp://127.0.0.1:5550") && is_for("lab:5550", "tcp://Lab:5550"));
         assert!(!is_for("lab:5550", "tcp://lab:5551") && !is_for("lab:5550", "tcp://localhost:5550"));

@@ -22,7 +22,7 @@ impl AgentStateDir {
     /// Returns the folder of this agent.
     ///
     /// # Errors
-    /// When no folder can be used for it (69).
+    /// When no folder can be used for the state (69).
     pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
@@ -79,11 +79,12 @@ fn has_programs(config: &AgentConfig) -> bool {
 
 /// Returns this user's folder for data that outlives a run.
 fn state_root() -> Option<PathBuf> {
-    let absolute = |variable: &str| {
+    let absolute_path = |variable: &str| {
         let path = std::env::var_os(variable).map(PathBuf::from);
         path.filter(|path| path.is_absolute())
     };
     // The XDG Base Directory Specification, version 0.8: relative paths are to be ignored.
-    let state = absolute("XDG_STATE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".local/state")));
+    let state = absolute_path("XDG_STATE_HOME")
+        .or_else(|| absolute_path("HOME").map(|home| home.join(".local/state")));
     state.map(|state| state.join("peernet"))
 }

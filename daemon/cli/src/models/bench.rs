@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use super::WantedModel;
 use super::input::Input;
-use super::running::{Options, Running};
+use super::running::{LoadedModel, Options};
 use crate::foreground::Progress;
 
 /// Stages of a model, in their order.
@@ -58,62 +58,62 @@ struct Measured {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let found = arguments.wanted.find()?;
-    let before = memory("VmRSS:");
-    let running = Running::load(&found, &arguments.options)?;
-    let input = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())?;
+    let model = arguments.wanted.find()?;
+    let memory_before = memory("VmRSS:");
+    let loaded_model = LoadedModel::load(&model, &arguments.options)?;
+    let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
     let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::generated);
-    let stages = measure(arguments, &running, &input)?;
+    let stages = measure(arguments, &loaded_model, &input)?;
     let measured = Measured {
-        device: running.pool().device(),
-        input: input.what,
-        loaded_in: running.pool().load_duration().seconds(),
+        device: loaded_model.pool().device(),
+        input: input.description,
+        loaded_in: loaded_model.pool().load_duration().seconds(),
         stages,
-        memory: [before, memory("VmRSS:")],
+        memory: [memory_before, memory("VmRSS:")],
         peak: memory("VmHWM:"),
     };
     if arguments.json {
-        print_to_stdout(object(found.name.as_str(), &measured));
+        print_to_stdout(object(model.name.as_str(), &measured));
     } else {
-        show(found.name.as_str(), arguments, &measured);
+        show(model.name.as_str(), arguments, &measured);
     }
     Ok(())
 }
 
 fn measure(
     arguments: &Arguments,
-    running: &Running,
+    loaded_model: &LoadedModel,
     input: &Input,
 ) -> Result<Vec<(&'static str, SortedValues)>, Failure> {
     let all = arguments.warm_up.saturating_add(arguments.iterations.get());
-    let mut progress = Progress::new(arguments.quiet, running.clock().mono());
-    let mut taken: [Vec<f64>; 4] = Default::default();
+    let mut progress = Progress::new(arguments.quiet, loaded_model.clock().mono());
+    let mut durations: [Vec<f64>; 4] = Default::default();
     // Samples are used in turn; there is at least one.
     for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
-        let begun = running.clock().mono();
-        let (answer, tree) = running.infer(sample.clone());
-        let whole = (running.clock().mono() - begun).seconds();
+        let started_at = loaded_model.clock().mono();
+        let (answer, tree) = loaded_model.infer(sample.clone());
+        let total = (loaded_model.clock().mono() - started_at).seconds();
         answer.map_err(|error| Failure::new(Exit::Unavailable, error))?;
         if done >= arguments.warm_up {
-            for (values, stage) in taken.iter_mut().zip(STAGES) {
+            for (values, stage) in durations.iter_mut().zip(STAGES) {
                 values.extend(seconds(&tree, stage));
             }
-            taken[3].push(whole);
+            durations[3].push(total);
         }
         let state = || (format!("{} of {all}", done + 1), (done + 1) as f64 / all as f64);
-        progress.show(running.clock().mono(), None, state);
+        progress.show(loaded_model.clock().mono(), None, state);
     }
     progress.end();
     let names = STAGES.into_iter().chain(["all"]);
-    Ok(names.zip(taken).map(|(name, values)| (name, values.into_iter().collect())).collect())
+    Ok(names.zip(durations).map(|(name, values)| (name, values.into_iter().collect())).collect())
 }
 
 fn seconds(tree: &Tree, stage: &str) -> Option<f64> {
     tree.find(&[stage]).and_then(|(_, node)| node.measure.value())
 }
 
-fn quantile(values: &SortedValues, (_, p, fewest): (&str, f64, usize)) -> Option<f64> {
-    values.quantile(p).filter(|_| values.len() >= fewest)
+fn quantile(values: &SortedValues, (_, p, min_samples): (&str, f64, usize)) -> Option<f64> {
+    values.quantile(p).filter(|_| values.len() >= min_samples)
 }
 
 fn show(name: &str, arguments: &Arguments, measured: &Measured) {
@@ -135,7 +135,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
     print_to_stdout(text(&header, &measured.stages.iter().map(row).collect::<Vec<_>>()));
     let size_text =
-        |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |of| bytes(of as f64).plain());
+        |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |count| bytes(count as f64).plain());
     print_to_stdout(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
     print_to_stdout(format_args!(
         "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",

@@ -12,7 +12,7 @@ use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
 use super::input::Input;
-use super::running::{Options, Running};
+use super::running::{LoadedModel, Options};
 use super::{WantedModel, describe_hash_mismatch, failure};
 
 /// Arguments of `peernet models check`.
@@ -35,33 +35,33 @@ struct Answer {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let found = arguments.wanted.find()?;
-    if let Ok(card) = &found.card
-        && let Some(text) = describe_hash_mismatch(card, &found.hash().map_err(failure)?)
+    let model = arguments.wanted.find()?;
+    if let Ok(card) = &model.card
+        && let Some(text) = describe_hash_mismatch(card, &model.hash().map_err(failure)?)
     {
         print_to_stderr(text);
     }
-    let classes = found.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
+    let classes = model.card.as_ref().map(|card| card.labels.as_slice()).unwrap_or_default();
     let classes: HashSet<String> = classes.iter().map(|class| normalized_label(class)).collect();
-    let running = Running::load(&found, &arguments.options)?;
-    let pool = running.pool();
+    let loaded_model = LoadedModel::load(&model, &arguments.options)?;
+    let pool = loaded_model.pool();
     print_to_stdout(format_args!(
         "loaded on {} in {} s and run on zeros",
         pool.device(),
         fixed(pool.load_duration().seconds(), 2)
     ));
-    let Some(input) = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())? else {
+    let Some(input) = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())? else {
         print_to_stdout(
             "no test pictures: the model's folder has no `pictures`, and --pictures was not given",
         );
         return Ok(());
     };
-    let (mut right, mut labelled, mut unknown_labels, mut failed) = (0, 0, 0, 0);
+    let (mut correct, mut labelled, mut unknown_labels, mut failed) = (0, 0, 0, 0);
     let all = input.samples.len() as u64;
     let is_single = all == 1;
     for sample in input.samples {
         let (source, label) = (sample.source.clone(), sample.label.clone());
-        let answer = running.infer(sample).0.map_err(AnswerError::from).and_then(|answer| read(&answer));
+        let answer = loaded_model.infer(sample).0.map_err(AnswerError::from).and_then(|answer| read(&answer));
         match answer {
             Err(error) => {
                 print_to_stderr(error);
@@ -71,7 +71,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 match label.map(|label| normalized_label(&label)) {
                     Some(label) if classes.contains(&label) => {
                         labelled += 1;
-                        right += usize::from(label == normalized_label(&answer.label));
+                        correct += usize::from(label == normalized_label(&answer.label));
                     }
                     // The label is not a class of the model, so no answer could be right.
                     Some(_) => unknown_labels += 1,
@@ -83,17 +83,18 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             }
         }
     }
-    let accuracy = if labelled > 0 { format!("; {right} of {labelled} labels right") } else { String::new() };
+    let accuracy =
+        if labelled > 0 { format!("; {correct} of {labelled} labels right") } else { String::new() };
     let unknown = match unknown_labels {
         0 => String::new(),
         1 => "; 1 label is not a class of the model".to_owned(),
         count => format!("; {count} labels are not classes of the model"),
     };
-    let of = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
-    print_to_stdout(format_args!("answered {of}{}{accuracy}{unknown}", input.what));
+    let answered_count = if failed > 0 { format!("{} of ", all - failed) } else { String::new() };
+    print_to_stdout(format_args!("answered {answered_count}{}{accuracy}{unknown}", input.description));
     if failed > 0 {
-        let were = if failed == 1 { "was" } else { "were" };
-        let error = anyhow!("{} {were} not answered; the lines above say why", counted(failed, "picture"));
+        let verb = if failed == 1 { "was" } else { "were" };
+        let error = anyhow!("{} {verb} not answered; the lines above say why", counted(failed, "picture"));
         return Err(Failure::new(Exit::Unavailable, error));
     }
     Ok(())

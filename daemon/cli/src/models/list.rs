@@ -24,12 +24,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     for error in folders.check() {
         print_to_stderr(error);
     }
-    let found = folders.list();
+    let models = folders.list();
     if arguments.json {
-        print_to_stdout(Value::from_iter(found.iter().map(object)));
+        print_to_stdout(Value::from_iter(models.iter().map(object)));
         return Ok(());
     }
-    if found.is_empty() {
+    if models.is_empty() {
         let paths: Vec<String> = folders.paths().iter().map(|path| path.display().to_string()).collect();
         print_to_stdout(format_args!(
             "no model in {}; export one with models/export_torchvision.py, or name a folder with --models-dir",
@@ -38,26 +38,26 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         return Ok(());
     }
     let header = ["model", "task", "input", "size", "version", "folder", "wrong"];
-    print_to_stdout(text(&header, &found.iter().map(row).collect::<Vec<_>>()));
+    print_to_stdout(text(&header, &models.iter().map(row).collect::<Vec<_>>()));
     Ok(())
 }
 
-fn row(found: &ModelOnDisk) -> Vec<String> {
-    let (task, input, version) = match &found.card {
+fn row(model: &ModelOnDisk) -> Vec<String> {
+    let (task, input, version) = match &model.card {
         Ok(card) => (card.task.clone(), card.input.clone(), card.version.clone()),
         Err(_) => Default::default(),
     };
     let size =
-        found.size().map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
-    let folder = found.folder.display().to_string();
+        model.size().map(|bytes| peernet_statistics::number::bytes(bytes as f64).plain()).unwrap_or_default();
+    let folder = model.folder.display().to_string();
     let cells =
-        [found.name.to_string(), task, input, size, version, folder, problem(found).unwrap_or_default()];
+        [model.name.to_string(), task, input, size, version, folder, problem(model).unwrap_or_default()];
     cells.map(|cell| printable_line(&cell).into_owned()).to_vec()
 }
 
 /// Returns the reason why the model cannot be used, if there is one.
-fn problem(found: &ModelOnDisk) -> Option<String> {
-    match (&found.card, &found.shadowed_by) {
+fn problem(model: &ModelOnDisk) -> Option<String> {
+    match (&model.card, &model.shadowed_by) {
         // Errors of the TOML parser have several lines.
         (Err(error), _) => Some(error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")),
         (Ok(_), Some(other)) => Some(format!("hidden by {}", other.display())),
@@ -65,13 +65,13 @@ fn problem(found: &ModelOnDisk) -> Option<String> {
     }
 }
 
-fn object(found: &ModelOnDisk) -> Value {
+fn object(model: &ModelOnDisk) -> Value {
     json!({
-        "model": found.name.to_string(),
-        "folder": found.folder.display().to_string(),
-        "bytes": found.size(),
-        "card": found.card.as_ref().ok(),
-        "wrong": problem(found),
+        "model": model.name.to_string(),
+        "folder": model.folder.display().to_string(),
+        "bytes": model.size(),
+        "card": model.card.as_ref().ok(),
+        "wrong": problem(model),
     })
 }
 
@@ -87,8 +87,8 @@ mod tests {
         std::fs::create_dir(models.path().join("torn_card")).expect("made");
         std::fs::write(models.path().join("torn_card/model.toml"), "name = 'x'\ntask = 7\n")
             .expect("written");
-        let found = ModelFolders::new([models.path().to_owned()]).list();
-        let row = row(&found[0]);
+        let listed = ModelFolders::new([models.path().to_owned()]).list();
+        let row = row(&listed[0]);
         assert_eq!((row[0].as_str(), row.len()), ("torn_card", 7));
         assert!(row[6].contains("model.toml") && !row[6].contains('\n'), "{row:?}");
     }

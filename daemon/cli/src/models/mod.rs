@@ -85,8 +85,9 @@ impl WantedModel {
 
 /// Describes the mismatch if the hash in the card belongs to another file.
 fn describe_hash_mismatch(card: &CardSummary, hash: &str) -> Option<String> {
-    let (_, theirs) = card.provenance.iter().find(|(key, _)| key == "sha256")?;
-    (theirs != hash).then(|| format!("the card was written for another model.onnx, of SHA-256 {theirs}"))
+    let (_, card_hash) = card.provenance.iter().find(|(key, _)| key == "sha256")?;
+    (card_hash != hash)
+        .then(|| format!("the card was written for another model.onnx, of SHA-256 {card_hash}"))
 }
 
 fn failure(error: LoadError) -> Failure {

@@ -24,25 +24,25 @@ pub(super) struct Options {
     pub(super) intra_threads: std::num::NonZeroUsize,
 }
 
-/// A model with one worker.
-pub(super) struct Running {
+/// A loaded model with one worker.
+pub(super) struct LoadedModel {
     pool: Arc<Pool>,
     clock: SharedClock,
     host: HostId,
 }
 
-impl Running {
+impl LoadedModel {
     /// Loads the model, which also runs it on zeros once.
-    pub(super) fn load(found: &ModelOnDisk, options: &Options) -> Result<Self, Failure> {
+    pub(super) fn load(model: &ModelOnDisk, options: &Options) -> Result<Self, Failure> {
         let clock =
             clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
         let settings = BankConfig { intra_threads: options.intra_threads, ..BankConfig::default() };
-        let config = settings.model(&found.name, &found.folder, &options.device);
+        let config = settings.model(&model.name, &model.folder, &options.device);
         let bank = Bank::new(vec![config], OnnxRuntimeConfig::default(), Arc::clone(&clock));
         if let Some((_, error)) = bank.check().into_iter().next() {
             return Err(failure(error));
         }
-        let pool = bank.load(&found.name, None).map_err(failure)?;
+        let pool = bank.load(&model.name, None).map_err(failure)?;
         Ok(Self { pool, clock, host: HostId::random() })
     }
 
@@ -60,14 +60,14 @@ impl Running {
     pub(super) fn infer(&self, sample: Sample) -> (Result<Sample, InferenceError>, Tree) {
         let (sender, receiver) = sync_channel(1);
         // Sending fails only if this function has panicked.
-        let reply = Box::new(move |done| drop(sender.send(done)));
+        let reply = Box::new(move |result| drop(sender.send(result)));
         let recorder = Recorder::new(Arc::clone(&self.clock), self.host);
         let received = self.clock.mono();
         if let Err(refused) = self.pool.submit(Job::for_whole_answer(sample, recorder, received, reply)) {
             return (Err(refused.reason), refused.job.recorder.finish());
         }
         match receiver.recv() {
-            Ok(done) => (done.result, done.recorder.finish()),
+            Ok(finished) => (finished.result, finished.recorder.finish()),
             Err(_) => {
                 let reason = "its thread dropped the sample".to_owned();
                 let recorder = Recorder::new(Arc::clone(&self.clock), self.host);

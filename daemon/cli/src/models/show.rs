@@ -9,7 +9,7 @@ use serde_json::json;
 use super::{WantedModel, describe_hash_mismatch, failure};
 
 /// Maximum number of labels that are shown.
-const LABELS: usize = 8;
+const MAX_LABELS: usize = 8;
 
 /// Arguments of `peernet models show`.
 #[derive(Debug, clap::Args)]
@@ -22,11 +22,11 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let found = arguments.wanted.find()?;
-    let hash = found.hash().map_err(failure)?;
-    let size = found.size().unwrap_or_default();
-    let (name, folder) = (found.name, found.folder);
-    let card = found.card.map_err(failure)?;
+    let model = arguments.wanted.find()?;
+    let hash = model.hash().map_err(failure)?;
+    let size = model.size().unwrap_or_default();
+    let (name, folder) = (model.name, model.folder);
+    let card = model.card.map_err(failure)?;
     let mismatch = describe_hash_mismatch(&card, &hash);
     if arguments.json {
         print_to_stdout(
@@ -34,8 +34,8 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         );
         return Ok(());
     }
-    let first: Vec<&str> = card.labels.iter().take(LABELS).map(String::as_str).collect();
-    let more = if card.labels.len() > LABELS { ", …" } else { "" };
+    let shown_labels: Vec<&str> = card.labels.iter().take(MAX_LABELS).map(String::as_str).collect();
+    let more = if card.labels.len() > MAX_LABELS { ", …" } else { "" };
     let mut lines = vec![
         ("model".to_owned(), name.to_string()),
         ("folder".to_owned(), printable_line(&folder.display().to_string()).into_owned()),
@@ -47,7 +47,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     lines.extend(card.preprocessing.into_iter().map(|step| ("  then".to_owned(), step)));
     lines.extend([
         ("output".to_owned(), card.output),
-        ("labels".to_owned(), format!("{}{more}", first.join(", "))),
+        ("labels".to_owned(), format!("{}{more}", shown_labels.join(", "))),
         ("model.onnx".to_owned(), number::bytes(size as f64).plain()),
         ("SHA-256".to_owned(), hash),
     ]);

@@ -9,29 +9,29 @@ use peernet_analysis::loaded::Loaded;
 pub(super) struct FigureFolders {
     /// Folder for the figures of each run.
     pub(super) runs: Vec<PathBuf>,
-    /// Folder for the figures of all runs together.
-    pub(super) together: PathBuf,
+    /// Folder for the figures that show all runs.
+    pub(super) all_runs: PathBuf,
 }
 
 impl FigureFolders {
-    /// Chooses the folders of the results. With `out`, chooses that folder, with a subfolder for each run if there are several.
+    /// Chooses the folders of the results, or with `out` that folder, with a subfolder for each run if there are several.
     pub(super) fn choose(named: &[PathBuf], runs: &[Loaded], out: Option<&Path>) -> Self {
         let folders = || runs.iter().map(|run| run.folder.clone());
         match (out, named) {
             (Some(out), _) if runs.len() == 1 => {
-                Self { runs: vec![out.to_owned()], together: out.to_owned() }
+                Self { runs: vec![out.to_owned()], all_runs: out.to_owned() }
             }
             (Some(out), _) => Self {
                 runs: names(&folders().collect::<Vec<_>>()).iter().map(|name| out.join(name)).collect(),
-                together: out.to_owned(),
+                all_runs: out.to_owned(),
             },
-            (None, [one]) if one.is_dir() => Self { runs: folders().collect(), together: one.clone() },
+            (None, [one]) if one.is_dir() => Self { runs: folders().collect(), all_runs: one.clone() },
             (None, _) => {
                 // With several named paths, the current folder is used.
-                let together = if runs.len() == 1 { folders().next() } else { None };
+                let only_folder = if runs.len() == 1 { folders().next() } else { None };
                 Self {
                     runs: folders().collect(),
-                    together: current_folder_if_empty(together.unwrap_or_default()),
+                    all_runs: current_folder_if_empty(only_folder.unwrap_or_default()),
                 }
             }
         }
@@ -50,17 +50,18 @@ fn names(folders: &[PathBuf]) -> Vec<String> {
     };
     let all: Vec<Vec<String>> = folders.iter().map(parts).collect();
     let shortest = all.iter().map(Vec::len).min().unwrap_or_default();
-    let common = (0..shortest).take_while(|at| all.iter().all(|parts| parts[*at] == all[0][*at])).count();
+    let common =
+        (0..shortest).take_while(|index| all.iter().all(|parts| parts[*index] == all[0][*index])).count();
     let common = common.min(shortest.saturating_sub(1));
     let mut names: Vec<String> = Vec::new();
     for parts in &all {
         let name = if parts.is_empty() { "run".to_owned() } else { parts[common..].join("-") };
-        let (mut free, mut number) = (name.clone(), 1);
-        while names.contains(&free) {
+        let (mut unique_name, mut number) = (name.clone(), 1);
+        while names.contains(&unique_name) {
             number += 1;
-            free = format!("{name}-{number}");
+            unique_name = format!("{name}-{number}");
         }
-        names.push(free);
+        names.push(unique_name);
     }
     names
 }
@@ -80,8 +81,8 @@ mod tests {
         };
         let named: Vec<PathBuf> = named.iter().map(PathBuf::from).collect();
         let runs: Vec<Loaded> = runs.iter().map(loaded).collect();
-        let FigureFolders { runs, together } = FigureFolders::choose(&named, &runs, out.map(Path::new));
-        (runs.iter().map(|path| path.display().to_string()).collect(), together.display().to_string())
+        let FigureFolders { runs, all_runs } = FigureFolders::choose(&named, &runs, out.map(Path::new));
+        (runs.iter().map(|path| path.display().to_string()).collect(), all_runs.display().to_string())
     }
 
     #[test]

@@ -12,21 +12,21 @@ use peernet_analysis::loaded::Loaded;
 use peernet_figures::{self as figures, Columns, PlotError};
 use peernet_statistics::number::counted;
 
-use crate::compare::{Collected, collect, distinct_paths};
+use crate::compare::{CollectedResults, collect, distinct_paths};
 use figure_folders::FigureFolders;
 
 /// Arguments of `peernet plot`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Arguments {
-    /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv, also
-    /// of the published program.
+    /// Result folders, folders that contain result folders at any depth (such as an experiment), or files data.csv,
+    /// including those of the paper's original program.
     #[arg(required = true, value_name = "RUN|DIR")]
     runs: Vec<PathBuf>,
     /// Figures to draw.
     #[arg(long, value_enum, default_value_t = Kind::All)]
     kind: Kind,
     /// Folder for the figures. With several runs, each run gets a folder in it [default: figures of one run in the run's
-    /// folder; figures of several runs in the folder on the command line, or in the current folder if there are several].
+    /// folder; figures of several runs in the folder on the command line, or in the current folder if several folders are given].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Column of data.csv on the horizontal axis. For --kind length: the length [default: tokens, or download-bytes
@@ -91,7 +91,7 @@ impl Kind {
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
     let named = distinct_paths(&arguments.runs);
-    let Collected { runs, .. } = collect(&named, None, &|_| true)?;
+    let CollectedResults { runs, .. } = collect(&named, None, &|_| true)?;
     let folders = FigureFolders::choose(&named, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut lacking = Vec::new();
@@ -113,7 +113,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 draw_kind(kind, std::slice::from_ref(run), folder)?;
             }
         } else if arguments.kind != Kind::All || kind.is_worth_drawing(&runs) {
-            draw_kind(kind, &runs, &folders.together)?;
+            draw_kind(kind, &runs, &folders.all_runs)?;
         }
     }
     if arguments.kind == Kind::All {
@@ -134,7 +134,7 @@ fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
     for (_, error) in lacking {
         let reason = error.to_string();
-        match reasons.iter_mut().find(|(known, _)| *known == reason) {
+        match reasons.iter_mut().find(|(other, _)| *other == reason) {
             Some((_, count)) => *count += 1,
             None => reasons.push((reason, 1)),
         }

@@ -134,7 +134,7 @@ fn timeout(text: &str) -> Result<f64, SecondsError> {
 }
 
 impl Arguments {
-    /// Returns the settings of the session besides the largest message, with that of `--max-message-bytes`.
+    /// Returns the settings of the session with the limit of `--max-message-bytes`, if it was given.
     pub(super) fn session(&self, settings: SessionSettings) -> SessionSettings {
         let max_message_bytes = self.max_message_bytes.unwrap_or(settings.max_message_bytes);
         SessionSettings { max_message_bytes, ..settings }
@@ -142,7 +142,7 @@ impl Arguments {
 
     /// Returns `--timeout` in milliseconds.
     pub(super) fn timeout_ms(&self) -> Option<u64> {
-        // The parser bounds it by a day, and from below by a millisecond.
+        // The parser accepts a millisecond to a day.
         self.timeout.map(|seconds| (seconds * 1e3).round() as u64)
     }
 }
@@ -156,7 +156,7 @@ mod tests {
 
     fn read(line: &str) -> Arguments {
         let line = Cli::try_parse_from(line.split_whitespace()).expect("a published command line");
-        line.published.expect("its options stand on the top level")
+        line.published.expect("its options are at the top level")
     }
 
     #[test]

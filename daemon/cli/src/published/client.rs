@@ -21,15 +21,15 @@ use super::{Arguments, sensor};
 use crate::foreground::{command_line, dashboard_hint, tables};
 use crate::measure::{AgentStateDir, Measured, Order, measure, undelivered};
 
-/// Number of first iterations that the published plots drop.
-const WARM_UP: u64 = 5;
+/// Number of iterations at the start of a run that the published plots drop.
+const WARM_UP_ITERATIONS: u64 = 5;
 /// Longest wait for an answer in milliseconds unless `--timeout` sets another: the largest model on a slow processor takes
-/// long. It is longer than the server's limit for one call of a model (60 s), whose error says more.
+/// long. It is longer than the server's limit for one call of a model (60 s), because the server's error says more.
 const TIMEOUT_MS: u64 = 75_000;
 /// Timeout of connecting in milliseconds, in which the server may load its model.
 const OPEN_TIMEOUT_MS: u64 = 60_000;
 /// Default folder for results.
-const RESULTS: &str = "results";
+const DEFAULT_RESULTS_DIR: &str = "results";
 
 /// Measures and writes the results.
 ///
@@ -68,7 +68,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
             },
             "load": { "mode": "closed" },
             "timeout_ms": arguments.timeout_ms().unwrap_or(TIMEOUT_MS),
-            "warm_up": { "iterations": WARM_UP },
+            "warm_up": { "iterations": WARM_UP_ITERATIONS },
             "limit": { "total": arguments.iterations },
         })
     };
@@ -87,13 +87,13 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
     Ok(Order {
         agent,
         title: format!("{} → {}, {}", arguments.name, devices.server, devices.address.network()),
-        folder: folder.unwrap_or_else(|| PathBuf::from(RESULTS)),
+        folder: folder.unwrap_or_else(|| PathBuf::from(DEFAULT_RESULTS_DIR)),
         overwrite,
         plots: arguments.generate_plots,
         command: command_line(),
         network_config: Some(devices.config.clone()),
         user: None,
-        warm_up: format!("the first {WARM_UP} iterations"),
+        warm_up: format!("the first {WARM_UP_ITERATIONS} iterations"),
         peer_timeout_s: Some(arguments.patience),
     })
 }
@@ -120,11 +120,11 @@ fn print_streaming_state(
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let waiting = runtime.block_on(undelivered(state_dir.folder()));
+    let undelivered = runtime.block_on(undelivered(state_dir.folder()));
     let name = &arguments.name;
-    let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+    let has_all = !undelivered.iter().any(|events| events.is_for(aggregator));
     print_to_stdout(dashboard_hint(format_args!("host {name}, pipeline {name},"), aggregator, has_all));
-    waiting.iter().for_each(print_to_stderr);
+    undelivered.iter().for_each(print_to_stderr);
     Ok(())
 }
 
@@ -148,7 +148,7 @@ mod tests {
         );
         let words = line.split(' ').map(|word| word.replace("exec:cat", "exec:cat -u"));
         let arguments = Cli::try_parse_from(words).expect("a published command line").published;
-        let arguments = arguments.expect("its options stand on the top level");
+        let arguments = arguments.expect("its options are at the top level");
         let devices = Devices::read(&arguments.network_config, None).expect("a file of devices");
         let order = order(&arguments, &devices).expect("a pipeline");
         assert_eq!(order.agent.pipelines[0].sensor, Some(SensorConfig::program("cat -u")));

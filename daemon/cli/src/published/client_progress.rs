@@ -3,7 +3,7 @@
 use peernet_clock::SharedClock;
 use peernet_stream::{Condition, Grade};
 
-use crate::foreground::{Progress, remark};
+use crate::foreground::{Progress, describe_condition};
 use crate::measure::{Phase, ProgressDisplay, ProgressReport};
 
 /// A bar, or lines without a terminal.
@@ -19,10 +19,11 @@ impl ClientProgress {
 }
 
 impl ProgressDisplay for ClientProgress {
-    /// Prints conditions that impair the figures while the run can still be restarted; the rest is in the report.
-    fn begun(&mut self, conditions: &[Condition]) {
+    /// Prints the conditions that impair the measurements, so that the user can stop the run and improve them. Other conditions are only
+    /// in the report.
+    fn show_start(&mut self, conditions: &[Condition]) {
         for condition in conditions.iter().filter(|condition| condition.grade >= Grade::Doubtful) {
-            self.progress.print_line(remark(condition));
+            self.progress.print_line(describe_condition(condition));
         }
     }
 
@@ -31,7 +32,7 @@ impl ProgressDisplay for ClientProgress {
             self.progress.end();
             return;
         }
-        let share = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+        let share = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
         let state = || (report.to_string(), share);
         self.progress.show(self.clock.mono(), report.trouble.clone(), state);
     }

@@ -33,8 +33,8 @@ struct File {
 /// A device without a usable address.
 #[derive(Debug, thiserror::Error)]
 enum DeviceError {
-    #[error("{at:?} is no address of the device {name}: {source}")]
-    Address { at: String, name: String, source: AddressError },
+    #[error("{text:?} is no address of the device {name}: {source}")]
+    Address { text: String, name: String, source: AddressError },
     #[error("no address of the device {name}: {source}")]
     Unknown { name: String, source: ListenerLookupError },
     #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
@@ -43,26 +43,27 @@ enum DeviceError {
 
 impl File {
     fn read(text: &str, file: &str) -> anyhow::Result<Self> {
-        let read: Self = serde_saphyr::from_str(text).map_err(|error| anyhow!("{file}: {error}"))?;
-        if !read.other.is_empty() {
-            let keys: Vec<&str> = read.other.keys().map(String::as_str).collect();
+        let parsed: Self = serde_saphyr::from_str(text).map_err(|error| anyhow!("{file}: {error}"))?;
+        if !parsed.other.is_empty() {
+            let keys: Vec<&str> = parsed.other.keys().map(String::as_str).collect();
             print_to_stderr(format_args!(
                 "{file}: passing over {}; there is devices, server, start_port, ros_version and ros2",
                 keys.join(", ")
             ));
         }
-        Ok(read)
+        Ok(parsed)
     }
 
-    /// Returns the address of the device `name`; `at` is its text in the file. If that is not an address, it is on this network.
-    fn address(&self, name: &str, at: &str, network: NetworkKind) -> Result<Address, DeviceError> {
+    /// Returns the address of the device `name`; `text` is what the file says about it. A host name alone is on this network.
+    fn address(&self, name: &str, text: &str, network: NetworkKind) -> Result<Address, DeviceError> {
         // On a network that finds listeners by name, a host alone is no address.
-        let found = if at.contains("://") { None } else { network.find_listener(name, self.ros_version) };
-        if let Some(found) = found {
-            return found.map_err(|source| DeviceError::Unknown { name: name.to_owned(), source });
+        let listener =
+            if text.contains("://") { None } else { network.find_listener(name, self.ros_version) };
+        if let Some(listener) = listener {
+            return listener.map_err(|source| DeviceError::Unknown { name: name.to_owned(), source });
         }
-        let address = address(at, self.start_port.unwrap_or(DEFAULT_PORT), network);
-        let invalid = |source| DeviceError::Address { at: at.to_owned(), name: name.to_owned(), source };
+        let address = address(text, self.start_port.unwrap_or(DEFAULT_PORT), network);
+        let invalid = |source| DeviceError::Address { text: text.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
         if address.port() == 0 && address.domain().is_none() {
             return Err(DeviceError::PortZero(name.to_owned()));
@@ -71,7 +72,7 @@ impl File {
     }
 }
 
-/// Addresses of all devices in a network configuration, whichever serves.
+/// Addresses of all devices in a network configuration.
 #[derive(Debug)]
 pub(crate) struct DeviceAddresses {
     /// Address of each device.
@@ -87,17 +88,17 @@ pub(crate) struct DeviceAddresses {
 /// # Errors
 /// When the file cannot be read (66) or is incomplete or invalid (78).
 pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
-    let (file, text) = (path.display().to_string(), text(path)?);
+    let (path_text, text) = (path.display().to_string(), read_text(path)?);
     let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let read = File::read(&text, &file).map_err(wrong)?;
+    let file = File::read(&text, &path_text).map_err(wrong)?;
     let addresses =
-        read.devices.iter().map(|(name, at)| Ok((name.clone(), read.address(name, at, network)?)));
+        file.devices.iter().map(|(name, text)| Ok((name.clone(), file.address(name, text, network)?)));
     let addresses = addresses.collect::<Result<_, DeviceError>>();
-    let addresses = addresses.map_err(|problem| wrong(anyhow!("{file}: {problem}")))?;
-    Ok(DeviceAddresses { addresses, ros2: read.ros2, config: NetworkConfig { file, text } })
+    let addresses = addresses.map_err(|problem| wrong(anyhow!("{path_text}: {problem}")))?;
+    Ok(DeviceAddresses { addresses, ros2: file.ros2, config: NetworkConfig { file: path_text, text } })
 }
 
-fn text(path: &Path) -> Result<String, Failure> {
+fn read_text(path: &Path) -> Result<String, Failure> {
     small_file::read(path, small_file::MAX_BYTES)
         .with_context(|| format!("cannot read the network configuration {}", path.display()))
         .map_err(|error| Failure::new(Exit::NoInput, error))
@@ -114,7 +115,7 @@ pub(super) struct Devices {
     pub(super) config: NetworkConfig,
     /// QoS and interfaces of the topics of ROS 2.
     pub(super) ros2: Ros2SessionSettings,
-    known: Vec<String>,
+    device_names: Vec<String>,
 }
 
 impl Devices {
@@ -124,26 +125,26 @@ impl Devices {
     /// When it cannot be read (66), is incomplete or invalid (78), or has the server on another network (78).
     pub(super) fn read(path: &Path, network: Option<NetworkKind>) -> Result<Self, Failure> {
         let file = path.display().to_string();
-        let text = text(path)?;
+        let text = read_text(path)?;
         Self::parse(&text, &file, network).map_err(|error| Failure::new(Exit::Configuration, error))
     }
 
     fn parse(text: &str, file: &str, network: Option<NetworkKind>) -> anyhow::Result<Self> {
-        let read = File::read(text, file)?;
-        let known: Vec<String> = read.devices.keys().cloned().collect();
-        let server = read
+        let parsed = File::read(text, file)?;
+        let device_names: Vec<String> = parsed.devices.keys().cloned().collect();
+        let server = parsed
             .server
             .clone()
             .ok_or_else(|| anyhow!("{file} names no server; add a line server: with the name of a device"))?;
-        let at = read.devices.get(&server).ok_or_else(|| {
-            anyhow!("{file}: the server {server} is not one of its devices: {}", list(&known))
+        let address_text = parsed.devices.get(&server).ok_or_else(|| {
+            anyhow!("{file}: the server {server} is not one of its devices: {}", list(&device_names))
         })?;
-        let address = read.address(&server, at, network.unwrap_or_default());
+        let address = parsed.address(&server, address_text, network.unwrap_or_default());
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
-        let agreed = address.check_network(network);
-        agreed.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
+        let is_consistent = address.check_network(network);
+        is_consistent.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
-        Ok(Self { server, address, config, ros2: read.ros2, known })
+        Ok(Self { server, address, config, ros2: parsed.ros2, device_names })
     }
 
     /// Checks that this device may be started in this role.
@@ -153,10 +154,10 @@ impl Devices {
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
         let (file, server) = (&self.config.file, &self.server);
         let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
-        if !self.known.iter().any(|known| known == name.as_str()) {
+        if !self.device_names.iter().any(|device| device == name.as_str()) {
             return wrong(format!(
                 "{file} has no device {name}, only {}: use one of them as --name, or add it",
-                list(&self.known)
+                list(&self.device_names)
             ));
         }
         if let Err(problem) = self.address.check_host() {
@@ -174,8 +175,8 @@ impl Devices {
     }
 }
 
-fn list(known: &[String]) -> String {
-    if known.is_empty() { "no device at all".to_owned() } else { known.join(", ") }
+fn list(device_names: &[String]) -> String {
+    if device_names.is_empty() { "no device at all".to_owned() } else { device_names.join(", ") }
 }
 
 #[cfg(test)]

@@ -37,10 +37,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 /// Returns the command of `exec:COMMAND`, or `None` for another form.
-fn program(wanted: &str) -> Result<Option<&str>, Failure> {
-    match wanted.strip_prefix("exec:") {
+fn program(text: &str) -> Result<Option<&str>, Failure> {
+    match text.strip_prefix("exec:") {
         Some(command) if command.trim().is_empty() => {
-            Err(Failure::new(Exit::Usage, anyhow!("{wanted:?} names no program: write exec:COMMAND")))
+            Err(Failure::new(Exit::Usage, anyhow!("{text:?} names no program: write exec:COMMAND")))
         }
         command => Ok(command),
     }

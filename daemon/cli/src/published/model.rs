@@ -12,8 +12,8 @@ use peernet_logger::Slug;
 
 use super::Arguments;
 
-/// Device of a model of the bank unless another is given: the published default.
-const DEVICE: &str = "cuda:0";
+/// Device of a model of the bank without `--device`, as in the published program.
+const DEFAULT_DEVICE: &str = "cuda:0";
 
 /// Returns the model's configuration after checking its files and its device.
 ///
@@ -33,36 +33,36 @@ pub(super) fn from_arguments(
 }
 
 fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
-    let (wanted, given) = (arguments.model_name.as_str(), arguments.device.as_deref());
-    if wanted == "dummy" {
-        return Ok(ModelConfig::sleep(slug(wanted)));
+    let (model_name, device_option) = (arguments.model_name.as_str(), arguments.device.as_deref());
+    if model_name == "dummy" {
+        return Ok(ModelConfig::sleep(slug(model_name)));
     }
-    if wanted == "echo" {
-        return Ok(ModelConfig::echo(slug(wanted)));
+    if model_name == "echo" {
+        return Ok(ModelConfig::echo(slug(model_name)));
     }
-    let device = device(given.unwrap_or(DEVICE));
+    let device = bank_device(device_option.unwrap_or(DEFAULT_DEVICE));
     // A user's program or object may be run because this command line names it.
     let shared = |name| {
         let shared = SharedKeys::new(slug(name));
-        if given.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
+        if device_option.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
     };
     let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
-    Ok(match super::program(wanted)? {
+    Ok(match super::program(model_name)? {
         Some(command) => ModelConfig::program(shared(program_of(command)), command, timeout_ms),
-        None if wanted.contains("::") => {
-            ModelConfig::python_object(shared(wanted), wanted, arguments.pickle, timeout_ms)
+        None if model_name.contains("::") => {
+            ModelConfig::python_object(shared(model_name), model_name, arguments.pickle, timeout_ms)
         }
         None => {
-            let found = ModelFolders::search(&arguments.models_dir).find(wanted);
-            let found = found.map_err(|error| Failure::new(Exit::NoInput, error))?;
-            found.configuration(device)
+            let model = ModelFolders::search(&arguments.models_dir).find(model_name);
+            let model = model.map_err(|error| Failure::new(Exit::NoInput, error))?;
+            model.configuration(device)
         }
     })
 }
 
-/// Returns the name of a device in the form of the bank.
-fn device(given: &str) -> &str {
-    match given {
+/// Returns the name that the bank uses for a device.
+fn bank_device(device: &str) -> &str {
+    match device {
         "cuda" => "cuda:0",
         "tensorrt" => "tensorrt:0",
         other => other,
@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn device_without_number_is_first() {
         assert_eq!(
-            ["cpu", "cuda", "cuda:6", "tensorrt"].map(device),
+            ["cpu", "cuda", "cuda:6", "tensorrt"].map(bank_device),
             ["cpu", "cuda:0", "cuda:6", "tensorrt:0"]
         );
     }

@@ -44,7 +44,7 @@ impl SensorType {
 /// When an option is missing (64), or the data set does not exist (66).
 pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
     let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
-    // An object that is named is also wanted.
+    // `--sensor-object` implies the type `external`, because `image` is the default.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
         (Some(_), SensorType::Image) => SensorType::External,
         (_, kind) => kind,

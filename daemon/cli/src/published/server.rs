@@ -11,7 +11,7 @@ use peernet_networks::{Address, SessionSettings};
 use super::devices::Devices;
 use super::serving::Serving;
 use super::{Arguments, model};
-use crate::foreground::{Ended, Ready, tables};
+use crate::foreground::{AgentEnd, ReadyAgent, tables};
 use crate::measure::AgentStateDir;
 
 /// Serves until enough answers are given, no more requests will come, or Ctrl-C.
@@ -35,28 +35,28 @@ pub(super) fn run(arguments: &Arguments, devices: &Devices) -> Result<(), Failur
     config.models = vec![model];
     let state_dir = AgentStateDir::for_agent(&config.agent)?;
     state_dir.configure(&mut config)?;
-    let ready = Ready::new(config)?;
+    let ready = ReadyAgent::new(config)?;
     let mut serving = Serving::new(name, arguments, ready.clock.clone());
-    let watched = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
+    let result = ready.watch(&mut serving).map_err(|Failure { exit, error }| {
         let file = arguments.network_config.display();
         Failure::new(
             exit,
             error.context(format!("cannot serve at {}", describe_address(&devices.address, &file))),
         )
     })?;
-    if serving.has_answers() || matches!(watched.ended, Ended::Finished | Ended::Interrupted) {
+    if serving.has_answers() || matches!(result.ended, AgentEnd::Finished | AgentEnd::Interrupted) {
         print_to_stderr(serving.summary());
     }
-    match watched.ended {
-        Ended::Finished => match serving.shortfall() {
+    match result.ended {
+        AgentEnd::Finished => match serving.shortfall() {
             None => Ok(()),
             Some(text) => Err(Failure::new(Exit::Incomplete, anyhow!("{text}"))),
         },
-        Ended::Interrupted => {
+        AgentEnd::Interrupted => {
             Err(Failure::new(Exit::Interrupted, anyhow!("ended before all answers were given")))
         }
-        Ended::OwnReason(error) => Err(model::failure(error)),
-        Ended::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
+        AgentEnd::OwnReason(error) => Err(model::failure(error)),
+        AgentEnd::Failed(reason) => Err(Failure::new(Exit::Software, anyhow!("{reason}"))),
     }
 }
 

@@ -10,7 +10,7 @@ use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{Ended, Progress, RunObserver, describe_quantiles, p99};
+use crate::foreground::{AgentEnd, Progress, RunObserver, describe_quantiles, p99};
 
 /// Observer of the agent.
 pub(super) struct Serving {
@@ -24,30 +24,30 @@ pub(super) struct Serving {
     loading: Loading,
 }
 
-/// Number of answers of the server, given and wanted.
+/// Number of answers that the server has given, and how many it is to give.
 struct AnswerCounts {
-    wanted: u64,
+    target: u64,
     answered: u64,
     /// Answers that report an error.
     errors: u64,
     /// Iterations of ended runs that never arrived here.
     missed: u64,
     /// Time of the first observed answer, and the number of answers by then.
-    first: Option<(MonoTime, u64)>,
+    first_answer: Option<(MonoTime, u64)>,
     /// Time of the last observed answer.
-    last: Option<MonoTime>,
+    last_answer: Option<MonoTime>,
 }
 
 /// State of loading the model.
 enum Loading {
-    NotBegun,
-    UnderWay(JoinHandle<Result<(), LoadError>>),
+    NotStarted,
+    InProgress(JoinHandle<Result<(), LoadError>>),
     Done,
 }
 
 impl AnswerCounts {
-    const fn new(wanted: u64) -> Self {
-        Self { wanted, answered: 0, errors: 0, missed: 0, first: None, last: None }
+    const fn new(target: u64) -> Self {
+        Self { target, answered: 0, errors: 0, missed: 0, first_answer: None, last_answer: None }
     }
 
     /// Updates the counts from the counts of the agent, which never decrease.
@@ -55,13 +55,13 @@ impl AnswerCounts {
         (self.errors, self.missed) = (errors, missed);
         if answers > self.answered {
             self.answered = answers;
-            self.first.get_or_insert((now, answers));
-            self.last = Some(now);
+            self.first_answer.get_or_insert((now, answers));
+            self.last_answer = Some(now);
         }
     }
 
     const fn are_complete(&self) -> bool {
-        self.answered.saturating_add(self.missed) >= self.wanted
+        self.answered.saturating_add(self.missed) >= self.target
     }
 
     /// Describes the number of errors among the answers, if there are any.
@@ -83,9 +83,9 @@ impl AnswerCounts {
 
     /// Returns the answers per second, from the first to the last.
     fn rate(&self) -> Option<f64> {
-        let ((from, before), to) = (self.first?, self.last?);
-        let seconds = (to - from).seconds();
-        (seconds > 0.0).then(|| (self.answered - before) as f64 / seconds)
+        let ((first_at, first_count), last_at) = (self.first_answer?, self.last_answer?);
+        let seconds = (last_at - first_at).seconds();
+        (seconds > 0.0).then(|| (self.answered - first_count) as f64 / seconds)
     }
 }
 
@@ -98,7 +98,7 @@ impl Serving {
             clock,
             inference: String::new(),
             sessions: 0,
-            loading: Loading::NotBegun,
+            loading: Loading::NotStarted,
         }
     }
 
@@ -117,39 +117,39 @@ impl Serving {
 
     /// Describes the missing answers after no more will come, if any are missing.
     pub(super) fn shortfall(&self) -> Option<String> {
-        let AnswerCounts { wanted, answered, .. } = self.answers;
-        let short = wanted.saturating_sub(answered);
+        let AnswerCounts { target, answered, .. } = self.answers;
+        let missing = target.saturating_sub(answered);
         let advice = "the clients' results say why";
-        (short > 0)
-            .then(|| format!("{short} of {} did not arrive here: {advice}", counted(wanted, "iteration")))
+        (missing > 0)
+            .then(|| format!("{missing} of {} did not arrive here: {advice}", counted(target, "iteration")))
     }
 
     /// Loads the model before the first request, so that errors show immediately and no client waits for it.
-    fn load(&mut self, running: &RunningAgent) -> Option<Ended<LoadError>> {
+    fn load(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
         match &mut self.loading {
-            Loading::NotBegun => {
-                self.loading = Loading::UnderWay(running.load_model(&self.model));
+            Loading::NotStarted => {
+                self.loading = Loading::InProgress(running.load_model(&self.model));
                 None
             }
-            Loading::UnderWay(loading) => {
-                let loaded = loading.now_or_never()?;
+            Loading::InProgress(loading) => {
+                let result = loading.now_or_never()?;
                 self.loading = Loading::Done;
-                match loaded {
+                match result {
                     Ok(Ok(())) => {
-                        let at = running
+                        let addresses = running
                             .serve_addresses()
                             .iter()
                             .map(ToString::to_string)
                             .collect::<Vec<_>>()
                             .join(", ");
                         self.progress.print_line(format_args!(
-                            "serving {} on all interfaces at {at}; ends after {} answers or with Ctrl-C",
-                            self.model, self.answers.wanted
+                            "serving {} on all interfaces at {addresses}; ends after {} answers or with Ctrl-C",
+                            self.model, self.answers.target
                         ));
                         None
                     }
-                    Ok(Err(error)) => Some(Ended::OwnReason(error)),
-                    Err(_) => Some(Ended::Failed("loading the model panicked".to_owned())),
+                    Ok(Err(error)) => Some(AgentEnd::OwnReason(error)),
+                    Err(_) => Some(AgentEnd::Failed("loading the model panicked".to_owned())),
                 }
             }
             Loading::Done => None,
@@ -157,10 +157,10 @@ impl Serving {
     }
 
     fn describe(&self) -> (String, f64) {
-        let AnswerCounts { wanted, answered, .. } = self.answers;
-        let share = answered as f64 / wanted as f64;
+        let AnswerCounts { target, answered, .. } = self.answers;
+        let share = answered as f64 / target as f64;
         let text = match (&self.loading, self.sessions, answered) {
-            (Loading::NotBegun | Loading::UnderWay(_), ..) => format!("loading {}", self.model),
+            (Loading::NotStarted | Loading::InProgress(_), ..) => format!("loading {}", self.model),
             (Loading::Done, 0, 0) => "waiting for a client".to_owned(),
             (Loading::Done, sessions, answered) => {
                 let rate = self.answers.rate().map_or_else(String::new, |rate| format!(", {rate:.1} /s"));
@@ -169,9 +169,9 @@ impl Serving {
                     1 => "1 session".to_owned(),
                     many => format!("{many} sessions"),
                 };
-                let (failed, without) = (self.answers.describe_errors(), self.answers.describe_missed());
+                let (errors, missed) = (self.answers.describe_errors(), self.answers.describe_missed());
                 let inference = &self.inference;
-                format!("{answered} of {wanted} answers{failed}{without}, {clients}{rate}{inference}")
+                format!("{answered} of {target} answers{errors}{missed}, {clients}{rate}{inference}")
             }
         };
         (text, share)
@@ -182,11 +182,15 @@ impl RunObserver for Serving {
     /// The model cannot be loaded.
     type OwnReason = LoadError;
 
-    fn handle_event(&mut self, _event: Event, _running: Option<&RunningAgent>) -> Option<Ended<LoadError>> {
+    fn handle_event(
+        &mut self,
+        _event: Event,
+        _running: Option<&RunningAgent>,
+    ) -> Option<AgentEnd<LoadError>> {
         None
     }
 
-    fn poll_state(&mut self, running: &RunningAgent) -> Option<Ended<LoadError>> {
+    fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }
@@ -199,7 +203,7 @@ impl RunObserver for Serving {
         self.answers.update(served.answers, served.errors, served.missed, now);
         let state = self.describe();
         self.progress.show(now, None, || state);
-        self.answers.are_complete().then_some(Ended::Finished)
+        self.answers.are_complete().then_some(AgentEnd::Finished)
     }
 
     fn end_decided(&mut self) {

@@ -68,23 +68,23 @@ fn folders(plan: &Plan, runs: &[Run]) -> Result<BTreeSet<PathBuf>, Failure> {
     Ok(folders)
 }
 
-/// Returns events that wait on the hosts of a plan for their aggregators. No run may be active.
+/// Returns events on the hosts of a plan that were not yet delivered to their aggregators. No run may be active.
 ///
 /// # Errors
 /// When there is no folder for the state of the hosts (69).
 pub(super) async fn undelivered_events(plan: &Plan) -> Result<Vec<UndeliveredEvents>, Failure> {
-    let mut waiting = Vec::new();
+    let mut events = Vec::new();
     for folder in folders(plan, &plan.runs)? {
-        waiting.extend(undelivered(&folder).await);
+        events.extend(undelivered(&folder).await);
     }
-    let mut named = BTreeSet::new();
+    let mut spool_files = BTreeSet::new();
     for agent in plan.configurations.iter().map(|configuration| &configuration.agent) {
         let (Some(file), Some(aggregator)) = (&agent.spool.file, &agent.agent.aggregator) else { continue };
-        if named.insert(file) {
-            waiting.extend(undelivered_in_spool(file, aggregator).await);
+        if spool_files.insert(file) {
+            events.extend(undelivered_in_spool(file, aggregator).await);
         }
     }
-    Ok(waiting)
+    Ok(events)
 }
 
 fn ensure_free(lock: &File, folder: &Path, path: &Path) -> Result<(), Failure> {
@@ -120,7 +120,7 @@ mod tests {
         assert!(refused.to_string().contains("robot-2, which this experiment"), "{refused}");
         assert!(refused.to_string().contains("its own [agent] name"), "{refused}");
         assert_eq!(refused.exit as u8, Exit::Unavailable as u8);
-        AgentStateDirs::lock(&named(&["robot-3"])).expect("what was refused holds nothing");
+        AgentStateDirs::lock(&named(&["robot-3"])).expect("a refused experiment holds no lock");
         drop(first);
         AgentStateDirs::lock(&named(&["robot-1", "robot-2"])).expect("they are free again");
     }

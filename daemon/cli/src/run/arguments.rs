@@ -71,10 +71,10 @@ impl RunSelection {
     }
 
     /// Returns whether a run is selected; without selections all are.
-    pub(super) fn selects(these: &[Self], plan: &Plan, run: &Run) -> bool {
-        let numbers: Vec<usize> = these
+    pub(super) fn selects(selections: &[Self], plan: &Plan, run: &Run) -> bool {
+        let numbers: Vec<usize> = selections
             .iter()
-            .filter_map(|only| match only {
+            .filter_map(|selection| match selection {
                 Self::Number(number) => Some(*number),
                 Self::Label(..) => None,
             })
@@ -82,9 +82,11 @@ impl RunSelection {
         let labels = &plan.configuration(run).labels;
         let fits = |axis: &str| {
             let has = |label: &str| labels.iter().any(|(name, value)| name == axis && value == label);
-            these.iter().any(|only| matches!(only, Self::Label(name, label) if name == axis && has(label)))
+            selections
+                .iter()
+                .any(|selection| matches!(selection, Self::Label(name, label) if name == axis && has(label)))
         };
-        let all = these.iter().all(|only| match only {
+        let all = selections.iter().all(|selection| match selection {
             Self::Label(axis, _) => fits(axis),
             Self::Number(_) => true,
         });
@@ -92,22 +94,24 @@ impl RunSelection {
     }
 
     /// Describes the first selection that fits no run.
-    pub(super) fn describe_unknown(these: &[Self], plan: &Plan) -> Option<String> {
-        these.iter().find_map(|only| match only {
+    pub(super) fn describe_unknown(selections: &[Self], plan: &Plan) -> Option<String> {
+        selections.iter().find_map(|selection| match selection {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,
             Self::Number(number) => Some(format!("there is no run {number}; there are {}", plan.runs.len())),
             Self::Label(axis, label) => {
                 let labels = || plan.configurations.iter().flat_map(|configuration| &configuration.labels);
-                let mut known: Vec<&str> = Vec::new();
+                let mut labels: Vec<&str> = Vec::new();
                 for (_, label) in labels().filter(|(name, _)| name == axis) {
-                    if !known.contains(&label.as_str()) {
-                        known.push(label);
+                    if !labels.contains(&label.as_str()) {
+                        labels.push(label);
                     }
                 }
-                match known.as_slice() {
+                match labels.as_slice() {
                     [] => Some(format!("there is no axis {}", value(axis))),
-                    known if known.contains(&label.as_str()) => None,
-                    known => Some(format!("{axis} has no value {}, only {}", value(label), known.join(", "))),
+                    labels if labels.contains(&label.as_str()) => None,
+                    labels => {
+                        Some(format!("{axis} has no value {}, only {}", value(label), labels.join(", ")))
+                    }
                 }
             }
         })

@@ -11,14 +11,15 @@ use super::file::Configuration;
 use super::plan::describe_labels;
 
 /// Keys that concern this machine and not the file: pictures, models, programs.
-const MACHINE: [&str; 4] = ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
+const MACHINE_KEYS: [&str; 4] =
+    ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
 
 /// Replaces the key of an agent's only pipeline in an error by the key in an experiment's file.
-pub(super) fn without_serde_words(problem: &str) -> String {
+pub(super) fn with_experiment_keys(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
 }
 
-/// Checks every configuration of a file as an agent would. Returns what this machine lacks, each thing once.
+/// Checks every configuration of a file as an agent would. Returns the problems of this machine only, each once.
 ///
 /// # Errors
 /// When something is wrong on any machine (78).
@@ -33,15 +34,15 @@ pub(super) fn configurations(
         let mut agent: AgentConfig = configuration.agent.clone();
         agent.agent.state_dir.clone_from(&folder);
         for problem in Agent::check(&agent, clock) {
-            let missing = MACHINE.contains(&problem.key.as_str())
+            let is_machine_key = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
-                || MACHINE.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
+                || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
             let labels = describe_labels(&configuration.labels);
-            let with = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
-            let text = without_serde_words(&problem.to_string());
-            let list = if missing { &mut lacking } else { &mut wrong };
+            let label_note = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
+            let text = with_experiment_keys(&problem.to_string());
+            let list = if is_machine_key { &mut lacking } else { &mut wrong };
             if !list.iter().any(|other| other.starts_with(&text)) {
-                list.push(format!("{text}{with}"));
+                list.push(format!("{text}{label_note}"));
             }
         }
     }

@@ -34,23 +34,23 @@ const LAST_LINES: usize = 20;
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Result of several concurrent processes.
-pub(super) struct Ended {
+pub(super) struct ProcessResults {
     /// Results, one for each order.
-    pub(super) exits: Vec<Exited>,
+    pub(super) exits: Vec<ProcessResult>,
     /// `true` if the user requested the end.
     pub(super) interrupted: bool,
 }
 
 /// Result of a process.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Exited {
+pub(super) struct ProcessResult {
     /// Exit code; `None` if a signal ended it or it did not start.
     pub(super) code: Option<i32>,
     /// Last line of its error output, or the signal that ended it.
     pub(super) reason: Option<String>,
 }
 
-impl Exited {
+impl ProcessResult {
     pub(super) fn is_successful(&self) -> bool {
         self.code == Some(i32::from(Exit::Ok as u8))
     }
@@ -77,33 +77,33 @@ enum ChildOutput {
 /// Executes orders concurrently and shows their output.
 ///
 /// A signal to this program goes to all processes. After the first one they end early with their results, after the second they
-/// do not wait for work in progress. After the third, or after a time limit, they are killed together with their children.
+/// do not wait for work in progress. After the third, or after a time limit, they and their children are killed.
 pub(super) async fn execute(
     orders: &[Order],
     signals: &mut Signals,
     mut show: impl FnMut(ChildEvent<'_>),
-) -> Ended {
-    let (to, mut from) = mpsc::channel(OUTPUT_CAPACITY);
+) -> ProcessResults {
+    let (sender, mut receiver) = mpsc::channel(OUTPUT_CAPACITY);
     let mut reports: Vec<Option<ProgressReport>> = vec![None; orders.len()];
     let mut handle = |index: usize, output: ChildOutput, show: &mut dyn FnMut(ChildEvent<'_>)| match output {
-        ChildOutput::ProgressReport(now) => {
-            reports[index] = Some(now);
+        ChildOutput::ProgressReport(report) => {
+            reports[index] = Some(report);
             show(ChildEvent::ProgressReport(&reports));
         }
         ChildOutput::Line(line) => show(ChildEvent::Line(index, &line)),
     };
-    let mut exits: Vec<Option<Exited>> = vec![None; orders.len()];
+    let mut exits: Vec<Option<ProcessResult>> = vec![None; orders.len()];
     let mut pids: Vec<Option<Pid>> = Vec::new();
     let mut waiting = FuturesUnordered::new();
     for (index, order) in orders.iter().enumerate() {
-        match Child::start(index, order, to.clone()).await {
+        match Child::start(index, order, sender.clone()).await {
             Ok(child) => {
                 pids.push(child.pid);
                 waiting.push(async move { (index, child.wait_for_end().await) });
             }
             Err(error) => {
                 pids.push(None);
-                exits[index] = Some(Exited { code: None, reason: Some(format!("{error:#}")) });
+                exits[index] = Some(ProcessResult { code: None, reason: Some(format!("{error:#}")) });
             }
         }
     }
@@ -115,34 +115,34 @@ pub(super) async fn execute(
                 pids[index] = None;
                 exits[index] = Some(exited);
             }
-            Some((index, output)) = from.recv() => handle(index, output, &mut show),
+            Some((index, output)) = receiver.recv() => handle(index, output, &mut show),
             () = signals.next() => {
                 let (signal, message) = ending.request(Instant::now());
                 show(ChildEvent::Ending(&message));
                 send(&pids, signal);
             }
-            () = ending.expired() => {
+            () = ending.wait_for_deadline() => {
                 show(ChildEvent::Ending("killing the processes that did not end in time"));
                 send(&pids, ending.take_kill_signal());
             }
         }
     }
-    while let Ok((index, output)) = from.try_recv() {
+    while let Ok((index, output)) = receiver.try_recv() {
         handle(index, output, &mut show);
     }
-    let gone = || Exited { code: None, reason: None };
-    Ended {
-        exits: exits.into_iter().map(|exit| exit.unwrap_or_else(gone)).collect(),
+    let without_result = || ProcessResult { code: None, reason: None };
+    ProcessResults {
+        exits: exits.into_iter().map(|exit| exit.unwrap_or_else(without_result)).collect(),
         interrupted: ending.is_requested(),
     }
 }
 
 /// Sends a signal to the processes. SIGKILL also goes to all processes that they started.
 fn send(processes: &[Option<Pid>], signal: Signal) {
-    let each = if signal == Signal::KILL { kill_process_group } else { kill_process };
+    let send_signal = if signal == Signal::KILL { kill_process_group } else { kill_process };
     for pid in processes.iter().flatten() {
         // Sending fails for a process that has just ended.
-        let _ = each(*pid, signal);
+        let _ = send_signal(*pid, signal);
     }
 }
 
@@ -158,7 +158,7 @@ impl Child {
     async fn start(
         index: usize,
         order: &Order,
-        to: mpsc::Sender<(usize, ChildOutput)>,
+        sender: mpsc::Sender<(usize, ChildOutput)>,
     ) -> anyhow::Result<Self> {
         let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
         let mut process = Command::new(PROGRAM)
@@ -177,17 +177,17 @@ impl Child {
             let _ = input.write_all(&order).await;
         }
         let error_lines = Arc::new(Mutex::new(VecDeque::new()));
-        let kept = Arc::clone(&error_lines);
+        let last_lines = Arc::clone(&error_lines);
         let readers = [
-            tokio::spawn(pass_on(index, output, to)),
+            tokio::spawn(pass_on(index, output, sender)),
             tokio::spawn(async move {
                 let Some(errors) = errors else { return };
                 let mut lines = BufReader::new(errors).lines();
                 while let Ok(Some(line)) = lines.next_line().await {
-                    let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                    kept.push_back(line);
-                    if kept.len() > LAST_LINES {
-                        kept.pop_front();
+                    let mut last_lines = last_lines.lock().unwrap_or_else(PoisonError::into_inner);
+                    last_lines.push_back(line);
+                    if last_lines.len() > LAST_LINES {
+                        last_lines.pop_front();
                     }
                 }
             }),
@@ -196,42 +196,42 @@ impl Child {
         Ok(Self { process, pid, error_lines, readers })
     }
 
-    async fn wait_for_end(mut self) -> Exited {
+    async fn wait_for_end(mut self) -> ProcessResult {
         let status = self.process.wait().await;
         for reader in self.readers {
             // Output that arrived until now is kept.
             let _ = tokio::time::timeout(OUTPUT_TIMEOUT, reader).await;
         }
         let error_lines = self.error_lines.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = error_lines.iter().rev().find(|line| !line.trim().is_empty()).cloned();
+        let last_line = error_lines.iter().rev().find(|line| !line.trim().is_empty()).cloned();
         match status {
-            Ok(status) => Exited { code: status.code(), reason: reason(status, last) },
+            Ok(status) => ProcessResult { code: status.code(), reason: reason(status, last_line) },
             Err(error) => {
-                Exited { code: None, reason: Some(format!("cannot wait for the process: {error}")) }
+                ProcessResult { code: None, reason: Some(format!("cannot wait for the process: {error}")) }
             }
         }
     }
 }
 
-fn reason(status: ExitStatus, last: Option<String>) -> Option<String> {
+fn reason(status: ExitStatus, last_line: Option<String>) -> Option<String> {
     match status.signal() {
         Some(signal) => {
-            let said = last.map_or_else(String::new, |last| format!("; its last output: {last}"));
-            Some(format!("the process was ended by signal {signal}{said}"))
+            let last_output = last_line.map_or_else(String::new, |line| format!("; its last output: {line}"));
+            Some(format!("the process was ended by signal {signal}{last_output}"))
         }
-        None => last,
+        None => last_line,
     }
 }
 
 /// Passes on the standard output of the process of this index.
-async fn pass_on(index: usize, output: Option<ChildStdout>, to: mpsc::Sender<(usize, ChildOutput)>) {
+async fn pass_on(index: usize, output: Option<ChildStdout>, sender: mpsc::Sender<(usize, ChildOutput)>) {
     let Some(output) = output else { return };
     let mut lines = BufReader::new(output).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         // Other lines are ignored: libraries print to standard output as well.
         match serde_json::from_str(&line) {
-            Ok(report @ ChildOutput::ProgressReport(_)) => drop(to.try_send((index, report))),
-            Ok(text @ ChildOutput::Line(_)) => drop(to.send((index, text)).await),
+            Ok(report @ ChildOutput::ProgressReport(_)) => drop(sender.try_send((index, report))),
+            Ok(text @ ChildOutput::Line(_)) => drop(sender.send((index, text)).await),
             Err(_) => {}
         }
     }

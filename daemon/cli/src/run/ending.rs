@@ -49,7 +49,7 @@ impl Ending {
     }
 
     /// Waits until the deadline; does not return if there is none.
-    pub(super) async fn expired(&self) {
+    pub(super) async fn wait_for_deadline(&self) {
         match self.deadline {
             Some(deadline) => tokio::time::sleep_until(deadline).await,
             None => std::future::pending().await,

@@ -10,7 +10,7 @@ pub(super) struct Pace {
     /// Duration of an iteration when they run one after the other, seconds.
     pub(super) iteration_s: f64,
     /// Duration of a run besides its iterations, seconds.
-    pub(super) beside_s: f64,
+    pub(super) overhead_s: f64,
 }
 
 /// Estimated duration of a run of each configuration, seconds.
@@ -37,8 +37,8 @@ impl Estimates {
         }
     }
 
-    /// Returns the estimate for a run of a configuration: the mean of its finished runs, or the expected duration, corrected by the ratio
-    /// of measured and expected durations so far. `None` if it is not known.
+    /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected duration times the
+    /// ratio of measured to expected durations so far. `None` if it is not known.
     pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
         let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
         if count > 0 {
@@ -48,8 +48,9 @@ impl Estimates {
             let pairs = self.measured.iter().zip(&self.expected);
             pairs.filter_map(|((sum, count), expected)| Some((*sum, expected.as_ref()? * f64::from(*count))))
         };
-        let (is, was): (f64, f64) = pairs().fold((0.0, 0.0), |all, one| (all.0 + one.0, all.1 + one.1));
-        let factor = if was > 0.0 { is / was } else { 1.0 };
+        let (measured, expected): (f64, f64) =
+            pairs().fold((0.0, 0.0), |sums, pair| (sums.0 + pair.0, sums.1 + pair.1));
+        let factor = if expected > 0.0 { measured / expected } else { 1.0 };
         Some(self.expected.get(configuration).copied().flatten()? * factor)
     }
 }
@@ -58,18 +59,20 @@ impl Estimates {
 pub(super) fn expected_duration(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
-    let counted = limit.iterations.map(|count| count.saturating_add(warm_up));
-    let count = [counted, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
-    let set = pipeline.load.hz().map(f64::recip);
-    let each = match (set, pace) {
-        (Some(set), Some(pace)) => Some(set.max(pace.iteration_s / pipeline.max_in_flight.get() as f64)),
-        (Some(set), None) => Some(set),
+    let with_warm_up = limit.iterations.map(|count| count.saturating_add(warm_up));
+    let count = [with_warm_up, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
+    let configured_period_s = pipeline.load.hz().map(f64::recip);
+    let iteration_s = match (configured_period_s, pace) {
+        (Some(period_s), Some(pace)) => {
+            Some(period_s.max(pace.iteration_s / pipeline.max_in_flight.get() as f64))
+        }
+        (Some(period_s), None) => Some(period_s),
         (None, pace) => pace.map(|pace| pace.iteration_s),
     };
-    let by_count = count.zip(each).map(|(count, each)| count as f64 * each);
-    let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * each.unwrap_or_default());
+    let by_count = count.zip(iteration_s).map(|(count, iteration_s)| count as f64 * iteration_s);
+    let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * iteration_s.unwrap_or_default());
     let measuring = [by_count, by_time].into_iter().flatten().reduce(f64::min)?;
-    Some(measuring + pace.map_or(0.0, |pace| pace.beside_s))
+    Some(measuring + pace.map_or(0.0, |pace| pace.overhead_s))
 }
 
 #[cfg(test)]
@@ -85,7 +88,7 @@ mod tests {
 
     #[test]
     fn estimate_follows_from_limit_and_pace() {
-        let pace = Some(Pace { iteration_s: 0.1, beside_s: 2.0 });
+        let pace = Some(Pace { iteration_s: 0.1, overhead_s: 2.0 });
         let closed = pipeline("limit = { total = 100 }");
         assert_eq!((expected_duration(&closed, pace), expected_duration(&closed, None)), (Some(12.0), None));
         let counted = pipeline("limit = { iterations = 100 }\nwarm_up = { iterations = 5 }");
@@ -102,8 +105,8 @@ mod tests {
     #[test]
     fn measured_durations_correct_estimates() {
         let mut estimates = Estimates::new(vec![Some(10.0), Some(20.0), None]);
-        assert_eq!([0, 1, 2].map(|at| estimates.duration_s(at)), [Some(10.0), Some(20.0), None]);
+        assert_eq!([0, 1, 2].map(|index| estimates.duration_s(index)), [Some(10.0), Some(20.0), None]);
         estimates.record_duration(0, 15.0);
-        assert_eq!([0, 1, 2].map(|at| estimates.duration_s(at)), [Some(15.0), Some(30.0), None]);
+        assert_eq!([0, 1, 2].map(|index| estimates.duration_s(index)), [Some(15.0), Some(30.0), None]);
     }
 }

@@ -6,12 +6,12 @@ use peernet_clock::SharedClock;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::EndReason;
 
-use super::children::{self, ChildEvent, Exited};
+use super::children::{self, ChildEvent, ProcessResult};
 use super::estimate::Estimates;
 use super::external_files::ExternalFiles;
 use super::folder::Folder;
 use super::plan::Run;
-use super::state::{Ended, Record};
+use super::state::{Record, RunResult};
 use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, command_line, duration};
 use crate::measure::{Order, ProgressReport};
@@ -60,12 +60,12 @@ impl Execution<'_> {
             self.record.plan.describe(run)
         );
         let later = self.remaining_s(&runs[done + 1..]);
-        let (share, own) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
+        let (share_before, run_share) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
             progress.print_line(format_args!("{name}: begins"));
         }
-        let ended = children::execute(&orders, signals, |news| {
-            let report = match news {
+        let process_results = children::execute(&orders, signals, |event| {
+            let report = match event {
                 ChildEvent::Line(user, line) if orders.len() > 1 => {
                     return progress.print_line(format_args!("user {}: {line}", user + 1));
                 }
@@ -73,14 +73,14 @@ impl Execution<'_> {
                 ChildEvent::ProgressReport(reports) => combine(reports),
             };
             let Some(report) = report else { return };
-            let part = report.of.map_or(0.0, |of| report.done as f64 / of.max(1) as f64);
+            let done_part = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
             let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
                 (
                     format!("{name}: {}{left}", ProgressReport { left_s: None, ..report.clone() }),
-                    share + part * own,
+                    share_before + done_part * run_share,
                 )
             };
             progress.show(self.clock.mono(), trouble, state);
@@ -88,20 +88,20 @@ impl Execution<'_> {
         .await;
         progress.end();
         let seconds = (self.clock.mono() - began).seconds();
-        let interrupted = ended.interrupted;
-        let ended = self.run_result(run, &ended, seconds);
-        if ended.stage == Stage::Finished {
+        let interrupted = process_results.interrupted;
+        let result = self.run_result(run, &process_results, seconds);
+        if result.stage == Stage::Finished {
             self.estimates.record_duration(run.configuration, seconds);
         }
-        let why = ended.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        if !self.quiet || ended.stage != Stage::Finished || !why.is_empty() {
+        let reason = result.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
+        if !self.quiet || result.stage != Stage::Finished || !reason.is_empty() {
             progress.print_line(format_args!(
-                "{name}: {} after {}{why}",
-                ended.stage.name(),
+                "{name}: {} after {}{reason}",
+                result.stage.name(),
                 duration(seconds)
             ));
         }
-        self.record.end_run(run, ended);
+        self.record.end_run(run, result);
         self.folder.save(self.record)?;
         Ok(interrupted)
     }
@@ -110,7 +110,7 @@ impl Execution<'_> {
     fn orders(&self, run: &Run) -> Vec<Order> {
         let plan = &self.record.plan;
         let configuration = plan.configuration(run);
-        let of = configuration.users;
+        let users = configuration.users;
         let order = |(user, folder)| {
             let mut agent = configuration.agent.clone();
             agent.agent.name = plan.agent_name(run, user);
@@ -123,7 +123,7 @@ impl Execution<'_> {
                 plots: self.external_files.plots,
                 command: command_line(),
                 network_config: self.external_files.network(run).cloned(),
-                user: (of > 1).then(|| User { number: user + 1, count: of }),
+                user: (users > 1).then(|| User { number: user + 1, count: users }),
                 warm_up: configuration.warm_up.clone(),
                 peer_timeout_s: configuration.patience_s,
             }
@@ -132,27 +132,28 @@ impl Execution<'_> {
     }
 
     /// Determines the result of a run.
-    fn run_result(&self, run: &Run, ended: &children::Ended, seconds: f64) -> Ended {
-        let bad = ended.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
-        let Some((user, exit)) = bad else {
-            return Ended { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
+    fn run_result(&self, run: &Run, process_results: &children::ProcessResults, seconds: f64) -> RunResult {
+        let first_failure = process_results.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
+        let Some((user, exit)) = first_failure else {
+            return RunResult { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
         };
         let folders = self.folder.results(&self.record.plan, run);
-        let whole = |(exit, folder): (&Exited, &std::path::PathBuf)| {
+        let is_complete = |(exit, folder): (&ProcessResult, &std::path::PathBuf)| {
             // Some iterations may have no answer although all were tried.
             let incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
             let record = || ResultFolder::open(folder).ok().map(|loaded| loaded.record);
             exit.is_successful()
                 || incomplete && record().is_some_and(|record| record.reason == EndReason::Finished)
         };
-        let stage = match ended.interrupted {
+        let stage = match process_results.interrupted {
             true => Stage::Interrupted,
-            false if ended.exits.iter().zip(&folders).all(whole) => Stage::Finished,
+            false if process_results.exits.iter().zip(&folders).all(is_complete) => Stage::Finished,
             false => Stage::Failed,
         };
-        let who = if ended.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
-        let reason = exit.reason.as_ref().map(|reason| format!("{who}{reason}"));
-        Ended { stage, exit: exit.code, reason, seconds }
+        let user_prefix =
+            if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
+        let reason = exit.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
+        RunResult { stage, exit: exit.code, reason, seconds }
     }
 
     /// Returns the estimated duration of runs; `None` if one is unknown.
@@ -161,7 +162,8 @@ impl Execution<'_> {
     }
 }
 
-/// Combines the progress of several users: sums of their counts, the median of the median user, the 99th percentile of the worst.
+/// Combines the progress of several users: the sums of their counts, the median of the user in the middle, and the highest 99th
+/// percentile.
 fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
     let (first, rest) = all.split_first()?;
@@ -173,7 +175,7 @@ fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     Some(ProgressReport {
         phase: first.phase,
         done: all.iter().map(|report| report.done).sum(),
-        of: all.iter().map(|report| report.of).sum(),
+        iterations: all.iter().map(|report| report.iterations).sum(),
         rate: all.iter().map(|report| report.rate).sum(),
         p50: medians.get(medians.len() / 2).copied(),
         p99: all.iter().filter_map(|report| report.p99).reduce(f64::max),

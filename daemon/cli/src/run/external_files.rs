@@ -20,11 +20,11 @@ impl ExternalFiles {
 
     /// Returns a note if a run was measured with another text of that file.
     pub(super) fn changed_since(&self, run_record: &RunRecord, run: &Run) -> Option<String> {
-        let (now, then) = (self.network(run)?, run_record.network_config.as_ref()?);
-        (now.text != then.text).then(|| {
+        let (current, recorded) = (self.network(run)?, run_record.network_config.as_ref()?);
+        (current.text != recorded.text).then(|| {
             format!(
                 "{} has changed since some runs were measured, but not the addresses that they use; the run.json of each run has the text as it was",
-                now.file
+                current.file
             )
         })
     }
@@ -41,8 +41,8 @@ mod tests {
         let external_files =
             ExternalFiles { plots: false, networks: vec![None, network("net.yaml", "devices: {a: b}")] };
         let run = |configuration| Run { number: 1, configuration, repeat: 0, folder: "001-r1".to_owned() };
-        let message = |then: Option<NetworkConfig>, configuration| {
-            let record = RunRecord { network_config: then, ..RunRecord::default() };
+        let message = |recorded: Option<NetworkConfig>, configuration| {
+            let record = RunRecord { network_config: recorded, ..RunRecord::default() };
             external_files.changed_since(&record, &run(configuration))
         };
         let text = message(network("net.yaml", "devices: {a: b, c: d}"), 1).expect("it has changed");

@@ -26,9 +26,9 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
             Ok(run_records) => changed.extend(
                 run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
             ),
-            Err(why) => {
-                print_to_stderr(format_args!("run {} is repeated: {why}", run.number));
-                record.forget(&run);
+            Err(reason) => {
+                print_to_stderr(format_args!("run {} is repeated: {reason}", run.number));
+                record.reset_run(&run);
             }
         }
     }
@@ -37,8 +37,8 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
 
 /// Returns a note if an experiment was started by another version and runs remain.
 pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str) -> Option<String> {
-    let goes_on = !to_do.is_empty() && record.count(Stage::Finished) > 0;
-    (goes_on && record.version != version).then(|| {
+    let is_continued = !to_do.is_empty() && record.count(Stage::Finished) > 0;
+    (is_continued && record.version != version).then(|| {
         format!(
             "started by PEERNet {}, and continued by {version}: run.json of each run has the version that measured it",
             printable_line(&record.version)
@@ -50,7 +50,7 @@ pub(super) fn version_change_note(record: &Record, to_do: &[Run], version: &str)
 #[derive(Debug, thiserror::Error)]
 pub(super) enum UnusableResults {
     #[error("its results are missing")]
-    Gone,
+    Missing,
     #[error(transparent)]
     Folder(#[from] FolderError),
     #[error("{}: {damage}", .folder.display())]
@@ -64,7 +64,7 @@ pub(super) enum UnusableResults {
 pub(super) enum Mismatch {
     #[error("run.json does not say that the run was finished")]
     Unfinished,
-    #[error("run.json counts no iterations")]
+    #[error("run.json has no iteration counts")]
     NoIterations,
     #[error("run.json belongs to another run")]
     OtherRun,
@@ -79,9 +79,9 @@ pub(super) fn load_results(
     record: &Record,
     run: &Run,
 ) -> Result<Vec<RunRecord>, UnusableResults> {
-    let of_user = |path: &PathBuf| {
+    let load_user = |path: &PathBuf| {
         if !path.join("run.json").is_file() {
-            return Err(UnusableResults::Gone);
+            return Err(UnusableResults::Missing);
         }
         let loaded = ResultFolder::open(path)?;
         if let Some(damage) = loaded.damage() {
@@ -92,7 +92,7 @@ pub(super) fn load_results(
             None => Ok(loaded.record),
         }
     };
-    folder.results(&record.plan, run).iter().map(of_user).collect()
+    folder.results(&record.plan, run).iter().map(load_user).collect()
 }
 
 fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismatch> {

@@ -19,13 +19,15 @@ use super::plan_differences::differences;
 use super::state::Record;
 use crate::experiment::{FORMAT, MAX_RECORD_BYTES, RECORD, RUNS};
 
-/// Names of the tables over all runs, and of their formats.
+/// Names of the tables over all runs.
 const TABLES: [&str; 3] = ["compare", "users", "sensors"];
-const KINDS: [&str; 4] = ["txt", "md", "csv", "tex"];
+/// Extensions of the formats in which each table is written.
+const FORMATS: [&str; 4] = ["txt", "md", "csv", "tex"];
 const LOCK: &str = ".lock";
 /// Prefix of a record's file name until it is complete. A killed program leaves such a file behind.
-const DRAFT: &str = ".experiment-";
-/// A locked folder to which no other program writes.
+const DRAFT_PREFIX: &str = ".experiment-";
+
+///  A locked folder to which no other program writes.
 pub(super) struct Folder {
     path: PathBuf,
     /// Released when it is closed, however the program ends.
@@ -38,22 +40,22 @@ impl Folder {
     /// # Errors
     /// When another program uses it (69), it holds other files (64) or cannot be created (73).
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
-        let unwritten = |error: std::io::Error| {
+        let cannot_create = |error: std::io::Error| {
             let error = dangling_link(path).unwrap_or_else(|| error.to_string());
             Failure::new(Exit::Unwritten, anyhow!("cannot create the folder {}: {error}", path.display()))
         };
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);
-        let foreign = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
-        if foreign && !path.join(RECORD).exists() {
+        let has_foreign_files = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
+        if has_foreign_files && !path.join(RECORD).exists() {
             let text = format!(
                 "{} contains files, but no {RECORD}: it is not the folder of an experiment; name another with --result-loc",
                 path.display()
             );
             return Err(Failure::new(Exit::Usage, anyhow!("{text}")));
         }
-        fs::create_dir_all(path.join(RUNS)).map_err(unwritten)?;
-        let lock = File::create(path.join(LOCK)).map_err(unwritten)?;
+        fs::create_dir_all(path.join(RUNS)).map_err(cannot_create)?;
+        let lock = File::create(path.join(LOCK)).map_err(cannot_create)?;
         match lock.try_lock() {
             Ok(()) => {
                 drafts(path).for_each(|draft| drop(fs::remove_file(draft)));
@@ -63,7 +65,7 @@ impl Folder {
                 let text = format!("another peernet run uses {}; wait for it or stop it", path.display());
                 Err(Failure::new(Exit::Unavailable, anyhow!("{text}")))
             }
-            Err(TryLockError::Error(error)) => Err(unwritten(error)),
+            Err(TryLockError::Error(error)) => Err(cannot_create(error)),
         }
     }
 
@@ -96,7 +98,7 @@ impl Folder {
     pub(super) fn save(&self, record: &Record) -> Result<(), Failure> {
         let path = self.path.join(RECORD);
         let write = || {
-            let mut file = tempfile::Builder::new().prefix(DRAFT).tempfile_in(&self.path)?;
+            let mut file = tempfile::Builder::new().prefix(DRAFT_PREFIX).tempfile_in(&self.path)?;
             with_arguments(|| serde_json::to_writer_pretty(&mut file, record))?;
             writeln!(file)?;
             file.as_file().sync_all()?;
@@ -113,7 +115,7 @@ impl Folder {
     /// # Errors
     /// When something cannot be removed (73).
     pub(super) fn clear_results(&self) -> Result<(), Failure> {
-        let tables = TABLES.iter().flat_map(|table| KINDS.map(|kind| format!("{table}.{kind}")));
+        let tables = TABLES.iter().flat_map(|table| FORMATS.map(|format| format!("{table}.{format}")));
         for path in tables.chain(figure_files(&self.path)).map(|name| self.path.join(name)) {
             match fs::remove_file(&path) {
                 Err(error) if error.kind() != ErrorKind::NotFound => {
@@ -161,7 +163,7 @@ impl Folder {
 }
 
 fn is_draft(name: &OsStr) -> bool {
-    name.to_string_lossy().starts_with(DRAFT)
+    name.to_string_lossy().starts_with(DRAFT_PREFIX)
 }
 
 /// Returns incomplete records that killed programs left behind.
@@ -176,8 +178,8 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 /// When it cannot be read (65).
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
-    let damaged = |why: String| {
-        let text = format!("cannot read {}: {why}; --restart starts again", path.display());
+    let damaged = |reason: String| {
+        let text = format!("cannot read {}: {reason}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
     let text = match small_file::read_found(&path, MAX_RECORD_BYTES) {
@@ -219,8 +221,8 @@ pub(super) fn ensure_unchanged(record: &Record, plan: &Plan) -> Result<(), Failu
 /// Describes a broken symbolic link on the path, because no folder can be created with its name.
 fn dangling_link(path: &Path) -> Option<String> {
     let link = path.ancestors().find(|part| part.is_symlink() && !part.exists())?;
-    let to = link.read_link().ok()?;
-    Some(format!("{} is a link to {}, which does not exist", link.display(), to.display()))
+    let target = link.read_link().ok()?;
+    Some(format!("{} is a link to {}, which does not exist", link.display(), target.display()))
 }
 
 fn cannot_remove(path: &Path, error: &std::io::Error) -> Failure {

@@ -42,10 +42,10 @@ use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_networks::Address;
 use peernet_sample::printable_line;
 
-use crate::foreground::{Signals, dashboard_hint, remark};
+use crate::foreground::{Signals, dashboard_hint, describe_condition};
 use agent_state_dirs::{AgentStateDirs, undelivered_events};
 use arguments::RunSelection;
-use children::Exited;
+use children::ProcessResult;
 use estimate::{Estimates, expected_duration};
 use execute::Execution;
 use external_files::ExternalFiles;
@@ -75,8 +75,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = arguments.result_loc.clone();
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // A broken record can be replaced, and is no error of the file.
-    let before = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
-    let seed = arguments.seed.or_else(|| before.as_ref().map(|record| record.plan.seed));
+    let existing_record = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
+    let seed = arguments.seed.or_else(|| existing_record.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
     if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
         return Err(Failure::new(Exit::Usage, anyhow!("--only: {unknown}")));
@@ -89,7 +89,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         print_to_stdout(format_args!("{}: {runs} of {configurations}", arguments.file.display()));
         return Ok(());
     }
-    let record = match before {
+    let record = match existing_record {
         Some(record) => {
             folder::ensure_unchanged(&record, &plan)?;
             record
@@ -100,10 +100,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let runtime = runtime
         .context("cannot start the runtime")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let done = runtime.block_on(execute_experiment(arguments, record, path, &clock, &external_files));
+    let result = runtime.block_on(execute_experiment(arguments, record, path, &clock, &external_files));
     // The thread that waits for an answer on the terminal is not waited for.
     runtime.shutdown_background();
-    done
+    result
 }
 
 async fn execute_experiment(
@@ -128,27 +128,34 @@ async fn execute_experiment(
                 return Err(failure);
             }
         };
-    let wanted: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
-    let tried = match trial::configurations(&record.plan, &wanted, clock, &mut signals, arguments.quiet).await
+    let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
+    let trial_results = match trial::configurations(
+        &record.plan,
+        &tried_configurations,
+        clock,
+        &mut signals,
+        arguments.quiet,
+    )
+    .await
     {
-        Ok(tried) => tried,
+        Ok(trial_results) => trial_results,
         Err(failure) => {
             discard(folder, &record);
             return Err(failure);
         }
     };
-    let estimates = estimates(&record, &tried);
+    let estimates = estimates(&record, &trial_results);
     print_to_stdout(table::runs(&record, &estimates));
-    let place = path.display().to_string();
-    let place = printable_line(&place);
+    let path_text = path.display().to_string();
+    let path_text = printable_line(&path_text);
     print_to_stdout(format_args!(
-        "\n{}; results in {place}",
+        "\n{}; results in {path_text}",
         table::describe_plan(&to_do, &record, &estimates)
     ));
-    for condition in &tried.conditions {
-        print_to_stderr(remark(condition));
+    for condition in &trial_results.conditions {
+        print_to_stderr(describe_condition(condition));
     }
-    if let Some(failure) = unavailable_configurations(&tried, &arguments.file) {
+    if let Some(failure) = unavailable_configurations(&trial_results, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
     }
@@ -173,21 +180,21 @@ async fn execute_experiment(
     let interrupted = execution.execute_all(&to_do, &mut signals).await?;
     let report_text = report::write(&folder, &record, external_files.plots)?;
     print_to_stdout(format_args!("\n{report_text}"));
-    print_to_stdout(format_args!("\n{place}: {}", summary(&record)));
-    let waiting = undelivered_events(&record.plan).await?;
+    print_to_stdout(format_args!("\n{path_text}: {}", summary(&record)));
+    let undelivered = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
-        let has_all = !waiting.iter().any(|waiting| waiting.is_for(aggregator));
+        let has_all = !undelivered.iter().any(|events| events.is_for(aggregator));
         print_to_stdout(dashboard_hint(runs, aggregator, has_all));
     }
-    waiting.iter().for_each(print_to_stderr);
+    undelivered.iter().for_each(print_to_stderr);
     // Runs that were finished by an earlier command count, too, so that repeating a command gives the same exit code.
-    let wanted: Vec<Run> = record
+    let selected_runs: Vec<Run> = record
         .runs()
         .map(|(run, _)| run.clone())
         .filter(|run| RunSelection::selects(&arguments.only, &record.plan, run))
         .collect();
-    verdict(&record, &wanted, interrupted)
+    verdict(&record, &selected_runs, interrupted)
 }
 
 /// Removes everything of an experiment that is restarted.
@@ -202,10 +209,11 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
     Ok(())
 }
 
-fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
-    let expected = record.plan.configurations.iter().zip(&tried.paces).map(|(configuration, pace)| {
-        configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
-    });
+fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
+    let expected =
+        record.plan.configurations.iter().zip(&trial_results.paces).map(|(configuration, pace)| {
+            configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
+        });
     let mut estimates = Estimates::new(expected.collect());
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
         state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
@@ -214,20 +222,23 @@ fn estimates(record: &Record, tried: &TrialResults) -> Estimates {
 }
 
 /// Returns a failure with the reasons of all failed trials and their configurations; `None` if no trial failed.
-fn unavailable_configurations(tried: &TrialResults, file: &Path) -> Option<Failure> {
-    let (_, first) = tried.missing.first()?;
-    let is_wrong = |exit: &Exited| exit.code == Some(i32::from(Exit::Configuration as u8));
+fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Option<Failure> {
+    let (_, first) = trial_results.unavailable.first()?;
+    let is_wrong = |exit: &ProcessResult| exit.code == Some(i32::from(Exit::Configuration as u8));
     let exit = if is_wrong(first) { Exit::Configuration } else { Exit::Unavailable };
     let mut reasons: Vec<&str> = Vec::new();
-    let reason = |exit: &Exited| match &exit.reason {
+    let reason = |exit: &ProcessResult| match &exit.reason {
         Some(reason) if is_wrong(exit) => {
-            format!("{}: {}", file.display(), check::without_serde_words(reason))
+            format!("{}: {}", file.display(), check::with_experiment_keys(reason))
         }
         Some(reason) => reason.clone(),
         None => "it gave no reason".to_owned(),
     };
-    let all: Vec<(String, String)> =
-        tried.missing.iter().map(|(configuration, exit)| (reason(exit), configuration.clone())).collect();
+    let all: Vec<(String, String)> = trial_results
+        .unavailable
+        .iter()
+        .map(|(configuration, exit)| (reason(exit), configuration.clone()))
+        .collect();
     for (reason, _) in &all {
         if !reasons.contains(&reason.as_str()) {
             reasons.push(reason);
@@ -235,12 +246,14 @@ fn unavailable_configurations(tried: &TrialResults, file: &Path) -> Option<Failu
     }
     let hint = base_hint_if_missing(reasons.iter().copied());
     let lines = reasons.into_iter().flat_map(|reason| {
-        let those = all.iter().filter(move |(other, words)| other == reason && !words.is_empty());
-        std::iter::once(format!("  {reason}")).chain(those.map(|(_, words)| format!("    {words}")))
+        let affected =
+            all.iter().filter(move |(other, configuration)| other == reason && !configuration.is_empty());
+        std::iter::once(format!("  {reason}"))
+            .chain(affected.map(|(_, configuration)| format!("    {configuration}")))
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
-    let of = table::count(tried.wanted, "configuration");
-    Some(Failure::new(exit, anyhow!("{count} of {of} cannot be measured, nothing was started:\n{lines}")))
+    let tried = table::count(trial_results.tried, "configuration");
+    Some(Failure::new(exit, anyhow!("{count} of {tried} cannot be measured, nothing was started:\n{lines}")))
 }
 
 /// Asks for confirmation if standard input is a terminal.
@@ -271,13 +284,13 @@ fn discard(folder: Option<Folder>, record: &Record) {
 
 /// Returns the aggregators to which the runs were streamed, each once.
 fn aggregators(plan: &Plan) -> Vec<&Address> {
-    let mut each = Vec::new();
+    let mut aggregators = Vec::new();
     for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
-        if !each.contains(&aggregator) {
-            each.push(aggregator);
+        if !aggregators.contains(&aggregator) {
+            aggregators.push(aggregator);
         }
     }
-    each
+    aggregators
 }
 
 fn summary(record: &Record) -> String {
@@ -290,17 +303,17 @@ fn summary(record: &Record) -> String {
 }
 
 /// Returns the failure for the selected runs, if any.
-fn verdict(record: &Record, wanted: &[Run], interrupted: bool) -> Result<(), Failure> {
+fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
     if interrupted {
         let text = "ended early; the same command continues the experiment";
         return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
     }
-    let states = || wanted.iter().filter_map(|run| record.states.get(run.number - 1));
+    let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.stage == Stage::Failed).count();
-    let lossy = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
-    let text = match (failed, lossy) {
+    let incomplete = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
+    let text = match (failed, incomplete) {
         (0, 0) => return Ok(()),
-        (0, lossy) => format!("{} with iterations that have no answer", table::count(lossy, "run")),
+        (0, incomplete) => format!("{} with iterations that have no answer", table::count(incomplete, "run")),
         (failed, _) => format!("{} failed; the same command tries again", table::count(failed, "run")),
     };
     Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))

@@ -69,9 +69,9 @@ impl Plan {
             order.extend(block.into_iter().map(|configuration| (repeat, configuration)));
         }
         let width = order.len().to_string().len().max(3);
-        let runs = order.into_iter().enumerate().map(|(at, (repeat, configuration))| {
-            let number = at + 1;
-            let name = name(&configurations[configuration].labels);
+        let runs = order.into_iter().enumerate().map(|(index, (repeat, configuration))| {
+            let number = index + 1;
+            let name = name_suffix(&configurations[configuration].labels);
             Run { number, configuration, repeat, folder: format!("{number:0width$}{name}-r{}", repeat + 1) }
         });
         Self {
@@ -94,7 +94,7 @@ impl Plan {
         let configuration = self.configuration(run);
         let mut pipeline = configuration.agent.pipelines.first()?.clone();
         // Repeats and users get different payloads. Configurations get the same payloads, so that they can be compared.
-        let seed = |what: u64| derive_seed(&[self.seed, what, run.repeat.into(), user.into()]);
+        let seed = |purpose: u64| derive_seed(&[self.seed, purpose, run.repeat.into(), user.into()]);
         if configuration.seeds.sensor {
             pipeline.sensor = pipeline.sensor.map(|sensor| with_seed(&sensor, seed(1)));
         }
@@ -129,19 +129,19 @@ impl Plan {
 
     /// Describes the run: `Where = cloud, Model = S, repeat 2`.
     pub(super) fn describe(&self, run: &Run) -> String {
-        let mut words = describe_labels(&self.configuration(run).labels);
+        let mut description = describe_labels(&self.configuration(run).labels);
         if self.repeats > 1 {
-            let comma = if words.is_empty() { "" } else { ", " };
-            words = format!("{words}{comma}repeat {}", run.repeat + 1);
+            let comma = if description.is_empty() { "" } else { ", " };
+            description = format!("{description}{comma}repeat {}", run.repeat + 1);
         }
-        if words.is_empty() { self.name.to_string() } else { words }
+        if description.is_empty() { self.name.to_string() } else { description }
     }
 
     /// Describes the run with its experiment: `demo: Where = cloud, repeat 2`.
     pub(super) fn title(&self, run: &Run) -> String {
-        let (name, words) = (self.name.as_str(), self.describe(run));
+        let (name, description) = (self.name.as_str(), self.describe(run));
         // A run without axes and repeats already has the experiment's name.
-        if words == name { words } else { format!("{name}: {words}") }
+        if description == name { description } else { format!("{name}: {description}") }
     }
 }
 
@@ -152,9 +152,10 @@ pub(super) fn describe_labels(labels: &[(String, String)]) -> String {
 }
 
 /// Returns the labels as a part of a folder's name, each after a hyphen.
-fn name(labels: &[(String, String)]) -> String {
-    let plain = |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
-    let label = |label: &String| label.chars().take(MAX_LABEL).map(plain).collect::<String>();
+fn name_suffix(labels: &[(String, String)]) -> String {
+    let plain_char =
+        |char: char| if char.is_ascii_alphanumeric() || "._".contains(char) { char } else { '-' };
+    let label = |label: &String| label.chars().take(MAX_LABEL).map(plain_char).collect::<String>();
     let mut name: String = labels.iter().map(|(_, text)| format!("-{}", label(text))).collect();
     name.truncate(MAX_NAME);
     name

@@ -7,17 +7,17 @@ const MAX_DIFFERENCES: usize = 8;
 
 /// Returns one line for each difference: the path, the earlier value, the present value.
 pub(super) fn differences(before: &Value, now: &Value) -> Vec<String> {
-    let mut found = Vec::new();
-    compare("", before, now, &mut found);
-    let more = found.len().saturating_sub(MAX_DIFFERENCES);
-    found.truncate(MAX_DIFFERENCES);
+    let mut differences = Vec::new();
+    compare("", before, now, &mut differences);
+    let more = differences.len().saturating_sub(MAX_DIFFERENCES);
+    differences.truncate(MAX_DIFFERENCES);
     if more > 0 {
-        found.push(format!("and {more} more"));
+        differences.push(format!("and {more} more"));
     }
-    found
+    differences
 }
 
-fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
+fn compare(path: &str, before: &Value, now: &Value, differences: &mut Vec<String>) {
     match (before, now) {
         (Value::Object(before), Value::Object(now)) => {
             let keys = before.keys().chain(now.keys().filter(|key| !before.contains_key(*key)));
@@ -27,21 +27,21 @@ fn compare(path: &str, before: &Value, now: &Value, found: &mut Vec<String>) {
                     &inner,
                     before.get(key).unwrap_or(&Value::Null),
                     now.get(key).unwrap_or(&Value::Null),
-                    found,
+                    differences,
                 );
             }
         }
         (Value::Array(before), Value::Array(now)) if before.len() == now.len() => {
             for (index, (before, now)) in before.iter().zip(now).enumerate() {
-                compare(&format!("{path}[{index}]"), before, now, found);
+                compare(&format!("{path}[{index}]"), before, now, differences);
             }
         }
         (Value::Array(before), Value::Array(now)) => {
-            found.push(format!("{path}: {} entries before, {} now", before.len(), now.len()));
+            differences.push(format!("{path}: {} entries before, {} now", before.len(), now.len()));
         }
         (before, now) if before == now => {}
         (before, now) => {
-            found.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)));
+            differences.push(format!("{path}: {} before, {} now", show_value(before), show_value(now)));
         }
     }
 }
@@ -73,7 +73,8 @@ mod tests {
             ]
         );
         assert!(differences(&now, &now).is_empty());
-        let many = |value: usize| json!((0..20).map(|at| json!({ "a": at * value })).collect::<Vec<_>>());
-        assert_eq!(differences(&many(1), &many(2)).last().map(String::as_str), Some("and 11 more"));
+        let long_list =
+            |value: usize| json!((0..20).map(|index| json!({ "a": index * value })).collect::<Vec<_>>());
+        assert_eq!(differences(&long_list(1), &long_list(2)).last().map(String::as_str), Some("and 11 more"));
     }
 }

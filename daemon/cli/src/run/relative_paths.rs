@@ -4,9 +4,10 @@ use std::env::current_dir;
 
 /// Returns the hint for paths that do not exist.
 pub(super) fn base_hint() -> String {
-    let here = current_dir().map_or_else(|_| String::new(), |folder| format!(", {}", folder.display()));
+    let current_folder =
+        current_dir().map_or_else(|_| String::new(), |folder| format!(", {}", folder.display()));
     format!(
-        "relative paths start at the current folder{here}: start the program in the folder from which they lead to the files, or write absolute paths"
+        "relative paths start at the current folder{current_folder}: start the program in the folder from which they lead to the files, or write absolute paths"
     )
 }
 

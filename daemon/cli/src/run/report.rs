@@ -42,34 +42,34 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);
     let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
-    comparison.caveats.extend(
-        unfinished_runs_note(record.name.as_str(), stages).map(|without| format!("Shown {without}.")),
-    );
+    comparison
+        .caveats
+        .extend(unfinished_runs_note(record.name.as_str(), stages).map(|note| format!("Shown {note}.")));
     // These are the differences that `peernet compare` prints.
     let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
     let tables = difference_tables(&comparison, &differences);
-    let forms = [
+    let files = [
         ("txt", join_texts(comparison.text(), tables.iter().map(CaptionedTable::text))),
         ("md", join_texts(comparison.markdown(), tables.iter().map(CaptionedTable::markdown))),
         ("csv", comparison.csv()),
         ("tex", join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
-    save(folder.path(), "compare", &forms)?;
+    save(folder.path(), "compare", &files)?;
     if plots {
         figures(&all, comparison.lines.len(), folder.path())
             .map_err(|error| Failure::new(Exit::Unwritten, error))?;
     }
     let mut parts = vec![comparison.text()];
     if let Some(users) = users {
-        let forms =
+        let files =
             [("txt", users.text()), ("md", users.markdown()), ("csv", users.csv()), ("tex", users.latex())];
-        save(folder.path(), "users", &forms)?;
+        save(folder.path(), "users", &files)?;
         parts.push(users.text());
     }
     if let Some(sensors) = sensors {
-        let forms = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
-        save(folder.path(), "sensors", &forms)?;
-        if sensors.are_all {
+        let files = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
+        save(folder.path(), "sensors", &files)?;
+        if sensors.covers_all_runs {
             // Stages after the sensor are empty, and the shortest sensing does not make the best sensor.
             parts.clear();
         }
@@ -95,17 +95,17 @@ fn figures(all: &[Loaded], lines: usize, folder: &Path) -> Result<(), WriteError
 fn trust(runs: &[Vec<Loaded>]) -> String {
     let worst = |edges: &Vec<Loaded>| {
         let verdicts = edges.iter().map(|edge| edge.record.trust.as_ref().map(|trust| trust.verdict));
-        let known: Option<Vec<Publish>> = verdicts.collect();
-        known.and_then(|known| known.into_iter().max())
+        let verdicts: Option<Vec<Publish>> = verdicts.collect();
+        verdicts.and_then(|verdicts| verdicts.into_iter().max())
     };
     let count = |verdict| runs.iter().filter(|edges| worst(edges) == Some(verdict)).count();
     let [yes, remarks, no] = [Publish::Yes, Publish::WithRemarks, Publish::No].map(count);
     let mut lines =
         vec![format!("Can they be published? {yes} as they are, {remarks} with caveats, {no} not.")];
     let (bad, doubtful) = (count_findings(runs, Grade::Bad), count_findings(runs, Grade::Doubtful));
-    for (sign, found) in [("✗", &bad), ("!", &doubtful)] {
+    for (sign, counts) in [("✗", &bad), ("!", &doubtful)] {
         lines.extend(
-            found.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
+            counts.iter().map(|(about, count)| format!("  {sign} {about}: {}", table::count(*count, "run"))),
         );
     }
     if lines.len() > 1 {
@@ -116,19 +116,17 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
 
 /// Counts the runs per finding of this grade, the most frequent first.
 fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
-    let mut found: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
-        let sentences =
+        let findings =
             edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.findings);
-        let about: BTreeSet<&str> = sentences
-            .filter(|sentence| sentence.grade == grade)
-            .map(|sentence| sentence.about.as_str())
-            .collect();
-        about.into_iter().for_each(|about| *found.entry(about).or_default() += 1);
+        let subjects: BTreeSet<&str> =
+            findings.filter(|finding| finding.grade == grade).map(|finding| finding.about.as_str()).collect();
+        subjects.into_iter().for_each(|subject| *counts.entry(subject).or_default() += 1);
     }
-    let mut found: Vec<(&str, usize)> = found.into_iter().collect();
-    found.sort_by_key(|(_, count)| Reverse(*count));
-    found
+    let mut counts: Vec<(&str, usize)> = counts.into_iter().collect();
+    counts.sort_by_key(|(_, count)| Reverse(*count));
+    counts
 }
 
 fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Failure> {
@@ -136,9 +134,9 @@ fn load(folder: &Folder, record: &Record, run: &Run) -> Result<Vec<Loaded>, Fail
     folder.results(&record.plan, run).iter().map(|path| open(path)).collect()
 }
 
-fn save(folder: &Path, name: &str, forms: &[(&str, String)]) -> Result<(), Failure> {
-    for (kind, text) in forms {
-        let path = folder.join(format!("{name}.{kind}"));
+fn save(folder: &Path, name: &str, files: &[(&str, String)]) -> Result<(), Failure> {
+    for (extension, text) in files {
+        let path = folder.join(format!("{name}.{extension}"));
         std::fs::write(&path, format!("{}\n", text.trim_end())).map_err(|error| {
             Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display()))
         })?;

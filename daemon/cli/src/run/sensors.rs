@@ -8,7 +8,7 @@ use peernet_statistics::number::{fixed, milliseconds, significant};
 use super::plan::{Plan, Run};
 
 /// Text of cells without a value.
-const NOTHING: &str = "—";
+const NO_VALUE: &str = "—";
 const NOTE: &str = "Milliseconds. Period: from one sample to the next, mean ± standard deviation. Jitter: how far a period \
                     is from the median period. Sensing: from asking for a sample to having it, the median.";
 const UNNUMBERED: &str = " A sensor that does not number its samples cannot tell which it dropped (—).";
@@ -18,7 +18,7 @@ pub(super) struct Sensors {
     table: Table,
     note: String,
     /// `true` if all runs measure only a sensor.
-    pub(super) are_all: bool,
+    pub(super) covers_all_runs: bool,
 }
 
 impl Sensors {
@@ -26,33 +26,33 @@ impl Sensors {
     pub(super) fn from_runs(plan: &Plan, runs: &[&Run], loaded: &[Vec<Loaded>]) -> Option<Self> {
         let edges: Vec<(&Run, &Loaded)> =
             runs.iter().zip(loaded).flat_map(|(run, users)| users.iter().map(|edge| (*run, edge))).collect();
-        let alone: Vec<(&Run, &Loaded, SensorStudy)> = edges
+        let sensor_only: Vec<(&Run, &Loaded, SensorStudy)> = edges
             .iter()
             .filter(|(_, edge)| edge.record.is_sensor_only())
             .filter_map(|(run, edge)| Some((*run, *edge, SensorStudy::from_rows(&edge.rows)?)))
             .collect();
-        let (first, ..) = alone.first()?;
-        let (repeated, many) = (plan.repeats > 1, loaded.iter().any(|users| users.len() > 1));
+        let (first, ..) = sensor_only.first()?;
+        let (has_repeats, has_several_edges) = (plan.repeats > 1, loaded.iter().any(|users| users.len() > 1));
         let axes = plan.configuration(first).labels.iter().map(|(axis, _)| axis.clone());
         let mut header: Vec<String> = axes.collect();
-        header.extend(repeated.then(|| "repeat".to_owned()));
-        header.extend(many.then(|| "edge".to_owned()));
+        header.extend(has_repeats.then(|| "repeat".to_owned()));
+        header.extend(has_several_edges.then(|| "edge".to_owned()));
         let labels = header.len();
         let figures = ["samples", "rate /s", "period", "jitter p50", "jitter p99", "longest gap", "sensing"];
         header.extend(figures.into_iter().chain(["dropped", "failed"]).map(str::to_owned));
         let row = |(run, edge, study): &(&Run, &Loaded, SensorStudy)| {
             let mut cells: Vec<String> =
                 plan.configuration(run).labels.iter().map(|(_, label)| label.clone()).collect();
-            cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
-            cells.extend(many.then(|| edge.record.edge.name.clone()));
+            cells.extend(has_repeats.then(|| (run.repeat + 1).to_string()));
+            cells.extend(has_several_edges.then(|| edge.record.edge.name.clone()));
             cells.extend(sensor_metrics(study));
             cells
         };
-        let unnumbered = alone.iter().any(|(_, _, study)| study.dropped.is_none());
+        let unnumbered = sensor_only.iter().any(|(_, _, study)| study.dropped.is_none());
         Some(Self {
-            table: Table { header, labels, rows: alone.iter().map(row).collect(), marked: Vec::new() },
+            table: Table { header, labels, rows: sensor_only.iter().map(row).collect(), marked: Vec::new() },
             note: format!("{NOTE}{}", if unnumbered { UNNUMBERED } else { "" }),
-            are_all: alone.len() == edges.len(),
+            covers_all_runs: sensor_only.len() == edges.len(),
         })
     }
 
@@ -80,10 +80,10 @@ fn sensor_metrics(study: &SensorStudy) -> [String; 9] {
         significant(study.rate),
         format!("{}{std}", milliseconds(study.period)),
         milliseconds(study.jitter_median),
-        study.jitter_p99.map_or_else(|| NOTHING.to_owned(), milliseconds),
+        study.jitter_p99.map_or_else(|| NO_VALUE.to_owned(), milliseconds),
         milliseconds(study.longest_gap),
         milliseconds(study.sensing),
-        study.dropped.map_or_else(|| NOTHING.to_owned(), count),
+        study.dropped.map_or_else(|| NO_VALUE.to_owned(), count),
         count(study.failed),
     ]
 }

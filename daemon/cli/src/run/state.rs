@@ -36,7 +36,7 @@ pub(super) struct State {
     pub(super) stage: Stage,
     /// Number of attempts.
     pub(super) attempts: u32,
-    /// Exit code of the process; of several the first that is not 0.
+    /// Exit code of the process; the first that is not 0 if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) exit: Option<i32>,
     /// Reason for a failure.
@@ -49,7 +49,7 @@ pub(super) struct State {
 
 /// Result of a run.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Ended {
+pub(super) struct RunResult {
     pub(super) stage: Stage,
     pub(super) exit: Option<i32>,
     pub(super) reason: Option<String>,
@@ -71,8 +71,8 @@ impl Record {
             let mut parts = Path::new(folder).components();
             matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None))
         };
-        let is_sound = |(at, run): (usize, &Run)| {
-            run.number == at + 1 && run.configuration < configurations.len() && is_plain(&run.folder)
+        let is_sound = |(index, run): (usize, &Run)| {
+            run.number == index + 1 && run.configuration < configurations.len() && is_plain(&run.folder)
         };
         self.states.len() == runs.len() && runs.iter().enumerate().all(is_sound)
     }
@@ -83,9 +83,9 @@ impl Record {
     }
 
     /// Returns the selected runs that are not done, in order.
-    pub(super) fn to_do(&self, wanted: impl Fn(&Run) -> bool) -> Vec<Run> {
-        let open = self.runs().filter(|(run, state)| !state.stage.is_done() && wanted(run));
-        open.map(|(run, _)| run.clone()).collect()
+    pub(super) fn to_do(&self, is_selected: impl Fn(&Run) -> bool) -> Vec<Run> {
+        let unfinished = self.runs().filter(|(run, state)| !state.stage.is_done() && is_selected(run));
+        unfinished.map(|(run, _)| run.clone()).collect()
     }
 
     /// Returns the number of runs at a stage.
@@ -93,7 +93,7 @@ impl Record {
         self.states.iter().filter(|state| state.stage == stage).count()
     }
 
-    /// Notes that a run begins.
+    /// Records that a run begins.
     pub(super) fn start_run(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State {
@@ -104,16 +104,16 @@ impl Record {
         }
     }
 
-    /// Notes the end of a run.
-    pub(super) fn end_run(&mut self, run: &Run, ended: Ended) {
+    /// Records the result of a run.
+    pub(super) fn end_run(&mut self, run: &Run, result: RunResult) {
         if let Some(state) = self.state(run) {
-            let Ended { stage, exit, reason, seconds } = ended;
+            let RunResult { stage, exit, reason, seconds } = result;
             *state = State { stage, exit, reason, seconds: Some(seconds), ..*state };
         }
     }
 
-    /// Notes that the results of a run are missing.
-    pub(super) fn forget(&mut self, run: &Run) {
+    /// Marks a run without usable results as not done.
+    pub(super) fn reset_run(&mut self, run: &Run) {
         if let Some(state) = self.state(run) {
             *state = State { attempts: state.attempts, ..State::default() };
         }

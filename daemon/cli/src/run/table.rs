@@ -23,10 +23,11 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
             .iter()
             .all(|one| one.labels.get(axis).is_some_and(|(_, label)| *label == one.users.to_string()))
     });
-    let repeated = plan.repeats > 1;
-    header.extend(repeated.then(|| "repeat".to_owned()));
-    let many = !axis_shows_users && plan.configurations.iter().any(|configuration| configuration.users > 1);
-    header.extend(many.then(|| "users".to_owned()));
+    let has_repeats = plan.repeats > 1;
+    header.extend(has_repeats.then(|| "repeat".to_owned()));
+    let has_users_column =
+        !axis_shows_users && plan.configurations.iter().any(|configuration| configuration.users > 1);
+    header.extend(has_users_column.then(|| "users".to_owned()));
     header.push("state".to_owned());
     let labels = header.len();
     header.push("time".to_owned());
@@ -34,12 +35,12 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
         let configuration = plan.configuration(run);
         let mut cells = vec![run.number.to_string()];
         cells.extend(configuration.labels.iter().map(|(_, label)| label.clone()));
-        cells.extend(repeated.then(|| (run.repeat + 1).to_string()));
-        cells.extend(many.then(|| configuration.users.to_string()));
+        cells.extend(has_repeats.then(|| (run.repeat + 1).to_string()));
+        cells.extend(has_users_column.then(|| configuration.users.to_string()));
         cells.push(state.stage.name().to_owned());
-        let is = state.seconds.filter(|_| state.stage == Stage::Finished);
-        let time = is.or_else(|| estimates.duration_s(run.configuration));
-        cells.push(time.map_or_else(|| UNKNOWN.to_owned(), duration));
+        let measured_s = state.seconds.filter(|_| state.stage == Stage::Finished);
+        let time_s = measured_s.or_else(|| estimates.duration_s(run.configuration));
+        cells.push(time_s.map_or_else(|| UNKNOWN.to_owned(), duration));
         cells
     });
     Table { header, labels, rows: rows.collect(), marked: Vec::new() }.text()
@@ -65,6 +66,6 @@ pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimate
 }
 
 /// Returns a number with a noun, which is given in the singular.
-pub(super) fn count(number: usize, what: &str) -> String {
-    format!("{number} {what}{}", if number == 1 { "" } else { "s" })
+pub(super) fn count(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }

@@ -4,7 +4,7 @@ use clap::Parser;
 use serde_json::{Value, json};
 
 use super::finished_runs::load_results;
-use super::state::Ended;
+use super::state::RunResult;
 use super::*;
 use crate::experiment::RECORD;
 
@@ -47,8 +47,8 @@ fn numbers(runs: &[Run]) -> Vec<usize> {
     runs.iter().map(|run| run.number).collect()
 }
 
-fn ended(stage: Stage) -> Ended {
-    Ended { stage, exit: Some(if stage == Stage::Finished { 0 } else { 69 }), reason: None, seconds: 1.5 }
+fn ended(stage: Stage) -> RunResult {
+    RunResult { stage, exit: Some(if stage == Stage::Finished { 0 } else { 69 }), reason: None, seconds: 1.5 }
 }
 
 #[test]
@@ -71,7 +71,7 @@ fn only_unfinished_runs_are_repeated() {
     loaded.end_run(&runs[1], ended(Stage::Finished));
     assert_eq!(numbers(&loaded.to_do(|_| true)), [3, 4]);
     assert_eq!((loaded.states[1].attempts, loaded.states[1].seconds), (2, Some(1.5)));
-    loaded.forget(&runs[0]);
+    loaded.reset_run(&runs[0]);
     assert_eq!(numbers(&loaded.to_do(|_| true)), [1, 3, 4]);
     assert_eq!(summary(&loaded), "1 of 4 runs finished, 1 interrupted, 1 incomplete, 1 to do");
 }
@@ -102,7 +102,7 @@ fn incomplete_results_are_measured_again() {
     let another = record.plan.experiment_place(&record.plan.runs[1], &record.id);
     for (key, value, why) in [
         ("reason", json!("the peer went away"), "does not say that the run was finished"),
-        ("counts", json!({}), "counts no iterations"),
+        ("counts", json!({}), "has no iteration counts"),
         ("experiment", json!(null), "belongs to another run"),
         ("experiment", json!(another), "belongs to another run"),
     ] {
@@ -331,7 +331,7 @@ fn exit_code_reports_failed_and_incomplete_runs() {
         record.end_run(run, ended(Stage::Finished));
     }
     assert!(verdict(&record, &runs, false).is_ok());
-    record.end_run(&runs[1], Ended { exit: Some(75), ..ended(Stage::Finished) });
+    record.end_run(&runs[1], RunResult { exit: Some(75), ..ended(Stage::Finished) });
     let code = |record: &Record, interrupted| verdict(record, &runs, interrupted).expect_err("not well");
     assert!(code(&record, false).to_string().contains("1 run with iterations that have no answer"));
     record.end_run(&runs[0], ended(Stage::Failed));

@@ -14,7 +14,7 @@ use peernet_networks::Address;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
 
-use super::children::{self, ChildEvent, Exited};
+use super::children::{self, ChildEvent, ProcessResult};
 use super::estimate::Pace;
 use super::file::Configuration;
 use super::plan::{Plan, describe_labels};
@@ -30,15 +30,15 @@ const PEER_TIMEOUT_S: f64 = 30.0;
 pub(super) struct TrialResults {
     /// Pace of each configuration; `None` if it was not tried or failed.
     pub(super) paces: Vec<Option<Pace>>,
-    /// Number of configurations to be tried.
-    pub(super) wanted: usize,
-    /// Configurations that cannot be measured, described in words, with the failure of their process.
-    pub(super) missing: Vec<(String, Exited)>,
+    /// Number of configurations that were to be tried.
+    pub(super) tried: usize,
+    /// Descriptions of the configurations that cannot be measured, with the failure of their process.
+    pub(super) unavailable: Vec<(String, ProcessResult)>,
     /// Conditions that impair measurements on a host, each once.
     pub(super) conditions: Vec<Condition>,
 }
 
-/// A trial, with the indexes of all configurations that have it in common.
+/// A trial and the indexes of all configurations for which it is the same.
 struct Trial {
     order: Order,
     configurations: Vec<usize>,
@@ -50,7 +50,7 @@ struct Trial {
 /// When no temporary folder can be created (69) or the user ended the trial (130).
 pub(super) async fn configurations(
     plan: &Plan,
-    wanted: &BTreeSet<usize>,
+    indexes: &BTreeSet<usize>,
     clock: &SharedClock,
     signals: &mut Signals,
     quiet: bool,
@@ -58,76 +58,76 @@ pub(super) async fn configurations(
     let folder = Scratch::new("trial")
         .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
-    let mut tried = TrialResults {
+    let mut results = TrialResults {
         paces: vec![None; plan.configurations.len()],
-        wanted: wanted.len(),
-        missing: Vec::new(),
+        tried: indexes.len(),
+        unavailable: Vec::new(),
         conditions: Vec::new(),
     };
-    // Peers that are absent are waited for only once.
-    let mut away: Vec<(Address, Exited)> = Vec::new();
-    let trials = trials(plan, wanted);
+    // The trial waits only once for an absent peer.
+    let mut unreachable: Vec<(Address, ProcessResult)> = Vec::new();
+    let trials = trials(plan, indexes);
     let mut progress = Progress::new(quiet, clock.mono());
     for (done, Trial { order, configurations }) in trials.iter().enumerate() {
-        let words = || configurations.iter().map(|index| describe_configuration(plan, *index));
-        let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(words()));
+        let descriptions = || configurations.iter().map(|index| describe_configuration(plan, *index));
+        let state = format!("trying {} of {}: {}", done + 1, trials.len(), describe_group(descriptions()));
         let peer = peer(order);
-        if let Some((address, exit)) = away.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
+        if let Some((address, exit)) = unreachable.iter().find(|(other, _)| Some(other) == peer.as_ref()) {
             if !quiet {
                 progress.print_line(format_args!("{state}: skipped, {address} is unreachable"));
             }
-            tried.missing.extend(words().map(|words| (words, exit.clone())));
+            results.unavailable.extend(descriptions().map(|description| (description, exit.clone())));
             continue;
         }
         if !quiet {
             progress.print_line(&state);
         }
-        let at = folder.path().join(done.to_string());
+        let results_dir = folder.path().join(done.to_string());
         let began = clock.mono();
-        let orders = [Order { folder: at.clone(), ..order.clone() }];
+        let orders = [Order { folder: results_dir.clone(), ..order.clone() }];
         let share = done as f64 / trials.len() as f64;
-        let mut ended = children::execute(&orders, signals, |news| match news {
+        let mut process_results = children::execute(&orders, signals, |event| match event {
             ChildEvent::Line(_, line) | ChildEvent::Ending(line) => progress.print_line(line),
             ChildEvent::ProgressReport(reports) => {
                 let (now, trouble) =
                     (clock.mono(), reports.iter().flatten().find_map(|report| report.trouble.clone()));
-                let since = duration((now - began).seconds());
-                progress.show(now, trouble, || (format!("{state}, for {since}"), share));
+                let elapsed = duration((now - began).seconds());
+                progress.show(now, trouble, || (format!("{state}, for {elapsed}"), share));
             }
         })
         .await;
-        if ended.interrupted {
+        if process_results.interrupted {
             progress.end();
             return Err(Failure::new(Exit::Interrupted, anyhow!("ended before the first run")));
         }
-        let loaded = ResultFolder::open(&at).ok();
-        let took = (clock.mono() - began).seconds();
-        match ended.exits.pop() {
+        let loaded = ResultFolder::open(&results_dir).ok();
+        let duration_s = (clock.mono() - began).seconds();
+        match process_results.exits.pop() {
             Some(exit) if exit.is_successful() => {
-                let moments = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
-                let pace = pace(&moments.collect::<Vec<_>>(), took);
-                configurations.iter().for_each(|index| tried.paces[*index] = pace);
+                let starts = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
+                let pace = pace(&starts.collect::<Vec<_>>(), duration_s);
+                configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(exit) => {
-                if took >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
-                    away.extend(peer.map(|peer| (peer, exit.clone())));
+                if duration_s >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
+                    unreachable.extend(peer.map(|peer| (peer, exit.clone())));
                 }
-                tried.missing.extend(words().map(|words| (words, exit.clone())));
+                results.unavailable.extend(descriptions().map(|description| (description, exit.clone())));
             }
             None => {}
         }
         if let Some(loaded) = loaded {
-            add_conditions(&loaded.record, &mut tried.conditions);
+            add_conditions(&loaded.record, &mut results.conditions);
         }
     }
     progress.end();
-    Ok(tried)
+    Ok(results)
 }
 
 /// Returns the different trials, in the order of the configurations.
-fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
+fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let mut trials: Vec<Trial> = Vec::new();
-    let configurations = wanted.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
+    let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
         let order = order(configuration);
         match trials.iter_mut().find(|trial| trial.order.agent == order.agent) {
@@ -140,14 +140,15 @@ fn trials(plan: &Plan, wanted: &BTreeSet<usize>) -> Vec<Trial> {
 
 /// Describes a configuration; without axes by the experiment's name.
 fn describe_configuration(plan: &Plan, index: usize) -> String {
-    let words = plan.configurations.get(index).map(|configuration| describe_labels(&configuration.labels));
-    words.filter(|words| !words.is_empty()).unwrap_or_else(|| plan.name.to_string())
+    let description =
+        plan.configurations.get(index).map(|configuration| describe_labels(&configuration.labels));
+    description.filter(|text| !text.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
 /// Describes configurations with equal trials: the first one, and the number of the others.
-fn describe_group(mut words: impl ExactSizeIterator<Item = String>) -> String {
-    let first = words.next().unwrap_or_default();
-    match words.len() {
+fn describe_group(mut descriptions: impl ExactSizeIterator<Item = String>) -> String {
+    let first = descriptions.next().unwrap_or_default();
+    match descriptions.len() {
         0 => first,
         1 => format!("{first} (and 1 configuration like it)"),
         more => format!("{first} (and {more} configurations like it)"),
@@ -188,19 +189,20 @@ fn order(configuration: &Configuration) -> Order {
 }
 
 /// Calculates the pace from the starts of the iterations and the duration of the process.
-fn pace(moments: &[f64], took: f64) -> Option<Pace> {
-    let intervals = moments.windows(2).map(|pair| pair[1] - pair[0]);
+fn pace(starts: &[f64], duration_s: f64) -> Option<Pace> {
+    let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
-    Some(Pace { iteration_s, beside_s: (took - iteration_s * moments.len() as f64).max(0.0) })
+    Some(Pace { iteration_s, overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0) })
 }
 
-/// Collects conditions that impair measurements, unless they are known already.
+/// Adds the conditions of a run's hosts that impair measurements, unless they are already in the list.
 fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
     let hosts = std::iter::once(&record.edge).chain(&record.cloud);
-    let found = hosts.flat_map(|host| &host.conditions).filter(|found| found.grade >= Grade::Doubtful);
-    for condition in found {
-        let same = |other: &Condition| (&other.host, &other.about) == (&condition.host, &condition.about);
-        if !conditions.iter().any(same) {
+    let impairing =
+        hosts.flat_map(|host| &host.conditions).filter(|condition| condition.grade >= Grade::Doubtful);
+    for condition in impairing {
+        let is_same = |other: &Condition| (&other.host, &other.about) == (&condition.host, &condition.about);
+        if !conditions.iter().any(is_same) {
             conditions.push(condition.clone());
         }
     }
@@ -237,27 +239,27 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
     #[test]
     fn configurations_with_equal_trials_share_one() {
         let folder = tempfile::tempdir().expect("a folder");
-        let whole = plan(folder.path(), FILE);
-        let places = |wanted: &[usize]| -> Vec<Vec<usize>> {
-            let trials = trials(&whole, &wanted.iter().copied().collect());
+        let plan_with_axes = plan(folder.path(), FILE);
+        let trial_groups = |indexes: &[usize]| -> Vec<Vec<usize>> {
+            let trials = trials(&plan_with_axes, &indexes.iter().copied().collect());
             trials.into_iter().map(|trial| trial.configurations).collect()
         };
-        assert_eq!(places(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
-        assert_eq!(places(&[2, 3, 5]), [vec![2], vec![3, 5]]);
+        assert_eq!(trial_groups(&[0, 1, 2, 3, 4, 5]), [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(trial_groups(&[2, 3, 5]), [vec![2], vec![3, 5]]);
         let described = |indices: &[usize]| {
-            describe_group(indices.iter().map(|index| describe_configuration(&whole, *index)))
+            describe_group(indices.iter().map(|index| describe_configuration(&plan_with_axes, *index)))
         };
         assert_eq!(described(&[2]), "Length = 1, Rate = 9");
         assert_eq!(described(&[3, 5]), "Length = 2, Rate = closed (and 1 configuration like it)");
         assert_eq!(described(&[0, 1, 2]), "Length = 1, Rate = closed (and 2 configurations like it)");
-        let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("what is before the axes"));
+        let single = plan(folder.path(), FILE.split("[[axis]]").next().expect("the text before the axes"));
         assert_eq!(describe_configuration(&single, 0), "e");
     }
 
     #[test]
     fn pace_ignores_first_iteration() {
         let pace = pace(&[10.0, 12.0, 12.5], 4.0).expect("three iterations");
-        assert_eq!(pace, Pace { iteration_s: 0.5, beside_s: 2.5 });
+        assert_eq!(pace, Pace { iteration_s: 0.5, overhead_s: 2.5 });
         assert_eq!(super::pace(&[10.0], 1.0), None);
     }
 }

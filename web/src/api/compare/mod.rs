@@ -83,6 +83,6 @@ async fn experiments(
     Parameters(query): Parameters<ExperimentsQuery>,
 ) -> Result<Json<ExperimentList>, WebError> {
     let limit = parse_bounded("limit", query.limit.as_deref(), 50, 1..=1_000)?;
-    let found = app.store().experiments(limit).await?;
-    Ok(Json(ExperimentList { experiments: found.iter().map(Experiment::from).collect() }))
+    let summaries = app.store().experiments(limit).await?;
+    Ok(Json(ExperimentList { experiments: summaries.iter().map(Experiment::from).collect() }))
 }

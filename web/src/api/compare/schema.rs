@@ -47,7 +47,7 @@ pub(crate) struct Comparison {
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
     pub configurations: Vec<Configuration>,
-    /// Further settings in which the configurations differ, and settings that the experiment declares equally for all configurations.
+    /// Further settings in which the configurations differ, and settings that the experiment declares with one value for all configurations.
     pub settings: Vec<Setting>,
     /// Letter of the configuration with the lowest mean of `total`; null if there is nothing to compare. Configurations with an echo
     /// model are excluded if others run a real model.
@@ -147,16 +147,17 @@ impl Comparison {
             miss_rate: one.misses().and_then(Misses::rate),
             stages: one.stages.iter().map(stage).collect(),
         };
-        let left_out = |one: &compare::ExcludedRun| LeftOut { run: one.run, why: one.why.clone() };
+        let left_out =
+            |excluded: &compare::ExcludedRun| LeftOut { run: excluded.run, why: excluded.why.clone() };
         let differences_to_baseline = differences.others.iter().flat_map(|(index, stages)| {
             let with_interval = |stage: &compare::StageDifference| {
-                let found = stage.found?;
+                let mean_difference = stage.mean_difference?;
                 Some(Difference {
                     configuration: configuration_letter(*index),
                     name: stage.name.to_string(),
-                    value: found.value,
-                    interval: found.interval?.into(),
-                    certain: found.is_distinct()?,
+                    value: mean_difference.value,
+                    interval: mean_difference.interval?.into(),
+                    certain: mean_difference.is_distinct()?,
                 })
             };
             stages.iter().filter_map(with_interval).collect::<Vec<_>>()

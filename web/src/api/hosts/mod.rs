@@ -43,9 +43,8 @@ async fn get(
     host: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Host>, WebError> {
     let name = path(host)?;
-    let found = all_hosts(&app).await?.into_iter().find(|host| host.name == name || host.id == name);
-    found
-        .map(Json)
+    let host = all_hosts(&app).await?.into_iter().find(|host| host.name == name || host.id == name);
+    host.map(Json)
         .ok_or_else(|| WebError::NotFound(format!("no host {name} has ever reported to this aggregator")))
 }
 

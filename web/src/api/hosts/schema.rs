@@ -246,10 +246,10 @@ impl From<&HostSnapshot> for Host {
             now: Some(HostNow {
                 clock_ahead_s: host.clock_ahead.seconds(),
                 behind_s: host.behind.map(Span::seconds),
-                catching_up: host.catching_up.map(|found| CatchingUp {
-                    rate: found.rate,
-                    events_per_second: found.events_per_second,
-                    left_s: found.remaining.seconds(),
+                catching_up: host.catching_up.map(|progress| CatchingUp {
+                    rate: progress.rate,
+                    events_per_second: progress.events_per_second,
+                    left_s: progress.remaining.seconds(),
                 }),
                 cpu,
                 memory_used_bytes,

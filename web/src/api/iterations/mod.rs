@@ -95,10 +95,10 @@ async fn get(
     numbers: Result<Path<(i64, u64)>, PathRejection>,
 ) -> Result<Json<Iteration>, WebError> {
     let (run, number) = path(numbers)?;
-    let known = app.store().run(run).await?.ok_or_else(|| WebError::no_run(run))?;
-    reject_deleted(&known.summary, number, app.aggregator.retention())?;
-    let found = app.store().iteration(run, number).await?;
-    let found =
-        found.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;
-    Ok(Json(Iteration::try_from(&found)?))
+    let detail = app.store().run(run).await?.ok_or_else(|| WebError::no_run(run))?;
+    reject_deleted(&detail.summary, number, app.aggregator.retention())?;
+    let iteration = app.store().iteration(run, number).await?;
+    let iteration =
+        iteration.ok_or_else(|| WebError::NotFound(format!("run {run} has no stored iteration {number}")))?;
+    Ok(Json(Iteration::try_from(&iteration)?))
 }

@@ -81,11 +81,11 @@ impl StageDelay {
     /// Returns the iteration's delay of a stage. `None` if the stage occurs several times: its value is then the sum of several delays,
     /// and no single delay describes the accuracy of the sum.
     pub(crate) fn find(row: &store::IterationRow, stage: &Name) -> Option<Self> {
-        let mut same = row.delays.iter().filter(|delay| delay.stage == *stage);
-        let delay = same.next().filter(|_| same.next().is_none())?;
+        let mut delays_of_stage = row.delays.iter().filter(|delay| delay.stage == *stage);
+        let delay = delays_of_stage.next().filter(|_| delays_of_stage.next().is_none())?;
         Some(Self {
             raw_s: delay.raw,
-            // A bound is negative only for the difference of two receivers of an observed system.
+            // Bounds are negative only for the difference between two receivers of one message in an observed system.
             lo_s: delay.bounds.map(|(lo, _)| lo),
             hi_s: delay.bounds.map(|(_, hi)| hi),
             source: delay.source.name(),
@@ -104,9 +104,9 @@ impl StageTime {
     fn all(row: &store::IterationRow) -> Vec<Self> {
         let stage_time = |stage: Name| {
             let seconds = row.stages.iter().find(|(name, _)| *name == stage).map(|(_, seconds)| *seconds);
-            let judged = row.delays.iter().any(|delay| delay.stage == stage);
+            let has_delay = row.delays.iter().any(|delay| delay.stage == stage);
             let delay = StageDelay::find(row, &stage);
-            (seconds.is_some() || judged).then(|| Self { name: stage.to_string(), seconds, delay })
+            (seconds.is_some() || has_delay).then(|| Self { name: stage.to_string(), seconds, delay })
         };
         stage::ORDER.into_iter().filter_map(stage_time).collect()
     }

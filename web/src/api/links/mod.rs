@@ -47,9 +47,9 @@ async fn get(
     State(app): State<App>,
     link: Result<Path<String>, PathRejection>,
 ) -> Result<Json<Link>, WebError> {
-    let wanted = canonical(path(link)?);
-    let found = all_links(&app).await?.into_iter().find(|link| link.name == wanted);
-    found.map(Json).ok_or_else(|| no_link(&wanted))
+    let link_name = canonical(path(link)?);
+    let link = all_links(&app).await?.into_iter().find(|link| link.name == link_name);
+    link.map(Json).ok_or_else(|| no_link(&link_name))
 }
 
 /// Query parameters of the clock relation over time.
@@ -81,9 +81,9 @@ async fn clock(
     link: Result<Path<String>, PathRejection>,
     Parameters(query): Parameters<ClockQuery>,
 ) -> Result<Json<LinkSeries>, WebError> {
-    let wanted = canonical(path(link)?);
+    let link_name = canonical(path(link)?);
     let points = parse_bounded("points", query.points.as_deref(), 600, 1..=2_000)?;
-    let (key, end) = find_key(&app, &wanted).await?;
+    let (key, end) = find_key(&app, &link_name).await?;
     let to = query.to.as_deref().map(|text| parse_time("to", text)).transpose()?.unwrap_or(end);
     let from = query.from.as_deref().map(|text| parse_time("from", text)).transpose()?;
     let from = from.unwrap_or(to - Span::from_seconds(600));
@@ -96,14 +96,14 @@ async fn clock(
 }
 
 /// Returns the key of a link and the time of its newest sample.
-async fn find_key(app: &AppState, wanted: &str) -> Result<(LinkKey, WallTime), WebError> {
-    if let Some(link) = find(&app.live_state(), wanted) {
+async fn find_key(app: &AppState, link_name: &str) -> Result<(LinkKey, WallTime), WebError> {
+    if let Some(link) = find(&app.live_state(), link_name) {
         let subject = Subject::live(link);
         return Ok((subject.key, subject.end));
     }
     let rows = app.store().links().await?;
-    let found = rows.iter().map(Subject::past).find(|link| link.name() == wanted);
-    found.map(|link| (link.key, link.end)).ok_or_else(|| no_link(wanted))
+    let past_link = rows.iter().map(Subject::past).find(|link| link.name() == link_name);
+    past_link.map(|link| (link.key, link.end)).ok_or_else(|| no_link(link_name))
 }
 
 /// Returns the live links, and the stored links that are not live.

@@ -78,7 +78,8 @@ const MAX_BYTES_PER_SECOND: usize = 512 << 10;
 const MAX_TOPICS: usize = 16;
 /// Maximum number of seconds of each pipeline that are sent to a listener that reconnects.
 const MAX_HISTORY_SECONDS: usize = 600;
-/// Maximum number of seconds of all pipelines together in one event. Beyond it, a listener must request each pipeline separately.
+/// Maximum number of seconds of all pipelines together in one event. If the missed seconds exceed it, a listener receives only the
+/// latest [`PipelineList::SECONDS`] of each pipeline, and must request the rest pipeline by pipeline.
 const MAX_CATCH_UP_SECONDS: usize = 10_000;
 /// Time between two heartbeats while nothing changes.
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
@@ -115,10 +116,10 @@ impl Topic {
             return Ok(Self::LiveState);
         }
         pages::topic(text).map(Self::Page).ok_or_else(|| {
-            let known: Vec<&str> = [Self::LIVE_STATE].into_iter().chain(pages::topic_forms()).collect();
+            let names: Vec<&str> = [Self::LIVE_STATE].into_iter().chain(pages::topic_forms()).collect();
             WebError::BadRequest(format!(
                 "query parameter topics: {text:?} is not a topic; use one of {}",
-                known.join(", ")
+                names.join(", ")
             ))
         })
     }
@@ -162,18 +163,18 @@ fn event_time(id: &str) -> Result<WallTime, WebError> {
 
 /// Returns the number of latest seconds of each pipeline to send to a listener that has received everything up to `received_until`.
 fn missed_seconds(received_until: WallTime, snapshot: &LiveState) -> usize {
-    let missed = (snapshot.at - received_until).seconds().ceil();
+    let missed_s = (snapshot.at - received_until).seconds().ceil();
     // An id from the future was made by another clock, so nothing is known about the missed time.
-    let missed = if (0.0..MAX_HISTORY_SECONDS as f64).contains(&missed) {
-        missed as usize
+    let missed = if (0.0..MAX_HISTORY_SECONDS as f64).contains(&missed_s) {
+        missed_s as usize
     } else {
         MAX_HISTORY_SECONDS
     };
-    let wanted = missed + PipelineList::SECONDS;
-    if wanted * snapshot.pipelines.len() > MAX_CATCH_UP_SECONDS {
+    let requested = missed + PipelineList::SECONDS;
+    if requested * snapshot.pipelines.len() > MAX_CATCH_UP_SECONDS {
         PipelineList::SECONDS
     } else {
-        wanted.min(MAX_HISTORY_SECONDS)
+        requested.min(MAX_HISTORY_SECONDS)
     }
 }
 
@@ -200,11 +201,12 @@ struct Listener {
     topics: Vec<Topic>,
     live_states: watch::Receiver<Arc<LiveState>>,
     ready: watch::Receiver<Readiness>,
-    next: Instant,
+    /// Earliest time of the next events.
+    next_send: Instant,
     /// Time up to which the listener received an earlier stream; `None` after the first events.
     received_until: Option<WallTime>,
     /// Hash of the HTML last sent, by index of the topic and part of its page.
-    sent: HashMap<(usize, &'static str), u64>,
+    sent_hashes: HashMap<(usize, &'static str), u64>,
     /// Slot of the stream; released when the stream ends.
     _slot: Option<Slot>,
 }
@@ -220,11 +222,19 @@ fn events(
     live_states.mark_changed();
     let stop = app.stop.clone();
     let ready = app.aggregator.readiness();
-    let sent = HashMap::new();
-    let listener =
-        Listener { app, topics, live_states, ready, next: Instant::now(), received_until, sent, _slot: slot };
+    let sent_hashes = HashMap::new();
+    let listener = Listener {
+        app,
+        topics,
+        live_states,
+        ready,
+        next_send: Instant::now(),
+        received_until,
+        sent_hashes,
+        _slot: slot,
+    };
     let batches = stream::unfold(listener, |mut listener| async move {
-        tokio::time::sleep_until(listener.next).await;
+        tokio::time::sleep_until(listener.next_send).await;
         tokio::select! {
             changed = listener.live_states.changed() => changed.ok()?,
             changed = listener.ready.changed() => changed.ok()?,
@@ -232,7 +242,7 @@ fn events(
         let now = Instant::now();
         let snapshot = Arc::clone(&listener.live_states.borrow_and_update());
         let (events, bytes) = listener.events(&snapshot).await;
-        listener.next = now + interval_after(bytes);
+        listener.next_send = now + interval_after(bytes);
         Some((stream::iter(events.into_iter().map(Ok)), listener))
     });
     batches.flatten().take_until(stop.cancelled_owned())
@@ -265,10 +275,10 @@ impl Listener {
             };
             match page.update(&self.app, snapshot).await {
                 Ok(mut update) => {
-                    // A chart changes once a second, figures up to four times: unchanged parts are not sent again.
+                    // A chart changes once a second, and figures change up to four times a second. Unchanged parts are not sent again.
                     update.parts.retain(|(id, html)| {
                         let hash = hash(html);
-                        self.sent.insert((index, *id), hash) != Some(hash)
+                        self.sent_hashes.insert((index, *id), hash) != Some(hash)
                     });
                     texts.push(("page", serde_json::to_string(&update)));
                 }
@@ -328,9 +338,9 @@ mod tests {
 
     #[test]
     fn repeated_topic_is_sent_once() {
-        let often = ["picture", "overview"].repeat(5_000).join(",");
+        let repeated_topics = ["picture", "overview"].repeat(5_000).join(",");
         let overview = pages::topic("overview").map(Topic::Page).expect("a page's topic");
-        assert_eq!(parse_topics(&often).expect("known"), [Topic::LiveState, overview]);
+        assert_eq!(parse_topics(&repeated_topics).expect("known"), [Topic::LiveState, overview]);
         assert_eq!(parse_topics("").expect("none"), []);
         let hosts: Vec<String> = (0..=MAX_TOPICS).map(|index| format!("host/{index}")).collect();
         assert!(parse_topics(&hosts[1..].join(",")).is_ok());

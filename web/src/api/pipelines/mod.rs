@@ -47,8 +47,8 @@ struct PipelineSelection {
 impl PipelineSelection {
     fn from_query(query: &Query) -> Result<Self, WebError> {
         let window = |text: &String| {
-            let known = WINDOWS.contains(&text.as_str()).then(|| text.parse().ok()).flatten();
-            known.ok_or_else(|| {
+            let seconds = WINDOWS.contains(&text.as_str()).then(|| text.parse().ok()).flatten();
+            seconds.ok_or_else(|| {
                 WebError::BadRequest(format!("query parameter window: {text:?} is not one of 1, 10 and 60"))
             })
         };
@@ -60,19 +60,19 @@ impl PipelineSelection {
     fn apply(&self, snapshot: &PipelineSnapshot, seconds: usize) -> Pipeline {
         let seconds = self.window.map_or(seconds, |window| seconds.min(window as usize));
         let mut pipeline = Pipeline::new(snapshot, seconds);
-        pipeline.windows.retain(|window| self.window.is_none_or(|wanted| window.seconds == wanted));
+        pipeline.windows.retain(|window| self.window.is_none_or(|seconds| window.seconds == seconds));
         let Some(names) = &self.names else { return pipeline };
-        let wanted = |name: &str| names.iter().any(|known| known == name);
+        let is_selected = |name: &str| names.iter().any(|selected| selected == name);
         for window in &mut pipeline.windows {
-            window.values.retain(|value| wanted(&value.name));
-            window.bounds.retain(|bound| wanted(&bound.stage));
-            window.transfers.upload.take_if(|_| !wanted("upload"));
-            window.transfers.download.take_if(|_| !wanted("download"));
+            window.values.retain(|value| is_selected(&value.name));
+            window.bounds.retain(|bound| is_selected(&bound.stage));
+            window.transfers.upload.take_if(|_| !is_selected("upload"));
+            window.transfers.download.take_if(|_| !is_selected("download"));
         }
         for second in &mut pipeline.seconds {
-            second.means.retain(|name, _| wanted(name));
-            second.transfers.upload.take_if(|_| !wanted("upload"));
-            second.transfers.download.take_if(|_| !wanted("download"));
+            second.means.retain(|name, _| is_selected(name));
+            second.transfers.upload.take_if(|_| !is_selected("upload"));
+            second.transfers.download.take_if(|_| !is_selected("download"));
         }
         pipeline
     }
@@ -88,8 +88,8 @@ async fn list(
     Parameters(query): Parameters<Query>,
 ) -> Result<Json<PipelineList>, WebError> {
     let selection = PipelineSelection::from_query(&query)?;
-    let selected = |one: &PipelineSnapshot| selection.apply(one, PipelineList::SECONDS);
-    Ok(Json(PipelineList::of(&app.live_state(), selected)))
+    let select = |one: &PipelineSnapshot| selection.apply(one, PipelineList::SECONDS);
+    Ok(Json(PipelineList::of(&app.live_state(), select)))
 }
 
 /// One pipeline with its last 600 seconds.
@@ -111,9 +111,9 @@ async fn get(
 ) -> Result<Json<Pipeline>, WebError> {
     let ((host, name), selection) = (path(names)?, PipelineSelection::from_query(&query)?);
     let snapshot = app.live_state();
-    let found =
+    let pipeline =
         snapshot.pipelines.iter().find(|one| one.host_name.as_str() == host && one.pipeline.as_str() == name);
-    found
+    pipeline
         .map(|one| Json(selection.apply(one, MAX_SECONDS)))
         .ok_or_else(|| WebError::NotFound(format!("host {host} has not reported a pipeline {name}")))
 }

@@ -58,20 +58,20 @@ async fn list(
     let host = match query.host {
         None => None,
         Some(name) => {
-            let known = app.store().hosts().await?;
-            let found = known.iter().find(|host| host.name.as_str() == name || host.id.to_string() == name);
-            let found = found.ok_or_else(|| {
+            let hosts = app.store().hosts().await?;
+            let host = hosts.iter().find(|host| host.name.as_str() == name || host.id.to_string() == name);
+            let host = host.ok_or_else(|| {
                 WebError::BadRequest(format!(
                     "query parameter host: no host {name} has ever reported to this aggregator"
                 ))
             })?;
-            Some(found.id)
+            Some(host.id)
         }
     };
     let filter = RunFilter { pipeline, host, limit, before: query.before };
-    let found = app.store().runs(&filter).await?;
-    let next = found.last().filter(|_| found.len() == limit as usize).map(|run| run.number);
-    Ok(Json(RunList { runs: found.iter().map(Run::from).collect(), next }))
+    let runs = app.store().runs(&filter).await?;
+    let next = runs.last().filter(|_| runs.len() == limit as usize).map(|run| run.number);
+    Ok(Json(RunList { runs: runs.iter().map(Run::from).collect(), next }))
 }
 
 /// A run with its configuration and gaps.

@@ -183,7 +183,7 @@ impl From<&LiveSecond> for Second {
 }
 
 impl Pipeline {
-    /// Returns a pipeline with its last `seconds`.
+    /// Converts a pipeline, with its last `seconds` seconds.
     pub(crate) fn new(snapshot: &PipelineSnapshot, seconds: usize) -> Self {
         let windows = snapshot.windows.iter().map(|window| Window {
             seconds: window.seconds,

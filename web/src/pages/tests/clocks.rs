@@ -7,10 +7,10 @@ use super::{check, overview_of};
 use crate::tests::samples::{self, host, snapshot};
 
 pub(super) fn linked(half: Option<f64>, verdict: Verdict) -> peernet_aggregator::LiveState {
-    let mut shown =
+    let mut live_state =
         snapshot(vec![host("cam-1", "Orin")], vec![samples::pipeline("line", 30.0, 1.0, verdict, &[])]);
-    shown.links.push(std::sync::Arc::new(samples::link(half, &[])));
-    shown
+    live_state.links.push(std::sync::Arc::new(samples::link(half, &[])));
+    live_state
 }
 
 #[tokio::test]
@@ -43,9 +43,9 @@ async fn link_page_renders_for_each_verdict_and_range() {
 #[tokio::test]
 async fn links_over_two_networks_have_distinct_names() {
     let (app, _folder) = samples::app().await;
-    let mut shown = linked(Some(0.00065), Verdict::Ok);
-    shown.links.push(std::sync::Arc::new(samples::link_over_udp(Some(0.00065))));
-    let list = links::update(&app, &shown).expect("renders");
+    let mut live_state = linked(Some(0.00065), Verdict::Ok);
+    live_state.links.push(std::sync::Arc::new(samples::link_over_udp(Some(0.00065))));
+    let list = links::update(&app, &live_state).expect("renders");
     for (href, name) in [("cam-1~rack-a\"", "cam-1 → rack-a<"), ("cam-1~rack-a~zmq-udp\"", "over zmq-udp<")]
     {
         let list = &list.parts[1].1;
@@ -56,16 +56,16 @@ async fn links_over_two_networks_have_distinct_names() {
         ("cam-1~rack-a~zmq-tcp/10min/removed", "<span>zmq-tcp</span>"),
         ("cam-1~rack-a~zmq-udp/10min/removed", "<span>zmq-udp</span>"),
     ] {
-        let update = link::update(&app, &shown, topic).await.expect("renders");
+        let update = link::update(&app, &live_state, topic).await.expect("renders");
         assert!(update.parts[0].1.contains(network), "{topic}: {}", update.parts[0].1);
     }
-    assert!(link::update(&app, &shown, "cam-1~rack-a~ros/10min/removed").await.is_err());
+    assert!(link::update(&app, &live_state, "cam-1~rack-a~ros/10min/removed").await.is_err());
 }
 
 #[tokio::test]
 async fn link_without_live_host_has_a_page() {
     use crate::view::link::Subject;
-    use crate::view::link::course::Course;
+    use crate::view::link::time_series::LinkTimeSeries;
     let (app, _folder) = samples::app().await;
     let row = peernet_store::LinkRow {
         edge: peernet_logger::HostId::from_bytes([7; 16]),
@@ -79,9 +79,11 @@ async fn link_without_live_host_has_a_page() {
     for points in [Vec::new(), vec![samples::clock_point(samples::NOW, 1, Some(0.00065))]] {
         let subject = Subject::past(&row);
         let from = samples::NOW - Span::from_seconds(600);
-        let course = Course::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
-        let shown = snapshot(Vec::new(), Vec::new());
-        let page = link::link_page(&app, &shown, &subject, &course, None, link::Query::default(), &[]);
+        let time_series =
+            LinkTimeSeries::stored(peernet_store::ClockSeries { bucket_s: 1, points }, from, samples::NOW);
+        let live_state = snapshot(Vec::new(), Vec::new());
+        let page =
+            link::link_page(&app, &live_state, &subject, &time_series, None, link::Query::default(), &[]);
         let html = askama::Template::render(&page).expect("renders");
         check(&html);
         assert!(html.contains("cam-1 last reported this link on 19 Nov 2026, 12:01:07"), "{html}");
@@ -92,9 +94,9 @@ async fn link_without_live_host_has_a_page() {
 #[tokio::test]
 async fn link_with_one_clock_explains_exact_delays() {
     let (app, _folder) = samples::app().await;
-    let mut shown = linked(Some(0.0), Verdict::Ok);
-    std::sync::Arc::make_mut(&mut shown.links[0]).live.same_clock = true;
-    let update = link::update(&app, &shown, "cam-1~rack-a/10min/removed").await.expect("renders");
+    let mut live_state = linked(Some(0.0), Verdict::Ok);
+    std::sync::Arc::make_mut(&mut live_state.links[0]).live.same_clock = true;
+    let update = link::update(&app, &live_state, "cam-1~rack-a/10min/removed").await.expect("renders");
     let html: String = update.parts.iter().map(|(_, html)| html.as_str()).collect();
     check(&html);
     assert!(

@@ -321,11 +321,11 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
     let html = asked_for(&two, "upload-throughput").await.expect("there");
     assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
-    let mut untold = configuration(2, Remote, 1.0, 1e3);
+    let mut undetermined = configuration(2, Remote, 1.0, 1e3);
     let mut kept = MergeableStatistics::default();
-    kept.add(stage::TOTAL, "s", untold.known(&stage::TOTAL).expect("measured"));
+    kept.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
     kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
-    untold.kept = Arc::new(kept);
-    let html = asked_for(&[two[0].clone(), untold], "upload").await.expect("there");
+    undetermined.kept = Arc::new(kept);
+    let html = asked_for(&[two[0].clone(), undetermined], "upload").await.expect("there");
     assert!(panel(&html).contains("The clocks do not determine it for 1 run."), "{html}");
 }

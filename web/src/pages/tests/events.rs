@@ -5,16 +5,16 @@ use super::*;
 #[tokio::test]
 async fn event_counts_of_each_state_are_shown() {
     let (app, _folder) = samples::app().await;
-    let mut told = host("cam-1", "Orin");
-    told.accounting = samples::accounting();
-    told.behind = Some(Span::from_seconds(11_520));
-    told.catching_up = Some(peernet_aggregator::CatchingUp {
+    let mut reported = host("cam-1", "Orin");
+    reported.accounting = samples::accounting();
+    reported.behind = Some(Span::from_seconds(11_520));
+    reported.catching_up = Some(peernet_aggregator::CatchingUp {
         rate: 48.0,
         events_per_second: 20_100.0,
         remaining: Span::from_seconds(240),
     });
-    told.newest_stored = Some(samples::NOW);
-    told.arrivals = peernet_aggregator::Arrivals { deferred: 7, damaged: 2 };
+    reported.newest_stored = Some(samples::NOW);
+    reported.arrivals = peernet_aggregator::Arrivals { deferred: 7, damaged: 2 };
     let mut broken = host("cam-2", "Orin");
     broken.accounting = peernet_stream::Accounting {
         trouble: Some(HOSTILE.into()),
@@ -22,9 +22,9 @@ async fn event_counts_of_each_state_are_shown() {
         spool_bytes: 1 << 31,
         ..samples::accounting()
     };
-    let shown = snapshot(vec![told, broken, host("cam-3", "Orin")], Vec::new());
+    let live_state = snapshot(vec![reported, broken, host("cam-3", "Orin")], Vec::new());
     let part = |name: &str, wanted: &str| {
-        let update = host::update(&app, &shown, name).expect("renders");
+        let update = host::update(&app, &live_state, name).expect("renders");
         let (_, html) = update.parts.into_iter().find(|(id, _)| *id == wanted).expect("the part");
         check(&html);
         html
@@ -55,11 +55,11 @@ async fn event_counts_of_each_state_are_shown() {
     );
     let html = part("cam-3", "accounting");
     assert!(html.contains("not known yet") && html.contains("nothing waits"), "{html}");
-    let update = hosts::update(&app, &shown).expect("renders");
+    let update = hosts::update(&app, &live_state).expect("renders");
     let (_, html) = update.parts.iter().find(|(id, _)| *id == "events").expect("the part");
     check(html);
     assert!(html.contains("spool fails") && html.contains("11,520.0"), "{html}");
-    let html = overview_of(&shown, Vec::new()).await;
+    let html = overview_of(&live_state, Vec::new()).await;
     assert!(
         html.contains("cannot use its spool: ") && html.contains("behind measuring, about 4\u{202f}min left"),
         "{html}"

@@ -11,7 +11,7 @@ use super::super::compare::rendered;
 use super::check;
 use crate::pages::shell::Shell;
 use crate::tests::samples;
-use crate::view::compare::tests::{comparison, configuration, run_courses};
+use crate::view::compare::tests::{comparison, configuration, run_time_series};
 use crate::view::compare::{Configuration, RunMeans, over_time};
 
 async fn panel_of(configurations: Vec<Configuration>) -> Option<String> {
@@ -67,7 +67,7 @@ async fn of_very_many_runs_the_first_of_each_configuration_are_drawn() {
 async fn run_over_time_shows_sensing_without_total() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
-    let known = one.known(&stage::SENSING).expect("samples").clone();
+    let known = one.summary(&stage::SENSING).expect("samples").clone();
     let mut kept = MergeableStatistics::default();
     kept.add(stage::SENSING, "s", &known);
     one.kept = Arc::new(kept);
@@ -110,17 +110,17 @@ async fn short_run_shows_length_shorter_is_omitted() {
     one.runs[0].last_iteration = Some(samples::NOW + Span::from_millis(2_530));
     let known = comparison(vec![one]);
     let of_points = |count: usize| {
-        let mut courses = run_courses(&known);
-        for course in courses.values_mut() {
-            course.series.stages[0].points.truncate(count);
-            for (at, point) in course.series.stages[0].points.iter_mut().enumerate() {
+        let mut series_by_run = run_time_series(&known);
+        for time_series in series_by_run.values_mut() {
+            time_series.series.stages[0].points.truncate(count);
+            for (at, point) in time_series.series.stages[0].points.iter_mut().enumerate() {
                 point.at = samples::NOW + Span::from_seconds(at as i64) - Span::from_millis(150);
             }
-            course.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
+            time_series.episodes = Episodes { first: Some(samples::NOW), count: 1, ..Episodes::default() };
         }
-        over_time(&known, &courses)
+        over_time(&known, &series_by_run)
     };
     let short = of_points(3).expect("three points");
-    assert_eq!(short.runs[0].said, "points of 1\u{202f}s, 2.5\u{202f}s from first to last start");
+    assert_eq!(short.runs[0].caption, "points of 1\u{202f}s, 2.5\u{202f}s from first to last start");
     assert!(of_points(2).is_none(), "two points say nothing about time");
 }

@@ -30,12 +30,12 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
             let OutcomeCounts { ok, failed, lost, timeout } = counts;
             (answered + ok, all + ok + failed + lost + timeout)
         });
-        let without = all - answered;
-        (without > 0).then(|| {
+        let without_answer = all - answered;
+        (without_answer > 0).then(|| {
             format!(
                 "{}: {} of {} iterations have no answer; the figures are those of the others.",
                 one.name,
-                count(without),
+                count(without_answer),
                 count(all)
             )
         })
@@ -45,12 +45,12 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
 
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
 pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
-    let of = comparison.configurations.iter().filter_map(|one| {
+    let sentences = comparison.configurations.iter().filter_map(|one| {
         let unknown = UnknownLabels::new(one.figures(UNKNOWN_LABEL)?.count, &[])?;
         let all = one.runs.iter().map(|run| run.counts.ok).sum();
         Some(format!("{}. {}", one.name, unknown.sentence(all)))
     });
-    of.collect()
+    sentences.collect()
 }
 
 /// Returns the commands that download the runs from this dashboard and compare them by all their iterations. `host` is the address by
@@ -113,10 +113,10 @@ mod tests {
     fn selected_run_without_end_is_a_caveat() {
         let mut one = configuration(0, Local, 1.0, 1e3);
         one.runs[0].reason = None;
-        let said = caveats(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
+        let sentences = caveats(&comparison(vec![one, configuration(1, Local, 2.0, 1e3)]));
         let text =
             "Not measured to the end, but compared because you selected them: #1 (in progress or killed).";
-        assert_eq!(said, [text]);
+        assert_eq!(sentences, [text]);
     }
 
     #[test]
@@ -125,8 +125,8 @@ mod tests {
         let mut unknown = one.stages[0].clone();
         (unknown.stage, unknown.figures.mean, unknown.figures.count) = (Name::from(UNKNOWN_LABEL), 1.0, 12);
         one.stages.push(unknown);
-        let told = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
+        let sentences = unknown_labels(&comparison(vec![configuration(0, Local, 1.0, 1e3), one]));
         let text = "B. Not scored: 12 of 300 iterations, because the label is not a class of the model.";
-        assert_eq!(told, [text]);
+        assert_eq!(sentences, [text]);
     }
 }

@@ -12,21 +12,21 @@ const MAX_DRAWN_RUNS: usize = 24;
 const MAX_NAMED_RUNS: usize = 8;
 
 /// A run with its configuration and its data to draw.
-pub(super) type Chosen<'a, T> = (&'a Configuration, &'a RunSummary, T);
+pub(super) type ChosenRun<'a, T> = (&'a Configuration, &'a RunSummary, T);
 
 /// Chooses runs that have data: the first of each configuration, then the second of each, and so on, up to the maximum.
 ///
 /// Returns them in the order of the configurations. If not all runs with data were chosen, also returns their number.
-pub(super) fn chosen<'a, T>(
+pub(super) fn choose_runs<'a, T>(
     comparison: &'a Comparison,
     data_of: impl Fn(&'a RunSummary) -> Option<T>,
-) -> (Vec<Chosen<'a, T>>, Option<usize>) {
+) -> (Vec<ChosenRun<'a, T>>, Option<usize>) {
     let data_of = &data_of;
     let all = comparison.configurations.iter().enumerate().flat_map(|(index, one)| {
         let with_data = one.runs.iter().filter_map(move |run| Some((one, run, data_of(run)?)));
         with_data.enumerate().map(move |(repeat, run)| (repeat, index, run))
     });
-    let mut all: Vec<(usize, usize, Chosen<'a, T>)> = all.collect();
+    let mut all: Vec<(usize, usize, ChosenRun<'a, T>)> = all.collect();
     let with_data = all.len();
     all.sort_by_key(|(repeat, index, _)| (*repeat, *index));
     all.truncate(MAX_DRAWN_RUNS);
@@ -37,11 +37,12 @@ pub(super) fn chosen<'a, T>(
 /// Returns a sentence about the runs that cannot be drawn because none of their iterations was answered; `None` if there are no such runs.
 pub(super) fn without_answer(comparison: &Comparison) -> Option<String> {
     let runs: Vec<&RunSummary> = comparison.runs().filter(|run| run.counts.ok == 0).collect();
-    let named: Vec<String> = runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();
+    let numbers: Vec<String> =
+        runs.iter().take(MAX_NAMED_RUNS).map(|run| format!("#{}", run.number)).collect();
     let more = match runs.len().saturating_sub(MAX_NAMED_RUNS) {
         0 => String::new(),
         more => format!(" and {} more", count(more as u64)),
     };
     (!runs.is_empty())
-        .then(|| format!("No answered iteration after the warm-up: {}{more}.", named.join(", ")))
+        .then(|| format!("No answered iteration after the warm-up: {}{more}.", numbers.join(", ")))
 }

@@ -41,24 +41,24 @@ pub(crate) struct Differences {
     pub baseline: usize,
     /// Index of each other configuration with its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
-    /// Ranking by mean total. Configurations with an echo model are only ranked if there are no others.
+    /// Ranking by mean total. Configurations with an echo model are ranked only if all configurations have an echo model.
     pub ranking: Option<Ranking>,
 }
 
-/// A stage of two configurations. Seconds.
+/// Difference of one stage between the baseline and another configuration, seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StageDifference {
     pub name: Name,
     /// Mean of the baseline and of the other configuration; `None` if unknown.
     pub means: (Option<f64>, Option<f64>),
     /// Other configuration minus baseline; `None` unless both means are known.
-    pub found: Option<Difference>,
+    pub mean_difference: Option<Difference>,
 }
 
 impl StageDifference {
     /// Returns whether the difference is significant; `None` if that cannot be determined.
     pub(crate) fn is_distinct(&self) -> Option<bool> {
-        self.found.and_then(|found| found.is_distinct())
+        self.mean_difference.and_then(|mean_difference| mean_difference.is_distinct())
     }
 }
 
@@ -74,24 +74,26 @@ impl Differences {
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
-        let stages = |place: usize| {
-            let mean = |place: usize, name: &Name| all[place].figures(name).map(|figures| figures.mean);
-            let stage = |(at, name): (usize, &Name)| {
-                let means = (mean(baseline, name), mean(place, name));
+        let stages = |index: usize| {
+            let mean = |index: usize, name: &Name| all[index].figures(name).map(|figures| figures.mean);
+            let stage = |(stage_index, name): (usize, &Name)| {
+                let means = (mean(baseline, name), mean(index, name));
                 (means != (None, None)).then_some(())?;
-                let estimates = estimates[baseline][at].as_ref().zip(estimates[place][at].as_ref());
-                let found = estimates.map(|(first, second)| Difference::between_means(first, second));
-                Some(StageDifference { name: name.clone(), means, found })
+                let estimates =
+                    estimates[baseline][stage_index].as_ref().zip(estimates[index][stage_index].as_ref());
+                let mean_difference =
+                    estimates.map(|(first, second)| Difference::between_means(first, second));
+                Some(StageDifference { name: name.clone(), means, mean_difference })
             };
-            (place, names.iter().enumerate().filter_map(stage).collect())
+            (index, names.iter().enumerate().filter_map(stage).collect())
         };
-        let others = (0..all.len()).filter(|place| *place != baseline).map(stages).collect();
+        let others = (0..all.len()).filter(|index| *index != baseline).map(stages).collect();
         // A run without a model has no total, and is not ranked with pipelines.
-        let is_ranked = |place: &usize| {
-            let (one, some_compute) = (&all[*place], all.iter().any(|one| one.computes));
-            one.figures(&stage::TOTAL).is_some() && one.computes == some_compute
+        let is_ranked = |index: &usize| {
+            let (one, any_computes) = (&all[*index], all.iter().any(|one| one.computes));
+            one.figures(&stage::TOTAL).is_some() && one.computes == any_computes
         };
-        let ranked = (0..all.len()).filter(is_ranked).map(|place| (place, estimates[place][0].clone()));
+        let ranked = (0..all.len()).filter(is_ranked).map(|index| (index, estimates[index][0].clone()));
         Self { baseline, others, ranking: Ranking::from_means(&ranked.collect::<Vec<_>>()) }
     }
 

@@ -62,11 +62,11 @@ fn collect_columns(
     for (run, (axis, value)) in
         facts.iter().enumerate().flat_map(|(run, facts)| facts.iter().map(move |fact| (run, fact)))
     {
-        let at = columns.iter().position(|column| column.axis == *axis).unwrap_or_else(|| {
+        let index = columns.iter().position(|column| column.axis == *axis).unwrap_or_else(|| {
             columns.push(Column { axis: axis.clone(), labels: vec![NONE.to_owned(); runs.len()] });
             columns.len() - 1
         });
-        columns[at].labels[run].clone_from(value);
+        columns[index].labels[run].clone_from(value);
     }
     columns
 }
@@ -101,23 +101,23 @@ mod tests {
         let hashes =
             ["model.py 5f4dcc3b5aa765d61d8327deb882cf99", "model.py 098f6bcd4621d373cade4e832627b4f6"];
         let long = "numpy 1.24.2, ".repeat(12);
-        let of = |at: usize, load: &str, libraries: &str| {
+        let run = |at: usize, load: &str, libraries: &str| {
             let facts =
                 [("Load", load), ("Model files", hashes[at]), ("Model libraries", libraries), ("Same", "x")];
             detail(at as i64, &facts)
         };
-        let found = DifferingSettings::of_runs(&[of(0, "closed", &long), of(1, "20 Hz", "none")]);
-        assert_eq!(found.axes, ["Load"]);
-        assert_eq!(found.values, [["closed"], ["20 Hz"]]);
-        assert_eq!(found.long_settings, ["Model files", "Model libraries"]);
+        let settings = DifferingSettings::of_runs(&[run(0, "closed", &long), run(1, "20 Hz", "none")]);
+        assert_eq!(settings.axes, ["Load"]);
+        assert_eq!(settings.values, [["closed"], ["20 Hz"]]);
+        assert_eq!(settings.long_settings, ["Model files", "Model libraries"]);
     }
 
     #[test]
     fn fewest_distinguishing_columns_are_chosen() {
-        let of = |at, load: &str| detail(at, &[("Load", load), ("Threads", load), ("Sensor", "camera")]);
-        let found = DifferingSettings::of_runs(&[of(1, "closed"), of(2, "20 Hz")]);
-        assert_eq!(found.axes, ["Load"]);
+        let run = |at, load: &str| detail(at, &[("Load", load), ("Threads", load), ("Sensor", "camera")]);
+        let settings = DifferingSettings::of_runs(&[run(1, "closed"), run(2, "20 Hz")]);
+        assert_eq!(settings.axes, ["Load"]);
         let labels = ["closed", "20 Hz"].map(str::to_owned).to_vec();
-        assert_eq!(found.settings, [Column { axis: "Threads".to_owned(), labels }]);
+        assert_eq!(settings.settings, [Column { axis: "Threads".to_owned(), labels }]);
     }
 }

@@ -1,4 +1,5 @@
-//! Distributions of single runs, quantity by quantity, each quantity on one axis: the total and the six that the published program draws.
+//! Distributions of single runs. All runs of a quantity have the same axis. The quantities are the total and the six that the
+//! published program draws.
 
 use peernet_analysis::figure_files::HISTOGRAMS;
 use peernet_figures::drawing::BinnedAxis;
@@ -8,16 +9,16 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::number::count;
 
 use super::Comparison;
-use super::choice::{chosen, without_answer};
-use super::median::{CROSSING, Median};
+use super::choice::{choose_runs, without_answer};
+use super::median::{DELAY_OF_QUANTITY, Median};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::chip::Chip;
 use crate::view::counted;
 use crate::view::units::shown_in;
 
-/// Largest number of pictures with which all quantities are drawn together.
-const AT_ONCE: usize = 24;
+/// Maximum number of pictures. Up to this number the distributions of all quantities are drawn together.
+const MAX_PICTURES: usize = 24;
 
 /// Distributions that are drawn, and links to others.
 pub(crate) struct Distributions {
@@ -26,7 +27,7 @@ pub(crate) struct Distributions {
     pub choices: Vec<Choice>,
     /// Part of the address with the subject of the comparison.
     pub address: Address,
-    /// A sentence about runs without a single answer.
+    /// A sentence about runs without a successful iteration.
     pub missing: Option<String>,
 }
 
@@ -45,7 +46,8 @@ pub(crate) struct Group {
 pub(crate) struct RunHistogram {
     pub run: i64,
     pub name: String,
-    pub said: String,
+    pub caption: String,
+    /// Verdict on the clock bounds, if it needs attention.
     pub doubt: Option<Chip>,
     pub picture: Picture,
 }
@@ -83,7 +85,7 @@ struct Quantity {
 }
 
 impl Quantity {
-    /// Returns the quantities that every comparison offers, as far as they were measured.
+    /// Returns the quantities that every comparison offers, measured or not.
     fn usual() -> Vec<Self> {
         let total = (stage::TOTAL, "Total");
         let published = HISTOGRAMS.map(|(_, column, title)| (Name::from_static(column), title));
@@ -93,7 +95,7 @@ impl Quantity {
 
     /// Returns the number of runs that have this quantity.
     fn runs(&self, comparison: &Comparison) -> usize {
-        comparison.runs().filter(|run| comparison.known(run.number, &self.name).is_some()).count()
+        comparison.runs().filter(|run| comparison.summary(run.number, &self.name).is_some()).count()
     }
 
     fn choice(&self, is_shown: bool) -> Choice {
@@ -103,8 +105,8 @@ impl Quantity {
     fn group(&self, comparison: &Comparison) -> Option<Group> {
         let name = &self.name;
         let mut stages = comparison.configurations.iter().flat_map(|one| &one.stages);
-        let unit = &stages.find(|known| known.stage == *name)?.unit;
-        let (drawn, of) = chosen(comparison, |run| comparison.known(run.number, name));
+        let unit = &stages.find(|statistics| statistics.stage == *name)?.unit;
+        let (drawn, total) = choose_runs(comparison, |run| comparison.summary(run.number, name));
         let (symbol, per_si) = shown_in(unit);
         let samples = drawn.iter().map(|(.., samples)| *samples);
         let axis = BinnedAxis::around(samples, Unit::symbol(&symbol, per_si))?;
@@ -115,20 +117,20 @@ impl Quantity {
                 0 => String::new(),
                 beyond => format!(", {}\u{a0}beyond\u{a0}→", count(beyond)),
             };
-            let said = format!(
+            let caption = format!(
                 "{}, {}{beyond}",
                 counted(samples.count() as usize, "iteration", "iterations"),
-                median.said
+                median.text
             );
-            let label = format!("{} of run {}: {said}", self.title, run.number);
+            let label = format!("{} of run {}: {caption}", self.title, run.number);
             let name = one.name.clone();
             let items = axis.histogram(samples, &look, median.within);
             let picture =
                 Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
-            Some(RunHistogram { run: run.number, name, said, doubt: median.doubt, picture })
+            Some(RunHistogram { run: run.number, name, caption, doubt: median.doubt, picture })
         });
         let runs: Vec<RunHistogram> = runs.collect();
-        let room = of.map(|all| {
+        let selection_note = total.map(|all| {
             format!(
                 "{} of {all} runs: the first of each configuration, then the second, as far as there is room.",
                 runs.len()
@@ -137,62 +139,64 @@ impl Quantity {
         Some(Group {
             title: self.title.clone(),
             unit: axis.axis().page_title(),
-            missing: room.into_iter().chain(self.untold(comparison)).collect(),
+            missing: selection_note.into_iter().chain(self.undetermined_runs(comparison)).collect(),
             stage: (*name != stage::TOTAL).then(|| name.to_string()),
             runs,
         })
     }
 
     /// Returns a sentence about runs in which the clocks give no value of this quantity.
-    fn untold(&self, comparison: &Comparison) -> Option<String> {
-        let (_, delay) = CROSSING.iter().find(|(known, _)| *known == self.name)?;
+    fn undetermined_runs(&self, comparison: &Comparison) -> Option<String> {
+        let (_, delay) = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == self.name)?;
         let runs = comparison.runs().filter(|run| {
             let statistics = comparison.statistics_by_run.get(&run.number);
-            let judged = statistics.is_some_and(|statistics| statistics.bound(delay).is_some());
-            judged && comparison.known(run.number, &self.name).is_none()
+            let has_delays = statistics.is_some_and(|statistics| statistics.bound(delay).is_some());
+            has_delays && comparison.summary(run.number, &self.name).is_none()
         });
         let runs = runs.count();
         (runs > 0).then(|| format!("The clocks do not determine it for {}.", counted(runs, "run", "runs")))
     }
 }
 
-/// Returns the distributions of the selected quantity; without a selection of all quantities where there is room, else of the total.
-/// `None` where nothing was measured.
+/// Returns the distributions of the selected quantity. Without a selection, returns those of all quantities if they are at most
+/// [`MAX_PICTURES`], else those of the first measured quantity. `None` if nothing was measured and nothing is selected.
 ///
 /// # Errors
 /// Returns an error when the quantity is not a usual one and no run has it.
 pub(crate) fn distributions(
     comparison: &Comparison,
-    asked: Option<&str>,
+    selected: Option<&str>,
 ) -> Result<Option<Distributions>, WebError> {
     let mut offered = Quantity::usual();
-    if let Some(name) = asked.filter(|name| offered.iter().all(|known| known.name != **name)) {
+    if let Some(name) = selected.filter(|name| offered.iter().all(|quantity| quantity.name != **name)) {
         offered.push(Quantity { name: Name::from(name), title: name.to_owned() });
-        if offered.last().is_some_and(|other| other.runs(comparison) == 0) {
-            let usual: Vec<String> = Quantity::usual().iter().map(|known| known.name.to_string()).collect();
+        if offered.last().is_some_and(|quantity| quantity.runs(comparison) == 0) {
+            let usual: Vec<String> =
+                Quantity::usual().iter().map(|quantity| quantity.name.to_string()).collect();
             let usual = usual.join(", ");
             return Err(WebError::BadRequest(format!(
                 "query parameter stage: no run that is compared has {name:?}; ask for one of its stages, such as {usual}"
             )));
         }
     }
-    offered.retain(|known| known.runs(comparison) > 0);
-    let all_fit = offered.iter().map(|known| known.runs(comparison)).sum::<usize>() <= AT_ONCE;
-    let single: Option<Name> = match asked {
+    offered.retain(|quantity| quantity.runs(comparison) > 0);
+    let all_fit = offered.iter().map(|quantity| quantity.runs(comparison)).sum::<usize>() <= MAX_PICTURES;
+    let single_name: Option<Name> = match selected {
         Some(name) => Some(Name::from(name)),
         None if all_fit => None,
-        None => offered.first().map(|known| known.name.clone()),
+        None => offered.first().map(|quantity| quantity.name.clone()),
     };
-    let is_shown = |known: &&Quantity| single.as_ref().is_none_or(|single| *single == known.name);
+    let is_shown = |quantity: &&Quantity| single_name.as_ref().is_none_or(|name| *name == quantity.name);
     let groups: Vec<Group> =
-        offered.iter().filter(is_shown).filter_map(|known| known.group(comparison)).collect();
-    let all = all_fit.then(|| Choice { name: "all".to_owned(), stage: None, is_shown: single.is_none() });
-    let each = offered.iter().map(|known| known.choice(single.as_ref() == Some(&known.name)));
+        offered.iter().filter(is_shown).filter_map(|quantity| quantity.group(comparison)).collect();
+    let all =
+        all_fit.then(|| Choice { name: "all".to_owned(), stage: None, is_shown: single_name.is_none() });
+    let each = offered.iter().map(|quantity| quantity.choice(single_name.as_ref() == Some(&quantity.name)));
     let mut choices: Vec<Choice> = all.into_iter().chain(each).collect();
     if offered.len() < 2 && !groups.is_empty() {
         choices.clear();
     }
-    let is_empty = offered.is_empty() && asked.is_none();
+    let is_empty = offered.is_empty() && selected.is_none();
     Ok((!is_empty).then(|| Distributions {
         groups,
         choices,

@@ -31,17 +31,17 @@ impl CompareSelection {
     /// Parses `runs=1,2&runs=3` or `experiment=ID`. Returns `None` without a selection.
     ///
     /// # Errors
-    /// Returns an error when a number is invalid, there are too many numbers, or both parameters are given. Any other parameter is an error,
-    /// too; its text lists `parameters`, the valid parameters.
+    /// Returns an error when a number is invalid, there are too many numbers, both parameters are given, or there is any other parameter. The
+    /// error about another parameter contains `parameters`, a list of the valid ones.
     pub(crate) fn parse(pairs: &[(String, String)], parameters: &str) -> Result<Option<Self>, WebError> {
-        let bad = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
+        let bad_request = |text: String| Err(WebError::BadRequest(format!("query parameter {text}")));
         let (mut runs, mut experiment) = (Vec::<i64>::new(), None);
         for (name, value) in pairs {
             match name.as_str() {
                 "runs" => {
                     for text in value.split(',').map(str::trim).filter(|text| !text.is_empty()) {
                         let Ok(number) = text.trim_start_matches('#').parse() else {
-                            return bad(format!("runs: {text:?} is not the number of a run"));
+                            return bad_request(format!("runs: {text:?} is not the number of a run"));
                         };
                         if !runs.contains(&number) {
                             runs.push(number);
@@ -50,15 +50,15 @@ impl CompareSelection {
                 }
                 "experiment" if !value.is_empty() => experiment = Some(value.clone()),
                 "experiment" => {}
-                other => return bad(format!("{other}: unknown parameter; valid are {parameters}")),
+                other => return bad_request(format!("{other}: unknown parameter; valid are {parameters}")),
             }
         }
         match (runs.len(), experiment) {
             (0, None) => Ok(None),
             (0, Some(id)) => Ok(Some(Self::Experiment(id))),
-            (_, Some(_)) => bad("experiment: give either runs or an experiment".to_owned()),
+            (_, Some(_)) => bad_request("experiment: give either runs or an experiment".to_owned()),
             (many, None) if many > MAX_SELECTED_RUNS => {
-                bad(format!("runs: {many} are more than {MAX_SELECTED_RUNS}"))
+                bad_request(format!("runs: {many} are more than {MAX_SELECTED_RUNS}"))
             }
             (_, None) => Ok(Some(Self::Runs(runs))),
         }
@@ -90,8 +90,8 @@ pub(crate) async fn load_comparison(
             let mut runs = store.runs_of_experiment(id, MAX_EXPERIMENT_RUNS + 1).await?;
             let is_truncated = runs.len() > MAX_EXPERIMENT_RUNS as usize;
             runs.truncate(MAX_EXPERIMENT_RUNS as usize);
-            let first = runs.first().and_then(|run| run.experiment.clone());
-            let Some(first) = first else {
+            let experiment = runs.first().and_then(|run| run.experiment.clone());
+            let Some(experiment) = experiment else {
                 return Err(WebError::NotFound(format!(
                     "no run of an experiment with the id {id} is stored; GET /api/v1/runs shows the id of each run's experiment"
                 )));
@@ -99,7 +99,7 @@ pub(crate) async fn load_comparison(
             let (runs, left_out) = select_runs(runs);
             // The summary of an experiment's run has all details but the facts of the model, which are queried below.
             let details = runs.into_iter().map(RunDetail::from).collect();
-            (Some((first.name, first.id)), details, left_out, is_truncated)
+            (Some((experiment.name, experiment.id)), details, left_out, is_truncated)
         }
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
@@ -110,18 +110,23 @@ pub(crate) async fn load_comparison(
     } else {
         DifferingSettings::of_runs(&details)
     };
-    let statistics_by_run: HashMap<i64, Arc<MergeableStatistics>> =
-        numbers.iter().zip(&statistics).map(|(run, known)| (*run, Arc::clone(&known.kept))).collect();
+    let statistics_by_run: HashMap<i64, Arc<MergeableStatistics>> = numbers
+        .iter()
+        .zip(&statistics)
+        .map(|(run, statistics)| (*run, Arc::clone(&statistics.kept)))
+        .collect();
     let mut groups: Vec<Group> = Vec::new();
-    for (at, ((detail, statistics), values)) in details.into_iter().zip(statistics).zip(values).enumerate() {
-        let known = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
-        match known {
+    for (run_index, ((detail, statistics), values)) in
+        details.into_iter().zip(statistics).zip(values).enumerate()
+    {
+        let group = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
+        match group {
             Some(group) => {
                 group.runs.push(detail.summary);
                 group.statistics.push(statistics);
             }
             None => {
-                let settings = settings.iter().map(|column| column.labels[at].clone()).collect();
+                let settings = settings.iter().map(|column| column.labels[run_index].clone()).collect();
                 groups.push(Group {
                     values,
                     settings,
@@ -134,18 +139,18 @@ pub(crate) async fn load_comparison(
     if experiment.is_some() {
         groups.sort_by(|a, b| order::compare_labels(&a.values, &b.values));
     }
-    let setting = |(at, column): (usize, &Column)| Setting {
+    let setting = |(index, column): (usize, &Column)| Setting {
         name: column.axis.clone(),
-        values: groups.iter().map(|group| group.settings[at].clone()).collect(),
+        values: groups.iter().map(|group| group.settings[index].clone()).collect(),
     };
     let settings = settings.iter().enumerate().map(setting).collect();
-    let named = configuration_names(
+    let names = configuration_names(
         &axes,
         groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())),
     );
-    let configurations = groups.into_iter().zip(named).map(|(group, name)| {
+    let configurations = groups.into_iter().zip(names).map(|(group, name)| {
         let RunStatistics { stages, bounds, kept } = RunStatistics::merged(&group.statistics);
-        let computes = group.runs.iter().all(|run| computing.is_true_of(run));
+        let computes = group.runs.iter().all(|run| computing.computes(run));
         Configuration { name, values: group.values, runs: group.runs, stages, bounds, kept, computes }
     });
     let configurations = configurations.collect();
@@ -164,7 +169,7 @@ pub(crate) async fn load_comparison(
 /// Splits the runs of an experiment into compared runs, in their order, and excluded runs.
 fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     let excluded = exclusions(&runs.iter().map(Candidate::from).collect::<Vec<_>>());
-    let name = |at: usize| format!("#{}", runs[at].number);
+    let name = |index: usize| format!("#{}", runs[index].number);
     let left_out = |(run, why): (&RunSummary, &Option<_>)| {
         let why: &Exclusion = why.as_ref()?;
         Some(ExcludedRun { run: run.number, why: why.describe(name) })
@@ -174,29 +179,30 @@ fn select_runs(runs: Vec<RunSummary>) -> (Vec<RunSummary>, Vec<ExcludedRun>) {
     (selected.collect(), left_out)
 }
 
-/// Placements of models, each with `false` if its model is an echo model, and else `true`.
+/// Placements of models. The boolean is `false` if the model is an echo model.
 struct ComputingPlacements(Vec<(Placement, bool)>);
 
 impl ComputingPlacements {
     /// Queries one run of each placement, because summaries of runs do not contain the facts of the model.
     async fn load(store: &Store, runs: &[RunDetail]) -> Result<Self, WebError> {
-        let mut known: Vec<(Placement, bool)> = Vec::new();
+        let mut placements: Vec<(Placement, bool)> = Vec::new();
         for run in runs {
-            if known.iter().any(|(placement, _)| *placement == run.summary.placement) {
+            if placements.iter().any(|(placement, _)| *placement == run.summary.placement) {
                 continue;
             }
             let facts = match run.facts.is_empty() {
                 true => store.run(run.summary.number).await?.map(|detail| detail.facts).unwrap_or_default(),
                 false => run.facts.clone(),
             };
-            known.push((run.summary.placement.clone(), model_computes(&facts)));
+            placements.push((run.summary.placement.clone(), model_computes(&facts)));
         }
-        Ok(Self(known))
+        Ok(Self(placements))
     }
 
-    fn is_true_of(&self, run: &RunSummary) -> bool {
-        let known = self.0.iter().find(|(placement, _)| *placement == run.placement);
-        known.is_none_or(|(_, computes)| *computes)
+    /// Returns whether the model of a run computes. An unknown placement counts as computing.
+    fn computes(&self, run: &RunSummary) -> bool {
+        let entry = self.0.iter().find(|(placement, _)| *placement == run.placement);
+        entry.is_none_or(|(_, computes)| *computes)
     }
 }
 

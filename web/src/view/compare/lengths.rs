@@ -1,4 +1,4 @@
-//! Response length against latency: a sample of the iterations as points, the distributions of all of them.
+//! Response length against latency: a sample of the iterations as points, and the distributions of all iterations.
 
 mod growth;
 #[cfg(test)]
@@ -19,29 +19,34 @@ use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::counted;
 
-/// Largest number of configurations that are drawn.
-const MOST_DRAWN: usize = 6;
-/// Largest number of iterations that a page reads, and largest number of one configuration.
-const MOST_READ: u64 = 1_500;
-const MOST_EACH: u64 = 750;
-/// Length of the longest answer, bytes, from which on lengths are shown in kB.
+/// Maximum number of configurations that are drawn.
+const MAX_CONFIGURATIONS: usize = 6;
+/// Maximum number of iterations that a page reads, of all configurations and of one configuration.
+const MAX_READ: u64 = 1_500;
+const MAX_READ_PER_CONFIGURATION: u64 = 750;
+/// If the longest answer has at least this length, bytes, lengths are shown in kB.
 const KILOBYTES: f64 = 10_000.0;
 
 /// A configuration whose answers differ in length.
-struct Varying<'a> {
-    one: &'a Configuration,
+struct VaryingLengths<'a> {
+    configuration: &'a Configuration,
     /// Node with the length of an answer.
     length: &'a str,
-    x: &'a Summary,
-    y: &'a Summary,
+    lengths: &'a Summary,
+    latencies: &'a Summary,
 }
 
-impl<'a> Varying<'a> {
+impl<'a> VaryingLengths<'a> {
     fn of(one: &'a Configuration) -> Option<Self> {
-        let names = one.stages.iter().map(|known: &StageStatistics| known.stage.as_str());
+        let names = one.stages.iter().map(|statistics: &StageStatistics| statistics.stage.as_str());
         let length = answer_length(names);
-        let (x, y) = (one.known(length)?, one.known(LATENCY)?);
-        varies(x.moments.min, x.moments.max).then_some(Self { one, length, x, y })
+        let (lengths, latencies) = (one.summary(length)?, one.summary(LATENCY)?);
+        varies(lengths.moments.min, lengths.moments.max).then_some(Self {
+            configuration: one,
+            length,
+            lengths,
+            latencies,
+        })
     }
 
     fn all(comparison: &'a Comparison) -> Vec<Self> {
@@ -74,38 +79,49 @@ impl<'a> Varying<'a> {
 pub(crate) struct Answers {
     /// Name of the configuration.
     pub name: String,
-    /// Length, as measured, and seconds.
+    /// Length in the measured unit, and latency in seconds.
     pub points: Vec<(f64, f64)>,
-    /// `true` if all that are stored were read.
+    /// `true` if all stored iterations were read.
     pub is_whole: bool,
 }
 
-/// Returns whether a number is in the statistics, and so has a place on an axis.
-fn counts(value: f64) -> bool {
+/// Returns whether the statistics include a value. Only such a value has a position on an axis.
+fn is_included(value: f64) -> bool {
     Summary::accepts(value)
 }
 
-/// Reads a sample of the iterations of each configuration that is drawn; the share of each of its runs is equal.
+/// Reads a sample of the iterations of each configuration that is drawn. The same share of each of its runs is read.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
 pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Vec<Answers>, WebError> {
-    let varying = Varying::all(comparison);
-    let drawn = varying.len().min(MOST_DRAWN);
+    let varying = VaryingLengths::all(comparison);
+    let drawn = varying.len().min(MAX_CONFIGURATIONS);
     let mut all = Vec::with_capacity(drawn);
-    for it in &varying[..drawn] {
-        let most = (MOST_READ / drawn as u64).min(MOST_EACH);
+    for varying_configuration in &varying[..drawn] {
+        let max_read = (MAX_READ / drawn as u64).min(MAX_READ_PER_CONFIGURATION);
         let answered = |run: &RunSummary| run.counts.ok.max(1);
-        let whole: u64 = it.one.runs.iter().map(answered).sum();
-        let mut known = Answers { name: it.one.name.clone(), points: Vec::new(), is_whole: true };
-        for run in &it.one.runs {
+        let all_answered: u64 = varying_configuration.configuration.runs.iter().map(answered).sum();
+        let mut answers = Answers {
+            name: varying_configuration.configuration.name.clone(),
+            points: Vec::new(),
+            is_whole: true,
+        };
+        for run in &varying_configuration.configuration.runs {
             // Warm-up and iterations without an answer are read as well, so that a run with room for all of them is read whole.
-            let share = if whole <= most { MOST_READ } else { (most * answered(run)).div_ceil(whole) };
-            let pairs = store.value_pairs(run.number, [it.length, LATENCY], share as u32).await?;
-            known.is_whole &= pairs.is_complete();
-            known.points.extend(pairs.points.into_iter().filter(|(x, y)| counts(*x) && counts(*y)));
+            let limit = if all_answered <= max_read {
+                MAX_READ
+            } else {
+                (max_read * answered(run)).div_ceil(all_answered)
+            };
+            let pairs =
+                store.value_pairs(run.number, [varying_configuration.length, LATENCY], limit as u32).await?;
+            answers.is_whole &= pairs.is_complete();
+            answers
+                .points
+                .extend(pairs.points.into_iter().filter(|(x, y)| is_included(*x) && is_included(*y)));
         }
-        all.push(known);
+        all.push(answers);
     }
     Ok(all)
 }
@@ -114,58 +130,72 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
 pub(crate) struct LengthRow {
     pub name: String,
     pub plot: Picture,
-    /// `true` if its points are counted into cells.
+    /// `true` if the plot has cells that count points, because there are too many points to draw.
     is_counted: bool,
     /// Sentences about the contents of the plot and its basis.
-    pub said: Vec<String>,
+    pub sentences: Vec<String>,
 }
 
 /// Pictures side by side.
 pub(crate) struct Lengths {
     pub rows: Vec<LengthRow>,
-    /// Names of the configurations for which there is no room.
+    /// Names of the configurations that are not drawn; `None` if all are drawn.
     pub others: Option<String>,
-    /// `true` if points are counted into cells.
+    /// `true` if any plot has cells that count points.
     pub is_counted: bool,
 }
 
 /// Returns the configurations whose answers differ in length, on shared axes; `None` where there are none.
 pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Lengths> {
-    let mut varying = Varying::all(comparison);
-    let rest = varying.split_off(varying.len().min(MOST_DRAWN));
-    let up = BinnedAxis::from_zero(varying.iter().map(|it| it.y), Unit::symbol("ms", 1e3))?;
-    let row = |it: &Varying<'_>| {
-        let alike = || varying.iter().filter(|other| other.length == it.length).map(|other| other.x);
-        let longest = alike().map(|known| known.moments.max).fold(0.0, f64::max);
-        let (unit, per_si, what, each) = it.unit(longest);
-        let across = BinnedAxis::from_zero(alike(), Unit::symbol(&unit, per_si))?;
-        let known = answers.iter().find(|known| known.name == it.one.name);
-        let known = known.cloned().unwrap_or_default();
-        let growth = Growth::from_iterations(&known.points);
+    let mut varying = VaryingLengths::all(comparison);
+    let not_drawn = varying.split_off(varying.len().min(MAX_CONFIGURATIONS));
+    let up = BinnedAxis::from_zero(
+        varying.iter().map(|varying_configuration| varying_configuration.latencies),
+        Unit::symbol("ms", 1e3),
+    )?;
+    let row = |varying_configuration: &VaryingLengths<'_>| {
+        let same_unit = || {
+            varying
+                .iter()
+                .filter(|other| other.length == varying_configuration.length)
+                .map(|other| other.lengths)
+        };
+        let longest = same_unit().map(|lengths| lengths.moments.max).fold(0.0, f64::max);
+        let (unit, per_si, what, each) = varying_configuration.unit(longest);
+        let across = BinnedAxis::from_zero(same_unit(), Unit::symbol(&unit, per_si))?;
+        let sample = answers.iter().find(|sample| sample.name == varying_configuration.configuration.name);
+        let sample = sample.cloned().unwrap_or_default();
+        let growth = Growth::from_iterations(&sample.points);
         let slope = growth.as_ref().map(|growth| sentence(growth, what, each));
-        let summed = sums(it);
+        let medians = medians_sentence(varying_configuration);
         let joint = Joint {
             stage: stage(LATENCY),
-            points: &known.points,
-            x: (&across, it.x),
-            y: (&up, it.y),
+            points: &sample.points,
+            x: (&across, varying_configuration.lengths),
+            y: (&up, varying_configuration.latencies),
             line: growth.as_ref().and_then(Growth::line),
         };
-        let label = format!("{}: inference against the length of the answer. {summed}", it.one.name);
+        let label = format!(
+            "{}: inference against the length of the answer. {medians}",
+            varying_configuration.configuration.name
+        );
         let label = slope.iter().fold(label, |label, slope| format!("{label} {slope}"));
         Some(LengthRow {
-            name: it.one.name.clone(),
+            name: varying_configuration.configuration.name.clone(),
             plot: Picture::of_plot(&joint.plot(), "joint", &label),
             is_counted: joint.has_cells(),
-            said: std::iter::once(summed)
+            sentences: std::iter::once(medians)
                 .chain(slope)
-                .chain([amount(it, &known)])
-                .chain(beyond(it, (&across, &up)))
+                .chain([amount(varying_configuration, &sample)])
+                .chain(beyond(varying_configuration, (&across, &up)))
                 .collect(),
         })
     };
     let rows: Vec<LengthRow> = varying.iter().filter_map(row).collect();
-    let others: Vec<&str> = rest.iter().map(|it| it.one.name.as_str()).collect();
+    let others: Vec<&str> = not_drawn
+        .iter()
+        .map(|varying_configuration| varying_configuration.configuration.name.as_str())
+        .collect();
     Some(Lengths {
         is_counted: rows.iter().any(|row| row.is_counted),
         others: (!others.is_empty()).then(|| others.join("; ")),
@@ -174,35 +204,42 @@ pub(crate) fn lengths(comparison: &Comparison, answers: &[Answers]) -> Option<Le
 }
 
 /// Returns `Median 412 ms; answers of 20 to 320 tokens, median 96 tokens.`
-fn sums(it: &Varying<'_>) -> String {
-    let median = |known: &Summary| known.quantile(0.5).unwrap_or_default();
-    let ends = (it.x.moments.min, it.x.moments.max);
+fn medians_sentence(varying_configuration: &VaryingLengths<'_>) -> String {
+    let median = |summary: &Summary| summary.quantile(0.5).unwrap_or_default();
+    let range = (varying_configuration.lengths.moments.min, varying_configuration.lengths.moments.max);
     format!(
         "Median {}; answers of {} to {}, median {}.",
-        duration(median(it.y)),
-        if is_tokens(it.length) { fixed(ends.0, 0) } else { it.length_of(ends.0) },
-        it.length_of(ends.1),
-        it.length_of(median(it.x))
+        duration(median(varying_configuration.latencies)),
+        if is_tokens(varying_configuration.length) {
+            fixed(range.0, 0)
+        } else {
+            varying_configuration.length_of(range.0)
+        },
+        varying_configuration.length_of(range.1),
+        varying_configuration.length_of(median(varying_configuration.lengths))
     )
 }
 
 /// Returns a sentence about the number of iterations that are drawn as points.
-fn amount(it: &Varying<'_>, known: &Answers) -> String {
-    let points = known.points.len() as u64;
-    let (all, answered) = (it.x.count().min(it.y.count()), it.x.count().max(it.y.count()));
-    let lacking = answered - all;
-    let rest = if lacking > 0 {
-        format!(" {} of {} iterations have no such number.", count(lacking), count(answered))
+fn amount(varying_configuration: &VaryingLengths<'_>, sample: &Answers) -> String {
+    let points = sample.points.len() as u64;
+    let (all, answered) = (
+        varying_configuration.lengths.count().min(varying_configuration.latencies.count()),
+        varying_configuration.lengths.count().max(varying_configuration.latencies.count()),
+    );
+    let without_length = answered - all;
+    let rest = if without_length > 0 {
+        format!(" {} of {} iterations have no such number.", count(without_length), count(answered))
     } else {
         String::new()
     };
-    let is_deleted = it.one.runs.iter().any(|run| run.nodes_from > 0);
-    match (known.is_whole, is_deleted) {
+    let is_deleted = varying_configuration.configuration.runs.iter().any(|run| run.nodes_from > 0);
+    match (sample.is_whole, is_deleted) {
         _ if points == 0 => format!("No iteration is stored any more; histograms of all {}.", count(all)),
-        (true, false) if lacking > 0 => format!(
+        (true, false) if without_length > 0 => format!(
             "{} of {} iterations; the others have no such number.",
             count(points),
-            count(points + lacking)
+            count(points + without_length)
         ),
         (true, false) => format!("All {} iterations.", count(points)),
         (true, true) => format!(
@@ -211,9 +248,9 @@ fn amount(it: &Varying<'_>, known: &Answers) -> String {
             count(all)
         ),
         (false, is_deleted) => {
-            let of = if is_deleted { " over what is still stored" } else { "" };
+            let range = if is_deleted { " over what is still stored" } else { "" };
             format!(
-                "{} of {} iterations, evenly spread{of}; histograms of all.{rest}",
+                "{} of {} iterations, evenly spread{range}; histograms of all.{rest}",
                 count(points),
                 count(all)
             )
@@ -222,12 +259,18 @@ fn amount(it: &Varying<'_>, known: &Answers) -> String {
 }
 
 /// Returns a sentence about the number of values beyond the axes; `None` if there are none.
-fn beyond(it: &Varying<'_>, (across, up): (&BinnedAxis, &BinnedAxis)) -> Option<String> {
-    let lost = [(across.beyond(it.x), "length", "lengths"), (up.beyond(it.y), "latency", "latencies")];
-    let told: Vec<String> = lost
+fn beyond(
+    varying_configuration: &VaryingLengths<'_>,
+    (across, up): (&BinnedAxis, &BinnedAxis),
+) -> Option<String> {
+    let outside = [
+        (across.beyond(varying_configuration.lengths), "length", "lengths"),
+        (up.beyond(varying_configuration.latencies), "latency", "latencies"),
+    ];
+    let counts: Vec<String> = outside
         .iter()
         .filter(|(many, ..)| *many > 0)
         .map(|(many, one, several)| counted(*many as usize, one, several))
         .collect();
-    (!told.is_empty()).then(|| format!("Beyond the axes: {}.", told.join(", ")))
+    (!counts.is_empty()).then(|| format!("Beyond the axes: {}.", counts.join(", ")))
 }

@@ -13,7 +13,7 @@ use crate::view::clocks;
 use crate::view::units::shown_in;
 
 /// Quantities that depend on two clocks, each with the delay that it is computed from.
-pub(super) static CROSSING: [(Name, Name); 4] = [
+pub(super) static DELAY_OF_QUANTITY: [(Name, Name); 4] = [
     (stage::UPLOAD, stage::UPLOAD),
     (stage::DOWNLOAD, stage::DOWNLOAD),
     (stage::UPLOAD_THROUGHPUT, stage::UPLOAD),
@@ -23,19 +23,19 @@ pub(super) static CROSSING: [(Name, Name); 4] = [
 /// A median in words.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Median {
-    /// Median with its unit and its uncertainty by the clocks. Where the uncertainty is too large, an interval alone.
-    pub said: String,
-    /// Interval of the median by the clock bounds, SI; `None` where they leave no uncertainty.
+    /// Median with its unit and its uncertainty by the clocks. Only the interval if the uncertainty is too large for a single value.
+    pub text: String,
+    /// Interval of the median by the clock bounds, in the SI unit; `None` without uncertainty.
     pub within: Option<(f64, f64)>,
     /// Verdict that needs attention.
     pub doubt: Option<Chip>,
 }
 
 impl Median {
-    /// Returns the median of a name's values, which are of this SI unit; `None` without any.
+    /// Returns the median of a node's values. `unit` is their SI unit. `None` without values.
     pub(super) fn of(kept: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
         let value = kept.known(name)?.quantile(0.5)?;
-        let delay = CROSSING.iter().find(|(known, _)| *known == *name).map(|(_, delay)| delay);
+        let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
         let bound = delay.and_then(|delay| kept.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
         let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50).filter(|half| *half > 0.0);
@@ -46,30 +46,34 @@ impl Median {
             Some(speed_between(value, kept.known(delay)?.quantile(0.5)?, half))
         });
         let shown = shown_in(unit);
-        let said = match (ends, verdict) {
-            (None, _) => format!("median {}", with(&plain(unit, value), &shown.0)),
+        let text = match (ends, verdict) {
+            (None, _) => format!("median {}", with_unit(&without_unit(unit, value), &shown.0)),
             (Some(ends), None) => {
-                let value = if unit == "s" { within_ms(value, closed(ends)) } else { plain(unit, value) };
-                format!("median {}, by the clocks {}", with(&value, &shown.0), between(unit, ends))
+                let value = if unit == "s" {
+                    within_ms(value, with_infinite_end(ends))
+                } else {
+                    without_unit(unit, value)
+                };
+                format!("median {}, by the clocks {}", with_unit(&value, &shown.0), between(unit, ends))
             }
             (Some(ends), Some(_)) => {
-                format!("median by the clocks {}", with(&between(unit, ends), &shown.0))
+                format!("median by the clocks {}", with_unit(&between(unit, ends), &shown.0))
             }
         };
-        Some(Self { said, within: ends.map(closed), doubt: verdict.map(Chip::verdict) })
+        Some(Self { text, within: ends.map(with_infinite_end), doubt: verdict.map(Chip::verdict) })
     }
 }
 
-fn closed((lo, hi): (f64, Option<f64>)) -> (f64, f64) {
+fn with_infinite_end((lo, hi): (f64, Option<f64>)) -> (f64, f64) {
     (lo, hi.unwrap_or(f64::INFINITY))
 }
 
-fn with(value: &str, unit: &str) -> String {
+fn with_unit(value: &str, unit: &str) -> String {
     if unit.is_empty() { value.to_owned() } else { format!("{value}{SPACE}{unit}") }
 }
 
 /// Returns a value without its unit.
-fn plain(unit: &str, value: f64) -> String {
+fn without_unit(unit: &str, value: f64) -> String {
     match unit {
         "s" => milliseconds(value),
         "bit/s" => throughput(value),
@@ -77,9 +81,9 @@ fn plain(unit: &str, value: f64) -> String {
     }
 }
 
-/// Formats both ends; the dash does not begin a line.
+/// Formats both ends. A no-break space before the dash keeps the dash from beginning a line.
 fn between(unit: &str, ends: (f64, Option<f64>)) -> String {
-    let (lo, hi) = closed(ends);
+    let (lo, hi) = with_infinite_end(ends);
     let text = if unit == "bit/s" { throughput_between(ends) } else { interval_ms(lo, hi) };
     text.replace(" –", "\u{a0}–")
 }
@@ -105,32 +109,35 @@ mod tests {
         kept
     }
 
-    fn said(kept: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
+    fn median_text(kept: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
         let median = Median::of(kept, name, unit).expect("samples");
-        (median.said.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
+        (median.text.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
     }
 
     #[test]
-    fn a_delay_is_told_with_what_the_clocks_leave_open() {
-        let known = kept(0.5, Verdict::Ok);
+    fn median_delay_has_interval_by_clock_bounds() {
+        let statistics = kept(0.5, Verdict::Ok);
         assert_eq!(
-            said(&known, &stage::UPLOAD, "s"),
+            median_text(&statistics, &stage::UPLOAD, "s"),
             ("median 6.00 ms, by the clocks 5.50 – 6.50".to_owned(), false)
         );
-        let (text, _) = said(&known, &stage::UPLOAD_THROUGHPUT, "bit/s");
+        let (text, _) = median_text(&statistics, &stage::UPLOAD_THROUGHPUT, "bit/s");
         assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3");
-        assert_eq!(said(&known, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
-        assert_eq!(Median::of(&known, "queue", "s"), None);
+        assert_eq!(median_text(&statistics, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
+        assert_eq!(Median::of(&statistics, "queue", "s"), None);
         let exact = kept(0.0, Verdict::Ok);
-        assert_eq!(said(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
+        assert_eq!(median_text(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
     }
 
     #[test]
-    fn what_the_clocks_hardly_tell_is_an_interval_with_its_verdict() {
+    fn limited_delay_is_interval_with_verdict() {
         let wide = kept(8.0, Verdict::Limited);
-        assert_eq!(said(&wide, &stage::UPLOAD, "s"), ("median by the clocks 0.0 – 14.0 ms".to_owned(), true));
+        assert_eq!(
+            median_text(&wide, &stage::UPLOAD, "s"),
+            ("median by the clocks 0.0 – 14.0 ms".to_owned(), true)
+        );
         let median = Median::of(&wide, &stage::UPLOAD_THROUGHPUT, "bit/s").expect("samples");
-        assert!(median.said.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
+        assert!(median.text.ends_with("≥ 10.7\u{202f}MB/s") && median.doubt.is_some(), "{median:?}");
         assert_eq!(median.within.expect("bounded").1, f64::INFINITY);
     }
 }

@@ -30,7 +30,7 @@ pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
 pub(crate) use payload::{accuracy, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
-pub(crate) use series::{OverTime, over_time, run_courses};
+pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};
 pub(crate) use table::{DifferenceRow, Table};
 pub(crate) use throughput::{Throughput, throughput};
@@ -55,11 +55,11 @@ pub(crate) struct Comparison {
     pub experiment: Option<(String, String)>,
     /// Names of the settings in which the configurations differ.
     pub axes: Vec<String>,
-    /// Further settings in which configurations differ, and settings that an experiment declares equally for all.
+    /// Further settings in which configurations differ, and settings that an experiment declares with one value for all configurations.
     pub settings: Vec<Setting>,
     /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
     pub long_settings: Vec<String>,
-    /// Configurations: an experiment's by their labels, axis by axis; runs as requested.
+    /// Configurations. Those of an experiment are sorted by their labels, axis by axis. Selected runs are in the requested order.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,
@@ -92,7 +92,7 @@ pub(crate) struct Configuration {
     pub name: String,
     /// Value of the configuration on each axis.
     pub values: Vec<String>,
-    /// Oldest first.
+    /// Runs, oldest first.
     pub runs: Vec<RunSummary>,
     /// Statistics of all its runs together.
     pub stages: Vec<StageStatistics>,
@@ -110,8 +110,8 @@ impl Configuration {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
 
-    /// Returns the values of a node in all its runs together, in its SI unit.
-    pub(crate) fn known(&self, name: &str) -> Option<&Summary> {
+    /// Returns the summary of a node's values in all runs together, in the SI unit of the node.
+    pub(crate) fn summary(&self, name: &str) -> Option<&Summary> {
         self.kept.known(name)
     }
 
@@ -130,12 +130,12 @@ impl Configuration {
         })
     }
 
-    /// Returns the number of iterations that missed their deadline; `None` if no run has one.
+    /// Returns the number of iterations that missed their deadline; `None` if no run has a deadline.
     pub(crate) fn misses(&self) -> Option<Misses> {
         Misses::sum(self.runs.iter().filter_map(|run| run.misses))
     }
 
-    /// Returns the deadline, seconds; `None` if no run has one, or several have different ones.
+    /// Returns the deadline, seconds; `None` if not all runs have the same deadline.
     pub(crate) fn deadline_s(&self) -> Option<f64> {
         let mut deadlines = self.runs.iter().map(|run| run.deadline_s);
         let first = deadlines.next()??;
@@ -152,24 +152,24 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the index of the baseline: the configuration of the run that an address names, or the first.
+    /// Returns the index of the baseline: the configuration of the run with the number `run`, or the first configuration without a number.
     ///
     /// # Errors
     /// When the run is not compared.
     pub(crate) fn baseline(&self, run: Option<&str>) -> Result<usize, WebError> {
         let Some(text) = run.filter(|text| !text.is_empty()) else { return Ok(0) };
-        let has = |number: i64| {
+        let index_of = |number: i64| {
             self.configurations.iter().position(|one| one.runs.iter().any(|run| run.number == number))
         };
-        text.trim_start_matches('#').parse().ok().and_then(has).ok_or_else(|| {
+        text.trim_start_matches('#').parse().ok().and_then(index_of).ok_or_else(|| {
             WebError::BadRequest(format!(
                 "query parameter baseline: {text:?} is not the number of a compared run"
             ))
         })
     }
 
-    /// Returns the values of a node in one run, by its number.
-    pub(crate) fn known(&self, run: i64, name: &str) -> Option<&Summary> {
+    /// Returns the summary of a node's values in the run with the number `run`.
+    pub(crate) fn summary(&self, run: i64, name: &str) -> Option<&Summary> {
         self.statistics_by_run.get(&run)?.known(name)
     }
 

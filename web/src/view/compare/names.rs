@@ -3,8 +3,8 @@
 use peernet_statistics::number::NONE;
 use peernet_store::RunSummary;
 
-/// Returns a name for each configuration, given its value on each axis and its runs: its values, and the number of its first run if
-/// there are none or another configuration has the same.
+/// Returns a unique name for each configuration from its value on each axis and its runs. The name has the values in words. It also has
+/// the number of the first run if there are no values or another configuration has the same values.
 pub(super) fn configuration_names<'a>(
     axes: &[String],
     configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,
@@ -23,10 +23,10 @@ pub(super) fn configuration_names<'a>(
     words.iter().zip(&runs).map(name).collect()
 }
 
-/// Returns the values of a configuration in words; the name of the axis follows a bare number.
+/// Returns the values of a configuration in words. The name of the axis precedes a value that is a bare number.
 pub(super) fn in_words(axes: &[String], values: &[String]) -> String {
-    let known = axes.iter().zip(values).filter(|(_, value)| *value != NONE);
-    let words = known.map(|(axis, value)| match value.parse::<f64>() {
+    let present = axes.iter().zip(values).filter(|(_, value)| *value != NONE);
+    let words = present.map(|(axis, value)| match value.parse::<f64>() {
         Ok(_) => format!("{axis} {value}"),
         Err(_) => value.clone(),
     });

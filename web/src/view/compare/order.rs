@@ -22,8 +22,8 @@ const UNITS: [(&str, f64); 14] = [
 
 /// Compares the labels of two configurations axis by axis: the first axis in which they differ decides.
 pub(super) fn compare_labels(a: &[String], b: &[String]) -> Ordering {
-    let differ = a.iter().zip(b).map(|(a, b)| compare_label(a, b)).find(|order| order.is_ne());
-    differ.unwrap_or_else(|| a.len().cmp(&b.len()))
+    let first_difference = a.iter().zip(b).map(|(a, b)| compare_label(a, b)).find(|order| order.is_ne());
+    first_difference.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
 /// Compares two labels. Numbers come first, ordered by value and unit. Words follow, ordered with the numbers in them by value.
@@ -36,12 +36,13 @@ fn compare_label(a: &str, b: &str) -> Ordering {
     }
 }
 
-/// Returns the value of `30`, `-1.5`, `1,000`, `1e6`, `30 kB`, `50 Hz`; of `224x224` its first number.
+/// Returns the numeric value of a label such as `30`, `-1.5`, `1,000`, `1e6`, `30 kB` or `50 Hz`. For `224x224` it is the first number.
 fn quantity(label: &str) -> Option<f64> {
     let text = label.trim().replace(',', "");
-    let is_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
+    let finite_number = |text: &str| text.parse::<f64>().ok().filter(|value| value.is_finite());
     let ends = (1..=text.len()).rev().filter(|end| text.is_char_boundary(*end));
-    let (value, rest) = ends.into_iter().find_map(|end| Some((is_number(&text[..end])?, &text[end..])))?;
+    let (value, rest) =
+        ends.into_iter().find_map(|end| Some((finite_number(&text[..end])?, &text[end..])))?;
     let unit = rest.trim().to_lowercase();
     Some(value * UNITS.iter().find(|(name, _)| *name == unit).map_or(1.0, |(_, times)| *times))
 }
@@ -56,14 +57,14 @@ enum Piece {
 fn split_numbers(label: &str) -> Vec<Piece> {
     let mut pieces: Vec<(bool, String)> = Vec::new();
     for letter in label.to_lowercase().chars() {
-        let digit = letter.is_ascii_digit();
-        match pieces.last_mut().filter(|(kind, _)| *kind == digit) {
+        let is_digit = letter.is_ascii_digit();
+        match pieces.last_mut().filter(|(kind, _)| *kind == is_digit) {
             Some((_, text)) => text.push(letter),
-            None => pieces.push((digit, letter.to_string())),
+            None => pieces.push((is_digit, letter.to_string())),
         }
     }
-    let piece = |(digit, text): (bool, String)| match text.parse() {
-        Ok(number) if digit => Piece::Number(number),
+    let piece = |(is_digit, text): (bool, String)| match text.parse() {
+        Ok(number) if is_digit => Piece::Number(number),
         _ => Piece::Word(text),
     };
     pieces.into_iter().map(piece).collect()

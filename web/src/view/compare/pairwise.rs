@@ -1,4 +1,4 @@
-//! Distributions of the difference between an iteration and one of the baseline, on one axis.
+//! Distributions of pairwise differences: each iteration of a configuration minus each iteration of the baseline, on one axis.
 
 use peernet_analysis::compare::PairwiseDifference;
 use peernet_figures::drawing::BinnedAxis;
@@ -11,38 +11,38 @@ use peernet_statistics::number::{duration, percent};
 use super::{Comparison, Differences};
 use crate::picture::Picture;
 
-/// Largest number of distributions that are drawn.
-const MOST: usize = 24;
+/// Maximum number of distributions that are drawn.
+const MAX_DISTRIBUTIONS: usize = 24;
 
 /// Difference of a configuration from the baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PairwiseRow {
-    /// Share of the pairs in which it is faster, percent.
+    /// Share of the pairs in which the configuration is faster than the baseline, percent.
     pub faster: String,
     pub picture: Picture,
 }
 
-/// Returns the pairwise differences of the totals of each other configuration and the baseline, in the order of the differences; `None`
-/// where one of both has no total, and beyond the room for pictures.
+/// Returns the pairwise differences between the totals of the baseline and of each other configuration, in the order of the
+/// differences. An entry is `None` if one of the two configurations has no total. The list has at most [`MAX_DISTRIBUTIONS`] entries.
 pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
     let all = &comparison.configurations;
-    let total = |place: usize| all.get(place)?.known(&stage::TOTAL);
-    let found: Vec<Option<PairwiseDifference>> = differences
+    let total = |index: usize| all.get(index)?.summary(&stage::TOTAL);
+    let pairwise_differences: Vec<Option<PairwiseDifference>> = differences
         .others
         .iter()
-        .take(MOST)
-        .map(|(place, _)| PairwiseDifference::between(total(differences.baseline)?, total(*place)?))
+        .take(MAX_DISTRIBUTIONS)
+        .map(|(index, _)| PairwiseDifference::between(total(differences.baseline)?, total(*index)?))
         .collect();
-    // The axis contains zero: values to its left are faster.
+    // The axis must contain zero: differences left of zero are pairs in which the configuration is faster.
     let mut zero = Summary::default();
     zero.record(0.0);
-    let known = found.iter().flatten().map(|found| &found.differences);
-    let Some(axis) = BinnedAxis::around(known.chain([&zero]), Unit::symbol("ms", 1e3)) else {
+    let drawn = pairwise_differences.iter().flatten().map(|pairwise| &pairwise.differences);
+    let Some(axis) = BinnedAxis::around(drawn.chain([&zero]), Unit::symbol("ms", 1e3)) else {
         return Vec::new();
     };
-    let row = |(found, (place, _)): (Option<PairwiseDifference>, &(usize, _))| {
-        let PairwiseDifference { differences: pairs, share_smaller } = found?;
-        let interval = differences.total(*place).and_then(|stage| stage.found?.interval);
+    let row = |(pairwise, (index, _)): (Option<PairwiseDifference>, &(usize, _))| {
+        let PairwiseDifference { differences: pairs, share_smaller } = pairwise?;
+        let interval = differences.total(*index).and_then(|stage| stage.mean_difference?.interval);
         let faster = percent(share_smaller);
         let beyond = match axis.beyond(&pairs) as f64 / pairs.count().max(1) as f64 {
             0.0 => String::new(),
@@ -51,12 +51,12 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         let median = pairs.quantile(0.5).map_or_else(String::new, |median| duration(median).to_string());
         let label = format!(
             "{} less {}, total of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
-            all[*place].name, all[differences.baseline].name
+            all[*index].name, all[differences.baseline].name
         );
         let items = axis.histogram(&pairs, &look::stage(&stage::TOTAL), interval);
         let picture =
             Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
         Some(PairwiseRow { faster, picture })
     };
-    found.into_iter().zip(&differences.others).map(row).collect()
+    pairwise_differences.into_iter().zip(&differences.others).map(row).collect()
 }

@@ -14,26 +14,28 @@ use crate::look;
 use crate::picture::Picture;
 use crate::view::accuracy;
 
-/// Sizes within this factor are one size.
-const ALIKE: f64 = 1.1;
-/// Largest number of groups with separate lines; more lines would be hard to distinguish.
-const MOST_GROUPS: usize = 3;
+/// Sizes whose ratio is below this factor count as one size.
+const MAX_SIZE_RATIO: f64 = 1.1;
+/// Maximum number of groups with separate lines; more lines would be hard to distinguish.
+const MAX_GROUPS: usize = 3;
 /// Name of the values of top-1 accuracy.
 const TOP_1: &str = look::ACCURACIES[0].0;
 
-fn sent(one: &Configuration) -> Option<f64> {
+/// Returns the mean size of the payloads that a configuration sent; `None` if it sent none.
+fn payload_size(one: &Configuration) -> Option<f64> {
     one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean).filter(|size| *size > 0.0)
 }
 
-/// Returns latency against payload, where payloads have at least three sizes, and the results of lines through it.
+/// Returns a plot of latency against payload, and sentences about the lines through the points. `None` if the payloads have fewer than
+/// three sizes.
 pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)> {
     let all: Vec<(&Configuration, f64)> =
-        comparison.configurations.iter().filter_map(|one| Some((one, sent(one)?))).collect();
+        comparison.configurations.iter().filter_map(|one| Some((one, payload_size(one)?))).collect();
     let sizes = || all.iter().map(|(_, size)| *size);
     let (least, most) = sizes().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(size), hi.max(size)));
     (distinct_sizes(sizes()) >= MIN_SIZES).then_some(())?;
     let groups = groups(comparison, &all);
-    let mut said = Vec::new();
+    let mut sentences = Vec::new();
     let series = ["total", "upload"].map(|name| {
         let points = all.iter().filter_map(|(one, size)| {
             let figures = one.figures(name)?;
@@ -53,7 +55,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)>
                 from: ends.0 / 1e3,
                 to: ends.1 / 1e3,
             });
-            said.push(sentence(name, group_name(comparison, group).as_deref(), &fit));
+            sentences.push(sentence(name, group_name(comparison, group).as_deref(), &fit));
         }
         ScatterSeries {
             stage: peernet_figures::look::stage(name),
@@ -66,26 +68,28 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)>
     let points = || series.iter().flat_map(|one| &one.points);
     let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
     let label =
-        format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), said.join(" "));
+        format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), sentences.join(" "));
     let scatter = Scatter { x, y: Axis::new(up, "", "ms"), series: series.into() };
-    Some((Picture::of_scatter(&scatter, &label), said))
+    Some((Picture::of_scatter(&scatter, &label), sentences))
 }
 
 pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
 
-/// Groups configurations that differ only in the size of the payload, given by the axis on which equal labels mean equal sizes. Returns
-/// one group of all where there is no such axis or where there would be too many groups.
+/// Groups configurations that differ only in the size of the payload. The size is given by the axis on which equal labels mean equal
+/// sizes. Returns a single group of all configurations if there is no such axis or there would be too many groups.
 pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
     let sets_the_size = |axis: &usize| {
         let label = |one: &Configuration| one.values.get(*axis).cloned();
         all.iter().all(|(one, size)| {
-            let same = all.iter().filter(|(other, _)| label(other) == label(one));
-            same.into_iter().all(|(_, other)| *other < size * ALIKE && *size < other * ALIKE)
+            let with_same_label = all.iter().filter(|(other, _)| label(other) == label(one));
+            with_same_label
+                .into_iter()
+                .all(|(_, other)| *other < size * MAX_SIZE_RATIO && *size < other * MAX_SIZE_RATIO)
         })
     };
     let Some(axis) = (0..comparison.axes.len()).find(sets_the_size) else { return vec![all.to_vec()] };
     let others = |one: &Configuration| {
-        let labels = one.values.iter().enumerate().filter(|(at, _)| *at != axis);
+        let labels = one.values.iter().enumerate().filter(|(index, _)| *index != axis);
         labels.map(|(_, label)| label.clone()).collect::<Vec<String>>()
     };
     let mut groups: Vec<Group<'a>> = Vec::new();
@@ -95,49 +99,50 @@ pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64
             None => groups.push(vec![(one, *size)]),
         }
     }
-    if groups.len() > MOST_GROUPS { vec![all.to_vec()] } else { groups }
+    if groups.len() > MAX_GROUPS { vec![all.to_vec()] } else { groups }
 }
 
-/// Returns the values that only the configurations of a group have, in words; `None` if there are none.
+/// Returns in words the values that all configurations of a group have in common and some other configuration lacks; `None` if there are
+/// no such values.
 pub(super) fn group_name(comparison: &Comparison, group: &Group<'_>) -> Option<String> {
     let value = |one: &Configuration, axis: usize| one.values.get(axis).cloned();
     let first = group.first()?.0;
     let is_common = |axis: &usize| group.iter().all(|(one, _)| value(one, *axis) == value(first, *axis));
-    let is_special =
+    let is_distinctive =
         |axis: &usize| comparison.configurations.iter().any(|one| value(one, *axis) != value(first, *axis));
-    let axes: Vec<usize> = (0..comparison.axes.len()).filter(is_common).filter(is_special).collect();
+    let axes: Vec<usize> = (0..comparison.axes.len()).filter(is_common).filter(is_distinctive).collect();
     let names: Vec<String> = axes.iter().map(|axis| comparison.axes[*axis].clone()).collect();
     let values: Vec<String> = axes.iter().filter_map(|axis| value(first, *axis)).collect();
     Some(in_words(&names, &values)).filter(|words| !words.is_empty())
 }
 
-/// Returns the name of a point on an axis of sizes: that of its group, because the axis has the size.
+/// Returns the name of a point on an axis of sizes. It is the name of the group, because the axis already shows the size.
 pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Configuration) -> String {
-    let of = groups.iter().find(|group| group.iter().any(|(other, _)| other.name == one.name));
-    of.and_then(|group| group_name(comparison, group)).unwrap_or_default()
+    let group = groups.iter().find(|group| group.iter().any(|(other, _)| other.name == one.name));
+    group.and_then(|group| group_name(comparison, group)).unwrap_or_default()
 }
 
-/// Returns the line of seconds over bytes, and its smallest and largest size, where there are three sizes. Each mean is weighted by its
-/// precision.
+/// Fits a line of seconds over bytes through the means of a group. Each mean is weighted by its precision. Returns the line, and the
+/// smallest and the largest size. `None` if there are too few sizes.
 pub(super) fn line(group: &Group<'_>, name: &str) -> Option<(Fit, (f64, f64))> {
-    let known = group.iter().filter_map(|(one, size)| {
+    let means = group.iter().filter_map(|(one, size)| {
         let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;
         Some(MeanAtSize { size: *size, count, mean, std })
     });
-    let known: Vec<MeanAtSize> = known.collect();
-    let fit = line_through_means(&known)?;
+    let means: Vec<MeanAtSize> = means.collect();
+    let fit = line_through_means(&means)?;
     let ends =
-        known.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), mean| (lo.min(mean.size), hi.max(mean.size)));
+        means.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), mean| (lo.min(mean.size), hi.max(mean.size)));
     Some((fit, ends))
 }
 
 /// Returns `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
 fn sentence(name: &str, group: Option<&str>, fit: &Fit) -> String {
-    let of = group.map_or_else(String::new, |group| format!(" ({group})"));
+    let group_text = group.map_or_else(String::new, |group| format!(" ({group})"));
     let (base, slope) = (fit.intercept.span(), fit.slope.span());
     let per_megabyte = (slope.0 * 1e6, slope.1 * 1e6);
     format!(
-        "{name}{of}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
+        "{name}{group_text}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
          each weighted by how well it is known.",
         within_ms(fit.intercept.value, base),
         interval_ms(base.0, base.1),
@@ -147,27 +152,28 @@ fn sentence(name: &str, group: Option<&str>, fit: &Fit) -> String {
     )
 }
 
-/// Returns the share of right first answers against the median of the total, where at least two configurations have both.
+/// Returns a plot of top-1 accuracy against the median of the total. `None` if fewer than two configurations have both.
 pub(crate) fn accuracy(comparison: &Comparison) -> Option<Picture> {
     let point = |one: &Configuration| {
         let scores = one.figures(TOP_1)?;
-        let known = accuracy::of(scores);
+        let accuracy = accuracy::of(scores);
         Some(ScatterPoint {
             x: one.total()?.p50 * 1e3,
             y: scores.mean * 100.0,
-            ends: known.map(|known| (known.interval.0 * 100.0, known.interval.1 * 100.0)),
+            ends: accuracy.map(|accuracy| (accuracy.interval.0 * 100.0, accuracy.interval.1 * 100.0)),
             name: one.name.clone(),
         })
     };
     let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();
     (points.len() >= 2).then_some(())?;
     let x = Axis::new(Scale::of_sizes(points.iter().map(|point| point.x)), "", "median total, ms");
-    let low = |it: &ScatterPoint| it.ends.map_or(it.y, |(low, _)| low);
+    let low = |point: &ScatterPoint| point.ends.map_or(point.y, |(low, _)| low);
     let (lo, hi) =
-        points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), it| (lo.min(low(it)), hi.max(it.top())));
+        points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), point| (lo.min(low(point)), hi.max(point.top())));
     let up = Scale::linear(((lo - 2.0).max(0.0), (hi + 2.0).min(100.0))).widened(5);
-    let each =
-        points.iter().map(|it| format!("{} {}{SPACE}% at {}", it.name, figure(it.y), duration(it.x / 1e3)));
+    let each = points
+        .iter()
+        .map(|point| format!("{} {}{SPACE}% at {}", point.name, figure(point.y), duration(point.x / 1e3)));
     let label =
         format!("Top-1 accuracy against the median of the total: {}", each.collect::<Vec<_>>().join(", "));
     let series = ScatterSeries {

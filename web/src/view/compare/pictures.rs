@@ -7,14 +7,14 @@ use peernet_statistics::number::{NONE, duration, mean_std_ms};
 use peernet_stream::{Placement, PlacementKind};
 use std::slice;
 
-use super::spread::boxed;
+use super::spread::box_plot;
 use super::{Comparison, Configuration, order};
 use crate::picture::Picture;
 use crate::view::place;
 use crate::view::stack::Stack;
 
-/// Largest number of hosts of one configuration that are named.
-const MOST_HOSTS: usize = 4;
+/// Maximum number of hosts of one configuration that are named.
+const MAX_NAMED_HOSTS: usize = 4;
 
 /// A configuration's stages as a bar.
 pub(crate) struct StackRow {
@@ -24,7 +24,7 @@ pub(crate) struct StackRow {
     pub best: bool,
 }
 
-/// The labels of a scale: above all bars, and under each on a phone.
+/// The labels of a scale: once above all bars, and on narrow screens under each bar.
 pub(crate) struct Axes {
     pub above: Picture,
     pub under: Picture,
@@ -55,12 +55,12 @@ pub(crate) struct PlaceRow {
     pub spread: Picture,
 }
 
-/// Returns the stages of all configurations on one scale, means with the standard deviation of the total.
+/// Returns a bar of the mean stages of each configuration, all on one scale. The error bar is the standard deviation of the total.
 pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
     let all = &comparison.configurations;
     let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
     let scale = Scale::up_to(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
-    let row = |(at, one): (usize, &Configuration)| {
+    let row = |(index, one): (usize, &Configuration)| {
         let parts = parts(one);
         let total = one.total();
         let spread = total.and_then(|total| Some((total.mean, total.std?)));
@@ -69,13 +69,13 @@ pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<Stack
             name: one.name.clone(),
             total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
             bar: Picture::of_items(&bar.items(), "stages", &label(one, &parts)),
-            best: best == Some(at),
+            best: best == Some(index),
         }
     };
     (all.iter().enumerate().map(row).collect(), Axes::of(&scale))
 }
 
-/// Returns the means of the stages; of a sensor alone its sensing.
+/// Returns the means of the stages. For a pipeline that only senses, returns the mean of `sensing`.
 fn parts(one: &Configuration) -> Vec<StagePart> {
     let mut parts = Stack::of_run(&one.stages, &one.bounds).parts;
     if parts.is_empty() {
@@ -100,24 +100,24 @@ fn label(one: &Configuration, parts: &[StagePart]) -> String {
 
 /// Returns the routes of all runs of the configuration: `user-1, user-2 → rack-a`.
 fn routes(one: &Configuration) -> String {
-    let mut ways: Vec<(&Placement, Vec<String>)> = Vec::new();
+    let mut routes: Vec<(&Placement, Vec<String>)> = Vec::new();
     for run in &one.runs {
         let (placement, host) = (&run.placement, run.host_name.to_string());
-        let same = |known: &Placement| place::route("", known) == place::route("", placement);
-        match ways.iter_mut().find(|(known, _)| same(known)) {
+        let is_same = |other: &Placement| place::route("", other) == place::route("", placement);
+        match routes.iter_mut().find(|(other, _)| is_same(other)) {
             Some((_, hosts)) if hosts.contains(&host) => {}
             Some((_, hosts)) => hosts.push(host),
-            None => ways.push((placement, vec![host])),
+            None => routes.push((placement, vec![host])),
         }
     }
     let route = |(placement, mut hosts): (&Placement, Vec<String>)| {
         hosts.sort_by(|a, b| order::compare_labels(slice::from_ref(a), slice::from_ref(b)));
-        let more = hosts.len().saturating_sub(MOST_HOSTS);
-        hosts.truncate(MOST_HOSTS);
+        let more = hosts.len().saturating_sub(MAX_NAMED_HOSTS);
+        hosts.truncate(MAX_NAMED_HOSTS);
         let rest = if more > 0 { format!(" and {more} more") } else { String::new() };
         place::route(&format!("{}{rest}", hosts.join(", ")), placement)
     };
-    ways.into_iter().map(route).collect::<Vec<_>>().join("; ")
+    routes.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
 /// Returns the models that ran both on board and in the cloud, each with its inference alone, all on one scale.
@@ -129,33 +129,33 @@ pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
             models.push(model);
         }
     }
-    let of = |model: &str| {
-        let with = comparison.configurations.iter().filter(move |one| {
+    let configurations_of = |model: &str| {
+        let measured = comparison.configurations.iter().filter(move |one| {
             one.placement().is_some_and(|placement| placement.model.as_str() == model)
                 && one.figures(&stage::INFERENCE).is_some()
         });
-        with.collect::<Vec<_>>()
+        measured.collect::<Vec<_>>()
     };
-    let both = |model: &String| {
-        let has = |kind| of(model).iter().any(|one| one.kind() == Some(kind));
+    let has_both_placements = |model: &String| {
+        let has = |kind| configurations_of(model).iter().any(|one| one.kind() == Some(kind));
         has(PlacementKind::Local) && has(PlacementKind::Remote)
     };
-    models.retain(both);
-    let five = |one: &Configuration| Quartiles::of(one.known(&stage::INFERENCE)?);
-    let measured = models.iter().flat_map(|model| of(model));
-    let reach = measured.filter_map(five).map(|five| five.top()).fold(0.0, f64::max);
+    models.retain(has_both_placements);
+    let quartiles = |one: &Configuration| Quartiles::of(one.summary(&stage::INFERENCE)?);
+    let measured = models.iter().flat_map(|model| configurations_of(model));
+    let reach = measured.filter_map(quartiles).map(|quartiles| quartiles.top()).fold(0.0, f64::max);
     let scale = Scale::up_to(reach * 1e3, 6);
     let row = |one: &Configuration| {
-        let (figures, five): (_, Quartiles) = (one.figures(&stage::INFERENCE)?, five(one)?);
-        let wher = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
-        let place = format!("{wher}, {}", routes(one));
+        let (figures, quartiles): (_, Quartiles) = (one.figures(&stage::INFERENCE)?, quartiles(one)?);
+        let location = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
+        let place = format!("{location}, {}", routes(one));
         let label = format!("{}, {place}, inference", one.name);
-        let spread = boxed(&stage::INFERENCE, &label, &five, &scale);
+        let spread = box_plot(&stage::INFERENCE, &label, &quartiles, &scale);
         let inference = mean_std_ms(figures.mean, figures.std);
         Some(PlaceRow { configuration: one.name.clone(), place, inference, spread })
     };
     let pair = |model: &String| {
-        let mut places = of(model);
+        let mut places = configurations_of(model);
         places.sort_by_key(|one| one.kind() == Some(PlacementKind::Remote));
         Pair { model: model.clone(), places: places.into_iter().filter_map(row).collect() }
     };

@@ -8,24 +8,25 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, length};
 use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
 
-use super::choice::{Chosen, chosen, without_answer};
+use super::choice::{ChosenRun, choose_runs, without_answer};
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
 use crate::view::{counted, episodes, stack};
 
-/// Largest and smallest number of points of a run, and samples that each should have: enough for a 95th percentile.
-const POINTS: usize = 100;
-const FEWEST: u64 = 20;
-const SAMPLES: u64 = 60;
-/// A run of fewer points than this is not drawn, since its length in time is too inexact.
-const FEWEST_POINTS: usize = 3;
-/// Number of points below which the drawn length of a run is inexact, by part of a point at each end.
-const FEW: f64 = 5.0;
+/// Maximum and minimum number of points that are requested for a run.
+const MAX_POINTS: usize = 100;
+const MIN_POINTS: u64 = 20;
+/// Number of samples that a point should have: enough for a 95th percentile.
+const SAMPLES_PER_POINT: u64 = 60;
+/// Minimum number of points of a drawn run. With fewer points the drawn length of a run is too inexact.
+const MIN_DRAWN_POINTS: usize = 3;
+/// Number of points below which the caption states the length of a run. The drawn length is inexact by up to a point at each end.
+const MIN_EXACT_POINTS: f64 = 5.0;
 
 /// Stored data of a run over time.
 #[derive(Clone, Debug)]
-pub(crate) struct RunCourse {
+pub(crate) struct RunTimeSeries {
     /// Time series of the total, or of the sensor in a run without a model.
     pub series: Series,
     /// Means of the stages and the total, in the buckets of `series`.
@@ -34,7 +35,7 @@ pub(crate) struct RunCourse {
 }
 
 /// Data of runs over time, by the number of the run.
-pub(crate) type RunCourses = HashMap<i64, RunCourse>;
+pub(crate) type TimeSeriesByRun = HashMap<i64, RunTimeSeries>;
 
 /// Runs over time, side by side.
 pub(crate) struct OverTime {
@@ -42,9 +43,9 @@ pub(crate) struct OverTime {
     /// Unit of the horizontal axes.
     pub unit: &'static str,
     pub legend: Picture,
-    /// Number of runs, if not all are drawn.
-    pub of: Option<usize>,
-    /// A sentence about runs without a single answer.
+    /// Number of all runs with data, if not all of them are drawn.
+    pub all_runs: Option<usize>,
+    /// A sentence about runs without a successful iteration.
     pub missing: Option<String>,
 }
 
@@ -52,27 +53,31 @@ pub(crate) struct OverTime {
 pub(crate) struct RunPicture {
     pub run: i64,
     pub name: String,
-    pub said: String,
+    pub caption: String,
     pub picture: Picture,
 }
 
-/// Returns the runs that are drawn, each with the quantity that is drawn: the total, or the sensor's time in a run without a model.
-fn drawn(comparison: &Comparison) -> (Vec<Chosen<'_, Name>>, Option<usize>) {
-    chosen(comparison, |run| {
+/// Chooses the runs that are drawn, each with the drawn quantity: `total`, or `sensing` in a run without a model. If there is not enough
+/// room for all, also returns the number of runs with data.
+fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
+    choose_runs(comparison, |run| {
         let names = [stage::TOTAL, stage::SENSING];
-        names.into_iter().find(|name| comparison.known(run.number, name).is_some())
+        names.into_iter().find(|name| comparison.summary(run.number, name).is_some())
     })
 }
 
-/// Reads the runs that are drawn.
+/// Reads the time series of the runs that are drawn.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
-pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Result<RunCourses, WebError> {
-    let mut all = RunCourses::new();
-    for (_, run, name) in drawn(comparison).0 {
-        let samples = comparison.known(run.number, &name).map_or(0, |known| known.count());
-        let points = (samples / SAMPLES).clamp(FEWEST, POINTS as u64) as usize;
+pub(crate) async fn run_time_series(
+    store: &Store,
+    comparison: &Comparison,
+) -> Result<TimeSeriesByRun, WebError> {
+    let mut all = TimeSeriesByRun::new();
+    for (_, run, name) in drawn_runs(comparison).0 {
+        let samples = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
+        let points = (samples / SAMPLES_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
         let main = [name];
         let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
         let (series, means, episodes) = tokio::try_join!(
@@ -80,22 +85,23 @@ pub(crate) async fn run_courses(store: &Store, comparison: &Comparison) -> Resul
             store.stage_means(run.number, &names, points),
             store.episodes(run.number),
         )?;
-        all.insert(run.number, RunCourse { series, means, episodes });
+        all.insert(run.number, RunTimeSeries { series, means, episodes });
     }
     Ok(all)
 }
 
-/// Returns the runs that are drawn, all on the same axes; `None` where nothing is known of any.
-pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option<OverTime> {
-    let (chosen, of) = drawn(comparison);
-    let known = chosen.into_iter().filter_map(|(one, run, name)| {
-        let course = courses.get(&run.number)?;
-        let points = course.series.stages.iter().map(|stage| stage.points.len()).max().unwrap_or_default();
-        (points >= FEWEST_POINTS).then_some(())?;
-        Some((one, run, &course.episodes, data(one, run, &name, course)))
+/// Returns the pictures of the runs that are drawn, all with the same axes; `None` if no run has enough points.
+pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun) -> Option<OverTime> {
+    let (chosen, all_runs) = drawn_runs(comparison);
+    let with_points = chosen.into_iter().filter_map(|(one, run, name)| {
+        let time_series = series_by_run.get(&run.number)?;
+        let points =
+            time_series.series.stages.iter().map(|stage| stage.points.len()).max().unwrap_or_default();
+        (points >= MIN_DRAWN_POINTS).then_some(())?;
+        Some((one, run, &time_series.episodes, data(one, run, &name, time_series)))
     });
     let (runs, all): (Vec<_>, Vec<(String, StagesOverTime)>) =
-        known.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
+        with_points.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
     let (labels, all): (Vec<String>, Vec<StagesOverTime>) = all.into_iter().unzip();
     let axes = OverTimeAxes::of(&all)?;
     let picture = |(((one, run, episodes), data), label): (
@@ -106,14 +112,14 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
             0 => None,
             beyond => Some(format!("{} beyond ↑", counted(beyond, "mean", "means"))),
         };
-        let is_short = axes.is_short(data) || data.length < data.width * FEW;
-        let short = is_short.then(|| lasted(run, episodes)).flatten();
+        let is_short = axes.is_short(data) || data.length < data.width * MIN_EXACT_POINTS;
+        let short = is_short.then(|| length_text(run, episodes)).flatten();
         let width = Some(points_of(data.width));
-        let said = [episodes::said(episodes), episodes::unanswered(episodes, run), width, short, beyond];
+        let texts = [episodes::summary(episodes), episodes::unanswered(episodes, run), width, short, beyond];
         RunPicture {
             run: run.number,
             name: one.name.clone(),
-            said: said.into_iter().flatten().collect::<Vec<_>>().join(", "),
+            caption: texts.into_iter().flatten().collect::<Vec<_>>().join(", "),
             picture: Picture::of_plot(&data.plot(&axes), "course", label),
         }
     };
@@ -121,16 +127,16 @@ pub(crate) fn over_time(comparison: &Comparison, courses: &RunCourses) -> Option
         runs: runs.iter().zip(&all).zip(&labels).map(picture).collect(),
         unit: axes.unit(),
         legend: Picture::of_legend(&OverTimeAxes::legend(&all), "key plain"),
-        of,
+        all_runs,
         missing: without_answer(comparison),
     })
 }
 
-/// Returns `5.3 ms from first to last start`; `None` of a single iteration, and where the clock was set back.
-fn lasted(run: &RunSummary, episodes: &Episodes) -> Option<String> {
+/// Returns `5.3 ms from first to last start`. `None` for a single iteration, and if the clock was set back during the run.
+fn length_text(run: &RunSummary, episodes: &Episodes) -> Option<String> {
     let seconds = (run.last_iteration? - episodes.first.unwrap_or(run.started)).seconds();
-    let said = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
-    (seconds > 0.0).then(|| format!("{said} from first to last start"))
+    let length = if seconds < 1.0 { duration(seconds).to_string() } else { length(seconds) };
+    (seconds > 0.0).then(|| format!("{length} from first to last start"))
 }
 
 /// Returns `points of 10 s`.
@@ -143,51 +149,57 @@ fn points_of(seconds: f64) -> String {
     format!("points of {count}\u{202f}{unit}")
 }
 
-/// Returns a run in words, and in seconds since its first iteration.
-fn data(one: &Configuration, run: &RunSummary, name: &Name, course: &RunCourse) -> (String, StagesOverTime) {
-    let RunCourse { series, means, episodes } = course;
+/// Returns the description of a run's plot in words, and its data. Times are in seconds since the first iteration.
+fn data(
+    one: &Configuration,
+    run: &RunSummary,
+    name: &Name,
+    time_series: &RunTimeSeries,
+) -> (String, StagesOverTime) {
+    let RunTimeSeries { series, means, episodes } = time_series;
     let points: &[SeriesPoint] = series.stages.first().map_or(&[], |stage| &stage.points);
     let width = f64::from(series.bucket_s.max(1));
-    let begun = episodes.first.unwrap_or(run.started);
-    let since = |at: WallTime| (at - begun).seconds();
+    let start = episodes.first.unwrap_or(run.started);
+    let since = |at: WallTime| (at - start).seconds();
     let last = points.last().map_or(0.0, |point| since(point.at));
-    // A clock that was set back ends before it began.
-    let lasted = run.last_iteration.map_or(0.0, since).max(last).max(width.min(1.0));
-    let inside = |at: &WallTime| (0.0..=lasted).contains(&since(*at));
+    // If the clock was set back during the run, the last iteration may start before the first one.
+    let length_s = run.last_iteration.map_or(0.0, since).max(last).max(width.min(1.0));
+    let is_inside = |at: &WallTime| (0.0..=length_s).contains(&since(*at));
     let mean = |name: &str, at: WallTime| -> Option<&MeanBucket> {
-        let buckets = &means.iter().find(|known| known.stage == *name)?.buckets;
-        buckets.binary_search_by_key(&at, |bucket| bucket.at).ok().and_then(|found| buckets.get(found))
+        let buckets = &means.iter().find(|stage| stage.stage == *name)?.buckets;
+        buckets.binary_search_by_key(&at, |bucket| bucket.at).ok().and_then(|index| buckets.get(index))
     };
     let bucket = |point: &SeriesPoint| {
         let parts = stack::parts(!one.bounds.is_empty(), |name| {
-            mean(name, point.at).map(|known| (known.count, known.mean))
+            mean(name, point.at).map(|bucket| (bucket.count, bucket.mean))
         });
-        let alone = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
+        let single_part = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
         StageBucket {
             begin: since(point.at),
             median: point.p50,
             p95: point.p95,
-            parts: if parts.is_empty() { alone() } else { parts },
+            parts: if parts.is_empty() { single_part() } else { parts },
         }
     };
     let buckets: Vec<StageBucket> = points.iter().map(bucket).collect();
     let medians = || buckets.iter().map(|bucket| bucket.median);
-    let (lo, hi) = medians().fold((f64::INFINITY, 0.0_f64), |(lo, hi), it| (lo.min(it), hi.max(it)));
+    let (lo, hi) =
+        medians().fold((f64::INFINITY, 0.0_f64), |(lo, hi), median| (lo.min(median), hi.max(median)));
     let range = if buckets.is_empty() {
         "nothing is kept".to_owned()
     } else {
-        format!("medians from {} to {} over {}", duration(lo), duration(hi), length(lasted))
+        format!("medians from {} to {} over {}", duration(lo), duration(hi), length(length_s))
     };
-    let more = [episodes::said(episodes), episodes::unanswered(episodes, run)].into_iter().flatten();
-    let said: Vec<String> = [range].into_iter().chain(more).collect();
-    let label = format!("Run {}, {name} over time: {}", run.number, said.join("; "));
+    let remarks = [episodes::summary(episodes), episodes::unanswered(episodes, run)].into_iter().flatten();
+    let parts: Vec<String> = [range].into_iter().chain(remarks).collect();
+    let label = format!("Run {}, {name} over time: {}", run.number, parts.join("; "));
     let data = StagesOverTime {
-        length: lasted,
+        length: length_s,
         width,
         buckets,
-        borders: episodes.borders.iter().filter(|at| inside(at)).map(|at| since(*at)).collect(),
+        borders: episodes.borders.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
         warm_up: episodes.warm_up_until.map(since).filter(|until| *until > 0.0),
-        unanswered: episodes.unanswered.iter().filter(|at| inside(at)).map(|at| since(*at)).collect(),
+        unanswered: episodes.unanswered.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
         p95: run.total.as_ref().and_then(|total| total.p95),
     };
     (label, data)

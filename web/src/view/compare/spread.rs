@@ -1,4 +1,4 @@
-//! Spread of the totals of a comparison, from the statistics stored of each whole run. No iteration is read.
+//! Spread of the totals of a comparison, from the stored statistics of whole runs. No iteration is read.
 
 use peernet_figures::drawing::Quartiles;
 use peernet_figures::scale::Scale;
@@ -16,25 +16,32 @@ pub(crate) struct BoxRow {
     pub picture: Picture,
 }
 
-/// Draws the five numbers of a stage; `of` names the quantity in words.
-pub(super) fn boxed(stage: &str, of: &str, five: &Quartiles, scale: &Scale) -> Picture {
-    Picture::of_items(&five.items(stage, scale), "stages thin boxed", &format!("{of}: {}", five.words()))
+/// Draws the box plot of a stage. `quantity` names the quantity in words.
+pub(super) fn box_plot(stage: &str, quantity: &str, quartiles: &Quartiles, scale: &Scale) -> Picture {
+    Picture::of_items(
+        &quartiles.items(stage, scale),
+        "stages thin boxed",
+        &format!("{quantity}: {}", quartiles.words()),
+    )
 }
 
 /// Returns the total of each configuration, its runs together, all on one scale.
 pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
-    let known = comparison.configurations.iter();
-    let known: Vec<_> =
-        known.filter_map(|one| Some((one, Quartiles::of(one.known(&stage::TOTAL)?)?))).collect();
-    let scale = Scale::up_to(known.iter().map(|(_, five)| five.top()).fold(0.0, f64::max) * 1e3, 6);
-    let row = |(one, five): &(&Configuration, Quartiles)| {
-        let [p25, p50, p75] = five.middle.map(milliseconds);
+    let measured: Vec<_> = comparison
+        .configurations
+        .iter()
+        .filter_map(|one| Some((one, Quartiles::of(one.summary(&stage::TOTAL)?)?)))
+        .collect();
+    let scale =
+        Scale::up_to(measured.iter().map(|(_, quartiles)| quartiles.top()).fold(0.0, f64::max) * 1e3, 6);
+    let row = |(one, quartiles): &(&Configuration, Quartiles)| {
+        let [p25, p50, p75] = quartiles.middle.map(milliseconds);
         BoxRow {
             name: one.name.clone(),
             median: p50,
             quartiles: format!("{p25} – {p75}"),
-            picture: boxed(&stage::TOTAL, &format!("{}, total", one.name), five, &scale),
+            picture: box_plot(&stage::TOTAL, &format!("{}, total", one.name), quartiles, &scale),
         }
     };
-    (known.iter().map(row).collect(), Axes::of(&scale))
+    (measured.iter().map(row).collect(), Axes::of(&scale))
 }

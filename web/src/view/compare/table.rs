@@ -1,4 +1,4 @@
-//! Figures per configuration, and the difference of two.
+//! Table of the figures of each configuration, and rows of the differences between two configurations.
 
 use peernet_logger::stage;
 use peernet_statistics::number::{Estimate, NONE, bytes, count, duration, mean_std_ms, percent, share};
@@ -9,7 +9,7 @@ use crate::look;
 use crate::view::accuracy;
 use crate::view::now::Cell;
 
-/// The columns of the paper's table, and both totals.
+/// The columns of the table in the paper, the sum of the stages, and the total: node and title.
 const COLUMNS: [(&str, &str); 6] = [
     ("sensing", "sensing"),
     ("upload", "upload"),
@@ -59,12 +59,13 @@ pub(crate) struct Row {
 
 impl Table {
     pub(crate) fn of(comparison: &Comparison, differences: &Differences) -> Self {
-        let known = |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
-        let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| known(name)).collect();
-        let accuracies: Vec<_> = look::ACCURACIES.into_iter().filter(|(name, _)| known(name)).collect();
+        let is_measured =
+            |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
+        let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| is_measured(name)).collect();
+        let accuracies: Vec<_> = look::ACCURACIES.into_iter().filter(|(name, _)| is_measured(name)).collect();
         let best = differences.ranking.as_ref().map(|ranking| ranking.best);
         let has_axes = !comparison.axes.is_empty();
-        let row = |(at, one): (usize, &Configuration)| Row {
+        let row = |(index, one): (usize, &Configuration)| Row {
             values: if has_axes { one.values.clone() } else { vec![one.name.clone()] },
             runs: one.runs.iter().map(|run| run.number).collect(),
             iterations: count(one.total().map_or(0, |total| total.count)),
@@ -78,24 +79,24 @@ impl Table {
             accuracies: accuracies
                 .iter()
                 .map(|(name, _)| {
-                    let shown =
+                    let texts =
                         |figures: &QuantityStatistics| (share(figures.mean), accuracy::interval(figures));
-                    one.figures(name).map_or_else(|| (NONE.to_owned(), None), shown)
+                    one.figures(name).map_or_else(|| (NONE.to_owned(), None), texts)
                 })
                 .collect(),
             sent: one
                 .figures(&stage::UPLOAD_BYTES)
                 .map_or_else(|| NONE.to_owned(), |sent| bytes(sent.mean).to_string()),
             missed: missed(one),
-            best: best == Some(at),
+            best: best == Some(index),
         };
         Self {
             rows: comparison.configurations.iter().enumerate().map(row).collect(),
             header: Header {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
-                columns: columns.into_iter().map(|(_, shown)| shown).collect(),
-                accuracies: accuracies.into_iter().map(|(_, shown)| shown).collect(),
-                sent: known(&stage::UPLOAD_BYTES),
+                columns: columns.into_iter().map(|(_, title)| title).collect(),
+                accuracies: accuracies.into_iter().map(|(_, title)| title).collect(),
+                sent: is_measured(&stage::UPLOAD_BYTES),
                 missed: comparison.configurations.iter().any(|one| one.misses().is_some()),
             },
         }
@@ -110,15 +111,15 @@ fn missed(one: &Configuration) -> Cell {
         Some(deadline) => format!("longer than {}", duration(deadline)),
         None => "longer than the deadline of their run".to_owned(),
     };
-    let what = format!(
+    let explanation = format!(
         "{} of {} iterations, {deadline} or without an answer",
         count(misses.missed),
         count(misses.iterations)
     );
-    Cell { text: percent(rate), title: Some(what) }
+    Cell { text: percent(rate), title: Some(explanation) }
 }
 
-/// A row of the difference of two configurations. Times in ms.
+/// The difference of one stage between two configurations, as a row of a table. Times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DifferenceRow {
     pub name: String,
@@ -136,7 +137,7 @@ pub(crate) struct DifferenceRow {
 const MAX_DECIMALS: usize = 3;
 
 impl DifferenceRow {
-    /// Returns the stages of a configuration, with one number of decimals for all.
+    /// Returns a row for each stage. All differences have the same number of decimals.
     pub(crate) fn of_stages(stages: &[StageDifference]) -> Vec<Self> {
         let decimals = stages.iter().filter_map(estimate).map(|estimate| estimate.decimals()).max();
         let decimals = decimals.unwrap_or_default().min(MAX_DECIMALS);
@@ -153,11 +154,12 @@ impl DifferenceRow {
 
     fn format_with(stage: &StageDifference, form: impl Fn(Estimate) -> Estimate) -> Self {
         let mean = |mean: Option<f64>| mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0);
-        let shown = COLUMNS.iter().find(|(known, _)| stage.name == **known);
-        let has_interval = stage.found.is_some_and(|found| found.interval.is_some());
+        let column = COLUMNS.iter().find(|(name, _)| stage.name == **name);
+        let has_interval =
+            stage.mean_difference.is_some_and(|mean_difference| mean_difference.interval.is_some());
         let estimate = estimate(stage).map(form);
         Self {
-            name: shown.map_or(&*stage.name, |(_, shown)| shown).to_owned(),
+            name: column.map_or(&*stage.name, |(_, title)| title).to_owned(),
             look: look::class(&stage.name),
             first: mean(stage.means.0),
             second: mean(stage.means.1),
@@ -169,6 +171,9 @@ impl DifferenceRow {
 }
 
 fn estimate(stage: &StageDifference) -> Option<Estimate> {
-    let found = stage.found?;
-    Some(Estimate::new(found.value, found.interval.unwrap_or((found.value, found.value))))
+    let mean_difference = stage.mean_difference?;
+    Some(Estimate::new(
+        mean_difference.value,
+        mean_difference.interval.unwrap_or((mean_difference.value, mean_difference.value)),
+    ))
 }

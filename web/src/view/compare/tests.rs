@@ -3,7 +3,7 @@ use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_store::{DelayAccuracy, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
 use peernet_stream::{EndReason, OutcomeCounts, Placement};
 
-use super::series::{RunCourse, RunCourses};
+use super::series::{RunTimeSeries, TimeSeriesByRun};
 use super::*;
 use crate::tests::samples::{self, HOSTILE};
 
@@ -108,11 +108,11 @@ pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
 
 /// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
 /// the smallest number has no answer three times.
-pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
+pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
     let first = comparison.runs().map(|run| run.number).min();
     let moment = |seconds: i64| samples::NOW + Span::from_seconds(seconds);
     let seconds = || (15..60_i64).filter(|second| !(30..33).contains(second));
-    let of = |one: &Configuration, run: &RunSummary| {
+    let series_of = |one: &Configuration, run: &RunSummary| {
         let mean = one.total()?.mean;
         let point = |second: i64| {
             let p50 = mean * (1.0 + 0.1 * (second as f64).sin());
@@ -137,39 +137,42 @@ pub(crate) fn run_courses(comparison: &Comparison) -> RunCourses {
             unanswered: unanswered.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
-        Some((run.number, RunCourse { series, means: means.collect(), episodes }))
+        Some((run.number, RunTimeSeries { series, means: means.collect(), episodes }))
     };
     comparison
         .configurations
         .iter()
-        .flat_map(|one| one.runs.iter().filter_map(move |run| of(one, run)))
+        .flat_map(|one| one.runs.iter().filter_map(move |run| series_of(one, run)))
         .collect()
 }
 
 #[test]
 fn addresses_name_runs_or_an_experiment() {
-    let of = |pairs: &[(&str, &str)]| {
+    let parse = |pairs: &[(&str, &str)]| {
         let pairs: Vec<_> = pairs.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect();
         CompareSelection::parse(&pairs, "runs")
     };
-    assert_eq!(of(&[]).expect("fine"), None);
+    assert_eq!(parse(&[]).expect("fine"), None);
     assert_eq!(
-        of(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"),
+        parse(&[("runs", "3,#5, 3"), ("runs", "7")]).expect("fine"),
         Some(CompareSelection::Runs(vec![3, 5, 7]))
     );
-    assert_eq!(of(&[("experiment", "x")]).expect("fine"), Some(CompareSelection::Experiment("x".to_owned())));
+    assert_eq!(
+        parse(&[("experiment", "x")]).expect("fine"),
+        Some(CompareSelection::Experiment("x".to_owned()))
+    );
     for wrong in [&[("runs", "3,x")][..], &[("run", "3")], &[("runs", "3"), ("experiment", "x")]] {
-        assert!(of(wrong).is_err(), "{wrong:?}");
+        assert!(parse(wrong).is_err(), "{wrong:?}");
     }
     let many = (1..=13).map(|n| n.to_string()).collect::<Vec<_>>().join(",");
-    assert!(of(&[("runs", &many)]).is_err());
+    assert!(parse(&[("runs", &many)]).is_err());
 }
 
 /// Returns series of the configurations' totals with this number of buckets each.
 pub(crate) fn totals(comparison: &Comparison, buckets: usize) -> RunMeans {
-    let of =
+    let number_and_mean =
         |one: &Configuration| one.runs.first().zip(one.total()).map(|(run, total)| (run.number, total.mean));
-    let measured = comparison.configurations.iter().filter_map(of);
+    let measured = comparison.configurations.iter().filter_map(number_and_mean);
     measured.map(|(run, mean)| (run, course(mean, buckets))).collect()
 }
 
@@ -191,7 +194,7 @@ fn title_says_which_is_fastest_by_how_much() {
     let text = title(&two, &found);
     assert!(text.starts_with("B is the fastest: 16.0\u{202f}ms, 8.0"), "{text}");
     assert!(text.contains(" less than A (95\u{202f}%: "), "{text}");
-    assert_eq!(found.others[0].1[1].found, None, "nothing is known of the course of the stages");
+    assert_eq!(found.others[0].1[1].mean_difference, None, "nothing is known of the course of the stages");
 
     let three = scaled(&[2.0, 1.0, 3.0]);
     let text = |baseline| title_of(&three, &totals(&three, 20), baseline);
@@ -242,26 +245,34 @@ fn title_counts_only_what_was_measured() {
 #[test]
 fn baseline_is_named_by_one_of_its_runs() {
     let two = scaled(&[1.0, 2.0]);
-    let of = |run| two.baseline(run).map_err(|error| error.to_string());
-    assert_eq!((of(None), of(Some("")), of(Some("2")), of(Some("#1"))), (Ok(0), Ok(0), Ok(1), Ok(0)));
+    let index_of = |run| two.baseline(run).map_err(|error| error.to_string());
+    assert_eq!(
+        (index_of(None), index_of(Some("")), index_of(Some("2")), index_of(Some("#1"))),
+        (Ok(0), Ok(0), Ok(1), Ok(0))
+    );
     for wrong in ["3", "A"] {
-        assert!(of(Some(wrong)).is_err_and(|text| text.contains("baseline") && text.contains(wrong)));
+        assert!(index_of(Some(wrong)).is_err_and(|text| text.contains("baseline") && text.contains(wrong)));
     }
 }
 
 #[test]
 fn configurations_with_other_differences_have_separate_lines() {
-    let of = |at: usize, size: f64, load: &str| {
+    let configuration_with = |at: usize, size: f64, load: &str| {
         let mut one = configuration(at, PlacementKind::Remote, 1.0 + size / 1e6, size);
         one.values = vec![size.to_string(), load.to_owned()];
         one
     };
     let sizes = [1e3, 1e5, 1e6];
     let both = sizes.iter().flat_map(|size| ["50 Hz", "closed"].map(|load| (*size, load)));
-    let both = comparison(both.enumerate().map(|(at, (size, load))| of(at, size, load)).collect());
-    let (_, said) = payload(&both).expect("sizes");
-    let begins: Vec<&str> = said.iter().filter_map(|text| text.split(':').next()).collect();
-    assert_eq!(begins, ["total (50 Hz)", "total (closed)", "upload (50 Hz)", "upload (closed)"], "{said:?}");
+    let both =
+        comparison(both.enumerate().map(|(at, (size, load))| configuration_with(at, size, load)).collect());
+    let (_, sentences) = payload(&both).expect("sizes");
+    let begins: Vec<&str> = sentences.iter().filter_map(|text| text.split(':').next()).collect();
+    assert_eq!(
+        begins,
+        ["total (50 Hz)", "total (closed)", "upload (50 Hz)", "upload (closed)"],
+        "{sentences:?}"
+    );
 }
 
 #[test]
@@ -281,12 +292,13 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         many.runs.push(RunSummary { host_name: samples::slug(&format!("user-{user}")), ..run.clone() });
     }
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
-    let (together, _) = super::pairs(&users);
+    let (several_users, _) = super::pairs(&users);
     assert!(
-        together[0].places[1].place.starts_with("cloud, user-1, user-2, user-10 → "),
+        several_users[0].places[1].place.starts_with("cloud, user-1, user-2, user-10 → "),
         "{}",
-        together[0].places[1].place
+        several_users[0].places[1].place
     );
-    let alike = comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
-    assert!(payload(&alike).is_none() && super::pairs(&alike).0.is_empty());
+    let equal_sizes =
+        comparison((0..3).map(|at| configuration(at, PlacementKind::Remote, 1.0, 1e3)).collect());
+    assert!(payload(&equal_sizes).is_none() && super::pairs(&equal_sizes).0.is_empty());
 }

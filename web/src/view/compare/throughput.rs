@@ -15,10 +15,10 @@ use super::payload::{Group, group_name, groups, line, name_in};
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
 
-/// bit/s to MB/s.
-const MEGABYTES: f64 = 1.0 / 8e6;
+/// Factor from bit/s to MB/s.
+const MEGABYTES_PER_BIT: f64 = 1.0 / 8e6;
 /// Directions, each with the sizes that make up the bytes sent in it.
-static WAYS: [(Name, [Name; 2]); 2] = [
+static DIRECTIONS: [(Name, [Name; 2]); 2] = [
     (stage::UPLOAD, [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
     (stage::DOWNLOAD, [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),
 ];
@@ -27,7 +27,7 @@ static WAYS: [(Name, [Name; 2]); 2] = [
 pub(crate) struct Throughput {
     pub plot: Picture,
     pub rows: Vec<ThroughputRow>,
-    pub said: Vec<String>,
+    pub sentences: Vec<String>,
 }
 
 /// One configuration, one direction.
@@ -43,13 +43,13 @@ pub(crate) struct ThroughputRow {
     pub throughput: (String, Option<String>),
 }
 
-/// One point, bit/s.
+/// Throughput of one configuration in one direction, bit/s.
 struct ThroughputPoint<'a> {
     one: &'a Configuration,
     bytes: f64,
     delay: f64,
     value: f64,
-    /// Interval by the clock bounds; without an upper end where the delay may be zero.
+    /// Interval by the clock bounds. It has no upper end if the delay may be zero.
     ends: Option<(f64, Option<f64>)>,
 }
 
@@ -74,14 +74,14 @@ impl<'a> ThroughputPoint<'a> {
         }
     }
 
-    /// MB/s over kB; an error bar without an upper end leaves the plot at `top`.
+    /// Returns the point in MB/s over kB. An error bar without an upper end extends to `top`, which lies beyond the plot.
     fn point(&self, top: f64, name: String) -> ScatterPoint {
         ScatterPoint {
             x: self.bytes / 1e3,
-            y: self.value * MEGABYTES,
-            ends: self
-                .ends
-                .map(|(low, high)| (low * MEGABYTES, high.map_or(top, |high| high * MEGABYTES).min(top))),
+            y: self.value * MEGABYTES_PER_BIT,
+            ends: self.ends.map(|(low, high)| {
+                (low * MEGABYTES_PER_BIT, high.map_or(top, |high| high * MEGABYTES_PER_BIT).min(top))
+            }),
             name,
         }
     }
@@ -89,55 +89,60 @@ impl<'a> ThroughputPoint<'a> {
 
 /// Returns the throughput of each direction whose payloads have at least three sizes.
 pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
-    let ways = WAYS.iter().filter_map(|(way, sizes)| {
-        let known: Vec<ThroughputPoint<'_>> =
+    let measured = DIRECTIONS.iter().filter_map(|(way, sizes)| {
+        let points: Vec<ThroughputPoint<'_>> =
             comparison.configurations.iter().filter_map(|one| ThroughputPoint::of(one, way, sizes)).collect();
-        let sizes = distinct_sizes(known.iter().map(|it| it.bytes));
-        (sizes >= MIN_SIZES).then_some((way, known))
+        let sizes = distinct_sizes(points.iter().map(|point| point.bytes));
+        (sizes >= MIN_SIZES).then_some((way, points))
     });
-    let ways: Vec<(&Name, Vec<ThroughputPoint<'_>>)> = ways.collect();
-    let all = || ways.iter().flat_map(|(_, known)| known);
-    ways.first()?;
+    let measured: Vec<(&Name, Vec<ThroughputPoint<'_>>)> = measured.collect();
+    let all = || measured.iter().flat_map(|(_, points)| points);
+    measured.first()?;
     // An upper end that is far above all values would compress the points at the bottom.
-    let highest = all().map(|it| it.value).fold(0.0, f64::max) * MEGABYTES;
-    let reach = all().filter_map(|it| it.ends?.1).map(|high| (high * MEGABYTES).min(2.0 * highest));
+    let highest = all().map(|point| point.value).fold(0.0, f64::max) * MEGABYTES_PER_BIT;
+    let reach =
+        all().filter_map(|point| point.ends?.1).map(|high| (high * MEGABYTES_PER_BIT).min(2.0 * highest));
     let up = Scale::up_to(reach.fold(highest, f64::max), 5);
-    let x = Axis::new(Scale::of_sizes(all().map(|it| it.bytes / 1e3)), "", "kB");
-    let mut said = Vec::new();
-    let series = ways.iter().map(|(way, known)| {
-        let sized: Group<'_> = known.iter().map(|it| (it.one, it.bytes)).collect();
+    let x = Axis::new(Scale::of_sizes(all().map(|point| point.bytes / 1e3)), "", "kB");
+    let mut sentences = Vec::new();
+    let series = measured.iter().map(|(way, points)| {
+        let sized: Group<'_> = points.iter().map(|point| (point.one, point.bytes)).collect();
         let groups = groups(comparison, &sized);
-        let lines = groups.iter().filter_map(|group| level(comparison, way, group, &mut said)).collect();
-        let name = |it: &ThroughputPoint<'_>| name_in(comparison, &groups, it.one);
-        let points = known.iter().map(|it| it.point(up.ends().1 * 1.02, name(it))).collect();
-        ScatterSeries { stage: look::stage(way), name: way.to_string(), points, lines }
+        let lines = groups
+            .iter()
+            .filter_map(|group| horizontal_line(comparison, way, group, &mut sentences))
+            .collect();
+        let name = |point: &ThroughputPoint<'_>| name_in(comparison, &groups, point.one);
+        let scatter_points =
+            points.iter().map(|point| point.point(up.ends().1 * 1.02, name(point))).collect();
+        ScatterSeries { stage: look::stage(way), name: way.to_string(), points: scatter_points, lines }
     });
     let series: Vec<ScatterSeries> = series.collect();
     let rows: Vec<ThroughputRow> =
-        ways.iter().flat_map(|(way, known)| known.iter().map(|it| it.row(way))).collect();
-    let label = format!("Throughput against payload. {}", said.join(" "));
+        measured.iter().flat_map(|(way, points)| points.iter().map(|point| point.row(way))).collect();
+    let label = format!("Throughput against payload. {}", sentences.join(" "));
     let scatter = Scatter { x, y: Axis::new(up, "", "MB/s"), series };
-    Some(Throughput { plot: Picture::of_scatter(&scatter, &label), rows, said })
+    Some(Throughput { plot: Picture::of_scatter(&scatter, &label), rows, sentences })
 }
 
-/// Returns a level line at the throughput of large messages, by the delay of each further byte.
-fn level(
+/// Returns a horizontal line at the throughput of large messages, which follows from the delay of each further byte.
+fn horizontal_line(
     comparison: &Comparison,
     way: &Name,
     group: &Group<'_>,
-    said: &mut Vec<String>,
+    sentences: &mut Vec<String>,
 ) -> Option<ScatterLine> {
     let (fit, ends) = line(group, way)?;
-    let of = group_name(comparison, group).map_or_else(String::new, |name| format!(" ({name})"));
+    let group_text = group_name(comparison, group).map_or_else(String::new, |name| format!(" ({name})"));
     let Some((value, margin)) = rate(fit.slope) else {
-        said.push(format!("{way}{of}: too fast to tell from these sizes."));
+        sentences.push(format!("{way}{group_text}: too fast to tell from these sizes."));
         return None;
     };
-    said.push(format!(
-        "{way}{of}: {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
+    sentences.push(format!(
+        "{way}{group_text}: {}{SPACE}MB/s (95{SPACE}%) by the slope of a line through {} mean delays.",
         throughput_with(value, margin),
         fit.points
     ));
-    let intercept = value * MEGABYTES;
+    let intercept = value * MEGABYTES_PER_BIT;
     Some(ScatterLine { intercept, slope: 0.0, from: ends.0 / 1e3, to: ends.1 / 1e3 })
 }

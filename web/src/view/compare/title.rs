@@ -5,7 +5,7 @@ use peernet_statistics::number::{Estimate, SPACE, duration};
 
 use super::{Comparison, Configuration, Differences};
 
-/// Largest number of configurations that a title names in addition to the best.
+/// Maximum number of configurations that a title names in addition to the best.
 const MAX_NAMED: usize = 2;
 
 /// Returns the finding of the comparison in a sentence.
@@ -32,42 +32,42 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
         return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));
     }
     if !untested.is_empty() {
-        let among = match ranking.differences.len() {
+        let statement = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
             others => format!("{} has the smallest mean of {}, {mean}", best.name, others + 1),
         };
-        let whom = match untested.len() < ranking.differences.len() {
+        let configurations = match untested.len() < ranking.differences.len() {
             true => format!(" of {}", names(all, &untested)),
             false => String::new(),
         };
-        return format!("{among}; too little is known{whom} to tell more");
+        return format!("{statement}; too little is known{configurations} to tell more");
     }
-    let Some((place, difference)) = reference_configuration(ranking, differences.baseline) else {
+    let Some((index, difference)) = reference_configuration(ranking, differences.baseline) else {
         return format!("{} is the fastest: {mean}", best.name);
     };
     let (lo, hi) = difference.interval.unwrap_or((difference.value, difference.value));
-    let less = Estimate::new(difference.value, (lo, hi));
+    let difference_ms = Estimate::new(difference.value, (lo, hi));
     format!(
         "{} is the fastest: {mean}, {}{SPACE}ms less than {} (95{SPACE}%: {})",
         best.name,
-        less.value(),
-        all[place].name,
-        less.between()
+        difference_ms.value(),
+        all[index].name,
+        difference_ms.between()
     )
 }
 
 /// Returns the configuration with which the best is compared: the baseline, or the next configuration if the baseline is the best.
 fn reference_configuration(ranking: &Ranking, baseline: usize) -> Option<(usize, Difference)> {
-    let known =
-        || ranking.differences.iter().filter_map(|(place, difference)| Some((*place, (*difference)?)));
-    let next = || known().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
-    known().find(|(place, _)| *place == baseline).or_else(next)
+    let tested =
+        || ranking.differences.iter().filter_map(|(index, difference)| Some((*index, (*difference)?)));
+    let next = || tested().min_by(|a, b| a.1.value.total_cmp(&b.1.value));
+    tested().find(|(index, _)| *index == baseline).or_else(next)
 }
 
-fn names(all: &[Configuration], places: &[usize]) -> String {
-    let named: Vec<&str> = places.iter().take(MAX_NAMED).map(|place| all[*place].name.as_str()).collect();
-    match places.len() - named.len() {
-        0 => named.join(" and "),
-        more => format!("{} and {more} more", named.join(", ")),
+fn names(all: &[Configuration], indexes: &[usize]) -> String {
+    let names: Vec<&str> = indexes.iter().take(MAX_NAMED).map(|index| all[*index].name.as_str()).collect();
+    match indexes.len() - names.len() {
+        0 => names.join(" and "),
+        more => format!("{} and {more} more", names.join(", ")),
     }
 }

@@ -1,4 +1,4 @@
-//! Latency against the number of users that measured at once, and the fairness between them.
+//! Latency against the number of users that measure at the same time, and the fairness between these users.
 
 use peernet_analysis::users::{Curve, EdgeShare, Totals, Users, UsersLine};
 use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
@@ -17,8 +17,9 @@ use crate::view::runs;
 pub(crate) struct UsersRow {
     pub name: String,
     pub users: String,
-    /// Answers per second of all, and of the user that got the fewest and the most.
+    /// Answers per second of all users together.
     pub rate: String,
+    /// Answers per second of the users that got the fewest and the most.
     pub each: String,
     /// Jain's index.
     pub fairness: String,
@@ -26,20 +27,22 @@ pub(crate) struct UsersRow {
     pub total: (String, Option<String>),
 }
 
-/// Returns the plot and its numbers, where several users measured at once and their number differs.
+/// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
 pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)> {
     comparison.experiment.as_ref()?;
     let users =
         Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
     let curves = Curve::from_users(&users);
-    let edges = |line: Option<&&UsersLine>| line.map(|line| line.edges);
-    let differ = |curve: &Curve<'_>| edges(curve.points.first()) != edges(curve.points.last());
+    let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
+    let differ =
+        |curve: &Curve<'_>| users_of_line(curve.points.first()) != users_of_line(curve.points.last());
     curves.iter().any(differ).then_some(())?;
     // Within an experiment the values identify a configuration.
-    let of = |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
+    let configuration_of =
+        |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
     let curves: Vec<Vec<(&UsersLine, &Configuration)>> = curves
         .iter()
-        .map(|curve| curve.points.iter().filter_map(|line| Some((*line, of(line)?))).collect())
+        .map(|curve| curve.points.iter().filter_map(|line| Some((*line, configuration_of(line)?))).collect())
         .collect();
     let rows = curves.iter().flatten().map(|(line, one)| row(line, one));
     Some((plot(&curves), rows.collect()))
@@ -65,7 +68,7 @@ fn share(run: &RunSummary) -> Option<EdgeShare> {
 }
 
 fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
-    // Users of one cloud wait for each other.
+    // Users of one cloud wait for each other in its queue, so the time in the queue is drawn as well.
     let series = ["total", "queue"].map(|name| {
         let point = |(line, one): &(&UsersLine, &Configuration)| {
             let figures = one.figures(name)?;
@@ -90,17 +93,18 @@ fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
     let series: Vec<ScatterSeries> = series.into_iter().filter(|one| !one.points.is_empty()).collect();
     let points = || series.iter().flat_map(|one| &one.points);
     let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
-    let x = Axis::new(numbers(points().map(|point| point.x)), "", "users at once");
-    let said = curves.iter().flatten().filter_map(|(line, one)| {
+    let x = Axis::new(whole_number_scale(points().map(|point| point.x)), "", "users at once");
+    let sentences = curves.iter().flatten().filter_map(|(line, one)| {
         let total = one.total()?;
         Some(format!("{}: {} at {}", one.name, duration(total.mean), users_of(line)))
     });
-    let label = format!("Mean latency against the number of users. {}", said.collect::<Vec<_>>().join(", "));
+    let label =
+        format!("Mean latency against the number of users. {}", sentences.collect::<Vec<_>>().join(", "));
     Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "ms"), series }, &label)
 }
 
-/// Returns a scale of whole numbers with room beyond the largest.
-fn numbers(values: impl Iterator<Item = f64> + Clone) -> Scale {
+/// Returns a scale of whole numbers that extends beyond the largest value.
+fn whole_number_scale(values: impl Iterator<Item = f64> + Clone) -> Scale {
     let most = values.clone().fold(0.0, f64::max);
     let scale = Scale::of_sizes(values);
     if scale.is_logarithmic() { scale } else { Scale::up_to(most + 0.5, (most as usize + 1).min(6)) }
@@ -117,15 +121,15 @@ fn between(a: &ScatterPoint, b: &ScatterPoint) -> Option<ScatterLine> {
 }
 
 fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
-    let told = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
+    let or_dash = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
     UsersRow {
         name: one.name.clone(),
         users: count(line.edges as u64),
-        rate: told(line.rate, rate),
+        rate: or_dash(line.rate, rate),
         each: line
             .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
-        fairness: told(line.fairness, |index| measured(index, 3)),
+        fairness: or_dash(line.fairness, |index| measured(index, 3)),
         total: one.total().map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
     }
 }

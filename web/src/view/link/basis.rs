@@ -1,13 +1,13 @@
-//! Texts about the assumptions of the bounds of one-way delays.
+//! Texts about the assumptions on which the bounds of one-way delays depend.
 
 use peernet_clock::{DelaySource, Offset, RelatedClocks, Span};
 use peernet_statistics::number::{SPACE, figure, fixed, length};
 use peernet_store::DelayAssumptions;
 
 use super::Subject;
-use super::course::Course;
 use super::panels::Pairs;
 use super::stats::ppm;
+use super::time_series::LinkTimeSeries;
 
 /// Returns the related clocks as the subject of a sentence.
 const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
@@ -18,8 +18,8 @@ const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
     }
 }
 
-/// Returns the conditions under which the intervals contain the true delays: the sentence of README.md and docs/clocks.md with the
-/// figures of a link.
+/// Returns a sentence with the conditions under which the intervals contain the true delays. README.md and docs/clocks.md have the same
+/// sentence; here it contains the figures of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = clocks_subject(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
@@ -58,12 +58,12 @@ pub(crate) const fn source_words(source: DelaySource) -> &'static str {
 /// Returns the facts that limit the trust in the bounds: claims that narrow them, and probes without authentication.
 pub(crate) fn facts(subject: &Subject<'_>) -> Vec<String> {
     let mut facts = Vec::new();
-    let claimed = |offset: &Offset| {
+    let uses_claims = |offset: &Offset| {
         matches!(offset.source, DelaySource::Kernel | DelaySource::Chrony | DelaySource::Intersection)
     };
-    if let Some(offset) = subject.offset().filter(|offset| claimed(offset)) {
-        let chrony = offset.sources.iter().any(|(source, _)| *source == DelaySource::Chrony);
-        facts.push(format!("bounds as claimed by {}", if chrony { "chrony" } else { "the kernels" }));
+    if let Some(offset) = subject.offset().filter(|offset| uses_claims(offset)) {
+        let has_chrony = offset.sources.iter().any(|(source, _)| *source == DelaySource::Chrony);
+        facts.push(format!("bounds as claimed by {}", if has_chrony { "chrony" } else { "the kernels" }));
     }
     if subject.assumptions.is_some_and(|assumptions| assumptions.probes_authenticated == Some(false)) {
         facts.push("probes not authenticated".to_owned());
@@ -90,11 +90,11 @@ pub(crate) fn brief(assumptions: &DelayAssumptions) -> String {
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
-/// Returns the panel about assumptions: their limits, what the exchanges prove about them, and what else narrows a bound. It is empty if
-/// both hosts read one clock.
-pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
+/// Returns the panel about assumptions: the assumed limits, the drift that the exchanges prove, and other information that narrows a
+/// bound. The panel is empty if both hosts read one clock.
+pub(crate) fn pairs(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pairs {
     let Some(assumptions) = &subject.assumptions else { return Pairs::new() };
-    let newest = NewestBasis::of(subject, course);
+    let newest = NewestBasis::of(subject, time_series);
     let clocks = match assumptions.clocks {
         RelatedClocks::Raw => {
             format!(
@@ -117,11 +117,11 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs.push(("Window", window(newest.grown_window)));
     let claims = match assumptions.claims_trusted {
         Some(true) => {
-            let used = subject.offset().map_or("not used now", |offset| source_words(offset.source));
-            format!("trusted, they may narrow the bound: {used}")
+            let source = subject.offset().map_or("not used now", |offset| source_words(offset.source));
+            format!("trusted, they may narrow the bound: {source}")
         }
         Some(false) => "shown for comparison only".to_owned(),
-        None => "not told".to_owned(),
+        None => "not reported".to_owned(),
     };
     pairs.push(("Claims of time daemons", claims));
     let probes = match assumptions.probes_authenticated {
@@ -133,7 +133,7 @@ pub(crate) fn pairs(subject: &Subject<'_>, course: &Course) -> Pairs {
     pairs
 }
 
-/// What the newest sample of a link says about its exchanges.
+/// Values of the newest sample of a link that depend on its exchanges.
 #[derive(Clone, Copy, Default)]
 struct NewestBasis {
     proven_skew_ppm: Option<(f64, f64)>,
@@ -141,8 +141,8 @@ struct NewestBasis {
 }
 
 impl NewestBasis {
-    fn of(subject: &Subject<'_>, course: &Course) -> Self {
-        match (subject.live, course.points.last()) {
+    fn of(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Self {
+        match (subject.live, time_series.points.last()) {
             (Some(link), _) => link.live.now.basis.map_or_else(Self::default, |basis| Self {
                 proven_skew_ppm: basis.proven_skew_ppm,
                 grown_window: basis.grown_window,
@@ -180,8 +180,8 @@ fn window(grown: Option<Span>) -> String {
         || "no exchange older than [clock] window_s bounds a delay".to_owned(),
         |age| {
             format!(
-                "grown to {} because exchanges are rare: the newest eight count however old they are, and so long a violated \
-                 assumption lasts",
+                "grown to {} because exchanges are rare: the newest eight exchanges bound the delay whatever their age; a violated \
+                 assumption affects the bound for the same time",
                 length(age.seconds())
             )
         },
@@ -217,9 +217,9 @@ mod tests {
         };
         assert_eq!(
             promise(&weakest),
-            "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than assumed, neither \
-             is stepped unnoticed, the stamps are those of the two hosts (their probes are not authenticated), and the trusted claims of \
-             time daemons are true."
+            "Each interval contains the true delay as long as the wall clocks of both hosts drift apart no faster than \
+             assumed, neither is stepped unnoticed, the stamps are those of the two hosts (their probes are not \
+             authenticated), and the trusted claims of time daemons are true."
         );
     }
 

@@ -1,4 +1,4 @@
-//! The picture of a link over time.
+//! The chart of a link over time.
 
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_figures::look::{Style, TextStyle};
@@ -11,10 +11,10 @@ use serde::Deserialize;
 use super::super::chip::{Chip, Tone};
 use super::super::incidents::IncidentLine;
 use super::super::speed::NetworkDirection;
-use super::course::Course;
 use super::delays::{bounds, of_point};
+use super::time_series::LinkTimeSeries;
 use super::tracks::{Place, RailSign, Track, Tracks, span};
-use super::{Subject, known, offset};
+use super::{Subject, estimate_and_half_width, offset};
 use crate::picture::Picture;
 use crate::zone::Zone;
 
@@ -22,10 +22,10 @@ use crate::zone::Zone;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum OffsetView {
-    /// Without the part that a steady drift explains.
+    /// The offset minus the part that a steady drift explains.
     #[default]
     Removed,
-    /// As measured.
+    /// The offset as measured.
     Measured,
 }
 
@@ -39,58 +39,61 @@ impl OffsetView {
     }
 }
 
-/// Whiskers over the whole width.
-const WHISKERS: f64 = 60.0;
-/// Width of a gap from which on its reason is shown above it.
-const REASON_FITS: f64 = 0.08;
-/// Distance of signs below which they would overlap.
-const SIGN_FITS: f64 = 0.022;
+/// Approximate maximum number of whiskers over the whole width.
+const MAX_WHISKERS: f64 = 60.0;
+/// Minimum width of a gap with a label above it, as a share of the time axis.
+const MIN_LABELLED_GAP: f64 = 0.08;
+/// Minimum distance between two signs, as a share of the time axis; closer signs would overlap.
+const MIN_SIGN_DISTANCE: f64 = 0.022;
 /// A value larger than this multiple of the 95th percentile does not extend the scale.
 const TAIL: f64 = 3.0;
 
+/// Time series of a chart, and its gaps.
 pub(super) struct Plan<'a> {
-    pub(super) course: &'a Course,
-    /// The course with few enough points for whiskers.
-    coarse: Course,
+    pub(super) time_series: &'a LinkTimeSeries,
+    /// The time series, merged so that it has few enough points for whiskers.
+    coarse: LinkTimeSeries,
     gaps: Vec<(WallTime, WallTime)>,
 }
 
 impl Plan<'_> {
+    /// Returns the position of a time on the time axis, as a share of the axis.
     fn x(&self, at: WallTime) -> f64 {
-        (at - self.course.from).seconds() / self.course.seconds().max(1.0)
+        (at - self.time_series.from).seconds() / self.time_series.seconds().max(1.0)
     }
 
-    fn inside(&self, at: WallTime) -> f64 {
+    /// Returns the position of a time, limited to the time axis.
+    fn clamped_x(&self, at: WallTime) -> f64 {
         self.x(at).clamp(0.0, 1.0)
     }
 
-    /// Returns the result of `of` for each point, with its place on the time axis, and `None` where points are missing. Where a clock was set
-    /// back, seconds come twice: each window is drawn for itself.
-    pub(super) fn broken<T>(
+    /// Returns the result of `value_of` for the position and the data of each point. `None` separates two points with a gap or a clock step
+    /// between them. If a clock was set back, times occur twice, so the points of each window are drawn separately.
+    pub(super) fn with_breaks<T>(
         &self,
         points: &[ClockPoint],
-        of: impl Fn(f64, &ClockPoint) -> Option<T>,
+        value_of: impl Fn(f64, &ClockPoint) -> Option<T>,
     ) -> Vec<Option<T>> {
         let mut drawn = Vec::with_capacity(points.len() + self.gaps.len());
-        let mut before: Option<&ClockPoint> = None;
+        let mut previous: Option<&ClockPoint> = None;
         let mut windows: Vec<u64> = Vec::new();
         for point in points {
             if !windows.contains(&point.window) {
                 windows.push(point.window);
             }
         }
-        let parts =
+        let sorted_by_window =
             windows.iter().flat_map(|window| points.iter().filter(move |point| point.window == *window));
-        for point in parts {
-            let parted = |before: &ClockPoint| {
-                before.window != point.window
-                    || self.gaps.iter().any(|(from, to)| before.at <= *from && *to <= point.at)
+        for point in sorted_by_window {
+            let is_separate = |previous: &ClockPoint| {
+                previous.window != point.window
+                    || self.gaps.iter().any(|(from, to)| previous.at <= *from && *to <= point.at)
             };
-            if before.is_some_and(parted) {
+            if previous.is_some_and(is_separate) {
                 drawn.push(None);
             }
-            drawn.push(of(self.x(point.at), point));
-            before = Some(point);
+            drawn.push(value_of(self.x(point.at), point));
+            previous = Some(point);
         }
         drawn
     }
@@ -101,89 +104,92 @@ pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
     let mut sorted: Vec<f64> = values.filter(|value| value.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
     let Some(largest) = sorted.last().copied() else { return 0.0 };
-    let most = sorted[(sorted.len() - 1) * 19 / 20];
-    if most > 0.0 { largest.min(most * TAIL) } else { largest }
+    let p95 = sorted[(sorted.len() - 1) * 19 / 20];
+    if p95 > 0.0 { largest.min(p95 * TAIL) } else { largest }
 }
 
 /// Returns the number of values beyond the end of a scale, in words.
 pub(super) fn beyond(values: impl Iterator<Item = f64>, scale: &Scale, unit: &str) -> Option<String> {
-    let many = values.filter(|value| *value > scale.ends().1).count() as u64;
-    let end = scale.ticks(1).pop().filter(|_| many > 0)?.text;
-    Some(format!("{} beyond {}{SPACE}{unit} ↑", count(many), end.trim_start_matches('+')))
+    let number = values.filter(|value| *value > scale.ends().1).count() as u64;
+    let end = scale.ticks(1).pop().filter(|_| number > 0)?.text;
+    Some(format!("{} beyond {}{SPACE}{unit} ↑", count(number), end.trim_start_matches('+')))
 }
 
-/// Returns the distance of a value from the top of its track; a value beyond the scale lies slightly outside.
-pub(super) fn below(scale: &Scale, value: f64) -> f64 {
+/// Returns the distance of a value from the top of its track, as a share of the height. A value beyond the scale lies slightly outside
+/// the track.
+pub(super) fn distance_from_top(scale: &Scale, value: f64) -> f64 {
     1.0 - scale.at_or_outside(value)
 }
 
-/// Returns the picture of a course.
+/// Draws the time series of a link.
 pub(crate) fn tracks(
     subject: &Subject<'_>,
-    course: &Course,
+    time_series: &LinkTimeSeries,
     view: OffsetView,
     incidents: &[IncidentRow],
     zone: Zone,
 ) -> Tracks {
-    let seconds = (course.seconds() / WHISKERS).ceil() as i64;
-    let gaps = course.gaps();
-    let plan = Plan { course, coarse: course.thinned(seconds), gaps };
+    let seconds = (time_series.seconds() / MAX_WHISKERS).ceil() as i64;
+    let gaps = time_series.gaps();
+    let plan = Plan { time_series, coarse: time_series.merged(seconds), gaps };
     let mut all = Vec::new();
     if !subject.same_clock() {
         all.push(offset::track(&subject.cloud, &plan, view));
     }
     all.push(delays(&plan));
-    // Between hosts that read one clock there may be nothing to probe for.
-    if !subject.same_clock() || course.probes().sent > 0 {
+    // Between hosts that read one clock there may be no probes.
+    if !subject.same_clock() || time_series.probes().sent > 0 {
         all.push(round_trips(&plan));
     }
     let gaps: Vec<(f64, f64)> =
-        plan.gaps.iter().map(|(from, to)| (plan.inside(*from), plan.inside(*to))).collect();
-    let wide = gaps.iter().filter(|(from, to)| to - from >= REASON_FITS);
-    let hatched: Vec<Item> = gaps.iter().map(|gap| span(*gap, "hatch")).collect();
+        plan.gaps.iter().map(|(from, to)| (plan.clamped_x(*from), plan.clamped_x(*to))).collect();
+    let labelled_gaps = gaps.iter().filter(|(from, to)| to - from >= MIN_LABELLED_GAP);
+    let hatches: Vec<Item> = gaps.iter().map(|gap| span(*gap, "hatch")).collect();
     let signs = signs(&plan, incidents, zone);
-    let through = signs
+    let incident_lines = signs
         .iter()
         .map(|sign| Item::line(At::new(sign.x.0, 0.0), At::new(sign.x.0, 1.0), Style::of_page("incident")));
-    let ground: Vec<Item> = hatched.iter().cloned().chain(through).collect();
+    let background: Vec<Item> = hatches.iter().cloned().chain(incident_lines).collect();
     Tracks {
         label: finding(subject, &plan, incidents.len()),
-        reasons: wide.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
+        reasons: labelled_gaps.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
         strips: [NetworkDirection::Up, NetworkDirection::Down]
-            .map(|way| strip(&plan, way, &hatched))
+            .map(|way| strip(&plan, way, &hatches))
             .to_vec(),
-        tracks: all.into_iter().map(|track| track.picture(&ground)).collect(),
+        tracks: all.into_iter().map(|track| track.picture(&background)).collect(),
         signs,
-        times: times(course, zone),
+        times: time_labels(time_series, zone),
     }
 }
 
 fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign> {
     let mut rows: Vec<&IncidentRow> = incidents.iter().collect();
     rows.sort_by_key(|row| row.at);
-    let mut last = f64::NEG_INFINITY;
+    let mut last_x = f64::NEG_INFINITY;
     let signs = rows.into_iter().map(|row| {
         let line = IncidentLine::new(row, zone);
-        let x = plan.inside(row.at);
-        let is_shown = x - last >= SIGN_FITS;
+        let x = plan.clamped_x(row.at);
+        let is_shown = x - last_x >= MIN_SIGN_DISTANCE;
         if is_shown {
-            last = x;
+            last_x = x;
         }
         RailSign { x: Place(x), sign: line.sign, tone: line.tone.class(), is_shown }
     });
     signs.collect()
 }
 
-/// Draws the verdicts of a direction over time, below the stretches without data.
-fn strip(plan: &Plan<'_>, way: NetworkDirection, hatched: &[Item]) -> Picture {
-    let half = plan.course.bucket as f64 / plan.course.seconds().max(1.0);
+/// Draws the verdicts of a direction over time. Stretches without data are hatched.
+fn strip(plan: &Plan<'_>, way: NetworkDirection, hatches: &[Item]) -> Picture {
+    let bucket_width = plan.time_series.bucket as f64 / plan.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
-    for point in &plan.course.points {
+    for point in &plan.time_series.points {
         let Some(verdict) = of_point(point, way).map(|second| second.verdict) else { continue };
         let end = plan.x(point.at);
-        let begin = (end - half).max(0.0);
+        let begin = (end - bucket_width).max(0.0);
         match segments.last_mut() {
-            Some((_, to, same)) if *same == verdict && begin - *to < half * 0.75 => *to = end,
+            Some((_, to, last_verdict)) if *last_verdict == verdict && begin - *to < bucket_width * 0.75 => {
+                *to = end
+            }
             _ => segments.push((begin, end, verdict)),
         }
     }
@@ -197,7 +203,7 @@ fn strip(plan: &Plan<'_>, way: NetworkDirection, hatched: &[Item]) -> Picture {
         texts.push(Item::Text(label.shifted(0.4, 0.36).fits_within(to - from)));
     }
     items.extend(texts);
-    items.extend(hatched.iter().cloned());
+    items.extend(hatches.iter().cloned());
     Picture::of_items(&items, "strip", "")
 }
 
@@ -213,47 +219,49 @@ const fn strip_class(tone: Tone) -> &'static str {
 
 fn delays(plan: &Plan<'_>) -> Track {
     let points = &plan.coarse.points;
-    let both = [NetworkDirection::Up, NetworkDirection::Down];
-    let upper = || {
-        let medians =
-            points.iter().flat_map(|point| both.map(|way| of_point(point, way).and_then(|one| one.median)));
+    let directions = [NetworkDirection::Up, NetworkDirection::Down];
+    let upper_bounds = || {
+        let medians = points
+            .iter()
+            .flat_map(|point| directions.map(|way| of_point(point, way).and_then(|one| one.median)));
         medians.flatten().map(|median| bounds(&median).1 * 1e3)
     };
-    let scale = Scale::up_to(reach(upper()), 3);
-    let mut track = Track::new(format!("one-way delay, median of {}, ms", bucket(plan.coarse.bucket)), scale);
+    let scale = Scale::up_to(reach(upper_bounds()), 3);
+    let mut track =
+        Track::new(format!("one-way delay, median of {}, ms", bucket_text(plan.coarse.bucket)), scale);
     track.note = "whiskers: contain the true value".to_owned();
-    track.beyond = beyond(upper(), &scale, "ms");
-    let half = plan.coarse.bucket as f64 / plan.course.seconds().max(1.0) / 2.0;
+    track.beyond = beyond(upper_bounds(), &scale, "ms");
+    let half_bucket = plan.coarse.bucket as f64 / plan.time_series.seconds().max(1.0) / 2.0;
     for (way, whiskers, dots) in [
         (NetworkDirection::Up, "whiskers up", "dots up"),
         (NetworkDirection::Down, "whiskers down", "dots down"),
     ] {
-        let known: Vec<(f64, f64, f64, f64)> = points
+        let marks: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
                 let median = of_point(point, way)?.median.filter(|median| !median.value.is_negative())?;
                 let (lo, hi) = bounds(&median);
-                let at = |seconds: f64| below(&scale, seconds * 1e3);
-                Some(((plan.x(point.at) - half).max(0.0), at(hi), at(lo), at(median.value.seconds())))
+                let at = |seconds: f64| distance_from_top(&scale, seconds * 1e3);
+                Some(((plan.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
             })
             .collect();
-        track.draw(whiskers, Path::whiskers(known.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
-        track.draw(dots, Path::dots(known.iter().map(|(x, _, _, value)| (*x, *value))));
+        track.draw(whiskers, Path::whiskers(marks.iter().map(|(x, hi, lo, _)| (*x, *hi, *lo)), 0.003));
+        track.draw(dots, Path::dots(marks.iter().map(|(x, _, _, value)| (*x, *value))));
     }
     track
 }
 
 fn round_trips(plan: &Plan<'_>) -> Track {
-    let points = &plan.course.points;
+    let points = &plan.time_series.points;
     let medians =
         || points.iter().filter_map(|point| point.round_trip).map(|trip| trip.median.seconds() * 1e3);
     let scale = Scale::up_to(reach(medians()), 3);
     let mut track = Track::new("probe round trip, ms".to_owned(), scale);
     track.note = "strong: smallest · faint: median · ticks: lost probes, by their share".to_owned();
     track.beyond = beyond(medians(), &scale, "ms");
-    let line = |of: fn(&peernet_stream::RoundTrip) -> Span| {
-        Path::line(plan.broken(points, |x, point| {
-            Some((x, below(&scale, of(point.round_trip.as_ref()?).seconds() * 1e3)))
+    let line = |time_of: fn(&peernet_stream::RoundTrip) -> Span| {
+        Path::line(plan.with_breaks(points, |x, point| {
+            Some((x, distance_from_top(&scale, time_of(point.round_trip.as_ref()?).seconds() * 1e3)))
         }))
     };
     track.draw("faint", line(|trip| trip.median));
@@ -267,22 +275,23 @@ fn round_trips(plan: &Plan<'_>) -> Track {
 }
 
 /// Returns the width of a bucket in words: `2 s`, `24 min`.
-fn bucket(seconds: i64) -> String {
+fn bucket_text(seconds: i64) -> String {
     if seconds < 60 { format!("{seconds}{SPACE}s") } else { length(seconds as f64) }
 }
 
-/// Draws round times of day along the axis.
-fn times(course: &Course, zone: Zone) -> Picture {
-    let from = course.from.unix_nanos() as f64 / 1e9;
-    let places = times_of_day(from, course.seconds(), i64::from(zone.offset_seconds(course.to)));
+/// Draws labels with round times of day along the axis.
+fn time_labels(time_series: &LinkTimeSeries, zone: Zone) -> Picture {
+    let from = time_series.from.unix_nanos() as f64 / 1e9;
+    let time_ticks =
+        times_of_day(from, time_series.seconds(), i64::from(zone.offset_seconds(time_series.to)));
     let tick = |(seconds, at): (i64, f64)| {
         let time = WallTime::from_unix_nanos(seconds * 1_000_000_000);
         Tick { value: seconds as f64, at, text: zone.moment(time).minute() }
     };
-    Picture::labels_below("times", &places.into_iter().map(tick).collect::<Vec<_>>())
+    Picture::labels_below("times", &time_ticks.into_iter().map(tick).collect::<Vec<_>>())
 }
 
-/// Returns the range of some values in words: `0.61 to 0.70 ms`.
+/// Returns the range of values, seconds, in words: `0.61 to 0.70 ms`. `None` without values.
 fn range(values: impl Iterator<Item = f64>) -> Option<String> {
     let (lo, hi) =
         values.fold((f64::INFINITY, f64::NEG_INFINITY), |(lo, hi), one| (lo.min(one), hi.max(one)));
@@ -290,9 +299,9 @@ fn range(values: impl Iterator<Item = f64>) -> Option<String> {
 }
 
 fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
-    let course = plan.course;
-    let mut text = format!("{} over {}.", subject.route(), length(course.seconds()));
-    if course.points.is_empty() {
+    let time_series = plan.time_series;
+    let mut text = format!("{} over {}.", subject.route(), length(time_series.seconds()));
+    if time_series.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }
     for way in [NetworkDirection::Up, NetworkDirection::Down] {
@@ -305,10 +314,10 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
             text.push_str(&format!(" Median {} {range}{worst}.", way.delay()));
         }
     }
-    let widths: Vec<f64> = course
+    let widths: Vec<f64> = time_series
         .points
         .iter()
-        .filter_map(|point| known(point.offset.as_ref()?))
+        .filter_map(|point| estimate_and_half_width(point.offset.as_ref()?))
         .map(|(_, half)| half)
         .collect();
     if let (Some(least), Some(most), false) = (
@@ -318,7 +327,7 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     ) {
         text.push_str(&format!(" The offset was known to {} to {}.", bound_ms(least), bound(most)));
     }
-    let probes = course.probes();
+    let probes = time_series.probes();
     text.push_str(&format!(
         " {} of {} probes were lost.",
         count(probes.lost.into()),

@@ -12,14 +12,14 @@ pub(crate) struct DirectionRow {
     pub pipeline: String,
     /// `upload` or `download`.
     pub direction: &'static str,
-    /// The host whose account it is.
+    /// Name of the host that counts.
     pub counted_by: String,
     pub bytes: String,
     /// The columns after the bytes: messages, datagrams, lost, duplicated, reordered, sent again.
     pub counts: Vec<Count>,
 }
 
-/// Count with the name of its column; without a value the page shows the reason.
+/// A count with the name of its column. `None` if the counting host does not know the value.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Count {
     pub name: &'static str,
@@ -37,21 +37,21 @@ pub(crate) struct Route {
 pub(crate) fn rows(subject: &Subject<'_>) -> Vec<DirectionRow> {
     let (edge, cloud) = (subject.edge.as_str(), subject.cloud.as_str());
     let of_connection = |connection: &Connection| {
-        let counted = &connection.statistics;
+        let statistics = &connection.statistics;
         let mut rows = vec![
-            row(connection, ("upload", edge), &counted.sent),
-            row(connection, ("download", edge), &counted.received),
+            row(connection, ("upload", edge), &statistics.sent),
+            row(connection, ("download", edge), &statistics.received),
         ];
-        if let Some(counted) = &connection.cloud {
-            rows.insert(1, row(connection, ("upload", cloud), &counted.received));
-            rows.push(row(connection, ("download", cloud), &counted.sent));
+        if let Some(statistics) = &connection.cloud {
+            rows.insert(1, row(connection, ("upload", cloud), &statistics.received));
+            rows.push(row(connection, ("download", cloud), &statistics.sent));
         }
         rows
     };
     connections(subject).iter().flat_map(of_connection).collect()
 }
 
-/// Returns the way of each connection.
+/// Returns the route of each connection.
 pub(crate) fn routes(subject: &Subject<'_>) -> Vec<Route> {
     let words = |connection: &Connection| Route {
         pipeline: connection.pipeline.to_string(),
@@ -77,21 +77,21 @@ fn connections<'a>(subject: &Subject<'a>) -> &'a [Connection] {
 fn row(
     connection: &Connection,
     (direction, counted_by): (&'static str, &str),
-    known: &DirectionStatistics,
+    statistics: &DirectionStatistics,
 ) -> DirectionRow {
     let counts = [
-        ("messages", Some(known.messages)),
-        ("datagrams", known.datagrams),
-        ("lost", known.lost),
-        ("duplicated", known.duplicated),
-        ("reordered", known.reordered),
-        ("sent again", known.retransmitted),
+        ("messages", Some(statistics.messages)),
+        ("datagrams", statistics.datagrams),
+        ("lost", statistics.lost),
+        ("duplicated", statistics.duplicated),
+        ("reordered", statistics.reordered),
+        ("sent again", statistics.retransmitted),
     ];
     DirectionRow {
         pipeline: connection.pipeline.to_string(),
         direction,
         counted_by: counted_by.to_owned(),
-        bytes: bytes(known.bytes as f64).to_string(),
+        bytes: bytes(statistics.bytes as f64).to_string(),
         counts: counts.map(|(name, value)| Count { name, value: value.map(count) }).to_vec(),
     }
 }
@@ -117,7 +117,7 @@ fn describe_round_trip(connection: &Connection) -> Option<String> {
     Some(format!("round trip of its packets {}{least}", ms(trip.smoothed)))
 }
 
-/// Returns the errors that affected messages, if any.
+/// Returns the numbers of lost, late and malformed messages in words, without those that are zero.
 fn describe_losses(connection: &Connection) -> impl Iterator<Item = String> {
     let statistics = connection.statistics;
     let counts = [
@@ -125,7 +125,10 @@ fn describe_losses(connection: &Connection) -> impl Iterator<Item = String> {
         (statistics.late_messages, "answered too late"),
         (statistics.malformed_messages, "malformed"),
     ];
-    counts.into_iter().filter(|(many, _)| *many > 0).map(|(many, what)| format!("{} {what}", count(many)))
+    counts
+        .into_iter()
+        .filter(|(number, _)| *number > 0)
+        .map(|(number, what)| format!("{} {what}", count(number)))
 }
 
 impl Count {

@@ -11,7 +11,7 @@ use super::list::{TOO_YOUNG, no_offset};
 use super::{CONTRADICTION, Subject, is_young};
 use crate::zone::Zone;
 
-/// Returns the title.
+/// Returns the title: how far upload and download times of the link can be trusted.
 pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
     let route = subject.route();
     if subject.same_clock() {
@@ -77,23 +77,23 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Meaning {
     pub chip: Option<Chip>,
-    /// `Upload`.
+    /// Direction at the start of the sentence: `Upload` or `Download`.
     pub subject: &'static str,
     /// The rest of the sentence.
     pub text: String,
 }
 
-/// Returns both directions.
+/// Returns the meaning of the verdict of each direction.
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
-    let young = subject.offset().is_some_and(is_young);
+    let is_young_link = subject.offset().is_some_and(is_young);
     [NetworkDirection::Up, NetworkDirection::Down]
         .map(|way| subject.delays(way))
         .iter()
-        .map(|delays| meaning(delays, young))
+        .map(|delays| meaning(delays, is_young_link))
         .collect()
 }
 
-fn meaning(delays: &Delays, young: bool) -> Meaning {
+fn meaning(delays: &Delays, is_young_link: bool) -> Meaning {
     let text = match (delays.verdict, &delays.median) {
         (None, _) => format!("was not used in the last 10{SPACE}s: without data there is nothing to judge."),
         (Some(Verdict::Ok), Some(point)) => {
@@ -101,10 +101,10 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
             let takes = format!("takes {}{SPACE}ms", digits(point));
             let half = (hi - lo) / 2.0;
             if half > 0.0 {
-                let many = point.value.seconds() / half;
+                let ratio = point.value.seconds() / half;
                 format!(
                     "{takes}, {} times its clock bound. The true value lies between {}{SPACE}ms.",
-                    figure_of_times(many),
+                    format_ratio(ratio),
                     ends_ms(lo, hi).join(" and ")
                 )
             } else {
@@ -121,13 +121,13 @@ fn meaning(delays: &Delays, young: bool) -> Meaning {
                 interval_ms(lo, hi)
             )
         }
-        (Some(Verdict::Stale), _) if young => format!("is known only widely: {TOO_YOUNG}."),
+        (Some(Verdict::Stale), _) if is_young_link => format!("is known only widely: {TOO_YOUNG}."),
         (Some(verdict), _) => format!("cannot be trusted: {}.", clocks::meaning(verdict)),
     };
     Meaning { chip: delays.chip(), subject: delays.title(), text }
 }
 
-/// Returns `4.2` or `12`: how many times.
-fn figure_of_times(many: f64) -> String {
-    peernet_statistics::number::fixed(many, usize::from(many < 9.95))
+/// Formats a ratio, with one decimal if it is small: `4.2`, `12`.
+fn format_ratio(ratio: f64) -> String {
+    peernet_statistics::number::fixed(ratio, usize::from(ratio < 9.95))
 }

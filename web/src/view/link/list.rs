@@ -9,7 +9,7 @@ use super::super::chip::Chip;
 use super::super::clock_fault::{self, FaultyClocks};
 use super::super::now::Cell;
 use super::stats::ppm;
-use super::{CONTRADICTION, Subject, course, is_live, is_young, known, panels};
+use super::{CONTRADICTION, Subject, estimate_and_half_width, is_live, is_young, panels, time_series};
 use crate::zone::{Zone, ZonedTime};
 
 /// Current state of a link.
@@ -33,7 +33,7 @@ pub(crate) struct LinkLine {
     pub pipelines: Vec<(String, String)>,
 }
 
-/// A link that is stored and not in the live state.
+/// A link that is stored but not in the live state.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PastLine {
     pub name: String,
@@ -41,8 +41,9 @@ pub(crate) struct PastLine {
     pub last: ZonedTime,
 }
 
-fn cell(known: Option<String>, why: &str) -> Cell {
-    known.map_or_else(|| Cell::none(why), Cell::new)
+/// Returns a cell with a value, or with a dash and the reason for its absence.
+fn cell(value: Option<String>, why: &str) -> Cell {
+    value.map_or_else(|| Cell::none(why), Cell::new)
 }
 
 impl LinkLine {
@@ -56,13 +57,13 @@ impl LinkLine {
         let subject = Subject::live(link);
         let verdict = subject.verdict();
         let offset = subject.offset();
-        let one_clock = subject.same_clock();
-        let probes = course::sum(link.history.iter().map(|point| point.probes));
-        let trips = link.history.iter().rev().find_map(|point| point.round_trip);
+        let is_same_clock = subject.same_clock();
+        let probes = time_series::sum(link.history.iter().map(|point| point.probes));
+        let newest_trip = link.history.iter().rev().find_map(|point| point.round_trip);
         let faulty = faulty.concerns(&[&subject.edge, &subject.cloud]);
         let why = no_offset(&subject);
-        let shown = |value: Option<String>| {
-            if one_clock {
+        let clock_cell = |value: Option<String>| {
+            if is_same_clock {
                 Cell { text: "0".into(), title: Some("both hosts read one clock".into()) }
             } else {
                 cell(value, why)
@@ -79,17 +80,19 @@ impl LinkLine {
             away: (!link.connected).then(|| zone.moment(link.last_seen)),
             clock_fault: faulty.then_some(clock_fault::CHIP),
             network: link.live.network().to_string(),
-            bound: shown(subject.bound().map(bound_ms)),
-            offset: shown(offset.and_then(known).map(|(estimate, half)| offset_ms(estimate, half))),
-            drift: if one_clock {
-                shown(None)
+            bound: clock_cell(subject.bound().map(bound_ms)),
+            offset: clock_cell(
+                offset.and_then(estimate_and_half_width).map(|(estimate, half)| offset_ms(estimate, half)),
+            ),
+            drift: if is_same_clock {
+                clock_cell(None)
             } else {
-                let consistent = offset.filter(|offset| known(offset).is_some());
+                let consistent = offset.filter(|offset| estimate_and_half_width(offset).is_some());
                 let why = if subject.contradicts() { why } else { "too few exchanges yet" };
                 cell(consistent.and_then(|offset| offset.skew_ppm).map(ppm), why)
             },
             round_trip: cell(
-                trips.map(|trip| trip_ms(trip.median.seconds())),
+                newest_trip.map(|trip| trip_ms(trip.median.seconds())),
                 "no probe came back in ten minutes",
             ),
             lost: cell(
@@ -111,7 +114,7 @@ pub(super) fn no_offset(subject: &Subject<'_>) -> &'static str {
     }
 }
 
-/// Meaning of a link's verdict while the link is young.
+/// Explanation of the verdict `stale` while the link is young.
 pub(super) const TOO_YOUNG: &str =
     "too few exchanges yet: fewer than three since the link came up or a clock was stepped";
 
@@ -126,30 +129,30 @@ impl PastLine {
     }
 }
 
-/// Returns the answer to whether one-way delays can be trusted, in the title of the list.
+/// Returns the title of the list: whether one-way delays can be trusted.
 pub(crate) fn title(snapshot: &LiveState) -> String {
     let links: Vec<Subject<'_>> = snapshot.links.iter().map(|link| Subject::live(link)).collect();
     let verdicts: Vec<Verdict> = links.iter().filter_map(Subject::verdict).collect();
-    let of = |wanted: fn(u8) -> bool| verdicts.iter().filter(|verdict| wanted(verdict.severity())).count();
-    let (well, limited) =
-        (of(|how| how == Verdict::Ok.severity()), of(|how| how == Verdict::Limited.severity()));
-    let bad = verdicts.len() - well - limited;
+    let count_of =
+        |wanted: Verdict| verdicts.iter().filter(|verdict| verdict.severity() == wanted.severity()).count();
+    let (good, limited) = (count_of(Verdict::Ok), count_of(Verdict::Limited));
+    let bad = verdicts.len() - good - limited;
     let subject = crate::view::counted(links.len(), "link", "links");
     match links.len() {
         0 => "No link yet: one-way delays are measured once a pipeline sends to another host".to_owned(),
-        1 if well == 1 => format!("{subject}: its one-way delays can be trusted"),
+        1 if good == 1 => format!("{subject}: its one-way delays can be trusted"),
         1 if limited == 1 => format!("{subject}: some of its delays are known only as intervals"),
         1 => format!("{subject}: its one-way delays cannot be trusted at present"),
-        all if all == well => format!("{subject}: one-way delays can be trusted on all of them"),
+        all if all == good => format!("{subject}: one-way delays can be trusted on all of them"),
         _ => {
             let mut parts = Vec::new();
-            for (many, what) in [
-                (well, "can be trusted"),
+            for (number, what) in [
+                (good, "can be trusted"),
                 (limited, "known only as intervals in part"),
                 (bad, "cannot be trusted"),
             ] {
-                if many > 0 {
-                    parts.push(format!("{many} {what}"));
+                if number > 0 {
+                    parts.push(format!("{number} {what}"));
                 }
             }
             format!("{subject}: {}", parts.join(", "))

@@ -1,10 +1,8 @@
-//! One link, an edge and a cloud over one network, as its page shows it.
+//! View of one link: an edge and a cloud over one network.
 
 pub(crate) mod basis;
-pub(crate) mod carried;
 pub(crate) mod chart;
 pub(crate) mod connections;
-pub(crate) mod course;
 pub(crate) mod delays;
 pub(crate) mod finding;
 pub(crate) mod list;
@@ -13,7 +11,9 @@ pub(crate) mod origin;
 pub(crate) mod panels;
 pub(crate) mod stats;
 pub(crate) mod table;
+pub(crate) mod time_series;
 pub(crate) mod tracks;
+pub(crate) mod traffic;
 mod trend;
 
 use std::sync::Arc;
@@ -30,7 +30,7 @@ use delays::Delays;
 /// Time span of the recent delays and rates.
 const RECENT_SPAN: Span = Span::from_seconds(10);
 
-/// Separator of the parts of a link's name; it cannot occur in any of them.
+/// Separator between the parts of a link's name. No part can contain it.
 pub(crate) const NAME_SEPARATOR: char = '~';
 
 /// Returns the name of a link in addresses: `EDGE~CLOUD` over `zmq-tcp`, as in earlier releases, and `EDGE~CLOUD~NETWORK` over any
@@ -44,16 +44,16 @@ pub(crate) fn name(edge: &str, cloud: &str, network: &NetworkName) -> String {
 }
 
 /// Returns the canonical form of a link's name, without the network `zmq-tcp`.
-pub(crate) fn canonical(wanted: String) -> String {
-    match parts(&wanted) {
+pub(crate) fn canonical(link_name: String) -> String {
+    match parts(&link_name) {
         Some((edge, cloud, network)) => name(edge, cloud, &network),
-        None => wanted,
+        None => link_name,
     }
 }
 
 /// Returns edge, cloud and network of a link's name.
-fn parts(wanted: &str) -> Option<(&str, &str, NetworkName)> {
-    let (edge, rest) = wanted.split_once(NAME_SEPARATOR)?;
+fn parts(link_name: &str) -> Option<(&str, &str, NetworkName)> {
+    let (edge, rest) = link_name.split_once(NAME_SEPARATOR)?;
     match rest.split_once(NAME_SEPARATOR) {
         Some((cloud, network)) => Some((edge, cloud, network.parse().ok()?)),
         None => Some((edge, rest, NetworkName::default())),
@@ -75,8 +75,8 @@ pub(crate) fn of_placement(snapshot: &LiveState, edge: &str, placement: &Placeme
 }
 
 /// Returns the link with a name from the live state.
-pub(crate) fn find<'a>(snapshot: &'a LiveState, wanted: &str) -> Option<&'a LinkSnapshot> {
-    let (edge, cloud, network) = parts(wanted)?;
+pub(crate) fn find<'a>(snapshot: &'a LiveState, link_name: &str) -> Option<&'a LinkSnapshot> {
+    let (edge, cloud, network) = parts(link_name)?;
     let matches = |link: &&LinkSnapshot| {
         link.edge_name.as_str() == edge
             && link.live.peer_name.as_str() == cloud
@@ -96,9 +96,9 @@ fn link_key(link: &LinkSnapshot) -> LinkKey {
 }
 
 /// Returns the error for a link that is neither in the live state nor stored.
-pub(crate) fn no_link(wanted: &str) -> WebError {
+pub(crate) fn no_link(link_name: &str) -> WebError {
     WebError::NotFound(format!(
-        "no link {wanted} has ever been reported to this aggregator; a link is named EDGE~CLOUD, or EDGE~CLOUD~NETWORK where the network \
+        "no link {link_name} has ever been reported to this aggregator; a link is named EDGE~CLOUD, or EDGE~CLOUD~NETWORK where the network \
          is not zmq-tcp"
     ))
 }
@@ -117,20 +117,20 @@ pub(crate) struct Subject<'a> {
     pub connected: bool,
     /// Last offset of a link that is stored and not in the live state.
     last_offset: Option<Offset>,
-    /// Assumptions of the bounds; `None` if both hosts read one clock, or none were reported.
+    /// Assumptions of the bounds; `None` if both hosts read one clock, or no assumptions were reported.
     pub assumptions: Option<DelayAssumptions>,
 }
 
-/// Returns the estimate and half the width of the bounds, seconds; `None` if sources or exchanges contradict each other, because such an
-/// offset has no value.
-pub(crate) fn known(offset: &Offset) -> Option<(f64, f64)> {
+/// Returns the estimate of an offset and half the width of its bounds, seconds. `None` if sources or exchanges contradict each other:
+/// such an offset has no value.
+pub(crate) fn estimate_and_half_width(offset: &Offset) -> Option<(f64, f64)> {
     let half = offset.bounds.width().seconds() / 2.0;
     (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
 }
 
 /// Text for an offset without a value, because its sources or exchanges contradict each other.
 pub(crate) const CONTRADICTION: &str = "what is known of the clocks contradicts itself";
-/// Minimum number of exchanges that relate clocks.
+/// Minimum number of exchanges for an offset that is not `stale`.
 const MIN_EXCHANGES: u64 = 3;
 
 /// Returns whether an offset is stale because the link is young, or a clock was stepped a moment ago.
@@ -167,7 +167,7 @@ impl<'a> Subject<'a> {
         }
     }
 
-    /// Sets the assumptions of its newest stored window.
+    /// Sets the assumptions, those of the newest stored window of the link.
     pub(crate) fn with_assumptions(self, assumptions: Option<DelayAssumptions>) -> Self {
         Self { assumptions, ..self }
     }
@@ -178,8 +178,8 @@ impl<'a> Subject<'a> {
     }
 
     /// Sets the last offset from the stored points.
-    pub(crate) fn with_last_offset(self, course: &course::Course) -> Self {
-        let last_offset = course.points.iter().rev().find_map(|point| point.offset.clone());
+    pub(crate) fn with_last_offset(self, time_series: &time_series::LinkTimeSeries) -> Self {
+        let last_offset = time_series.points.iter().rev().find_map(|point| point.offset.clone());
         Self { last_offset, ..self }
     }
 
@@ -213,14 +213,14 @@ impl<'a> Subject<'a> {
         self.live.map_or(&[], |link| link.history.as_slice())
     }
 
-    /// Returns the current offset, or the one that the edge reported last.
+    /// Returns the current offset, or else the last offset that the edge reported.
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.last_offset.as_ref() };
-        // An offset from before a step says nothing about the present.
-        let counts = |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.now.window;
+        // If the edge is connected, an offset from before a clock step says nothing about the present.
+        let is_valid = |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.now.window;
         let recent = if self.connected { 1 } else { link.history.len() };
-        let mut before = link.history.iter().rev().take(recent).filter(counts);
-        link.live.now.offset.as_ref().or_else(|| before.find_map(|point| point.offset.as_ref()))
+        let mut candidates = link.history.iter().rev().take(recent).filter(is_valid);
+        link.live.now.offset.as_ref().or_else(|| candidates.find_map(|point| point.offset.as_ref()))
     }
 
     /// Returns whether sources or exchanges contradict each other.
@@ -228,7 +228,7 @@ impl<'a> Subject<'a> {
         self.offset().is_some_and(|offset| offset.verdict == Verdict::Inconsistent)
     }
 
-    /// Returns whether any exchange ever finished, even before a step of a clock.
+    /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then.
     pub(crate) fn was_related(&self) -> bool {
         self.live.is_none_or(|link| {
             link.live.now.exchanges.accepted > 0 || link.history.iter().any(|point| point.offset.is_some())
@@ -240,29 +240,30 @@ impl<'a> Subject<'a> {
         if self.same_clock() {
             return Some(0.0);
         }
-        known(self.offset()?).map(|(_, half)| half)
+        estimate_and_half_width(self.offset()?).map(|(_, half)| half)
     }
 
-    /// Returns the delays of messages of the last ten seconds. Delays from before the current clock relation was established are excluded,
-    /// so that the start of a link does not determine its verdict.
+    /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was established are excluded, so
+    /// that the verdict of a link does not depend on its start.
     pub(crate) fn delays(&self, way: NetworkDirection) -> Delays {
         let since = self.end - RECENT_SPAN;
         let recent = self.history().iter().rev().take_while(|point| point.at > since);
         let mut settled: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
-        let before = settled.iter().position(|point| !is_settled(point) || point.window != settled[0].window);
-        let begun = self.history().len() == settled.len();
-        // In the second in which the relation was established, some delays are from before: that second is excluded, too.
-        let all = before.unwrap_or(settled.len() + usize::from(!begun));
-        if all > 1 && !self.same_clock() {
-            settled.truncate(all - 1);
+        let first_unsettled =
+            settled.iter().position(|point| !is_settled(point) || point.window != settled[0].window);
+        let is_whole_history = self.history().len() == settled.len();
+        // Some delays of the second in which the relation was established are from before that time. The whole second is excluded.
+        let settled_count = first_unsettled.unwrap_or(settled.len() + usize::from(!is_whole_history));
+        if settled_count > 1 && !self.same_clock() {
+            settled.truncate(settled_count - 1);
         }
         Delays::of(way, settled)
     }
 
-    /// Returns the verdict of the whole link. It is that of the offset, or `Limited` if the offset is good but delays are too short for its
-    /// bound.
+    /// Returns the verdict of the whole link. It is the verdict of the offset, or `Limited` if the verdict of the offset is `Ok` but delays
+    /// are too short for its bound.
     pub(crate) fn verdict(&self) -> Option<Verdict> {
-        let clocks = match (self.same_clock(), self.offset()) {
+        let offset_verdict = match (self.same_clock(), self.offset()) {
             (true, _) => Verdict::Ok,
             (false, Some(offset)) => offset.verdict,
             (false, None) => return self.live.map(|_| Verdict::Unsynchronised),
@@ -270,7 +271,7 @@ impl<'a> Subject<'a> {
         let limited = [NetworkDirection::Up, NetworkDirection::Down]
             .into_iter()
             .any(|way| self.delays(way).verdict == Some(Verdict::Limited));
-        Some(if clocks == Verdict::Ok && limited { Verdict::Limited } else { clocks })
+        Some(if offset_verdict == Verdict::Ok && limited { Verdict::Limited } else { offset_verdict })
     }
 
     /// Returns the names of the pipelines that use the link, with the addresses of their pages.

@@ -4,30 +4,30 @@ use peernet_clock::{DelaySource, Discipline, Interval, Offset, RelatedClocks, Sp
 use peernet_statistics::number::{NONE, SPACE, bound, count, interval_ms, trip_ms};
 use peernet_stream::{HostClock, Probing};
 
-use super::course::Course;
 use super::list::TOO_YOUNG;
-use super::{Subject, is_young, known};
+use super::time_series::LinkTimeSeries;
+use super::{Subject, estimate_and_half_width, is_young};
 
-/// One source about the offset.
+/// The interval of the offset by one source.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SourceRow {
     pub name: String,
     pub between: String,
     pub width: String,
-    /// `true` for the bound that is used in the end.
+    /// `true` for the bound that results from all sources.
     pub sum: bool,
 }
 
-/// Origin of the bound.
+/// The sources of a bound, the reasons for its width, and advice.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Origin {
-    /// `NodeLocation ±0.65 ms comes from`.
+    /// `Where ±0.65 ms comes from`.
     pub title: String,
     pub rows: Vec<SourceRow>,
     /// Sentences.
     pub why: Vec<String>,
-    /// Purpose of the hints.
-    pub to: &'static str,
+    /// Purpose of the hints: `To narrow it`.
+    pub hint_title: &'static str,
     /// Advice, most promising first.
     pub hints: Vec<String>,
 }
@@ -51,7 +51,7 @@ pub(crate) fn source(source: DelaySource, exchanges: u64) -> String {
 
 impl Origin {
     /// Describes the origin of a link's bound; empty for one clock.
-    pub(crate) fn of(subject: &Subject<'_>, course: &Course) -> Self {
+    pub(crate) fn of(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Self {
         let Some(offset) = subject.offset() else {
             let why = if subject.was_related() {
                 "No exchange has finished since a clock was stepped: earlier exchanges do not bound the present offset."
@@ -62,7 +62,7 @@ impl Origin {
             return Self {
                 title: "Why there is no bound".to_owned(),
                 why: vec![why.to_owned()],
-                to: "To get one",
+                hint_title: "To get one",
                 hints: hints(subject, None),
                 ..Self::default()
             };
@@ -70,43 +70,43 @@ impl Origin {
         let mut rows: Vec<SourceRow> = offset
             .sources
             .iter()
-            .map(|(from, interval)| row(source(*from, offset.exchanges), *interval, false))
+            .map(|(name, interval)| row(source(*name, offset.exchanges), *interval, false))
             .collect();
-        let several = offset.sources.len() > 1;
-        let Some((_, half)) = known(offset) else {
+        let has_several = offset.sources.len() > 1;
+        let Some((_, half)) = estimate_and_half_width(offset) else {
             // The hull of two intervals that exclude each other is not an interval of the offset.
-            let name = if several { "no common interval" } else { "not to be trusted" };
+            let name = if has_several { "no common interval" } else { "not to be trusted" };
             let none = || NONE.to_owned();
             rows.push(SourceRow { name: name.to_owned(), between: none(), width: none(), sum: true });
-            let (why, hint) = if several { EXCLUDE } else { DOUBT };
+            let (why, hint) = if has_several { CONTRADICTING_SOURCES } else { CONTRADICTING_EXCHANGES };
             return Self {
                 title: "Why there is no value".to_owned(),
                 rows,
                 why: vec![why.to_owned()],
-                to: "To find out",
+                hint_title: "To find out",
                 hints: vec![hint.to_owned()],
             };
         };
         rows.extend(unused_claims(subject, offset));
-        rows.push(row(if several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
-        let then = if subject.connected { "comes" } else { "came" };
+        rows.push(row(if has_several { "intersection" } else { "used" }.to_owned(), offset.bounds, true));
+        let verb = if subject.connected { "comes" } else { "came" };
         Self {
-            title: format!("Where {} {then} from", bound(half)),
+            title: format!("Where {} {verb} from", bound(half)),
             rows,
-            why: explain_bound(offset, course),
-            to: "To narrow it",
+            why: explain_bound(offset, time_series),
+            hint_title: "To narrow it",
             hints: hints(subject, Some(offset)),
         }
     }
 }
 
-/// Returns the claims of both hosts' time daemons at present, where no delay depends on them.
+/// Returns the offset that follows from the present claims of both hosts' time daemons, if no delay depends on these claims.
 fn unused_claims(subject: &Subject<'_>, offset: &Offset) -> Option<SourceRow> {
     let (from, interval) = claimed_offset(subject)?;
     let is_unused = offset.sources.iter().all(|(source, _)| *source == DelaySource::InBand);
-    // A claim is one of wall clocks, and so is the offset that follows from two of them.
-    let of = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
-    is_unused.then(|| row(format!("{}{of}, not used", source(from, 0)), interval, false))
+    // Claims are about wall clocks, so the offset that follows from two claims is an offset of wall clocks.
+    let clocks = if subject.clocks() == RelatedClocks::Wall { "" } else { ", of the wall clocks" };
+    is_unused.then(|| row(format!("{}{clocks}, not used", source(from, 0)), interval, false))
 }
 
 /// Returns the offset of the wall clocks that follows from the present claims of both hosts' time daemons.
@@ -118,18 +118,18 @@ fn claimed_offset(subject: &Subject<'_>) -> Option<(DelaySource, Interval)> {
 }
 
 /// The key that lets claims of time daemons narrow a bound.
-const TRUST: &str = "[clock] trust_time_daemons";
+const TRUST_KEY: &str = "[clock] trust_time_daemons";
 
 /// Explanation and advice for sources that exclude each other.
-const EXCLUDE: (&str, &str) = (
+const CONTRADICTING_SOURCES: (&str, &str) = (
     "The sources above exclude each other: at least one of them is wrong, and which one cannot be told from here. The \
-     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock when \
-     its servers are, or when the clock is not the one it keeps.",
+     exchanges hold whatever the clocks show, as long as neither host lies; a time daemon is wrong about its clock \
+     when its servers are, or when the clock is not the one it keeps.",
     "see on both hosts what the time daemon follows (chronyc sources, chronyc tracking) and compare both with a third \
      clock; look for a clock that clock fault injection, a container or libfaketime changes without its daemon's knowledge",
 );
 /// Explanation and advice for exchanges that contradict each other.
-const DOUBT: (&str, &str) = (
+const CONTRADICTING_EXCHANGES: (&str, &str) = (
     "The exchanges contradict each other again and again: the clocks drift apart faster than [clock] max_drift_ppm \
      allows or change their drift faster than max_drift_change_ppm_per_s allows, or one of the hosts reports wrong stamps.",
     "read the incidents of the link, which name the limit that is broken, and raise it on the edge ([clock] max_drift_ppm or \
@@ -137,26 +137,26 @@ const DOUBT: (&str, &str) = (
 );
 
 /// Returns the reasons for the width of the bound, in sentences.
-fn explain_bound(offset: &Offset, course: &Course) -> Vec<String> {
+fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
     let mut why = Vec::new();
     let half = offset.bounds.width().seconds() / 2.0;
     if is_young(offset) {
         why.push(format!("There are {TOO_YOUNG}."));
     }
-    if let Some((min, _)) = course.round_trips() {
+    if let Some((min, _)) = time_series.round_trips() {
         let best = min / 2.0;
-        let known = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
+        let smallest = format!("The smallest probe round trip took {}{SPACE}ms", trip_ms(min));
         let general = "A round trip cannot tell how its time splits between the directions.".to_owned();
         let best_words = bound(best);
         why.push(if half > best * 1.3 {
             format!(
-                "{general} {known}, so at best the offset is known to half of that, {best_words}; since then the bound grows \
+                "{general} {smallest}, so at best the offset is known to half of that, {best_words}; since then the bound grows \
                  with the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
-            format!("{general} {known}, which alone gives {best_words}; {}.", describe_narrowing(offset))
+            format!("{general} {smallest}, which alone gives {best_words}; {}.", describe_narrowing(offset))
         } else {
-            format!("{general} {known}, so the offset is known to half of that, {best_words}.")
+            format!("{general} {smallest}, so the offset is known to half of that, {best_words}.")
         });
     } else {
         why.push(
@@ -206,37 +206,38 @@ fn hints(subject: &Subject<'_>, offset: Option<&Offset>) -> Vec<String> {
     }
     let undisciplined =
         |clock: &Option<HostClock>| clock.as_ref().is_none_or(|clock| clock.discipline.is_none());
-    let without: Vec<&str> = [(&link.live.edge, &subject.edge), (&link.live.cloud, &subject.cloud)]
-        .into_iter()
-        .filter(|(clock, _)| undisciplined(clock))
-        .map(|(_, name)| name.as_str())
-        .collect();
+    let hosts_without_daemon: Vec<&str> =
+        [(&link.live.edge, &subject.edge), (&link.live.cloud, &subject.cloud)]
+            .into_iter()
+            .filter(|(clock, _)| undisciplined(clock))
+            .map(|(_, name)| name.as_str())
+            .collect();
     let width = |wanted: fn(DelaySource) -> bool| {
-        let found = offset?.sources.iter().find(|(source, _)| wanted(*source));
-        found.map(|(_, interval)| interval.width())
+        let entry = offset?.sources.iter().find(|(source, _)| wanted(*source));
+        entry.map(|(_, interval)| interval.width())
     };
-    let own = width(|source| source == DelaySource::InBand);
-    let told = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
+    let in_band_width = width(|source| source == DelaySource::InBand);
+    let claim_width = width(|source| matches!(source, DelaySource::Kernel | DelaySource::Chrony));
     let is_wide = offset.is_none_or(|offset| offset.bounds.width() > BEST_CLAIM + BEST_CLAIM);
-    let claimed = claimed_offset(subject).map(|(_, interval)| interval);
+    let claimed_interval = claimed_offset(subject).map(|(_, interval)| interval);
     if !is_wide {
-        // The claim of a time daemon would be wider.
-    } else if !without.is_empty() {
-        let hosts = without.join(" and ");
-        hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST} is set"));
+        // The bound is already narrower than the claim of most time daemons, so a daemon would not help.
+    } else if !hosts_without_daemon.is_empty() {
+        let hosts = hosts_without_daemon.join(" and ");
+        hints.push(format!("PTP or chrony on {hosts}, which gives a second source where {TRUST_KEY} is set"));
     } else if let Some(offset) = offset
         && unused_claims(subject, offset).is_some()
     {
-        if claimed.is_some_and(|claimed| claimed.width() >= offset.bounds.width()) {
+        if claimed_interval.is_some_and(|claimed| claimed.width() >= offset.bounds.width()) {
             hints.push(
                 "PTP on both hosts; what their time daemons claim now is wider and does not help".to_owned(),
             );
         } else {
             let edge = &subject.edge;
-            hints.push(format!("{TRUST} = true on {edge}, where both time daemons can be relied on"));
+            hints.push(format!("{TRUST_KEY} = true on {edge}, where both time daemons can be relied on"));
         }
-    } else if let Some((own, told)) = own.zip(told)
-        && told >= own
+    } else if let Some((in_band, claim)) = in_band_width.zip(claim_width)
+        && claim >= in_band
     {
         hints.push(
             "PTP on both hosts; what their time daemons claim now is wider and does not help".to_owned(),

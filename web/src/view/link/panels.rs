@@ -5,8 +5,8 @@ use peernet_statistics::number::{NONE, SPACE, bound, count, offset_ms, rate, tri
 use peernet_stream::{HostClock, ProbeCounts, Probing};
 
 use super::super::{clock_fault, counted};
-use super::course::Course;
-use super::{CONTRADICTION, Subject, known};
+use super::time_series::LinkTimeSeries;
+use super::{CONTRADICTION, Subject, estimate_and_half_width};
 
 /// Pairs of a name and a text.
 pub(crate) type Pairs = Vec<(&'static str, String)>;
@@ -33,11 +33,11 @@ pub(crate) fn claims(clock: &HostClock) -> String {
     format!("{}{SPACE}ms from true time, {}", offset_ms(lo + half, half), bound(half))
 }
 
-/// Clocksources that count a processor's own counter. With any other the hypervisor supplies the time, and may change the rate of a clock
-/// that is free-running for the guest.
-const FREE_RUNNING: [&str; 2] = ["tsc", "arch_sys_counter"];
+/// Clock sources that read the counter of the processor. With any other clock source, the hypervisor supplies the time. It may change the
+/// rate of a clock that is free-running from the view of the guest.
+const PROCESSOR_COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
 
-/// Returns a text about the synchronisation and the supplier of a clock.
+/// Describes how a clock is synchronised, and whether the hypervisor supplies it.
 pub(crate) fn discipline(clock: &HostClock) -> String {
     let text = match (clock.text.is_empty(), clock.discipline) {
         (false, _) => clock.text.clone(),
@@ -45,7 +45,7 @@ pub(crate) fn discipline(clock: &HostClock) -> String {
         (true, None) => "not reported".to_owned(),
     };
     match clock.clocksource.as_deref() {
-        Some(source) if !FREE_RUNNING.contains(&source) => {
+        Some(source) if !PROCESSOR_COUNTERS.contains(&source) => {
             format!("{text}; clock supplied by the hypervisor ({source})")
         }
         _ => text,
@@ -79,7 +79,7 @@ pub(crate) fn probing(probing: &Probing) -> String {
 }
 
 /// Returns the panel about probes.
-pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
+pub(crate) fn probes(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Pairs {
     let mut pairs: Pairs = match subject.live.map(|link| &link.live.probing) {
         Some(Probing::On { address, rate_hz, stamps }) => vec![
             ("Sent to", address.clone()),
@@ -96,11 +96,11 @@ pub(crate) fn probes(subject: &Subject<'_>, course: &Course) -> Pairs {
         Some(Probing::Off(reason)) => vec![("Off", reason.clone())],
         None => vec![("Now", "the edge is not connected".to_owned())],
     };
-    let counts = course.probes();
+    let counts = time_series.probes();
     if counts != ProbeCounts::default() {
         pairs.push(("In this time", format_counts(&counts)));
     }
-    if let Some((min, median)) = course.round_trips() {
+    if let Some((min, median)) = time_series.round_trips() {
         pairs.push(("Round trip", format_round_trip(min, median)));
     }
     pairs
@@ -138,7 +138,7 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
     if let Some(trip) = reflector.round_trip {
         pairs.push(("Round trip", format_round_trip(trip.min.seconds(), trip.median.seconds())));
     }
-    let offset = reflector.offset.as_ref().map(|offset| match known(offset) {
+    let offset = reflector.offset.as_ref().map(|offset| match estimate_and_half_width(offset) {
         Some((estimate, half)) => {
             let words = format!("{}{SPACE}ms, {}", offset_ms(estimate, half), bound(half));
             if offset.verdict == Verdict::Stale { format!("{words}, stale") } else { words }

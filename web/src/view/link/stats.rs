@@ -8,9 +8,9 @@ use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::speed::NetworkDirection;
-use super::course::Course;
 use super::list::no_offset;
-use super::{CONTRADICTION, Subject, known};
+use super::time_series::LinkTimeSeries;
+use super::{CONTRADICTION, Subject, estimate_and_half_width};
 
 /// A figure with its name, its unit and a line of explanation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -19,19 +19,20 @@ pub(crate) struct Stat {
     pub number: String,
     /// Unit of the number; empty without a number.
     pub unit: &'static str,
-    /// Explanation of the number, or the reason for its absence.
+    /// Tooltip of the number: the reason for its absence, else empty.
     pub title: String,
+    /// Line below the number.
     pub line: String,
     pub chip: Option<Chip>,
 }
 
 impl Stat {
-    fn new(name: &str, known: Option<String>, unit: &'static str, line: String) -> Self {
-        let unit = if known.is_some() { unit } else { "" };
-        let title = if known.is_some() { String::new() } else { line.clone() };
+    fn new(name: &str, number: Option<String>, unit: &'static str, line: String) -> Self {
+        let unit = if number.is_some() { unit } else { "" };
+        let title = if number.is_some() { String::new() } else { line.clone() };
         Self {
             name: name.to_owned(),
-            number: known.unwrap_or_else(|| NONE.to_owned()),
+            number: number.unwrap_or_else(|| NONE.to_owned()),
             unit,
             title,
             line,
@@ -41,28 +42,28 @@ impl Stat {
 }
 
 /// Returns all figures.
-pub(crate) fn all(subject: &Subject<'_>, course: &Course) -> Vec<Stat> {
+pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<Stat> {
     let mut stats = vec![delay(subject, NetworkDirection::Up), delay(subject, NetworkDirection::Down)];
     if !subject.same_clock() {
         stats.extend([offset(subject), drift(subject)]);
     }
-    if !subject.same_clock() || course.probes().sent > 0 {
-        stats.extend([round_trip(course), lost(course)]);
+    if !subject.same_clock() || time_series.probes().sent > 0 {
+        stats.extend([round_trip(time_series), lost(time_series)]);
     }
     stats
 }
 
 fn delay(subject: &Subject<'_>, way: NetworkDirection) -> Stat {
     let delays = subject.delays(way);
-    let known = delays.median.is_some().then(|| delays.value());
+    let number = delays.median.is_some().then(|| delays.value());
     let line = match delays.interval() {
         Some(interval) => interval,
         None if delays.verdict.is_some() => String::new(),
         None => "nothing sent".to_owned(),
     };
     let name = format!("{}, median of 10{SPACE}s", delays.title());
-    let title = if known.is_some() { String::new() } else { delays.reason().to_owned() };
-    Stat { chip: delays.chip(), title, ..Stat::new(&name, known, "ms", line) }
+    let title = if number.is_some() { String::new() } else { delays.reason().to_owned() };
+    Stat { chip: delays.chip(), title, ..Stat::new(&name, number, "ms", line) }
 }
 
 fn offset(subject: &Subject<'_>) -> Stat {
@@ -71,24 +72,24 @@ fn offset(subject: &Subject<'_>) -> Stat {
         RelatedClocks::Raw => "Offset of the free-running clocks",
         RelatedClocks::RawToWall => "Offset, free-running to wall clock",
     };
-    let Some((estimate, half)) = subject.offset().and_then(known) else {
+    let Some((estimate, half)) = subject.offset().and_then(estimate_and_half_width) else {
         return Stat::new(name, None, "ms", no_offset(subject).to_owned());
     };
-    let then = if subject.connected { "" } else { ", when last reported" };
+    let suffix = if subject.connected { "" } else { ", when last reported" };
     if subject.clocks() != RelatedClocks::Wall {
-        // A free-running clock counts from the start of its machine: which one is ahead says nothing about the time of day.
-        let line = format!("free-running clocks count from the machine's start, {}{then}", bound(half));
+        // Free-running clocks count from the start of their machines. Which of them is ahead says nothing about the time of day.
+        let line = format!("free-running clocks count from the machine's start, {}{suffix}", bound(half));
         return Stat::new(name, Some(offset_ms(estimate, half)), "ms", line);
     }
     // If zero lies within the bounds, neither clock is known to be ahead.
-    let who = if estimate.abs() <= half {
-        "level".to_owned()
+    let comparison = if estimate.abs() <= half {
+        "neither clock is known to be ahead".to_owned()
     } else if estimate > 0.0 {
         format!("{} is ahead", subject.cloud)
     } else {
         format!("{} is behind", subject.cloud)
     };
-    let line = format!("{who}, {}{then}", bound(half));
+    let line = format!("{comparison}, {}{suffix}", bound(half));
     Stat::new(name, Some(offset_ms(estimate, half)), "ms", line)
 }
 
@@ -99,35 +100,36 @@ pub(crate) fn ppm(value: f64) -> String {
 }
 
 fn drift(subject: &Subject<'_>) -> Stat {
-    let consistent = subject.offset().filter(|offset| known(offset).is_some());
+    let consistent = subject.offset().filter(|offset| estimate_and_half_width(offset).is_some());
     let skew = consistent.and_then(|offset| offset.skew_ppm);
-    let none = || if subject.contradicts() { CONTRADICTION } else { "too few exchanges yet" }.to_owned();
-    let line = skew.map_or_else(none, |skew| {
-        let a_day = skew.abs() * 1e-6 * 86_400.0;
+    let absence_reason =
+        || if subject.contradicts() { CONTRADICTION } else { "too few exchanges yet" }.to_owned();
+    let line = skew.map_or_else(absence_reason, |skew| {
+        let seconds_per_day = skew.abs() * 1e-6 * 86_400.0;
         let verb = if skew < 0.0 { "loses" } else { "gains" };
-        if a_day < 0.005 {
+        if seconds_per_day < 0.005 {
             "both run alike".to_owned()
         } else {
-            format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(a_day))
+            format!("{} {verb} {}{SPACE}s a day", subject.cloud, figure(seconds_per_day))
         }
     });
     Stat::new("Drift", skew.map(ppm), "ppm", line)
 }
 
-fn round_trip(course: &Course) -> Stat {
-    let line = course.round_trips().map_or_else(
+fn round_trip(time_series: &LinkTimeSeries) -> Stat {
+    let line = time_series.round_trips().map_or_else(
         || "no probe came back".to_owned(),
         |(min, _)| format!("smallest {}{SPACE}ms", trip_ms(min)),
     );
-    let newest = course.points.iter().rev().find_map(|point| point.round_trip);
+    let newest = time_series.points.iter().rev().find_map(|point| point.round_trip);
     Stat::new("Probe round trip", newest.map(|trip| trip_ms(trip.median.seconds())), "ms", line)
 }
 
-fn lost(course: &Course) -> Stat {
-    let ProbeCounts { sent, lost, .. } = course.probes();
+fn lost(time_series: &LinkTimeSeries) -> Stat {
+    let ProbeCounts { sent, lost, .. } = time_series.probes();
     let share = (sent > 0).then(|| percent(f64::from(lost) / f64::from(sent)));
     let line = if sent > 0 {
-        format!("{} of {} in {}", count(lost.into()), count(sent.into()), length(course.seconds()))
+        format!("{} of {} in {}", count(lost.into()), count(sent.into()), length(time_series.seconds()))
     } else {
         "no probes".to_owned()
     };

@@ -5,13 +5,13 @@ use peernet_store::ClockPoint;
 
 use super::super::chip::Sign;
 use super::super::speed::NetworkDirection;
-use super::course::Course;
 use super::delays::Delays;
-use super::known;
+use super::estimate_and_half_width;
 use super::stats::ppm;
+use super::time_series::LinkTimeSeries;
 use crate::zone::{Zone, ZonedTime};
 
-/// One stretch of time; times in ms.
+/// One time interval as a row; times in ms.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Row {
     pub at: ZonedTime,
@@ -26,7 +26,7 @@ pub(crate) struct Row {
     pub lost: String,
 }
 
-/// One direction.
+/// Delays of one direction.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Direction {
     pub value: String,
@@ -38,15 +38,15 @@ pub(crate) struct Direction {
 const ROWS: f64 = 30.0;
 
 impl Row {
-    /// Returns the rows of a course, newest first.
-    pub(crate) fn all(course: &Course, zone: Zone) -> Vec<Self> {
+    /// Returns the rows of a time series, newest first.
+    pub(crate) fn all(time_series: &LinkTimeSeries, zone: Zone) -> Vec<Self> {
         const STEPS: [i64; 8] = [10, 30, 60, 120, 300, 600, 1_800, 3_600];
-        let wanted = (course.seconds() / ROWS) as i64;
-        let seconds = STEPS.into_iter().find(|step| *step >= wanted).unwrap_or(3_600);
-        course.thinned(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()
+        let approximate_seconds = (time_series.seconds() / ROWS) as i64;
+        let seconds = STEPS.into_iter().find(|step| *step >= approximate_seconds).unwrap_or(3_600);
+        time_series.merged(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()
     }
 
-    /// Returns both directions.
+    /// Returns the delays of both directions, upload first.
     pub(crate) fn ways(&self) -> [&Direction; 2] {
         [&self.up, &self.down]
     }
@@ -54,15 +54,15 @@ impl Row {
     fn of(point: &ClockPoint, zone: Zone) -> Self {
         let dash = || NONE.to_owned();
         let offset = point.offset.as_ref();
-        let within = offset.and_then(known);
+        let estimate_and_half = offset.and_then(estimate_and_half_width);
         let trip = point.round_trip;
         Self {
             at: zone.moment(point.at),
             up: Direction::of(&Delays::of(NetworkDirection::Up, [point])),
             down: Direction::of(&Delays::of(NetworkDirection::Down, [point])),
-            offset: within.map_or_else(dash, |(estimate, half)| offset_ms(estimate, half)),
-            bound: within.map_or_else(dash, |(_, half)| bound_ms(half)),
-            drift: within.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
+            offset: estimate_and_half.map_or_else(dash, |(estimate, half)| offset_ms(estimate, half)),
+            bound: estimate_and_half.map_or_else(dash, |(_, half)| bound_ms(half)),
+            drift: estimate_and_half.and(offset).and_then(|offset| offset.skew_ppm).map_or_else(dash, ppm),
             smallest: trip.map_or_else(dash, |trip| trip_ms(trip.min.seconds())),
             median: trip.map_or_else(dash, |trip| trip_ms(trip.median.seconds())),
             sent: count(point.probes.sent.into()),

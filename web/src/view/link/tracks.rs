@@ -1,4 +1,4 @@
-//! Tracks: several quantities over one stretch of time, under each other.
+//! Tracks: charts of several quantities below each other, with one time axis.
 
 use askama::Template;
 use peernet_figures::look::{Style, TextStyle};
@@ -7,14 +7,14 @@ use peernet_figures::scale::{Scale, Tick};
 
 use crate::picture::Picture;
 
-/// Tracks under a rail of signs and strips of states, with one time axis.
+/// Tracks with one time axis. Above the tracks are a row with signs of incidents and strips with verdicts.
 #[derive(Clone, Debug, PartialEq, Template)]
 #[template(path = "pages/tracks.html")]
 pub(crate) struct Tracks {
     /// Description of the plot in words.
     pub(super) label: String,
     pub(super) signs: Vec<RailSign>,
-    /// Places and reasons of stretches without data.
+    /// Positions and labels of gaps.
     pub(super) reasons: Vec<(Place, &'static str)>,
     pub(super) strips: Vec<Picture>,
     pub(super) tracks: Vec<TrackPicture>,
@@ -23,7 +23,7 @@ pub(crate) struct Tracks {
 
 impl askama::filters::HtmlSafe for Tracks {}
 
-/// Place along the time axis, as a share.
+/// Position on the time axis, as a share of its length.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub(super) struct Place(pub(super) f64);
 
@@ -33,13 +33,13 @@ impl std::fmt::Display for Place {
     }
 }
 
-/// An incident on the rail, with its line through all tracks.
+/// Sign of an incident above the tracks, with a line through all tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct RailSign {
     pub(super) x: Place,
     pub(super) sign: &'static str,
     pub(super) tone: &'static str,
-    /// `true` if its sign is shown: where many stand together, one is.
+    /// `true` if its sign is shown. Of signs that would overlap only the first is shown.
     pub(super) is_shown: bool,
 }
 
@@ -53,7 +53,7 @@ pub(super) struct Track {
     pub(super) class: &'static str,
     scale: Scale,
     lines: Vec<Item>,
-    /// Text at the upper end when values lie beyond it.
+    /// Text at the upper end if values lie beyond the scale.
     pub(super) beyond: Option<String>,
 }
 
@@ -72,30 +72,30 @@ pub(super) fn span((from, to): (f64, f64), class: &'static str) -> Item {
 }
 
 impl Track {
-    /// Returns a track on that scale.
+    /// Creates a track without lines.
     pub(super) fn new(title: String, scale: Scale) -> Self {
         Self { title, note: String::new(), class: "", scale, lines: Vec::new(), beyond: None }
     }
 
-    /// Adds a path; one without points is left out.
+    /// Adds a path, unless it has no points.
     pub(super) fn draw(&mut self, class: &'static str, path: Path) {
         if !path.is_empty() {
             self.lines.push(Item::path(path, Style::of_page(class)));
         }
     }
 
-    /// Draws it over the stretches without data and the lines of incidents.
-    pub(super) fn picture(self, ground: &[Item]) -> TrackPicture {
-        // An axis of nothing would be made up.
+    /// Draws the track over the background: the gaps and the lines of incidents.
+    pub(super) fn picture(self, background: &[Item]) -> TrackPicture {
+        // Without data the scale has no meaning, so the axis has no labels.
         let ticks: Vec<Tick> = if self.lines.is_empty() { Vec::new() } else { self.scale.ticks(6) };
         let mut items: Vec<Item> = Vec::new();
         if self.lines.is_empty() {
-            let nothing = Label::new(At::new(0.5, 0.5), "nothing known in this time", TextStyle::AXIS);
-            items.push(Item::Text(nothing.anchored(Anchor::Middle)));
+            let no_data_label = Label::new(At::new(0.5, 0.5), "nothing known in this time", TextStyle::AXIS);
+            items.push(Item::Text(no_data_label.anchored(Anchor::Middle)));
         }
-        let level = |at: f64| Item::line(At::new(0.0, at), At::new(1.0, at), Style::grid());
-        items.extend(ticks.iter().map(|tick| level(1.0 - tick.at)));
-        items.extend(ground.iter().cloned());
+        let grid_line = |at: f64| Item::line(At::new(0.0, at), At::new(1.0, at), Style::grid());
+        items.extend(ticks.iter().map(|tick| grid_line(1.0 - tick.at)));
+        items.extend(background.iter().cloned());
         items.extend(self.lines);
         items.extend(self.beyond.map(|words| {
             let label = Label::new(At::new(1.0, 0.0), words, TextStyle::BEYOND).anchored(Anchor::End);

@@ -7,9 +7,9 @@ use peernet_analysis::order::SortedValues;
 use peernet_clock::WallTime;
 use peernet_store::ClockPoint;
 
-use super::known;
+use super::estimate_and_half_width;
 
-/// A straight line through the estimates of each window, that is, between two steps.
+/// Straight lines through the estimates: one line for each window. A new window begins after each clock step.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trend {
     lines: BTreeMap<u64, Line>,
@@ -17,8 +17,11 @@ pub(crate) struct Trend {
 
 #[derive(Clone, Copy, Debug)]
 struct Line {
+    /// Time of the middle estimate.
     middle: WallTime,
+    /// Value of the line at `middle`, seconds.
     level: f64,
+    /// Growth in seconds per second.
     slope: f64,
 }
 
@@ -27,11 +30,14 @@ impl Trend {
     pub(crate) fn of(points: &[ClockPoint]) -> Self {
         let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
         for point in points {
-            if let Some(offset) = point.offset.as_ref().filter(|offset| known(offset).is_some()) {
+            if let Some(offset) =
+                point.offset.as_ref().filter(|offset| estimate_and_half_width(offset).is_some())
+            {
                 windows.entry(point.window).or_default().push((offset.at, offset.estimate.seconds()));
             }
         }
-        let lines = windows.into_iter().filter_map(|(window, known)| Some((window, Line::through(&known)?)));
+        let lines =
+            windows.into_iter().filter_map(|(window, estimates)| Some((window, Line::through(&estimates)?)));
         Self { lines: lines.collect() }
     }
 
@@ -43,13 +49,14 @@ impl Trend {
 
 impl Line {
     /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points the line is horizontal.
-    fn through(known: &[(WallTime, f64)]) -> Option<Self> {
-        let middle = known.get(known.len() / 2)?.0;
+    fn through(estimates: &[(WallTime, f64)]) -> Option<Self> {
+        let middle = estimates.get(estimates.len() / 2)?.0;
         let points: Vec<Point> =
-            known.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
-        let level = || Some((points.iter().map(|point| point.y).collect::<SortedValues>().median()?, 0.0));
+            estimates.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
+        let horizontal =
+            || Some((points.iter().map(|point| point.y).collect::<SortedValues>().median()?, 0.0));
         let fit = theil_sen(&points).map(|fit| (fit.intercept.value, fit.slope.value));
-        let (level, slope) = fit.or_else(level)?;
+        let (level, slope) = fit.or_else(horizontal)?;
         Some(Self { middle, level, slope })
     }
 }

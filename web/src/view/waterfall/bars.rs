@@ -7,10 +7,10 @@ use peernet_figures::scale::Scale;
 use peernet_statistics::number::stage_ms;
 
 use crate::picture::Picture;
-use crate::timeline::{NodeLocation, Placed, Timeline, Visit};
+use crate::timeline::{NodeLocation, PlacedNode, Timeline, Visit};
 
-/// Narrower bars would not be seen.
-const THINNEST: f64 = 0.002;
+/// Minimum width of a bar, as a share of the axis; narrower bars would be invisible.
+const MIN_WIDTH: f64 = 0.002;
 /// Upper and lower side of a bar, and of the bar of a node below another.
 const BAR: (f64, f64) = (0.24, 0.76);
 const CHILD: (f64, f64) = (0.3, 0.7);
@@ -28,20 +28,20 @@ fn at(scale: &Scale, seconds: f64) -> f64 {
 
 fn stretch(scale: &Scale, start: f64, length: f64) -> (f64, f64) {
     let (from, to) = (at(scale, start), at(scale, start + length.max(0.0)));
-    (from, to.max(from + THINNEST))
+    (from, to.max(from + MIN_WIDTH))
 }
 
 fn rect((from, to): (f64, f64), (top, bottom): (f64, f64), style: Style) -> Item {
     Item::rect(At::new(from, top), At::new(to, bottom), style)
 }
 
-/// Returns the strips in which a host's stay may shift: around its arrival and around its answer.
+/// Returns the uncertain times of a visit: the ranges in which the arrival of the request and the departure of the answer may lie.
 fn bands(visit: &Visit, scale: &Scale) -> Vec<(f64, f64)> {
     let (earlier, later) = visit.shift;
     if later - earlier <= 0.0 {
         return Vec::new();
     }
-    let ends = [Some(visit.arrived), visit.answered.map(|(left, _)| left)];
+    let ends = [Some(visit.arrival), visit.answer_times.map(|(sent_at, _)| sent_at)];
     ends.into_iter().flatten().map(|end| stretch(scale, end + earlier, later - earlier)).collect()
 }
 
@@ -50,15 +50,15 @@ pub(super) fn blank(scale: &Scale) -> Picture {
     Picture::of_items(&Item::grid(scale), "row", "")
 }
 
-/// Returns the bar of the whole.
+/// Returns the bar of the total.
 pub(super) fn total(seconds: f64, scale: &Scale) -> Picture {
     let mut items = Item::grid(scale);
     items.push(rect(stretch(scale, 0.0, seconds), BAR, Style::total()));
     Picture::of_items(&items, "row", "")
 }
 
-/// Returns the bar of a node; `tick` marks the run's median in it.
-pub(super) fn row(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool) -> Picture {
+/// Returns the bar of a node. If `tick` is true, a tick marks the run's median.
+pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: bool) -> Picture {
     let (visit, look) = (timeline.visit(), stage(&node.name));
     let mut items = Item::grid(scale);
     if let Some(visit) = visit.filter(|_| node.at != NodeLocation::Host(0)) {
@@ -69,8 +69,8 @@ pub(super) fn row(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool)
         let sides = if node.depth > 0 { CHILD } else { BAR };
         items.push(rect(stretch(scale, start, length), sides, look.plain()));
     } else if let Some(visit) = visit.filter(|_| node.at == NodeLocation::Network && node.length.is_none()) {
-        // Its position is not known: the outline of the interval in which it lies.
-        let ends = if is_download { visit.answered } else { Some((visit.left, visit.arrived)) };
+        // The duration of the message is unknown. The outline shows the time in which the message was on the way.
+        let ends = if is_download { visit.answer_times } else { Some((visit.sent_at, visit.arrival)) };
         let ghost =
             ends.map(|(from, to)| rect(stretch(scale, from, to - from), BAR, Style::of_page("ghost")));
         items.extend(ghost);
@@ -81,12 +81,12 @@ pub(super) fn row(node: &Placed, timeline: &Timeline, scale: &Scale, tick: bool)
         let label = Label::new(At::new(x, 0.5), format!("median {}", stage_ms(median)), look.text());
         items.push(Item::Text(label.shifted(0.5, 0.36).fits_within(at(scale, start + length) - x)));
     }
-    // The whisker is drawn at the message's uncertain end: an upload ends there, a download begins there.
+    // The uncertain end of a message is on the cloud: the arrival of an upload, the departure of a download. The whisker is drawn there.
     let bounds = node.delay.and_then(|delay| delay.bounds).filter(|(lo, hi)| hi > lo).zip(visit);
-    let ends = bounds.and_then(|((lo, hi), visit)| match visit.answered {
+    let ends = bounds.and_then(|((lo, hi), visit)| match visit.answer_times {
         Some((_, back)) if is_download => Some([back - hi, back - lo]),
         None if is_download => None,
-        _ => Some([visit.left + lo, visit.left + hi]),
+        _ => Some([visit.sent_at + lo, visit.sent_at + hi]),
     });
     if let Some(ends) = ends {
         let ends = ends.map(|end| At::new(at(scale, end), 0.5));
@@ -106,8 +106,12 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     let hop = |(from, y): (f64, f64), (to, end): (f64, f64), class| {
         Item::line(At::new(at(scale, from), y), At::new(at(scale, to), end), Style::of_page(class))
     };
-    items.push(hop((visit.left, edge), (visit.arrived, cloud), "hop h-up"));
-    items.extend(visit.answered.map(|(left, back)| hop((left, cloud), (back, edge), "hop h-down")));
+    items.push(hop((visit.sent_at, edge), (visit.arrival, cloud), "hop h-up"));
+    items.extend(
+        visit
+            .answer_times
+            .map(|(sent_at, received_at)| hop((sent_at, cloud), (received_at, edge), "hop h-down")),
+    );
     for (host, y) in [(0, edge), (1, cloud)] {
         let nodes = timeline.nodes.iter().filter(|it| it.depth == 0 && it.at == NodeLocation::Host(host));
         items.extend(nodes.filter_map(|node| {

@@ -267,13 +267,13 @@ impl Factory {
     /// Reports a few incidents.
     pub(crate) async fn store_incidents(&mut self) {
         let now = self.clock.wall();
-        let told = [
+        let incidents = [
             (0, 400, IncidentKind::ModelLoaded, "loaded quality-control (ONNX Runtime 1.31, cpu, 1.9 s)"),
             (1, 380, IncidentKind::Connected, "reconnected to rack-a after 0.4 s; 0 lost"),
             (1, 95, IncidentKind::Disconnected, "lost rack-a: connection reset by peer"),
             (2, 60, IncidentKind::ClockStep, "the wall clock was stepped by +18.2 ms"),
         ];
-        for (line, ago, kind, text) in told {
+        for (line, ago, kind, text) in incidents {
             let index = line % self.lines.len();
             let at = now - Span::from_seconds(ago);
             let incident = Incident { at, kind, pipeline: None, run: None, peer: None, text: text.into() };

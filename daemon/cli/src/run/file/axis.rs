@@ -64,7 +64,7 @@ pub(in crate::run) struct Axis {
 pub(in crate::run) struct AxisValue {
     /// Name in tables.
     pub(in crate::run) label: String,
-    /// Fields of the document that it sets.
+    /// Fields of the document that it sets, with their values.
     pub(super) sets: Vec<(Field, Value)>,
 }
 
@@ -121,20 +121,20 @@ impl Axis {
         if let Some(value) = values.iter().find(|value| value.label.contains(char::is_control)) {
             return Err(AxisError::LabelControl(value.label.clone()));
         }
-        let this = Self { name, values };
-        let labels: Vec<&str> = this.values.iter().map(|value| value.label.as_str()).collect();
-        match labels.iter().enumerate().find(|(at, label)| labels[..*at].contains(label)) {
+        let axis = Self { name, values };
+        let labels: Vec<&str> = axis.values.iter().map(|value| value.label.as_str()).collect();
+        match labels.iter().enumerate().find(|(index, label)| labels[..*index].contains(label)) {
             Some((_, label)) => Err(AxisError::SameLabel((*label).to_owned())),
-            None => Ok(this),
+            None => Ok(axis),
         }
     }
 
-    /// Returns whether it overwrites a field that another, earlier axis sets.
+    /// Returns whether this axis overwrites a field that the other, earlier axis sets.
     pub(super) fn overwrites(&self, other: &Self) -> bool {
         self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
     }
 
-    /// Returns whether it overwrites a field in every run.
+    /// Returns whether this axis overwrites the field in every run.
     pub(super) fn always_covers(&self, field: &Field) -> bool {
         self.values.iter().all(|value| value.sets.iter().any(|(set, _)| set.covers(field)))
     }
@@ -143,7 +143,7 @@ impl Axis {
         self.values.iter().flat_map(|value| &value.sets).map(|(field, _)| field)
     }
 
-    /// Returns its labels for messages.
+    /// Returns the labels, separated by commas, for messages.
     pub(super) fn list_labels(&self) -> String {
         self.values.iter().map(|value| value.label.as_str()).collect::<Vec<_>>().join(", ")
     }
@@ -178,14 +178,14 @@ fn variable_field(text: &str) -> Result<Field, AxisError> {
     if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
     }
-    let within = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
-    if field.table() == "experiment" && !within.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
+    let experiment_key = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
+    if field.table() == "experiment" && !experiment_key.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
         return Err(AxisError::SameForAll(text.to_owned()));
     }
     Ok(field)
 }
 
-/// Returns the label of a value: the value itself, if it is a single one.
+/// Returns the label of a value: its text, unless it is a list, a table or a date.
 pub(super) fn label(value: &Value) -> Option<String> {
     match value {
         Value::String(text) => Some(text.clone()),

@@ -15,8 +15,8 @@ use super::experiment::{Experiment, LimitError, Network, RangeError, describe_wa
 use super::field::{Field, FieldError};
 use super::matrix::Combination;
 use super::peers::PeerError;
-use super::{AGENT, File, KeyError, convert, peers};
-use crate::run::check::without_serde_words;
+use super::{AGENT_TABLES, File, KeyError, convert, peers};
+use crate::run::check::with_experiment_keys;
 
 /// Keys of a pipeline that the experiment decides, with the keys to be used instead.
 const REPLACED_KEYS: [(&str, &str); 6] = [
@@ -72,7 +72,7 @@ pub(super) enum ConfigurationError {
     DecidedElsewhere { key: &'static str, instead: &'static str },
     #[error(transparent)]
     Peer(#[from] PeerError),
-    #[error("{}", without_serde_words(&.0.to_string()))]
+    #[error("{}", with_experiment_keys(&.0.to_string()))]
     Agent(#[source] KeyError),
     #[error("experiment.users: several edges need one spool each, and get one if [spool] file is omitted")]
     SharedSpool,
@@ -96,14 +96,14 @@ impl File {
         &self,
         combination: &Combination<'_>,
         models: &[PathBuf],
-        files: &mut peers::Files,
+        files: &mut peers::DeviceFiles,
     ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
         let mut document = self.document.clone();
         for (axis, value) in combination {
-            for (field, to) in &value.sets {
-                let set = field.set(&mut document, to.clone());
+            for (field, field_value) in &value.sets {
+                let result = field.set(&mut document, field_value.clone());
                 let (axis, label) = (&axis.name, &value.label);
-                set.map_err(|source| ConfigurationError::Axis {
+                result.map_err(|source| ConfigurationError::Axis {
                     axis: axis.clone(),
                     label: label.clone(),
                     source,
@@ -122,15 +122,14 @@ impl File {
 fn read(
     mut document: Table,
     models: &[PathBuf],
-    files: &mut peers::Files,
+    files: &mut peers::DeviceFiles,
 ) -> Result<(Configuration, Option<NetworkConfig>), ConfigurationError> {
-    let table = |document: &mut Table, key: &str| document.remove(key);
-    let experiment = table(&mut document, "experiment").unwrap_or_else(|| Value::Table(Table::new()));
+    let experiment = document.remove("experiment").unwrap_or_else(|| Value::Table(Table::new()));
     let experiment: Experiment = convert(experiment).map_err(ConfigurationError::Experiment)?;
     experiment.check()?;
-    let network = table(&mut document, "network").map(convert::<Network>).transpose();
+    let network = document.remove("network").map(convert::<Network>).transpose();
     let network = network.map_err(ConfigurationError::Network)?;
-    let Some(Value::Table(mut pipeline)) = table(&mut document, "pipeline") else {
+    let Some(Value::Table(mut pipeline)) = document.remove("pipeline") else {
         return Err(ConfigurationError::NoPipeline);
     };
     if let Some((key, instead)) = REPLACED_KEYS.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
@@ -140,7 +139,7 @@ fn read(
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
     pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
     let has_bank = document.contains_key("bank");
-    document.retain(|key, _| AGENT.contains(&key));
+    document.retain(|key, _| AGENT_TABLES.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
     let mut agent: AgentConfig = convert(document).map_err(ConfigurationError::Agent)?;
     if !has_bank {
@@ -160,7 +159,7 @@ fn read(
             remote.network.get_or_insert(remote.peer.network());
         }
     }
-    if is_all(&warm_up, &limit, experiment.episode_steps) {
+    if covers_run(&warm_up, &limit, experiment.episode_steps) {
         return Err(ConfigurationError::AllWarmUp(describe_warm_up(&warm_up)));
     }
     let configuration = Configuration {
@@ -175,29 +174,29 @@ fn read(
 }
 
 /// Returns whether all iterations of a run are warm-up.
-fn is_all(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
-    let iterations = limit.total.is_some_and(|total| total.get() <= warm_up.iterations);
+fn covers_run(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> bool {
+    let all_iterations = limit.total.is_some_and(|total| total.get() <= warm_up.iterations);
     let steps = steps.map(NonZeroU32::get);
-    let every_step = steps.is_some_and(|steps| steps <= warm_up.steps);
-    let episodes = steps.zip(limit.total).is_some_and(|(steps, total)| {
+    let all_steps = steps.is_some_and(|steps| steps <= warm_up.steps);
+    let all_episodes = steps.zip(limit.total).is_some_and(|(steps, total)| {
         total.get() <= u64::from(warm_up.episodes).saturating_mul(steps.into())
     });
-    iterations || every_step || episodes
+    all_iterations || all_steps || all_episodes
 }
 
 /// Returns whether a table of the pipeline could have a seed and has none.
 fn lacks_seed(pipeline: &Table, key: &str) -> bool {
     let Some(Value::Table(table)) = pipeline.get(key) else { return false };
     let mut seeded = table.clone();
-    let lacks = seeded.insert("seed".to_owned(), Value::Integer(1)).is_none();
-    lacks
+    let has_no_seed = seeded.insert("seed".to_owned(), Value::Integer(1)).is_none();
+    has_no_seed
         && match key {
-            "sensor" => is::<peernet_sensors::SensorConfig>(seeded),
-            _ => is::<peernet_agent::config::LoadConfig>(seeded),
+            "sensor" => parses_as::<peernet_sensors::SensorConfig>(seeded),
+            _ => parses_as::<peernet_agent::config::LoadConfig>(seeded),
         }
 }
 
-fn is<T: DeserializeOwned>(table: Table) -> bool {
+fn parses_as<T: DeserializeOwned>(table: Table) -> bool {
     Value::Table(table).try_into::<T>().is_ok()
 }
 

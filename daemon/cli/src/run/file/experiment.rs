@@ -34,12 +34,12 @@ pub(in crate::run) struct Experiment {
     #[serde(default)]
     pub(in crate::run) order: Order,
     /// `true` if each run draws its figures. Default: true.
-    #[serde(default = "yes")]
+    #[serde(default = "enabled")]
     pub(in crate::run) plots: bool,
     /// Aggregator to which the runs are streamed as well: `tcp://host:port`. Default: none.
     #[serde(default)]
     pub(super) aggregator: Option<Address>,
-    /// Excluded combinations: labels by the names of axes.
+    /// Excluded combinations: for each the names of axes with the labels that it excludes.
     #[serde(default)]
     pub(super) exclude: Vec<BTreeMap<String, Value>>,
     /// Episodes of each run; needs `episode_steps`.
@@ -144,20 +144,20 @@ impl Experiment {
 
     /// Returns the iterations that are left out of statistics: with episodes as in the paper, otherwise the usual five iterations.
     pub(super) fn warm_up(&self) -> WarmUp {
-        let usual = match self.episodes {
+        let default = match self.episodes {
             Some(_) => WarmUp { iterations: 0, episodes: 1, steps: 1 },
             None => WarmUp::default(),
         };
-        self.warm_up.unwrap_or(usual)
+        self.warm_up.unwrap_or(default)
     }
 }
 
-/// Describes the rule.
+/// Describes which iterations are warm-up.
 pub(super) fn describe_warm_up(warm_up: &WarmUp) -> String {
-    let count = |number: u64, what: &str| match number {
+    let count = |number: u64, noun: &str| match number {
         0 => None,
-        1 => Some(format!("the first {what}")),
-        many => Some(format!("the first {many} {what}s")),
+        1 => Some(format!("the first {noun}")),
+        many => Some(format!("the first {many} {noun}s")),
     };
     let rules = [
         count(warm_up.iterations, "iteration"),
@@ -176,7 +176,7 @@ const fn one() -> NonZeroU32 {
     NonZeroU32::MIN
 }
 
-const fn yes() -> bool {
+const fn enabled() -> bool {
     true
 }
 

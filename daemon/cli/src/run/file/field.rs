@@ -94,8 +94,8 @@ impl Field {
             return Ok(());
         }
         let mut place = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
-        for (at, step) in rest.iter().enumerate() {
-            let walked = || Self(self.0[..=at].to_vec());
+        for (index, step) in rest.iter().enumerate() {
+            let walked = || Self(self.0[..=index].to_vec());
             place = match (step, place) {
                 (Step::Key(key), Value::Table(table)) => {
                     table.entry(key.clone()).or_insert_with(|| Value::Table(Table::new()))
@@ -120,9 +120,9 @@ impl Field {
 
 impl fmt::Display for Field {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (at, step) in self.0.iter().enumerate() {
+        for (index, step) in self.0.iter().enumerate() {
             match step {
-                Step::Key(key) if at == 0 => f.write_str(key)?,
+                Step::Key(key) if index == 0 => f.write_str(key)?,
                 Step::Key(key) => write!(f, ".{key}")?,
                 Step::Index(index) => write!(f, "[{index}]")?,
             }

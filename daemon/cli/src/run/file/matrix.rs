@@ -12,7 +12,7 @@ pub(super) const MAX_RUNS: usize = 10_000;
 /// One value of each axis, in the order of the axes.
 pub(super) type Combination<'a> = Vec<(&'a Axis, &'a AxisValue)>;
 
-/// Axes that make no matrix of runs.
+/// Reason why the axes make no matrix of runs.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum MatrixError {
     #[error("the axes make more than {MAX_RUNS} combinations")]
@@ -61,9 +61,11 @@ pub(super) fn combinations<'a>(
         };
         combinations.iter().flat_map(extended).collect()
     });
-    let left: Vec<Combination<'_>> =
-        all.into_iter().filter(|combination| !exclude.iter().any(|one| one.holds(combination))).collect();
-    if left.is_empty() { Err(MatrixError::NothingLeft) } else { Ok(left) }
+    let remaining: Vec<Combination<'_>> = all
+        .into_iter()
+        .filter(|combination| !exclude.iter().any(|exclusion| exclusion.covers(combination)))
+        .collect();
+    if remaining.is_empty() { Err(MatrixError::NothingLeft) } else { Ok(remaining) }
 }
 
 /// Axes with labels: a combination is excluded if all of these axes have one of these labels.
@@ -85,9 +87,9 @@ impl Exclusion {
                 value => std::slice::from_ref(value),
             };
             let labels = values.iter().map(|value| {
-                let known =
+                let label =
                     label(value).filter(|label| axis.values.iter().any(|value| value.label == *label));
-                known.ok_or_else(|| ExclusionError::UnknownLabel {
+                label.ok_or_else(|| ExclusionError::UnknownLabel {
                     axis: name.clone(),
                     value: value.clone(),
                     known: axis.list_labels(),
@@ -98,7 +100,7 @@ impl Exclusion {
         table.iter().map(read).collect::<Result<_, _>>().map(Self)
     }
 
-    fn holds(&self, combination: &Combination<'_>) -> bool {
+    fn covers(&self, combination: &Combination<'_>) -> bool {
         self.0.iter().all(|(name, labels)| {
             combination.iter().any(|(axis, value)| axis.name == *name && labels.contains(&value.label))
         })

@@ -33,7 +33,8 @@ use matrix::MatrixError;
 /// Tables of the file besides those of an agent.
 const EXPERIMENT_TABLES: [&str; 4] = ["experiment", "network", "pipeline", "axis"];
 /// Tables of an agent's configuration that an experiment may contain.
-const AGENT: [&str; 8] = ["agent", "spool", "clock", "probes", "clock_fault", "model", "bank", "onnxruntime"];
+const AGENT_TABLES: [&str; 8] =
+    ["agent", "spool", "clock", "probes", "clock_fault", "model", "bank", "onnxruntime"];
 
 /// An experiment's file.
 pub(super) struct File {
@@ -49,7 +50,7 @@ pub(super) struct File {
 /// Reason why a document is not the file of an experiment. The text begins with the key.
 #[derive(Debug, thiserror::Error)]
 enum FileError {
-    #[error("{0}: an experiment has no such table, only {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT.join(", "))]
+    #[error("{0}: an experiment has no such table, only {own} and {agent}", own = EXPERIMENT_TABLES.join(", "), agent = AGENT_TABLES.join(", "))]
     UnknownTable(String),
     #[error("axis{0}")]
     Axes(#[source] KeyError),
@@ -82,7 +83,7 @@ impl fmt::Display for KeyError {
 }
 
 impl File {
-    /// Reads a file, and replaces values as `sets` says.
+    /// Reads a file and replaces the values that `sets` names.
     ///
     /// # Errors
     /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
@@ -90,14 +91,14 @@ impl File {
         let text = small_file::read(path, small_file::MAX_BYTES)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
-        let at = |error: &dyn fmt::Display| {
+        let invalid = |error: &dyn fmt::Display| {
             Failure::new(Exit::Configuration, anyhow!("{}: {error}", path.display()))
         };
-        let mut document: Table = text.parse().map_err(|error: toml::de::Error| at(&error))?;
-        rename_tables(&mut document).map_err(|error| at(&error))?;
+        let mut document: Table = text.parse().map_err(|error: toml::de::Error| invalid(&error))?;
+        rename_tables(&mut document).map_err(|error| invalid(&error))?;
         let usage = |error| Failure::new(Exit::Usage, anyhow!("--set: {error}"));
         sets.iter().try_for_each(|set| set.apply(&mut document)).map_err(usage)?;
-        let file = Self::parse(document, path).map_err(|error| at(&error))?;
+        let file = Self::parse(document, path).map_err(|error| invalid(&error))?;
         sets.iter().try_for_each(|set| set.check(&file.axes)).map_err(usage)?;
         Ok(file)
     }
@@ -112,11 +113,11 @@ impl File {
         models: &[PathBuf],
     ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
         let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
-        let at = |error| wrong(format!("{}: {error}", self.path.display()));
-        let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(at)?;
-        self.check_run_count(combinations.len()).map_err(at)?;
+        let with_path = |error| wrong(format!("{}: {error}", self.path.display()));
+        let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(with_path)?;
+        self.check_run_count(combinations.len()).map_err(with_path)?;
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
-        let (mut problems, mut files) = (Vec::<String>::new(), peers::Files::default());
+        let (mut problems, mut files) = (Vec::<String>::new(), peers::DeviceFiles::default());
         for combination in combinations {
             match self.configuration(&combination, models, &mut files) {
                 Ok((configuration, network)) => {
@@ -149,7 +150,7 @@ impl File {
     fn parse(mut document: Table, path: &Path) -> Result<Self, FileError> {
         if let Some(key) = document
             .keys()
-            .find(|key| !EXPERIMENT_TABLES.contains(&key.as_str()) && !AGENT.contains(&key.as_str()))
+            .find(|key| !EXPERIMENT_TABLES.contains(&key.as_str()) && !AGENT_TABLES.contains(&key.as_str()))
         {
             return Err(FileError::UnknownTable(key.clone()));
         }

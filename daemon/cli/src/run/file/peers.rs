@@ -16,7 +16,7 @@ use crate::run::relative_paths::base_hint;
 
 /// Files of devices, each read once, so that remarks about a file appear once for all combinations.
 #[derive(Default)]
-pub(super) struct Files(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
+pub(super) struct DeviceFiles(BTreeMap<(PathBuf, &'static str), Result<DeviceAddresses, Arc<Failure>>>);
 
 /// A peer without a known address; the text begins with the key.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -35,11 +35,11 @@ pub(super) enum PeerError {
     Ros2(#[source] toml::ser::Error),
 }
 
-impl Files {
+impl DeviceFiles {
     fn read(&mut self, path: &Path, kind: NetworkKind) -> Result<&DeviceAddresses, PeerError> {
         let key = (path.to_owned(), kind.name());
-        let read = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
-        read.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
+        let addresses = self.0.entry(key).or_insert_with(|| addresses(path, kind).map_err(Arc::new));
+        addresses.as_ref().map_err(|failure| match path.is_relative() && !path.exists() {
             true => PeerError::NoSuchFile(Arc::clone(failure)),
             false => PeerError::File(Arc::clone(failure)),
         })
@@ -54,7 +54,7 @@ impl Files {
 pub(super) fn resolve(
     pipeline: &mut Table,
     network: Option<&Network>,
-    files: &mut Files,
+    files: &mut DeviceFiles,
 ) -> Result<Option<NetworkConfig>, PeerError> {
     let Some(placement) = pipeline.get_mut("placement").and_then(Value::as_table_mut) else {
         return Ok(None);
@@ -85,9 +85,9 @@ pub(super) fn resolve(
 }
 
 /// Adds the settings of a file of devices to a placement. Keys of the placement take precedence.
-fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
+fn add_ros2(placement: &mut Table, file_settings: &Ros2SessionSettings) -> Result<(), toml::ser::Error> {
     // An experiment can only be continued with an unchanged plan, so defaults are not written.
-    if *of_file == Ros2SessionSettings::default() {
+    if *file_settings == Ros2SessionSettings::default() {
         return Ok(());
     }
     let empty = || Value::Table(Table::new());
@@ -95,7 +95,7 @@ fn add_ros2(placement: &mut Table, of_file: &Ros2SessionSettings) -> Result<(), 
     let ros2 = session.and_then(|session| session.entry("ros2").or_insert_with(empty).as_table_mut());
     // A value that is not a table is reported when the whole pipeline is read.
     let Some(ros2) = ros2 else { return Ok(()) };
-    for (key, value) in Table::try_from(of_file)? {
+    for (key, value) in Table::try_from(file_settings)? {
         ros2.entry(key).or_insert(value);
     }
     Ok(())

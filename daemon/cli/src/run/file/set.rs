@@ -43,13 +43,13 @@ impl Set {
         }
         let value = value.trim();
         let document = format!("value = {value}").parse::<Table>().ok();
-        if document.is_none() && is_beyond(value) {
+        if document.is_none() && is_out_of_range(value) {
             return Err(SetError::Number);
         }
         // With more than one key, the text contained a line feed.
-        let read =
+        let parsed =
             document.filter(|document| document.len() == 1).and_then(|mut document| document.remove("value"));
-        Ok(Self { field, value: read.unwrap_or_else(|| Value::String(value.to_owned())) })
+        Ok(Self { field, value: parsed.unwrap_or_else(|| Value::String(value.to_owned())) })
     }
 
     /// Sets the value in the document.
@@ -72,10 +72,10 @@ impl Set {
     }
 }
 
-/// Returns whether it is a whole number outside TOML's range: read as a text it would cause a confusing error.
-fn is_beyond(value: &str) -> bool {
-    let read = value.replace('_', "").parse::<i64>();
-    read.is_err_and(|error| matches!(error.kind(), IntErrorKind::PosOverflow | IntErrorKind::NegOverflow))
+/// Returns whether the text is a whole number outside TOML's range, which would cause a confusing error as a text.
+fn is_out_of_range(value: &str) -> bool {
+    let number = value.replace('_', "").parse::<i64>();
+    number.is_err_and(|error| matches!(error.kind(), IntErrorKind::PosOverflow | IntErrorKind::NegOverflow))
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551', model = 'echo' }
 
 fn configurations(text: &str) -> anyhow::Result<Vec<Configuration>> {
     let file = File::parse(text.parse()?, Path::new("e.toml"))?;
-    file.configurations(&[]).map(|found| found.0).map_err(|failure| failure.error)
+    file.configurations(&[]).map(|(configurations, _)| configurations).map_err(|failure| failure.error)
 }
 
 fn read(more: &str) -> Vec<Configuration> {
@@ -63,11 +63,11 @@ fn exclusion_removes_configurations_with_all_its_labels() {
             COMMON.replace("iterations = 10", &format!("iterations = 10\nexclude = {exclude}"))
         )
     };
-    let left = |exclude: &str| -> Vec<String> {
+    let remaining = |exclude: &str| -> Vec<String> {
         configurations(&with(exclude)).expect("reads").iter().map(labels).collect()
     };
-    assert_eq!(left("[{ A = 1, B = '20' }]"), ["1/10", "2/10", "2/20", "3/10", "3/20"]);
-    assert_eq!(left("[{ A = [1, 2] }]"), ["3/10", "3/20"]);
+    assert_eq!(remaining("[{ A = 1, B = '20' }]"), ["1/10", "2/10", "2/20", "3/10", "3/20"]);
+    assert_eq!(remaining("[{ A = [1, 2] }]"), ["3/10", "3/20"]);
     for (exclude, message) in [
         ("[{ C = 1 }]", "experiment.exclude[0]: there is no axis C, only A, B"),
         ("[{ A = 1 }, { A = 4 }]", "experiment.exclude[1]: A has no value 4, only 1, 2, 3"),
@@ -251,13 +251,13 @@ fn only_seeds_missing_in_file_are_set() {
 
 #[test]
 fn huge_numbers_are_refused_with_key() {
-    let of_experiment = |more: &str| {
+    let error_with = |more: &str| {
         let text = COMMON.replace("iterations = 10", &format!("iterations = 10\n{more}"));
         configurations(&text).expect_err(more).to_string()
     };
-    let error = of_experiment("repeats = 4000000000");
+    let error = error_with("repeats = 4000000000");
     assert!(error.contains("e.toml: experiment.repeats: the repeats make 4000000000 runs"), "{error}");
-    assert!(of_experiment("users = 100000").contains("e.toml: experiment.users: 100000"));
+    assert!(error_with("users = 100000").contains("e.toml: experiment.users: 100000"));
     let error = wrong("[[axis]]\nname = 'P'\nfield = 'experiment.patience_s'\nvalues = [10, -1]\n");
     assert!(error.contains("experiment.patience_s: -1.0") && error.contains("(with P = -1)"), "{error}");
 }

@@ -3,14 +3,14 @@
 use peernet_analysis::answer_length::Growth;
 use peernet_statistics::number::{Estimate, SPACE, count};
 
-/// Returns the slope per `what`, which is `each` measured units of length, with its interval.
+/// Describes the slope and its interval in a sentence. `what` names the unit of length, and `each` is its size in measured units.
 pub(super) fn sentence(growth: &Growth, what: &str, each: f64) -> String {
     let Growth { fit, interval } = growth;
     let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);
-    let (size, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
+    let (magnitude, near, far) = (value.abs(), lo.abs().min(hi.abs()), lo.abs().max(hi.abs()));
     let more = if value > 0.0 { "more" } else { "less" };
-    let found = if growth.is_significant() {
-        let slope = Estimate::new(size, (near, far));
+    let statement = if growth.is_significant() {
+        let slope = Estimate::new(magnitude, (near, far));
         let interval = slope.between();
         if growth.is_imprecise() {
             format!("Each further {what} takes {interval}{SPACE}ms {more} (95{SPACE}%)")
@@ -24,5 +24,5 @@ pub(super) fn sentence(growth: &Growth, what: &str, each: f64) -> String {
             "Whether longer answers take longer cannot be told: {interval}{SPACE}ms more per {what} (95{SPACE}%)"
         )
     };
-    format!("{found}, by Theil–Sen through {} iterations.", count(fit.points as u64))
+    format!("{statement}, by Theil–Sen through {} iterations.", count(fit.points as u64))
 }

@@ -40,18 +40,20 @@ pub(crate) fn answered(count: usize) -> Vec<(f64, f64)> {
 
 /// Returns answers as if every iteration were stored: the sorted values of both quantities, paired.
 pub(crate) fn read(comparison: &Comparison) -> Vec<Answers> {
-    let varying = Varying::all(comparison).into_iter().take(MOST_DRAWN);
-    let of = |it: Varying<'_>| {
-        let most = it.x.count().min(500);
+    let varying = VaryingLengths::all(comparison).into_iter().take(MAX_CONFIGURATIONS);
+    let answers_of = |varying_lengths: VaryingLengths<'_>| {
+        let most = varying_lengths.lengths.count().min(500);
         let at = |n: u64| (n as f64 + 0.5) / most as f64;
-        let point = |n: u64| Some((it.x.quantile(at(n))?, it.y.quantile(at(n))?));
+        let point = |n: u64| {
+            Some((varying_lengths.lengths.quantile(at(n))?, varying_lengths.latencies.quantile(at(n))?))
+        };
         Answers {
-            name: it.one.name.clone(),
+            name: varying_lengths.configuration.name.clone(),
             points: (0..most).filter_map(point).collect(),
-            is_whole: most == it.x.count(),
+            is_whole: most == varying_lengths.lengths.count(),
         }
     };
-    varying.map(of).collect()
+    varying.map(answers_of).collect()
 }
 
 fn with(points: Vec<(f64, f64)>, is_whole: bool) -> Vec<Answers> {
@@ -63,16 +65,16 @@ fn cost_of_a_token_has_an_interval() {
     let points = answered(800);
     let one = comparison(vec![talking(0, "completion-tokens", &points)]);
     let found = lengths(&one, &with(points, true)).expect("answers of all lengths");
-    let said = &found.rows[0].said;
-    assert_eq!(said[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
+    let sentences = &found.rows[0].sentences;
+    assert_eq!(sentences[0], "Median 1.73\u{202f}s; answers of 20 to 320 tokens, median 169 tokens.");
     assert!(
-        said[1].starts_with("Each further token takes ")
-            && said[1].contains("\u{202f}ms more (95\u{202f}%: "),
-        "{said:?}"
+        sentences[1].starts_with("Each further token takes ")
+            && sentences[1].contains("\u{202f}ms more (95\u{202f}%: "),
+        "{sentences:?}"
     );
-    assert!(said[1].ends_with(", by Theil–Sen through 800 iterations."), "{said:?}");
-    assert_eq!(said[2], "All 800 iterations.");
-    assert_eq!(said.len(), 3, "nothing lies beyond: {said:?}");
+    assert!(sentences[1].ends_with(", by Theil–Sen through 800 iterations."), "{sentences:?}");
+    assert_eq!(sentences[2], "All 800 iterations.");
+    assert_eq!(sentences.len(), 3, "nothing lies beyond: {sentences:?}");
     let html = found.rows[0].plot.to_string();
     assert!(
         html.contains("aria-label=\"A: inference against the length of the answer. Median 1.73"),
@@ -91,26 +93,26 @@ fn sample_has_number_of_all_and_deleted_iterations() {
     let amount = |one: &Configuration, points: &[(f64, f64)], is_whole| {
         let found = lengths(&comparison(vec![one.clone()]), &with(points.to_vec(), is_whole));
         found.expect("lengths").rows[0]
-            .said
+            .sentences
             .iter()
             .find(|text| text.contains(" iteration") && !text.contains("Theil"))
             .cloned()
     };
-    let told = |text: &str| Some(text.to_owned());
+    let some_text = |text: &str| Some(text.to_owned());
     assert_eq!(
         amount(&one, &points[..200], false),
-        told("200 of 800 iterations, evenly spread; histograms of all.")
+        some_text("200 of 800 iterations, evenly spread; histograms of all.")
     );
     one.runs[0].nodes_from = 300;
     assert_eq!(
         amount(&one, &points[..200], false),
-        told("200 of 800 iterations, evenly spread over what is still stored; histograms of all.")
+        some_text("200 of 800 iterations, evenly spread over what is still stored; histograms of all.")
     );
     assert_eq!(
         amount(&one, &points[300..], true),
-        told("500 iterations, all that are still stored; histograms of all 800.")
+        some_text("500 iterations, all that are still stored; histograms of all 800.")
     );
-    assert_eq!(amount(&one, &[], true), told("No iteration is stored any more; histograms of all 800."));
+    assert_eq!(amount(&one, &[], true), some_text("No iteration is stored any more; histograms of all 800."));
 }
 
 #[test]
@@ -118,9 +120,9 @@ fn too_few_or_flat_points_give_no_growth() {
     let sentence =
         |points: &[(f64, f64)]| Growth::from_iterations(points).map(|growth| sentence(&growth, "kB", 1e3));
     assert_eq!(sentence(&answered(59)), None, "too few");
-    let alike: Vec<(f64, f64)> =
+    let equal_lengths: Vec<(f64, f64)> =
         answered(60).iter().map(|(x, y)| (f64::from(*x > 30.0 && *x < 32.0), *y)).collect();
-    assert_eq!(sentence(&alike), None, "one other length tells nothing");
+    assert_eq!(sentence(&equal_lengths), None, "one other length tells nothing");
     let flat: Vec<(f64, f64)> =
         (0..400).map(|n| (f64::from(n % 97), 0.1 + 0.01 * (f64::from(n) * 1.7).sin())).collect();
     let text = sentence(&flat).expect("enough");
@@ -196,28 +198,28 @@ fn iterations_without_valid_length_are_counted() {
     let counted: Vec<(f64, f64)> = points.iter().copied().filter(|(length, _)| counts(*length)).collect();
     assert_eq!(counted.len(), 168);
     let found = lengths(&one, &with(counted.clone(), true)).expect("lengths");
-    let said = &found.rows[0].said;
+    let sentences = &found.rows[0].sentences;
     assert_eq!(
-        said.last().map(String::as_str),
+        sentences.last().map(String::as_str),
         Some("168 of 295 iterations; the others have no such number.")
     );
     let part = lengths(&one, &with(counted[..100].to_vec(), false)).expect("lengths");
     assert!(
-        part.rows[0].said.iter().any(|text| text
+        part.rows[0].sentences.iter().any(|text| text
             == "100 of 168 iterations, evenly spread; histograms of all. 127 of 295 iterations have no such number."),
         "{:?}",
-        part.rows[0].said
+        part.rows[0].sentences
     );
 }
 
 #[test]
 fn at_most_six_configurations_with_varying_lengths_are_drawn() {
     let points = answered(100);
-    let alike: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
+    let equal_lengths: Vec<(f64, f64)> = points.iter().map(|(x, y)| (96.0 + x % 4.0, *y)).collect();
     let mut all: Vec<Configuration> = (0..8).map(|at| talking(at, "download-bytes", &points)).collect();
-    assert!(lengths(&comparison(vec![talking(0, "download-bytes", &alike)]), &[]).is_none());
+    assert!(lengths(&comparison(vec![talking(0, "download-bytes", &equal_lengths)]), &[]).is_none());
     assert!(lengths(&comparison(Vec::new()), &[]).is_none());
-    all[1] = talking(1, "download-bytes", &alike);
+    all[1] = talking(1, "download-bytes", &equal_lengths);
     let found = lengths(&comparison(all.clone()), &read(&comparison(all))).expect("lengths");
     let names: Vec<&str> = found.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!((names.join(""), found.others.as_deref()), ("ACDEFG".to_owned(), Some("H")));
@@ -239,5 +241,5 @@ fn tokens_and_bytes_have_separate_axes() {
         html.split("class=\"yaxis\"").nth(1).map(|rest| rest.split("</svg>").next().map(str::to_owned))
     };
     assert_eq!(rows(&tokens), rows(&bytes));
-    assert!(found.rows[1].said[1].contains("Each further kB takes"), "{:?}", found.rows[1].said);
+    assert!(found.rows[1].sentences[1].contains("Each further kB takes"), "{:?}", found.rows[1].sentences);
 }

@@ -3,10 +3,10 @@
 use peernet_clock::Interval;
 
 use super::super::chart::{OffsetView, tracks};
-use super::super::course::Course;
+use super::super::time_series::LinkTimeSeries;
 use super::super::tracks::TrackPicture;
 use super::super::*;
-use super::course;
+use super::time_series;
 use crate::tests::samples::{NOW, clock_point, link};
 use crate::zone::Zone;
 
@@ -22,7 +22,7 @@ fn a_gap_parts_every_line_and_is_hatched() {
     let gap: Vec<i64> = (40..60).collect();
     let link = link(Some(0.00065), &gap);
     let subject = Subject::live(&link);
-    let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    let picture = tracks(&subject, &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
     let offset = &picture.tracks[0];
     assert_eq!(offset.plot.to_string().matches("class=\"hatch\"").count(), 1);
     let band = path(offset, "band").expect("a band");
@@ -43,7 +43,7 @@ fn nothing_at_all_still_makes_a_picture() {
     empty.history.clear();
     let subject = Subject::live(&empty);
     for view in [OffsetView::Removed, OffsetView::Measured] {
-        let picture = tracks(&subject, &course(&empty), view, &[], Zone::Utc);
+        let picture = tracks(&subject, &time_series(&empty), view, &[], Zone::Utc);
         assert!(picture.label.contains("Nothing was reported"), "{}", picture.label);
         assert!(!picture.to_string().contains("NaN"));
     }
@@ -68,7 +68,7 @@ fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
         let residual = point.offset.as_ref().expect("known").estimate.seconds() - trend.at(2, point.at);
         assert!(residual.abs() < 1e-6, "{residual}");
     }
-    let picture = tracks(&Subject::live(&link), &course(&link), OffsetView::Removed, &[], Zone::Utc);
+    let picture = tracks(&Subject::live(&link), &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
     let axis = picture.tracks[0].axis.to_string();
     assert!(axis.ends_with(">+0.015</text></svg>"), "{axis}");
 }
@@ -77,7 +77,7 @@ fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
 fn seconds_that_came_twice_are_drawn_window_by_window() {
     let at = |half_seconds: i64| WallTime::from_unix_nanos(NOW.unix_nanos() + half_seconds * 500_000_000);
     let points: Vec<ClockPoint> = (0..40).map(|n| clock_point(at(n), (n % 2) as u64, Some(0.0005))).collect();
-    let whole = Course { from: at(0), to: at(40), bucket: 1, points };
+    let whole = LinkTimeSeries { from: at(0), to: at(40), bucket: 1, points };
     let mut picture_of = link(Some(0.0005), &[]);
     picture_of.history.clear();
     let picture = tracks(&Subject::live(&picture_of), &whole, OffsetView::Removed, &[], Zone::Utc);

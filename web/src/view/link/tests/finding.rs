@@ -38,12 +38,12 @@ fn title_says_whether_delays_can_be_trusted() {
 #[test]
 fn verdicts_are_explained_with_numbers_of_the_link() {
     let link = link(Some(0.00065), &[]);
-    let told = meanings(&Subject::live(&link));
+    let explanations = meanings(&Subject::live(&link));
     assert_eq!(
-        told[0].text,
+        explanations[0].text,
         "takes 6.30\u{202f}ms, 9.7 times its clock bound. The true value lies between 5.65 and 6.95\u{202f}ms."
     );
-    assert!(told[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", told[1].text);
+    assert!(explanations[1].text.contains("Read it as 0.00 – 1.25\u{202f}ms"), "{}", explanations[1].text);
 }
 
 #[test]

@@ -1,16 +1,16 @@
 //! Tests of a link's page.
 
 mod chart;
-mod course;
 mod delays;
 mod finding;
 mod names;
 mod origin;
 mod panels;
+mod time_series;
 
-use super::course::Course;
+use super::time_series::LinkTimeSeries;
 use super::{LinkSnapshot, Subject};
 
-fn course(link: &LinkSnapshot) -> Course {
-    Course::live(&link.history, Subject::live(link).end, 600)
+fn time_series(link: &LinkSnapshot) -> LinkTimeSeries {
+    LinkTimeSeries::live(&link.history, Subject::live(link).end, 600)
 }

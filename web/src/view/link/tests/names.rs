@@ -33,15 +33,15 @@ fn name_of_link_omits_zmq_tcp() {
 
 #[test]
 fn placement_uses_link_over_its_network() {
-    let mut shown = crate::tests::samples::snapshot(Vec::new(), Vec::new());
-    shown.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
+    let mut live_state = crate::tests::samples::snapshot(Vec::new(), Vec::new());
+    live_state.links = vec![Arc::new(crate::tests::samples::link_over_udp(None))];
     let placement = |network: Option<&str>| Placement {
         kind: PlacementKind::Remote,
         peer: "rack-a".parse().ok(),
         network: network.map(str::to_owned),
         ..Placement::sensor_alone()
     };
-    let page = |network| of_placement(&shown, "cam-1", &placement(network));
+    let page = |network| of_placement(&live_state, "cam-1", &placement(network));
     assert_eq!(page(Some("zmq-udp")).as_deref(), Some("/links/cam-1~rack-a~zmq-udp"));
     assert_eq!((page(Some("zmq-tcp")), page(None), page(Some("~"))), (None, None, None));
 }

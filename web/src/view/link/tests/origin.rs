@@ -7,7 +7,7 @@ use super::super::chart::{OffsetView, tracks};
 use super::super::finding::title;
 use super::super::origin::Origin;
 use super::super::*;
-use super::course;
+use super::time_series;
 use crate::tests::samples::{NOW, link};
 use crate::zone::Zone;
 
@@ -23,7 +23,7 @@ fn claims_that_are_not_used_stand_beside_the_exchanges() {
     if let Some(offset) = &mut link.live.now.offset {
         offset.sources.truncate(1);
     }
-    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts, not used", "used"]);
     assert_eq!(origin.rows[1].width, "4.00");
@@ -33,7 +33,7 @@ fn claims_that_are_not_used_stand_beside_the_exchanges() {
     for clock in [&mut link.live.edge, &mut link.live.cloud].into_iter().flatten() {
         clock.discipline = Some(Discipline { source: DelaySource::Chrony, error: close });
     }
-    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     assert!(origin.hints[0].contains("trust_time_daemons = true on cam-1"), "{origin:?}");
 }
 
@@ -45,17 +45,17 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
         let half = Span::from_micros(30);
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
-    let told = |link: &LinkSnapshot| {
-        let origin = Origin::of(&Subject::live(link), &course(link));
+    let first_reason_and_hints = |link: &LinkSnapshot| {
+        let origin = Origin::of(&Subject::live(link), &time_series(link));
         (origin.why[0].clone(), origin.hints)
     };
-    let (why, hints) = told(&link);
+    let (why, hints) = first_reason_and_hints(&link);
     assert!(why.contains("the offset as claimed by chrony on both hosts narrows it"), "{why}");
     assert_eq!(hints, ["a shorter path between the hosts"]);
     if let Some(offset) = &mut link.live.now.offset {
         offset.sources.truncate(1);
     }
-    let (why, _) = told(&link);
+    let (why, _) = first_reason_and_hints(&link);
     assert!(
         why.contains("of different exchanges, narrow it together") && !why.contains("another source"),
         "{why}"
@@ -65,7 +65,7 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
 #[test]
 fn where_a_bound_comes_from_and_what_would_narrow_it() {
     let mut link = link(Some(0.00065), &[]);
-    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     assert_eq!(origin.title, "Where ±0.65\u{202f}ms comes from");
     let names: Vec<&str> = origin.rows.iter().map(|row| row.name.as_str()).collect();
     assert_eq!(names, ["in-band, 612 exchanges", "as claimed by chrony on both hosts", "intersection"]);
@@ -86,7 +86,7 @@ fn where_a_bound_comes_from_and_what_would_narrow_it() {
     let clock = HostClock { discipline: Some(claim), ..HostClock::default() };
     (link.live.edge, link.live.cloud) = (Some(clock.clone()), Some(clock));
     link.live.probing = Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None };
-    let origin = Origin::of(&Subject::live(&link), &course(&link));
+    let origin = Origin::of(&Subject::live(&link), &time_series(&link));
     assert!(origin.hints[0].contains("open udp://192.0.2.5:8620"), "{origin:?}");
     assert!(origin.hints[1].contains("is wider and does not help"), "{origin:?}");
 }
@@ -99,7 +99,7 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
     Arc::make_mut(away.history.last_mut().expect("a second")).offset = None;
     let subject = Subject::live(&away);
     assert!(subject.bound().is_some());
-    let origin = Origin::of(&subject, &course(&away));
+    let origin = Origin::of(&subject, &time_series(&away));
     assert_eq!(origin.title, "Where ±0.65\u{202f}ms came from");
 
     let row = peernet_store::LinkRow {
@@ -111,25 +111,25 @@ fn a_link_that_fell_silent_keeps_what_it_told() {
         last: NOW,
         network: NetworkName::default(),
     };
-    let past = Subject::past(&row).with_last_offset(&course(&away));
-    let stats = stats::all(&past, &course(&away));
+    let past = Subject::past(&row).with_last_offset(&time_series(&away));
+    let stats = stats::all(&past, &time_series(&away));
     let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
     assert!(offset.line.contains("when last reported"), "{offset:?}");
-    assert!(!format!("{:?}", Origin::of(&past, &course(&away))).contains("No exchange"));
+    assert!(!format!("{:?}", Origin::of(&past, &time_series(&away))).contains("No exchange"));
 }
 
 #[test]
 fn why_probes_are_not_answered_is_told_where_it_is_known() {
     let mut link = link(Some(0.00065), &[]);
-    let mut told = |reason: Option<&str>| {
+    let mut answers_and_hint = |reason: Option<&str>| {
         link.live.probing =
             Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: reason.map(str::to_owned) };
-        let probes = panels::probes(&Subject::live(&link), &course(&link));
-        (probes[1].1.clone(), Origin::of(&Subject::live(&link), &course(&link)).hints[0].clone())
+        let probes = panels::probes(&Subject::live(&link), &time_series(&link));
+        (probes[1].1.clone(), Origin::of(&Subject::live(&link), &time_series(&link)).hints[0].clone())
     };
-    let (answers, hint) = told(Some("the two ends have different keys"));
+    let (answers, hint) = answers_and_hint(Some("the two ends have different keys"));
     assert!(answers.contains("different keys") && hint.contains("different keys"), "{answers} {hint}");
-    let (answers, hint) = told(None);
+    let (answers, hint) = answers_and_hint(None);
     assert!(answers.contains("key_file") && hint.contains("key_file"), "{answers} {hint}");
 }
 
@@ -159,17 +159,17 @@ fn contradictory_offset_is_shown_without_value() {
         let subject = Subject::live(&link);
         assert_eq!((subject.bound(), subject.verdict()), (None, Some(Verdict::Inconsistent)));
         assert!(title(&subject, Zone::Utc).contains("contradicts itself"));
-        let stats = stats::all(&subject, &course(&link));
+        let stats = stats::all(&subject, &time_series(&link));
         let offset = stats.iter().find(|stat| stat.name == "Clock offset").expect("it is a figure");
         assert_eq!((offset.number.as_str(), offset.line.as_str()), ("—", CONTRADICTION));
-        let origin = Origin::of(&subject, &course(&link));
+        let origin = Origin::of(&subject, &time_series(&link));
         let last = origin.rows.last().expect("rows");
         assert_eq!((last.name.as_str(), last.between.as_str()), (row, "—"));
         assert!(origin.hints.iter().all(|one| one.contains(hint)), "{origin:?}");
         assert!(!format!("{origin:?}").contains('±'), "{origin:?}");
-        let table = table::Row::all(&course(&link), Zone::Utc);
+        let table = table::Row::all(&time_series(&link), Zone::Utc);
         assert!(table.iter().all(|row| row.offset == "—" && row.bound == "—"), "{table:?}");
-        let picture = tracks(&subject, &course(&link), OffsetView::Removed, &[], Zone::Utc);
+        let picture = tracks(&subject, &time_series(&link), OffsetView::Removed, &[], Zone::Utc);
         assert_eq!(super::chart::path(&picture.tracks[0], "band"), None);
     }
 }

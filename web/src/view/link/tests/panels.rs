@@ -4,7 +4,7 @@ use peernet_clock::{DelaySource, Interval};
 use peernet_stream::{EstimateBasis, HostClock, ProbeCounts, Probing, ReflectorLive};
 
 use super::super::*;
-use super::course;
+use super::time_series;
 use crate::tests::samples::link;
 
 #[test]
@@ -26,9 +26,9 @@ fn offset_interval_with_zero_is_undecided() {
     let half = Span::from_nanos(4_000);
     (offset.estimate, offset.skew_ppm) = (Span::from_nanos(-300), Some(0.02));
     offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
-    let stats = stats::all(&Subject::live(&level), &course(&level));
+    let stats = stats::all(&Subject::live(&level), &time_series(&level));
     let line = |name: &str| stats.iter().find(|stat| stat.name == name).expect("a figure").line.clone();
-    assert_eq!(line("Clock offset"), "level, ±0.004\u{202f}ms");
+    assert_eq!(line("Clock offset"), "neither clock is known to be ahead, ±0.004\u{202f}ms");
     assert_eq!(line("Drift"), "both run alike");
 }
 
@@ -46,18 +46,18 @@ fn named_reflector_is_shown_as_tied_to_no_host() {
     };
     let answering =
         ReflectorLive { round_trip: link.live.now.round_trip, offset: Some(known), ..silent.clone() };
-    let mut shown = |reflector: ReflectorLive| {
+    let mut panel_text = |reflector: ReflectorLive| {
         link.live.reflector = Some(reflector);
         let pairs = panels::reflector(&Subject::live(&link));
         let text = pairs.into_iter().map(|(name, text)| format!("{name}: {text}\n")).collect::<String>();
         text.replace('\u{202f}', " ")
     };
-    let text = shown(silent);
+    let text = panel_text(silent);
     for part in ["12 sent, 0 answered, 9 lost, 3 refused", "none lately", "not known yet", "no delay uses it"]
     {
         assert!(text.contains(part), "{part}: {text}");
     }
-    let text = shown(answering);
+    let text = panel_text(answering);
     for part in
         ["Configured: udp://192.0.2.7:862", "Round trip: 1.30 ms at least", "its wall clock minus cam-1's"]
     {
@@ -79,30 +79,30 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
     };
     link.live.now.basis = Some(basis);
     let subject = Subject::live(&link);
-    let pairs = basis::pairs(&subject, &course(&link));
-    let of = |name: &str| {
+    let pairs = basis::pairs(&subject, &time_series(&link));
+    let value_of = |name: &str| {
         let found = pairs.iter().find(|(known, _)| *known == name);
         found.map_or_else(String::new, |(_, text)| text.replace('\u{202f}', " "))
     };
     assert!(
-        of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
+        value_of("Clocks related").starts_with("the free-running clocks of both hosts (CLOCK_MONOTONIC_RAW)"),
         "{pairs:?}"
     );
-    assert_eq!(of("Assumed drift"), "at most 50.0 ppm (ρ)");
+    assert_eq!(value_of("Assumed drift"), "at most 50.0 ppm (ρ)");
     assert_eq!(
-        of("Proven drift"),
+        value_of("Proven drift"),
         "between +61.5 and +64.0 ppm, beyond what is assumed: raise [clock] max_drift_ppm on cam-1 above 62"
     );
-    assert!(of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
-    assert_eq!(of("Claims of time daemons"), "shown for comparison only");
-    assert!(of("Probes").starts_with("not authenticated"), "{pairs:?}");
-    assert_eq!(stats::all(&subject, &course(&link))[2].name, "Offset of the free-running clocks");
+    assert!(value_of("Window").starts_with("grown to 42 s because exchanges are rare"), "{pairs:?}");
+    assert_eq!(value_of("Claims of time daemons"), "shown for comparison only");
+    assert!(value_of("Probes").starts_with("not authenticated"), "{pairs:?}");
+    assert_eq!(stats::all(&subject, &time_series(&link))[2].name, "Offset of the free-running clocks");
     // The offset of this link is narrowed by a claim.
     assert_eq!(basis::facts(&subject), ["bounds as claimed by chrony", "probes not authenticated"]);
 
     // Two hosts with one clock have no offset to show.
     link.live.same_clock = true;
-    assert!(basis::pairs(&Subject::live(&link), &course(&link)).is_empty());
+    assert!(basis::pairs(&Subject::live(&link), &time_series(&link)).is_empty());
 }
 
 #[test]

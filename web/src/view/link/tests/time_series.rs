@@ -1,6 +1,6 @@
 //! The points of a chart: put together, and the steady drift in them.
 
-use super::super::course::Course;
+use super::super::time_series::LinkTimeSeries;
 use super::super::*;
 use crate::tests::samples::{NOW, clock_point};
 
@@ -28,8 +28,8 @@ fn points_that_are_put_together_keep_the_widest_bounds_and_all_probes() {
         clock_point(at(20), 1, Some(0.0005)),
         clock_point(at(21), 1, Some(0.0005)),
     ];
-    let whole = Course { from: at(10), to: at(30), bucket: 1, points };
-    let thin = whole.thinned(10);
+    let whole = LinkTimeSeries { from: at(10), to: at(30), bucket: 1, points };
+    let thin = whole.merged(10);
     assert_eq!(thin.points.iter().map(|point| point.at).collect::<Vec<_>>(), [at(20), at(21)]);
     let first = &thin.points[0];
     let width = first.offset.as_ref().expect("known").bounds.width().seconds();
@@ -49,10 +49,10 @@ fn cloud_times_are_converted_by_offset_of_their_time() {
         let offset = point.offset.as_mut().expect("known");
         offset.estimate = offset.estimate - Span::from_seconds(3);
     }
-    let course = Course { from: at(60), to: at(0), bucket: 1, points };
+    let time_series = LinkTimeSeries { from: at(60), to: at(0), bucket: 1, points };
     for ago in [50, 10] {
-        let estimate = course.points[59 - ago as usize].offset.as_ref().expect("known").estimate;
-        let placed = course.on_the_edge(at(ago) + estimate);
+        let estimate = time_series.points[59 - ago as usize].offset.as_ref().expect("known").estimate;
+        let placed = time_series.edge_time_at(at(ago) + estimate);
         assert!((placed - at(ago)).abs() < Span::from_millis(1), "{ago}");
     }
 }

@@ -7,9 +7,9 @@ use peernet_statistics::number::counted;
 use peernet_stream::EndReason;
 
 use super::unavailable;
-use crate::foreground::Ended;
+use crate::foreground::AgentEnd;
 
-impl Ended {
+impl AgentEnd {
     /// Returns the reason as written to `run.json`.
     pub(super) fn reason(&self) -> EndReason {
         match self {
@@ -31,7 +31,7 @@ impl Ended {
         }
     }
 
-    /// Returns the failure of a run with results, if any; `unseen` is the number of iterations without a row.
+    /// Returns the failure of a run with results, if any. `unseen` is the number of iterations that were measured but have no row.
     pub(super) fn failure(&self, rows: &Rows, unseen: u64) -> Option<Failure> {
         let incomplete = |text: String| Some(Failure::new(Exit::Incomplete, anyhow!("{text}")));
         match self {
@@ -48,9 +48,9 @@ impl Ended {
                 has(unseen)
             )),
             Self::Finished => {
-                let mut bad = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
-                let first = bad.peek()?;
-                let reason = first.reason().map_or("no answer in time", once);
+                let mut unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
+                let first = unanswered.peek()?;
+                let reason = first.reason().map_or("no answer in time", without_repetition);
                 let text = format!(
                     "iteration {} {}: {reason}",
                     first.iteration(),
@@ -60,8 +60,8 @@ impl Ended {
                         Outcome::Failed | Outcome::Ok => "failed",
                     }
                 );
-                let (bad, all) = (bad.count() as u64, counted(rows.len() as u64, "iteration"));
-                incomplete(format!("{bad} of {all} {} no answer; {text}", has(bad)))
+                let (unanswered, all) = (unanswered.count() as u64, counted(rows.len() as u64, "iteration"));
+                incomplete(format!("{unanswered} of {all} {} no answer; {text}", has(unanswered)))
             }
             Self::OwnReason(never) => match *never {},
         }
@@ -72,7 +72,7 @@ impl Ended {
 const TRACEBACK: &str = " Traceback (most recent call last):";
 
 /// Removes the repetition of the exception at the end of its traceback.
-fn once(reason: &str) -> &str {
+fn without_repetition(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
     reason.strip_suffix(exception).map_or(reason, str::trim_end)
 }
@@ -105,36 +105,39 @@ mod tests {
     #[test]
     fn exception_is_reported_once() {
         let all = "E: dark Traceback (most recent call last):   File x, line 7     raise E E: dark";
-        assert_eq!(once(all), "E: dark Traceback (most recent call last):   File x, line 7     raise E");
+        assert_eq!(
+            without_repetition(all),
+            "E: dark Traceback (most recent call last):   File x, line 7     raise E"
+        );
         let others = ["it went away", "", "E: a Traceback (most recent call last):  …"];
-        assert_eq!(others.map(once), others);
+        assert_eq!(others.map(without_repetition), others);
     }
 
     #[test]
     fn exit_code_reports_result() {
-        let well = Rows::from_iter([row(1, Outcome::Ok)]);
-        assert!(Ended::Finished.failure(&well, 0).is_none());
-        let code = |ended: Ended| ended.failure(&well, 0).map(|failure| failure.exit);
-        assert_eq!(code(Ended::Interrupted), Some(Exit::Interrupted));
-        assert_eq!(code(Ended::Failed("x".into())), Some(Exit::Incomplete));
+        let answered = Rows::from_iter([row(1, Outcome::Ok)]);
+        assert!(AgentEnd::Finished.failure(&answered, 0).is_none());
+        let code = |ended: AgentEnd| ended.failure(&answered, 0).map(|failure| failure.exit);
+        assert_eq!(code(AgentEnd::Interrupted), Some(Exit::Interrupted));
+        assert_eq!(code(AgentEnd::Failed("x".into())), Some(Exit::Incomplete));
 
-        let some = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
-        let some = Rows::from_iter(some);
-        let failure = Ended::Finished.failure(&some, 0).expect("two have no answer");
+        let rows = [row(1, Outcome::Ok), row(2, Outcome::Lost), row(3, Outcome::Timeout)];
+        let partly_answered = Rows::from_iter(rows);
+        let failure = AgentEnd::Finished.failure(&partly_answered, 0).expect("two have no answer");
         let text = "2 of 3 iterations have no answer; iteration 2 was lost: it went away";
         assert_eq!((failure.exit, failure.to_string().as_str()), (Exit::Incomplete, text));
 
         let lost = Rows::from_iter([row(1, Outcome::Lost)]);
-        let failure = Ended::Finished.failure(&lost, 0).expect("it has none").to_string();
+        let failure = AgentEnd::Finished.failure(&lost, 0).expect("it has none").to_string();
         assert!(failure.starts_with("1 of 1 iteration has no answer; iteration 1 was lost"), "{failure}");
 
-        let unseen = Ended::Finished.failure(&well, 3).expect("three are missing");
+        let unseen = AgentEnd::Finished.failure(&answered, 3).expect("three are missing");
         assert!(
             unseen.exit == Exit::Incomplete && unseen.to_string().starts_with("3 iterations"),
             "{unseen}"
         );
 
-        assert_eq!(Ended::Failed("x".into()).without_rows().exit, Exit::Unavailable);
-        assert_eq!(Ended::Interrupted.without_rows().exit, Exit::Interrupted);
+        assert_eq!(AgentEnd::Failed("x".into()).without_rows().exit, Exit::Unavailable);
+        assert_eq!(AgentEnd::Interrupted.without_rows().exit, Exit::Interrupted);
     }
 }

@@ -12,7 +12,7 @@ use super::{RECENT_SPAN, Subject};
 /// One pipeline that uses the link.
 // Each pipeline has its own row, because a mean speed over messages of different sizes is meaningless.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct CarriedRow {
+pub(crate) struct TrafficRow {
     pub name: String,
     pub href: String,
     pub rate: String,
@@ -23,7 +23,7 @@ pub(crate) struct CarriedRow {
     pub traffic: Cell,
 }
 
-impl CarriedRow {
+impl TrafficRow {
     /// Returns the pipelines that use the link, by name.
     pub(crate) fn all(snapshot: &LiveState, subject: &Subject<'_>) -> Vec<Self> {
         let Some(link) = subject.live else { return Vec::new() };
