@@ -5,7 +5,7 @@ use peernet_clock::MonoTime;
 
 use crate::transport::Frames;
 
-/// Largest number of frames that a message may claim.
+/// Largest number of frames of a message.
 const MAX_FRAMES: usize = 1_024;
 
 /// Error: a message cannot be sent in fragments.
@@ -49,7 +49,7 @@ impl OutgoingMessage {
     /// Prepares a message.
     ///
     /// # Errors
-    /// If it has too many frames or bytes.
+    /// If the message has too many frames or bytes.
     pub(crate) fn new(
         frames: Frames,
         sequence: u64,
@@ -57,13 +57,13 @@ impl OutgoingMessage {
         deadline: Option<MonoTime>,
     ) -> Result<Self, UnsendableMessage> {
         let count = u16::try_from(frames.len()).ok().filter(|count| usize::from(*count) <= MAX_FRAMES);
-        let mut table = count.ok_or(UnsendableMessage::TooManyFrames)?.to_be_bytes().to_vec();
+        let mut header = count.ok_or(UnsendableMessage::TooManyFrames)?.to_be_bytes().to_vec();
         for frame in &frames {
             let length = u32::try_from(frame.len()).map_err(|_| UnsendableMessage::TooLong)?;
-            table.extend(length.to_be_bytes());
+            header.extend(length.to_be_bytes());
         }
         let mut remaining_frames = Vec::with_capacity(frames.len() + 1);
-        remaining_frames.push(Bytes::from(table));
+        remaining_frames.push(Bytes::from(header));
         remaining_frames.extend(frames);
         let bytes: u64 = remaining_frames.iter().map(|part| part.len() as u64).sum();
         let total = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;

@@ -54,7 +54,7 @@ use crate::Address;
 
 /// Form of addresses: host and port of the master, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm =
-    AddressForm::Named { port: 11311, name: "peernet", in_domain: "ros2", find: version::find };
+    AddressForm::Named { port: 11311, name: "peernet", domain_scheme: "ros2", find: version::find };
 
 /// Does nothing, because the system chooses the ports.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {

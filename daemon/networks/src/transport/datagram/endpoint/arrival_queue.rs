@@ -5,14 +5,15 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// If this number of arrivals is queued, further losses and invalid data are dropped. It is reached if the layer above does not
-/// receive the arrivals.
+/// If this number of arrivals is queued, further reports of lost, incomplete or invalid messages are dropped. The queue
+/// gets this long only if the layer above does not receive the arrivals.
 const MAX_ARRIVALS: usize = 1_024;
 
 /// An arrival, and the reservation of its memory.
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) arrival: Arrival,
+    /// Holds the memory until the delivery is dropped.
     pub(crate) _reserved: Option<Reservation>,
 }
 

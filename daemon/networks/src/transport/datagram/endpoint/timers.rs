@@ -1,5 +1,5 @@
-//! The next timer call of each connection of a port, so that a datagram costs the same however many connections there
-//! are.
+//! The next timer call of each connection of a port, in an order in which the earliest one is found without visiting all
+//! connections.
 
 use std::collections::{BTreeSet, HashMap};
 

@@ -10,12 +10,13 @@ use crate::statistics::TransportRoundTrip;
 // The reported minimum covers the current and the previous period, because a path may change.
 const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Largest number of unanswered heartbeats that are stored: as many as are sent per second at the highest rate.
+/// Largest number of unanswered heartbeats that are stored. Then the oldest one is dropped for each new one.
 const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
 #[derive(Debug, Default)]
 pub(crate) struct RoundTripEstimator {
+    /// Smoothed round trip and its variation.
     smoothed: Option<(Span, Span)>,
     /// Shortest round trips of the current and the previous period.
     minima: (Option<Span>, Option<Span>),
@@ -36,8 +37,8 @@ impl RoundTripEstimator {
     /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered heartbeat,
     /// because it was duplicated or altered on the way.
     pub(crate) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
-        if let Some(at) = self.unanswered.iter().position(|time| *time == sent_at) {
-            self.unanswered.remove(at);
+        if let Some(index) = self.unanswered.iter().position(|time| *time == sent_at) {
+            self.unanswered.remove(index);
             self.measure(now - sent_at, now);
         }
     }

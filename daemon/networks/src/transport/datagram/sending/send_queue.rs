@@ -51,7 +51,7 @@ impl SendQueue {
     }
 
     /// Appends at most `max_bytes` of the next bytes of the first message to `out`. Returns the number of the message and
-    /// the offset of their end in it.
+    /// the offset in the message at which these bytes end.
     pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
         let (_, taken) = message.take(max_bytes, out);
