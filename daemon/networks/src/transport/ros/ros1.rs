@@ -68,8 +68,8 @@ impl Ros1Node {
         let expected = MessageInfo::DEFINITION.name;
         for topic in [&topics.request.info, &topics.response.info] {
             let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
-            let other = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
-            if let Some((_, kind)) = other.filter(|_| is_used) {
+            let other_type = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
+            if let Some((_, kind)) = other_type.filter(|_| is_used) {
                 return Err(NodeFailure(format!(
                     "topic {topic} has the message type {kind} and would need {expected}; give the pipeline another name, \
                      or set ROS_NAMESPACE to a namespace of this robot"
@@ -116,8 +116,8 @@ impl SessionNode for Ros1Node {
         let check = async move {
             match self.find_other_cloud(cloud).await? {
                 None => Ok(()),
-                Some(taken) => Err(NodeFailure(format!(
-                    "node {taken} serves the name {cloud} at this ROS master already; stop it, or end the address with \
+                Some(other_cloud) => Err(NodeFailure(format!(
+                    "node {other_cloud} serves the name {cloud} at this ROS master already; stop it, or end the address with \
                      another name"
                 ))),
             }

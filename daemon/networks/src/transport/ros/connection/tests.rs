@@ -39,15 +39,15 @@ fn sender_is_notified_of_missing_payload() {
     let (mut near, mut far) = (end(), end());
     let (lost, _) = message(&mut near, 7, 10);
     let (info, payload) = message(&mut near, 8, 20);
-    far.receive_info(lost, at(0));
-    far.receive_info(info.clone(), at(0));
+    far.receive_companion(lost, at(0));
+    far.receive_companion(info.clone(), at(0));
     far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     let Some(Event::Incomplete(loss)) = far.next_event() else { panic!("the first is lost") };
     assert_eq!(loss.tag, Some(7));
     let Some(Event::Message(frames, _)) = far.next_event() else { panic!("the second is whole") };
     assert_eq!(frames.concat(), b"headertreepayload");
     let notice = far.next_notice(0, at(0)).expect("the sender is told");
-    near.receive_info(notice, at(0));
+    near.receive_companion(notice, at(0));
     let Some(Event::Lost(loss)) = near.next_event() else { panic!("the sender knows") };
     assert_eq!(loss.tag, Some(7));
 }
@@ -57,7 +57,7 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
     let (mut near, mut far) = (end(), end());
     for second in 1..20 {
         let heartbeat = near.next_notice(0, at(second)).expect("one each second");
-        far.receive_info(heartbeat, at(second));
+        far.receive_companion(heartbeat, at(second));
         far.tick(at(second));
         assert!(near.next_notice(0, at(second)).is_none() && far.next_event().is_none());
     }
@@ -70,7 +70,7 @@ fn heartbeats_keep_connection_and_silence_ends_it() {
 fn goodbye_ends_connection_with_its_reason() {
     let (mut near, mut far) = (end(), end());
     let goodbye = near.new_companion(MessageInfo::GOODBYE, 0, at(0));
-    far.receive_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
+    far.receive_companion(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
     assert!(far.next_notice(0, at(100)).is_none());
 }
@@ -80,8 +80,8 @@ fn goodbye_waits_for_payload_that_it_overtook() {
     let (mut near, mut far) = (end(), end());
     let (info, payload) = message(&mut near, 7, 10);
     let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
-    far.receive_info(info.clone(), at(0));
-    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    far.receive_companion(info.clone(), at(0));
+    far.receive_companion(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     assert!(far.next_event().is_none() && far.peer().has_left);
     far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     assert!(matches!(far.next_event(), Some(Event::Message(..))));
@@ -94,8 +94,8 @@ fn session_message_waits_for_payload_that_it_overtook() {
     let (info, payload) = message(&mut near, 7, 10);
     let mut session = near.new_companion(MessageInfo::DATA, 20, at(0));
     assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
-    far.receive_info(info.clone(), at(0));
-    far.receive_info(session, at(0));
+    far.receive_companion(info.clone(), at(0));
+    far.receive_companion(session, at(0));
     assert!(far.next_event().is_none());
     far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
     assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() != b"close"));
@@ -108,8 +108,8 @@ fn goodbye_without_payload_still_ends_connection() {
     let (mut near, mut far) = (end(), end());
     let (info, _) = message(&mut near, 7, 10);
     let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
-    far.receive_info(info, at(0));
-    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
+    far.receive_companion(info, at(0));
+    far.receive_companion(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
     far.tick(at(5));
     assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
 }
@@ -127,16 +127,16 @@ fn payload_that_travels_twice_is_taken_once_and_confirmed() {
         let stamp = info.header.stamp.as_nanos();
         if is_payload_first {
             far.receive_payload(stamp, payload, at(0));
-            far.receive_info(info, at(0));
+            far.receive_companion(info, at(0));
         } else {
-            far.receive_info(info, at(0));
+            far.receive_companion(info, at(0));
             far.receive_payload(stamp, payload, at(0));
         }
         assert!(
             matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
         );
         assert!(far.next_event().is_none());
-        near.receive_info(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
+        near.receive_companion(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
         assert!(near.peer().is_subscribed && far.next_notice(0, at(0)).is_none());
         far.tick(at(4));
         assert!(far.next_event().is_none(), "nothing is waited for");
@@ -155,9 +155,9 @@ fn fragments_are_assembled_and_unfinished_messages_dropped() {
             .map(|frames| MessageInfo { frames, ..near.new_fragment(&mut info) })
             .collect();
         assert_eq!(companions.len(), 2);
-        companions.into_iter().for_each(|companion| far.receive_info(companion, at(0)));
+        companions.into_iter().for_each(|companion| far.receive_companion(companion, at(0)));
         if is_whole {
-            far.receive_info(info, at(0));
+            far.receive_companion(info, at(0));
             far.receive_payload(stamp, payload, at(0));
         }
     }
@@ -228,7 +228,7 @@ fn apply_step(step: Step, near: &mut Connection, far: &mut Connection, now: &mut
                 bytes[at] = byte;
             }
             if let Ok(info) = MessageInfo::decode(form, bytes.into()) {
-                far.receive_info(info, *now);
+                far.receive_companion(info, *now);
             }
         }
         Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes } => {
@@ -243,7 +243,7 @@ fn apply_step(step: Step, near: &mut Connection, far: &mut Connection, now: &mut
                 frames,
                 ..MessageInfo::default()
             };
-            far.receive_info(info, *now);
+            far.receive_companion(info, *now);
         }
         Step::Payload { stamp, bytes } => far.receive_payload(stamp, vec![7; bytes].into(), *now),
         Step::Time(seconds) => *now = *now + Span::from_seconds(seconds),
@@ -278,7 +278,7 @@ proptest! {
         let mut behind = lag;
         while !infos.is_empty() || !payloads.is_empty() {
             if let Some(Some(info)) = infos.pop_front() {
-                far.receive_info(info, at(0));
+                far.receive_companion(info, at(0));
             }
             if behind > 0 && !infos.is_empty() {
                 behind -= 1;
