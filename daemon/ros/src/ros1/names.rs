@@ -44,7 +44,7 @@ pub enum NameError {
 /// Name of a node, by which relative and private names are resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeName {
-    /// Begins with `/`, and only the root ends with it.
+    /// Global name of the namespace. It begins with `/`, and only the root `/` also ends with `/`.
     namespace: String,
     global: Arc<str>,
 }

@@ -76,7 +76,7 @@ fn exhausted_budget_ends_connection_needing_more() {
     framers.truncate(1);
     let mut out = Vec::new();
     framers[0].receive(&[1], &allowance, &mut out).expect("the others go on");
-    assert!(out[0].message.is_some());
+    assert!(out[0].message_memory.is_some());
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn long_frame_is_read_into_own_buffer() {
         framer.complete_direct_read(&allowance, &mut out).expect("is allowed");
         reads += 1;
     }
-    assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message.is_some())), Some((300_000, true)));
+    assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message_memory.is_some())), Some((300_000, true)));
     assert_eq!(reads, 5, "64 KiB each");
     // The next frame of this length gets its whole buffer at once.
     framer.receive(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
@@ -134,7 +134,7 @@ proptest! {
         }
         let joined: Vec<u8> = out.iter().flat_map(|piece| piece.bytes.to_vec()).collect();
         prop_assert_eq!(joined, bytes);
-        let ends = out.iter().filter(|piece| piece.message.is_some()).count();
+        let ends = out.iter().filter(|piece| piece.message_memory.is_some()).count();
         prop_assert_eq!(ends, frames.iter().filter(|(more, _)| !more).count());
     }
 
