@@ -105,7 +105,10 @@ mod tests {
     fn address_of_no_interface_has_none() {
         let address_from = |text: &str| text.parse::<SocketAddr>().expect("an address");
         // TEST-NET-1 and TEST-NET-2 (RFC 5737).
-        let addresses = ConnectionAddresses { local: address_from("192.0.2.1:1"), remote: address_from("198.51.100.1:2") };
+        let addresses = ConnectionAddresses {
+            local: address_from("192.0.2.1:1"),
+            remote: address_from("198.51.100.1:2"),
+        };
         assert_eq!(outgoing_interface(&addresses).expect("interfaces are listed"), None);
     }
 

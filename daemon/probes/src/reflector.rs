@@ -254,12 +254,16 @@ impl Reflector {
         }
         let earlier_difference = kernel_stamp.and_then(|stamp| self.difference_before(stamp));
         let ahead = self.compare_clocks();
-        let latest_arrival = |stamp| earlier_difference.map(|earlier| KernelStamp::from_comparisons(stamp, earlier, ahead).latest);
+        let latest_arrival = |stamp| {
+            earlier_difference.map(|earlier| KernelStamp::from_comparisons(stamp, earlier, ahead).latest)
+        };
         let arrival = Arrival {
             source: received.source,
             received: kernel_stamp.unwrap_or(read.wall),
             // The program's reading always holds; the kernel's stamp may narrow the bound.
-            received_raw: kernel_stamp.and_then(latest_arrival).map_or(read.raw, |latest| latest.min(read.raw)),
+            received_raw: kernel_stamp
+                .and_then(latest_arrival)
+                .map_or(read.raw, |latest| latest.min(read.raw)),
             now: read.mono,
         };
         let answer = self.state.prepare(packet, &arrival)?;
@@ -285,14 +289,15 @@ impl Reflector {
     /// Handles the kernel's stamp of a reply's departure.
     fn record_departure(&mut self, token: Token, departed_at: Option<WallTime>) {
         // Stamps come in the order of departure. The stamps of dropped packets never come.
-        let Some(index) =
-            self.awaited_departures.iter().position(|reply| reply.token == token)
-        else {
+        let Some(index) = self.awaited_departures.iter().position(|reply| reply.token == token) else {
             return;
         };
         let reply = self.awaited_departures.drain(..=index).next_back();
-        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(departed_at)) = (reply, departed_at) {
-            let departed_at_raw = KernelStamp::from_comparisons(departed_at, ahead, self.compare_clocks()).earliest;
+        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(departed_at)) =
+            (reply, departed_at)
+        {
+            let departed_at_raw =
+                KernelStamp::from_comparisons(departed_at, ahead, self.compare_clocks()).earliest;
             self.state.record_departure(&session, sequence, departed_at, departed_at_raw);
         }
     }

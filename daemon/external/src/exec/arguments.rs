@@ -49,7 +49,8 @@ impl FingerprintKey {
             CommandLine::Words(words) => words.iter().for_each(|word| add_word(word)),
         }
         let mac_bytes = mac.finalize().into_bytes();
-        mac_bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS].to_owned()
+        mac_bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS]
+            .to_owned()
     }
 }
 
@@ -173,7 +174,8 @@ mod tests {
         for other in [&["./blur", "--token", "hunter3"][..], &["./blur", "--tokenhunter2", ""]] {
             assert_ne!(first, fingerprint(&words(other)));
         }
-        let with_other_key = words(&["./blur", "--token", "hunter2"]).fingerprint(&FingerprintKey::new([2; 32]));
+        let with_other_key =
+            words(&["./blur", "--token", "hunter2"]).fingerprint(&FingerprintKey::new([2; 32]));
         assert_ne!(Some(first), with_other_key);
         assert_eq!(words(&["./blur"]).fingerprint(&key), None);
         assert_eq!(format!("{key:?}"), "FingerprintKey(hidden)");

@@ -140,7 +140,11 @@ impl ExecConfig {
         };
         let named_files = words.into_iter().skip(program_in_path.iter().count());
         let named_files = named_files.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
-        program_in_path.into_iter().chain(named_files.map(|word| folder.join(word))).take(MAX_RECORDED_FILES).collect()
+        program_in_path
+            .into_iter()
+            .chain(named_files.map(|word| folder.join(word)))
+            .take(MAX_RECORDED_FILES)
+            .collect()
     }
 
     /// Checks that a program exists.

@@ -143,7 +143,8 @@ impl Program {
             });
         }
         tracing::info!(name = self.launch.name, "restarting the program");
-        Process::start(&self.launch, &self.clock).map_err(|error| self.record_failure(ProgramCallError::Start(error)))
+        Process::start(&self.launch, &self.clock)
+            .map_err(|error| self.record_failure(ProgramCallError::Start(error)))
     }
 
     /// Remembers a failure, which delays the next restart, and returns the error.

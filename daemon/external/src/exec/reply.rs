@@ -113,7 +113,14 @@ pub struct ReplyAssembler {
 impl ReplyAssembler {
     /// Creates the assembler for one reply of a program in the given role.
     pub fn new(role: Role) -> Self {
-        Self { role, notes: ReplyNotes::default(), parts: Vec::new(), line_count: 0, bytes: 0, pending_part: None }
+        Self {
+            role,
+            notes: ReplyNotes::default(),
+            parts: Vec::new(),
+            line_count: 0,
+            bytes: 0,
+            pending_part: None,
+        }
     }
 
     /// Processes a line, without its `\n`.

@@ -246,7 +246,8 @@ impl Reader {
     ) -> Result<Bytes, PipeError> {
         let mut searched = 0;
         loop {
-            if let Some(offset) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == delimiter) {
+            if let Some(offset) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == delimiter)
+            {
                 let length = searched + offset;
                 let bytes = Bytes::copy_from_slice(&self.buffered_bytes()[..length]);
                 self.consumed += length + 1;

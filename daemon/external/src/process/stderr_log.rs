@@ -76,8 +76,13 @@ impl StderrReader {
     ) -> io::Result<Self> {
         let last_lines = Arc::new(Mutex::new(VecDeque::with_capacity(MAX_KEPT_LINES)));
         let (end, closed) = sync_channel(0);
-        let mut logger =
-            LineLogger { stderr_log, name, clock, limit: LogLimit::default(), last_lines: Arc::clone(&last_lines) };
+        let mut logger = LineLogger {
+            stderr_log,
+            name,
+            clock,
+            limit: LogLimit::default(),
+            last_lines: Arc::clone(&last_lines),
+        };
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
             // Dropping the sender reports that the standard error is closed.
             let _end = end;

@@ -96,8 +96,11 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
         Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
         Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
-            let folder =
-                if module_folder.as_os_str().is_empty() { env::current_dir().unwrap_or_default() } else { module_folder };
+            let folder = if module_folder.as_os_str().is_empty() {
+                env::current_dir().unwrap_or_default()
+            } else {
+                module_folder
+            };
             Err(PythonError::NoModule { module: module.to_owned(), folder, python })
         }
         Err(error) => Err(start_error(error.to_string())),

@@ -85,7 +85,9 @@ impl Limiter {
         }
         for source in sources {
             let other_sources = &mut self.other_sources;
-            self.peers.entry(source).or_insert_with(|| other_sources.get_mut(&source).copied().unwrap_or_default());
+            self.peers
+                .entry(source)
+                .or_insert_with(|| other_sources.get_mut(&source).copied().unwrap_or_default());
         }
     }
 

@@ -139,7 +139,10 @@ impl Reply {
             request: Request {
                 sequence: u32::from_be_bytes(field(packet, layout.request_sequence)),
                 timestamp: u64::from_be_bytes(field(packet, layout.request_timestamp)),
-                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, layout.request_estimate))),
+                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(
+                    packet,
+                    layout.request_estimate,
+                ))),
                 ssid: base_fields.ssid,
             },
             ttl: packet[layout.ttl],

@@ -181,8 +181,16 @@ impl ReflectorState {
             // Zero means unknown: the hop limit of the request is not read.
             ttl: 0,
         };
-        let (previous, received_raw) = (previous.map(|reply| (reply.sequence, reply.raw)), arrival.received_raw);
-        Ok(PreparedReply { reply, session: id, mode, has_intact_tlvs: are_tlvs_intact, received_raw, previous })
+        let (previous, received_raw) =
+            (previous.map(|reply| (reply.sequence, reply.raw)), arrival.received_raw);
+        Ok(PreparedReply {
+            reply,
+            session: id,
+            mode,
+            has_intact_tlvs: are_tlvs_intact,
+            received_raw,
+            previous,
+        })
     }
 
     /// Returns the mode of a request. If no key is mandatory, the form of the request decides: a request with a valid code of
@@ -243,7 +251,8 @@ impl ReflectorState {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
             session.next_sequence = answer.sequence().wrapping_add(1);
-            session.last_reply = Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
+            session.last_reply =
+                Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
         }
     }
 

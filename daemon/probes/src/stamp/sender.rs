@@ -304,7 +304,8 @@ impl SenderState {
             probe.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
             return Ok(ReplyResult { refined: None, answered: None });
         }
-        let kernel_stamp = arrival.kernel.map(|stamp| KernelStamp::from_comparisons(stamp, ahead, arrival.ahead));
+        let kernel_stamp =
+            arrival.kernel.map(|stamp| KernelStamp::from_comparisons(stamp, ahead, arrival.ahead));
         let is_of_another_clock = |kernel: KernelStamp| {
             kernel.is_steady
                 && (kernel.earliest > arrival.read.raw + ORDER_TOLERANCE
@@ -426,7 +427,8 @@ fn refine_departure(
     departure: RawTime,
     epoch: Option<u32>,
 ) -> Option<ExchangeObservation> {
-    let earlier_probes = pending.iter_mut().rev().filter(|probe| probe.departure.sequence != current_sequence);
+    let earlier_probes =
+        pending.iter_mut().rev().filter(|probe| probe.departure.sequence != current_sequence);
     let answered = earlier_probes
         .filter_map(|probe| probe.answer.as_mut())
         .find(|answered| answered.sequence == sequence)?;

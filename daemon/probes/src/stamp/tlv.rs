@@ -176,7 +176,8 @@ impl RawStamps {
     /// Reads a value. `None` if another program uses the type.
     pub fn from_value(value: &[u8]) -> Option<Self> {
         let value: &[u8; Self::BYTES] = value.try_into().ok()?;
-        let raw = |offset: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[offset..].first_chunk()?)));
+        let raw =
+            |offset: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[offset..].first_chunk()?)));
         let number = |offset: usize| Some(u32::from_be_bytes(*value[offset..].first_chunk()?));
         let previous = (number(24)?, raw(28)?);
         let stamps = Self {

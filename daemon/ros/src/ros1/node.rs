@@ -169,8 +169,7 @@ impl Node {
     ) -> Result<Vec<String>, NodeError> {
         let mut running = Vec::new();
         for node in nodes {
-            let uri =
-                self.state.registrar.master().look_up_node(node).await?.filter(|uri| uri != self.uri());
+            let uri = self.state.registrar.master().look_up_node(node).await?.filter(|uri| uri != self.uri());
             let Some(uri) = uri.and_then(|uri| RpcUri::parse(&uri).ok()) else { continue };
             // An answer alone proves nothing: the port of a node that ended may belong to another node now.
             let answer = rpc::call(&uri, method, vec![self.name().into()]).await;

@@ -207,13 +207,15 @@ fn bus_statistics(node: &NodeState) -> Value {
 /// description.
 fn bus_info(node: &NodeState) -> Value {
     let mut connections: Vec<Value> = Vec::new();
-    let mut add_connection = |other_end: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
-        let id = Value::Int(connections.len() as i64 + 1);
-        let connected = Value::Bool(is_connected);
-        let (other_end, direction, topic) = (other_end.into(), direction.into(), topic.into());
-        connections
-            .push([id, other_end, direction, "TCPROS".into(), topic, connected, description.into()].into());
-    };
+    let mut add_connection =
+        |other_end: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
+            let id = Value::Int(connections.len() as i64 + 1);
+            let connected = Value::Bool(is_connected);
+            let (other_end, direction, topic) = (other_end.into(), direction.into(), topic.into());
+            connections.push(
+                [id, other_end, direction, "TCPROS".into(), topic, connected, description.into()].into(),
+            );
+        };
     for topic in node.topics.published() {
         for subscriber in topic.subscribers() {
             let description =

@@ -62,16 +62,16 @@ impl RosVersion {
         configured: Option<Self>,
         variable: impl Fn(&str) -> Option<String>,
     ) -> Result<Self, VersionError> {
-        let set =
+        let read_variable =
             |name| variable(name).map(|value| value.trim().to_owned()).filter(|value| !value.is_empty());
         if let Some(version) = configured {
             return Ok(version);
         }
-        match set("ROS_VERSION").as_deref() {
+        match read_variable("ROS_VERSION").as_deref() {
             Some("1") => Ok(Self::Ros1),
             Some("2") => Ok(Self::Ros2),
             Some(value) => Err(VersionError::Variable { value: value.to_owned() }),
-            None => match set("ROS_DISTRO").as_deref() {
+            None => match read_variable("ROS_DISTRO").as_deref() {
                 Some(name) if ROS1_DISTRIBUTIONS.contains(&name) => Ok(Self::Ros1),
                 Some(_) => Ok(Self::Ros2),
                 None => Err(VersionError::NotGiven),
@@ -116,7 +116,7 @@ mod tests {
         variables: &[(&str, &str)],
     ) -> Result<RosVersion, VersionError> {
         RosVersion::resolve(configured, |name| {
-            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+            variables.iter().find(|(variable, _)| *variable == name).map(|(_, value)| (*value).to_owned())
         })
     }
 

@@ -158,7 +158,7 @@ impl Endpoint {
         let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
-            tracing::debug!(%source, "refusal a connection: the largest number of connections is open");
+            tracing::debug!(%source, "refused a connection: the largest number of connections is open");
             let refusal = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refusal);
         }

@@ -217,7 +217,8 @@ impl Reassembly {
     fn deliver_if_complete(&mut self, sequence: u64) -> ReassemblyOutcome {
         let index = (sequence - self.floor) as usize;
         let Some(slot) = self.slots.get_mut(index) else { return ReassemblyOutcome::Stored };
-        if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received_fragments == unfinished.total_fragments) {
+        if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received_fragments == unfinished.total_fragments)
+        {
             return ReassemblyOutcome::Stored;
         }
         let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled) else {
@@ -379,7 +380,12 @@ impl UnfinishedMessage {
     }
 
     fn to_loss(&self, sequence: u64) -> LostMessage {
-        LostMessage { sequence, tag: Some(self.tag), received: self.received_fragments, total: self.total_fragments }
+        LostMessage {
+            sequence,
+            tag: Some(self.tag),
+            received: self.received_fragments,
+            total: self.total_fragments,
+        }
     }
 }
 

@@ -164,14 +164,19 @@ impl Channel {
         // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order of
         // sending.
         let mut companions = Vec::new();
-        for frames in fragments::split_into_fragments(&mut companion.frames, self.node.max_companion_bytes()) {
+        for frames in fragments::split_into_fragments(&mut companion.frames, self.node.max_companion_bytes())
+        {
             companions.push(MessageInfo { frames, ..state.new_fragment(&mut companion) });
         }
         companions.push(companion);
         let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
         let encoded: Vec<EncodedMessage> =
             encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
-        match self.companion_publisher.publish_to(&peer.node, &encoded).map_err(|error| gone(error.to_string()))? {
+        match self
+            .companion_publisher
+            .publish_to(&peer.node, &encoded)
+            .map_err(|error| gone(error.to_string()))?
+        {
             Delivery::Accepted => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
             Delivery::NotConnected => {

@@ -74,7 +74,8 @@ pub(crate) async fn bind(
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
     // At least one, however few descriptors the process may open.
-    let max_connections = (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
+    let max_connections =
+        (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
     let tasks = CloudTasks::default();
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),

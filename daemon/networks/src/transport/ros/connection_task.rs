@@ -103,7 +103,8 @@ impl<S: Sink> ConnectionTask<S> {
                 wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
             // Not reset if the peer returns to the topic, because messages may have been lost in between.
             left_topic = left_topic.or_else(|| {
-                self.disconnected_topic(&mut connected_topics).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
+                self.disconnected_topic(&mut connected_topics)
+                    .map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
             if let Some((topic, deadline)) = &left_topic
                 && !self.channel.lock().is_closed()
@@ -112,7 +113,9 @@ impl<S: Sink> ConnectionTask<S> {
                 while let Some(message) = self.companion_subscriber.try_recv() {
                     self.handle_step(Step::Companion(Ok(message)), &mut second_publishers);
                 }
-                while let Some(message) = self.payload_subscriber.as_mut().and_then(|payload| payload.try_recv()) {
+                while let Some(message) =
+                    self.payload_subscriber.as_mut().and_then(|payload| payload.try_recv())
+                {
                     self.handle_step(Step::Payload(Ok(message)), &mut second_publishers);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
@@ -128,9 +131,8 @@ impl<S: Sink> ConnectionTask<S> {
                 .chain(left_topic.as_ref().map(|(_, deadline)| *deadline))
                 .min();
             let can_receive = queued_deliveries.is_empty();
-            let Self {
-                channel, companion_subscriber, payload_subscriber, sink, deliveries, stop, abort
-            } = &mut self;
+            let Self { channel, companion_subscriber, payload_subscriber, sink, deliveries, stop, abort } =
+                &mut self;
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
@@ -186,13 +188,17 @@ impl<S: Sink> ConnectionTask<S> {
                 }
             }
             Step::Payload(Ok(message)) => {
-                let topic =
-                    self.payload_subscriber.as_ref().map_or_else(|| self.companion_subscriber.topic(), |payload| payload.topic());
+                let topic = self
+                    .payload_subscriber
+                    .as_ref()
+                    .map_or_else(|| self.companion_subscriber.topic(), |payload| payload.topic());
                 if self.is_of_peer(&message, topic, second_publishers) {
                     self.receive_payload(message);
                 }
             }
-            Step::Companion(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
+            Step::Companion(Err(error)) | Step::Payload(Err(error)) => {
+                self.channel.lock().end(error.to_string())
+            }
             Step::Directive(Directive::Admit(payload)) => self.payload_subscriber = Some(payload),
             Step::Directive(Directive::Limit(limits)) => {
                 self.companion_subscriber.set_message_limits(limits.max_message_bytes, limits.memory());
@@ -200,7 +206,9 @@ impl<S: Sink> ConnectionTask<S> {
             }
             Step::Directive(Directive::End(reason)) => self.channel.lock().end(reason),
             Step::Publishers => {
-                for subscriber in [Some(&self.companion_subscriber), self.payload_subscriber.as_ref()].into_iter().flatten() {
+                for subscriber in
+                    [Some(&self.companion_subscriber), self.payload_subscriber.as_ref()].into_iter().flatten()
+                {
                     for node in subscriber.other_publishers() {
                         self.remark_second_publisher(&node, subscriber.topic(), second_publishers);
                     }
@@ -225,7 +233,8 @@ impl<S: Sink> ConnectionTask<S> {
     fn disconnected_topic(&self, connected_topics: &mut BTreeSet<String>) -> Option<String> {
         // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
-        let topics = [Some(&self.companion_subscriber), self.payload_subscriber.as_ref().filter(|_| !is_confirmed)];
+        let topics =
+            [Some(&self.companion_subscriber), self.payload_subscriber.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
             if !is_connected(&**subscriber, &self.channel) {
@@ -244,7 +253,12 @@ impl<S: Sink> ConnectionTask<S> {
     }
 
     /// Returns whether a message is from the node at the other end. There is one remark on each other node.
-    fn is_of_peer(&self, message: &TopicMessage, topic: &str, second_publishers: &mut SecondPublishers) -> bool {
+    fn is_of_peer(
+        &self,
+        message: &TopicMessage,
+        topic: &str,
+        second_publishers: &mut SecondPublishers,
+    ) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
@@ -254,9 +268,16 @@ impl<S: Sink> ConnectionTask<S> {
         false
     }
 
-    fn remark_second_publisher(&self, node: &Arc<str>, topic: &str, second_publishers: &mut SecondPublishers) {
+    fn remark_second_publisher(
+        &self,
+        node: &Arc<str>,
+        topic: &str,
+        second_publishers: &mut SecondPublishers,
+    ) {
         let Some(peer) = self.channel.peer() else { return };
-        if let Some(remark) = second_publishers.check(node, topic, (&peer.node, &*self.channel.node), Instant::now()) {
+        if let Some(remark) =
+            second_publishers.check(node, topic, (&peer.node, &*self.channel.node), Instant::now())
+        {
             self.channel.lock().remark(remark);
         }
     }

@@ -79,8 +79,13 @@ pub(crate) async fn dial(
         ..SessionHello::default()
     };
     let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
-    exchange_hellos(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, hello_message))
-        .await?;
+    exchange_hellos(
+        &channel,
+        (&mut *response_info, &mut *refusals),
+        &*opened.sessions,
+        (&cloud, hello_message),
+    )
+    .await?;
     drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
@@ -131,9 +136,13 @@ async fn open_topics(
     let sessions = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
     Ok(OpenTopics {
-        response_info: node.subscribe(&topics.response.info, companions.clone(), subscriber_options.clone()).await?,
+        response_info: node
+            .subscribe(&topics.response.info, companions.clone(), subscriber_options.clone())
+            .await?,
         response: node.subscribe(&topics.response.payload, payloads, subscriber_options.clone()).await?,
-        refusals: node.subscribe(&refusals_topic(&topics.cloud), companions.clone(), subscriber_options).await?,
+        refusals: node
+            .subscribe(&refusals_topic(&topics.cloud), companions.clone(), subscriber_options)
+            .await?,
         request_info: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
     })

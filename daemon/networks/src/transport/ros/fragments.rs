@@ -33,7 +33,8 @@ impl FrameFragments {
             bytes: BytesMut::new(),
             reserved: Reservation::empty(budget),
         };
-        let mut fragments = fragments.filter(|fragments| fragments.belong_to(fragment)).unwrap_or_else(new_fragments);
+        let mut fragments =
+            fragments.filter(|fragments| fragments.belong_to(fragment)).unwrap_or_else(new_fragments);
         let length = (fragments.bytes.len() + fragment.frames.len()) as u64;
         if length > max_bytes || fragments.reserved.resize(budget, length).is_err() {
             return None;

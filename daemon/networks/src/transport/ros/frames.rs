@@ -14,7 +14,8 @@ pub(super) const PAYLOAD_FRAME: usize = 2;
 pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
     let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
     let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };
-    let companion_frames = frames.iter().enumerate().filter(|(index, _)| !(has_payload && *index == PAYLOAD_FRAME));
+    let companion_frames =
+        frames.iter().enumerate().filter(|(index, _)| !(has_payload && *index == PAYLOAD_FRAME));
     let companion_frames: Vec<&Bytes> = companion_frames.map(|(_, frame)| frame).collect();
     info.frames = match companion_frames[..] {
         [single_frame] => single_frame.clone(),

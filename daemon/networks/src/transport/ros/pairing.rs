@@ -110,8 +110,9 @@ impl Pairing {
 
     /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
     fn give_up_unmatched(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
-        let is_unmatched =
-            |pending_stamp: &i64, pending: &mut PendingHalf| *pending_stamp < stamp && pending.half.is_info() != is_info;
+        let is_unmatched = |pending_stamp: &i64, pending: &mut PendingHalf| {
+            *pending_stamp < stamp && pending.half.is_info() != is_info
+        };
         lost.extend(self.pending.extract_if(.., is_unmatched).map(|(_, pending)| pending.half.loss()));
     }
 

@@ -68,7 +68,8 @@ impl Ros1Node {
         let expected = MessageInfo::DEFINITION.name;
         for topic in [&topics.request.info, &topics.response.info] {
             let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
-            let other_type = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
+            let other_type =
+                types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
             if let Some((_, kind)) = other_type.filter(|_| is_used) {
                 return Err(NodeFailure(format!(
                     "topic {topic} has the message type {kind} and would need {expected}; give the pipeline another name, \

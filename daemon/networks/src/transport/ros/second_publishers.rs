@@ -111,7 +111,8 @@ mod tests {
         node.set_readable_name("peer", "/peernet_jetson_line_1a2b3c4d");
         node.set_readable_name("earlier", "/peernet_jetson_line_00000000");
         node.set_readable_name("other", "/peernet_orin_line_00000000");
-        let mut check = |id: &str| second_publishers.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
+        let mut check =
+            |id: &str| second_publishers.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
         assert_eq!(check("earlier"), None);
         assert!(check("other").is_some());
     }
@@ -121,7 +122,9 @@ mod tests {
         let (mut node, mut second_publishers) = (TestNode::default(), SecondPublishers::default());
         let ids: Vec<String> = (0..=MAX_SECOND_PUBLISHERS).map(|number| format!("n{number}")).collect();
         ids.iter().for_each(|id| node.set_readable_name(id, "/viewer"));
-        let check = |id: &String| second_publishers.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
+        let check = |id: &String| {
+            second_publishers.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now())
+        };
         assert_eq!(ids.iter().filter_map(check).count(), MAX_SECOND_PUBLISHERS);
     }
 }

@@ -41,7 +41,8 @@ pub(crate) async fn bind(
     let resolved = tokio::net::lookup_host(address.authority()).await;
     let resolved = resolved.map_err(|error| BindFailure::Other(error.to_string()))?.next();
     let local_address = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
-    let socket = UdpPort::bind(local_address, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
+    let socket =
+        UdpPort::bind(local_address, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
     let bound = socket.address();
     let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {

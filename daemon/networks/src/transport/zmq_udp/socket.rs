@@ -79,7 +79,8 @@ impl UdpPort {
         let address = socket.local_addr()?;
         let buffers =
             [("net.core.rmem_max", receive_buffer), ("net.core.wmem_max", options.send_buffer_size()?)];
-        let capped_buffers = buffers.into_iter().filter(|(_, granted_bytes)| granted_bytes / 2 < buffer_bytes);
+        let capped_buffers =
+            buffers.into_iter().filter(|(_, granted_bytes)| granted_bytes / 2 < buffer_bytes);
         let commands: Vec<String> =
             capped_buffers.map(|(key, _)| format!("sysctl -w {key}={buffer_bytes}")).collect();
         let caveat = (!commands.is_empty()).then(|| {

@@ -81,16 +81,9 @@ enum State {
     /// Number of missing bytes of the greeting.
     Greeting(usize),
     /// A frame's header, of which `received` bytes have arrived.
-    Header {
-        bytes: [u8; 9],
-        received: usize,
-    },
+    Header { bytes: [u8; 9], received: usize },
     /// A frame's body of `length` bytes, as far as it has arrived.
-    Body {
-        flags: u8,
-        buffer: Vec<u8>,
-        length: usize,
-    },
+    Body { flags: u8, buffer: Vec<u8>, length: usize },
 }
 
 const EMPTY_HEADER: State = State::Header { bytes: [0; 9], received: 0 };

@@ -235,8 +235,7 @@ async fn accept_connections(
                 if state.stop.is_cancelled() {
                     connection.advance(Phase::Closing);
                 }
-                let driver =
-                    Driver::new(connection, reader, &state.limits, &state.budgets, arrivals.clone());
+                let driver = Driver::new(connection, reader, &state.limits, &state.budgets, arrivals.clone());
                 state.tasks.spawn(serve_connection(driver, Arc::clone(&state), arrivals.clone()));
             }
             Err(reason) => {

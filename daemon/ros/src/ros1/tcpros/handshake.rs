@@ -45,9 +45,7 @@ impl TopicType {
     /// Returns whether both types match: their sums are equal or one of them is `*`, and their names are equal or one of
     /// them is `*`.
     fn matches(&self, name: &str, md5: &str) -> bool {
-        let is_same = |local: &str, peer: &str| {
-            local == peer || local == ANY || peer == ANY
-        };
+        let is_same = |local: &str, peer: &str| local == peer || local == ANY || peer == ANY;
         is_same(&self.md5, md5) && is_same(&self.name, name)
     }
 

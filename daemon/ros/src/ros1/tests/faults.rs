@@ -88,9 +88,9 @@ async fn type_mismatch_is_refused_with_both_types() {
 
 /// Returns the connection of a subscriber that reads nothing.
 async fn silent_subscriber(publisher_node: &Node, master: &TestMaster) -> TcpStream {
-    let shared = publisher_node.shared();
+    let state = publisher_node.state();
     assert_eq!(master.publishers("/t"), [publisher_node.name()]);
-    let mut stream = TcpStream::connect(("127.0.0.1", shared.address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", state.address.tcpros_port())).await.unwrap();
     let kind = TopicType::any();
     let request = Subscription { node: "/silent".into(), topic: "/t".into(), kind }.request();
     stream.write_all(&request.encode()).await.unwrap();
@@ -273,13 +273,13 @@ async fn topic_is_published_once_and_again_after_its_end() {
 async fn malformed_header_is_answered_with_the_reason() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let mut stream = TcpStream::connect(("127.0.0.1", a.shared().address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", a.state().address.tcpros_port())).await.unwrap();
     stream.write_all(b"\x07\0\0\0\x03\0\0\0abc").await.unwrap();
     let mut answer = Vec::new();
     within(stream.read_to_end(&mut answer)).await.unwrap();
     let header = ConnectionHeader::decode(&answer[4..]).unwrap();
     assert_eq!(header.get("error"), Some("a field of the connection header has no '='"));
-    let mut stream = TcpStream::connect(("127.0.0.1", a.shared().address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", a.state().address.tcpros_port())).await.unwrap();
     stream.write_all(&u32::MAX.to_le_bytes()).await.unwrap();
     assert_eq!(within(stream.read_to_end(&mut answer)).await.unwrap(), 0);
 }
@@ -292,7 +292,7 @@ async fn garbage_at_both_ports_leaves_the_node_working() {
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let rpc_port = RpcUri::parse(a.uri()).unwrap().port();
     let long_line = "x".repeat(1_000_000);
-    for port in [rpc_port, a.shared().address.tcpros_port()] {
+    for port in [rpc_port, a.state().address.tcpros_port()] {
         for garbage in [
             "",
             "\0\0\0\0",

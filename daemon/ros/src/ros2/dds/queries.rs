@@ -23,10 +23,10 @@ impl Ros2Node {
             tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as publishers of another host");
             Vec::new()
         });
-        let found = entities.participant.discovered_writers().into_iter();
-        let of_topic = found.filter(|writer| writer.publication_topic_data.topic_name == topic);
+        let writers = entities.participant.discovered_writers().into_iter();
+        let topic_writers = writers.filter(|writer| writer.publication_topic_data.topic_name == topic);
         let mut publishers: Vec<DiscoveredPublisher> =
-            of_topic.map(|writer| discovered_publisher(&writer, &own)).collect();
+            topic_writers.map(|writer| discovered_publisher(&writer, &own)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
         for publisher in &mut publishers {
             publisher.node = self.node_of(publisher.id);
@@ -53,11 +53,11 @@ impl Ros2Node {
     /// participant that is unknown.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
         let own = own_addresses().unwrap_or_default();
-        let found = self.entities.as_ref()?.participant.discovered_writers().into_iter();
-        let mut of_participant = found.filter(|writer| {
+        let writers = self.entities.as_ref()?.participant.discovered_writers().into_iter();
+        let mut participant_writers = writers.filter(|writer| {
             endpoint_id(writer.writer_proxy.remote_writer_guid).participant() == participant
         });
-        of_participant.find_map(|writer| discovered_publisher(&writer, &own).host)
+        participant_writers.find_map(|writer| discovered_publisher(&writer, &own).host)
     }
 
     /// Returns a receiver of a number that changes with every event of discovery.

@@ -40,7 +40,11 @@ impl LongLossDetector {
         if received > 1 {
             self.losses = None;
         } else if fragments > 1 {
-            let losses = self.losses.get_or_insert(LongLosses { messages: 0, lost_before: lost_datagrams, since: now });
+            let losses = self.losses.get_or_insert(LongLosses {
+                messages: 0,
+                lost_before: lost_datagrams,
+                since: now,
+            });
             losses.messages += 1;
         }
     }

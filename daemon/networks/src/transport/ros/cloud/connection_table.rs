@@ -124,7 +124,8 @@ impl ConnectionTable {
         }
         if table.connections.len() >= self.max_connections {
             Some("the cloud has too many connections; raise its limit of open files (LimitNOFILE)")
-        } else if unadmitted >= self.max_unadmitted.max(1) || unadmitted_in_group >= (self.max_unadmitted / 2).max(1)
+        } else if unadmitted >= self.max_unadmitted.max(1)
+            || unadmitted_in_group >= (self.max_unadmitted / 2).max(1)
         {
             // One address may have half of the connections without a session, so that others can open some.
             Some("too many other connections have no session yet; try again later")

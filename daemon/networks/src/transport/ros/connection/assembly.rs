@@ -55,12 +55,21 @@ impl MessageAssembly {
     /// Handles a fragment of a message.
     pub(super) fn receive_fragment(&mut self, fragment: &MessageInfo, now: MonoTime) {
         let earlier_fragments = self.fragments.take();
-        self.fragments =
-            FrameFragments::with_fragment(earlier_fragments, (fragment, now), &self.budget, self.max_message_bytes);
+        self.fragments = FrameFragments::with_fragment(
+            earlier_fragments,
+            (fragment, now),
+            &self.budget,
+            self.max_message_bytes,
+        );
     }
 
     /// Handles the companion of a message.
-    pub(super) fn receive_data(&mut self, mut companion: MessageInfo, now: MonoTime, events: &mut EventQueue) {
+    pub(super) fn receive_data(
+        &mut self,
+        mut companion: MessageInfo,
+        now: MonoTime,
+        events: &mut EventQueue,
+    ) {
         // Fragments of another message are dropped, because that message was given up. The memory of the whole message is
         // reserved below.
         if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&companion)) {
@@ -71,7 +80,11 @@ impl MessageAssembly {
             return;
         }
         let Some(reserved) = self.reserve(companion.frames.len()) else {
-            events.push_incomplete(vec![MessageLoss { tag: request_number(&companion), received: 1, total: 2 }]);
+            events.push_incomplete(vec![MessageLoss {
+                tag: request_number(&companion),
+                received: 1,
+                total: 2,
+            }]);
             return;
         };
         let stamp = companion.header.stamp.as_nanos();
@@ -169,7 +182,12 @@ impl MessageAssembly {
     }
 }
 
-fn deliver(companion: &MessageInfo, payload: Option<&Bytes>, reserved: Vec<Reservation>, events: &mut EventQueue) {
+fn deliver(
+    companion: &MessageInfo,
+    payload: Option<&Bytes>,
+    reserved: Vec<Reservation>,
+    events: &mut EventQueue,
+) {
     events.push(match frames::unpack(companion, payload) {
         Ok(frames) => Event::Message(frames, reserved),
         Err(problem) => Event::InvalidData(problem.to_string()),

@@ -70,7 +70,9 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     }
     for topic in [&topics.request.info, &topics.request.payload] {
         let publishers = node.publishers_of(topic);
-        if let Some(other) = publishers.iter().find(|endpoint| !is_local_participant(endpoint.id.participant())) {
+        if let Some(other) =
+            publishers.iter().find(|endpoint| !is_local_participant(endpoint.id.participant()))
+        {
             let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
             let publisher = match &other.node {
                 Some(name) => format!("node {name}"),
@@ -106,7 +108,10 @@ fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let expected = ros2_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
     let endpoints = node.endpoints_of(sessions).into_iter();
-    endpoints.filter(|endpoint| is_cloud(endpoint.role, &endpoint.type_name)).map(|endpoint| endpoint.id.participant()).collect()
+    endpoints
+        .filter(|endpoint| is_cloud(endpoint.role, &endpoint.type_name))
+        .map(|endpoint| endpoint.id.participant())
+        .collect()
 }
 
 /// Waits until a condition holds for the state of discovery.

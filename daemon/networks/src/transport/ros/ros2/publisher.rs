@@ -164,7 +164,8 @@ impl PublisherState {
                 return Ok(());
             }
             let subscription_count = self.publisher.peers().borrow().matched.len();
-            let ack_timeout = if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
+            let ack_timeout =
+                if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
             match timeout(ack_timeout, self.publisher.wait_for_acknowledgment(ack_timeout)).await {
                 Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
                 // Messages that another program misses are kept for it, but do not stop the others.

@@ -218,7 +218,8 @@ impl SubscriberTask {
             if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
                 unmatched_writers.insert(message.writer);
             }
-            let (bytes, queued_bytes) = (message.payload.len(), self.limits.queued_bytes.load(Ordering::Relaxed));
+            let (bytes, queued_bytes) =
+                (message.payload.len(), self.limits.queued_bytes.load(Ordering::Relaxed));
             let max_message_bytes = self.limits.max_message_bytes.load(Ordering::Relaxed);
             // A ROS 2 publisher cannot be slowed down, and the queue must not grow without limit.
             if bytes > max_message_bytes || queued_bytes.saturating_add(bytes) > MAX_QUEUED_BYTES {

@@ -105,7 +105,10 @@ fn long_frame_is_read_into_own_buffer() {
         framer.complete_direct_read(&allowance, &mut out).expect("is allowed");
         reads += 1;
     }
-    assert_eq!(out.last().map(|piece| (piece.bytes.len(), piece.message_memory.is_some())), Some((300_000, true)));
+    assert_eq!(
+        out.last().map(|piece| (piece.bytes.len(), piece.message_memory.is_some())),
+        Some((300_000, true))
+    );
     assert_eq!(reads, 5, "64 KiB each");
     // The next frame of this length gets its whole buffer at once.
     framer.receive(&header(0, 300_000), &allowance, &mut out).expect("is allowed");
