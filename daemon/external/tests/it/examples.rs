@@ -49,9 +49,9 @@ fn model_refuses_several_pictures_and_continues() {
     let grey = |parts: &[&'static [u8]]| sample("image/x-grey8", parts);
     let error = program.call(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
     assert!(error.contains("not a sample of 2 parts"), "{error}");
-    let model_call = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
+    let answer = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
     assert!(
-        matches!(&model_call.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
-        "{model_call:?}"
+        matches!(&answer.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
+        "{answer:?}"
     );
 }
