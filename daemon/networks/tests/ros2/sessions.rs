@@ -12,7 +12,8 @@ use peernet_ros::ros2::{QosProfile, Reliability, Ros2Node, Ros2Settings};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros::{
-    exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
+    assert_second_host_is_refused, exchange, replace_connections, session,
+    wait_for_remark_on_second_publisher,
 };
 use crate::support::{
     Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
@@ -162,12 +163,12 @@ async fn messages_of_second_publishers_are_dropped() {
     }
     publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has them");
     echo(&mut cloud, &session, "the session goes on").await;
-    second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
+    wait_for_remark_on_second_publisher(&mut cloud, &session, "node /viewer", publisher.topic()).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn edge_gets_reason_of_refusal() {
-    pipeline_of_another_host_is_refused(cloud().await).await;
+    assert_second_host_is_refused(cloud().await).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
