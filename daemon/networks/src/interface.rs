@@ -119,8 +119,8 @@ mod tests {
         if socket.connect("192.0.2.1:9").is_err() {
             return;
         }
-        let own = socket.local_addr().expect("connected");
-        let interface = outgoing_interface(&ConnectionAddresses { local: own, remote: own });
+        let own_address = socket.local_addr().expect("connected");
+        let interface = outgoing_interface(&ConnectionAddresses { local: own_address, remote: own_address });
         let interface = interface.expect("interfaces are listed").expect("the address is of this host");
         assert_eq!(interface.name, "lo");
     }
@@ -143,7 +143,7 @@ mod tests {
                 NetworkInterface { name: name.into(), kind: Some(kind.into()), mtu_bytes: Some(1_280) };
             assert_eq!(describe_interface(sysfs.path(), name.into()), expected);
         }
-        let gone = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
-        assert_eq!(describe_interface(sysfs.path(), "usb0".into()), gone);
+        let missing_interface = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
+        assert_eq!(describe_interface(sysfs.path(), "usb0".into()), missing_interface);
     }
 }

@@ -213,13 +213,16 @@ mod tests {
     #[test]
     fn closed_connection_has_no_statistics() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        let port = listener.local_addr().expect("bound");
-        // No connection comes from there, so the kernel finds the listening socket instead.
-        let gone = ConnectionAddresses { local: port, remote: "127.0.0.1:1".parse().expect("an address") };
-        assert!(query(&gone).expect("the kernel answers").is_none());
+        let listening_address = listener.local_addr().expect("bound");
+        // No connection comes from the remote address, so the kernel finds the listening socket instead.
+        let unconnected = ConnectionAddresses {
+            local: listening_address,
+            remote: "127.0.0.1:1".parse().expect("an address"),
+        };
+        assert!(query(&unconnected).expect("the kernel answers").is_none());
         drop(listener);
-        assert!(query(&gone).expect("the kernel answers").is_none());
-        assert_eq!(tcp_statistics(&gone), TransportStatistics::default());
+        assert!(query(&unconnected).expect("the kernel answers").is_none());
+        assert_eq!(tcp_statistics(&unconnected), TransportStatistics::default());
     }
 
     #[test]

@@ -251,7 +251,7 @@ impl DiscoveryState {
             |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
         self.nodes.remove(&participant);
         let listed =
-            |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
+            |lists: &BTreeMap<_, Vec<ListedNode>>| lists.values().map(|nodes| size(nodes)).sum::<usize>();
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
             // Lists of participants that discovery does not know may be forged, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));

@@ -122,10 +122,10 @@ mod tests {
 
     #[test]
     fn configuration_precedes_environment() {
-        let both = [("ROS_VERSION", "1"), ("ROS_DISTRO", "jazzy")];
-        assert_eq!(resolve(Some(RosVersion::Ros2), &both), Ok(RosVersion::Ros2));
-        assert_eq!(resolve(None, &both), Ok(RosVersion::Ros1));
-        assert_eq!(resolve(None, &both[1..]), Ok(RosVersion::Ros2));
+        let variables = [("ROS_VERSION", "1"), ("ROS_DISTRO", "jazzy")];
+        assert_eq!(resolve(Some(RosVersion::Ros2), &variables), Ok(RosVersion::Ros2));
+        assert_eq!(resolve(None, &variables), Ok(RosVersion::Ros1));
+        assert_eq!(resolve(None, &variables[1..]), Ok(RosVersion::Ros2));
         assert_eq!(resolve(None, &[("ROS_VERSION", ""), ("ROS_DISTRO", "noetic")]), Ok(RosVersion::Ros1));
     }
 

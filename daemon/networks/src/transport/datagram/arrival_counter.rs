@@ -126,7 +126,8 @@ impl ArrivalCounter {
     /// earlier number was held back and is counted now.
     fn is_plausible(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
         let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return false };
-        let held_back = confirmed.filter(|held| held.has_arrived && held.number < candidate.number);
+        let held_back =
+            confirmed.filter(|next_number| next_number.has_arrived && next_number.number < candidate.number);
         if let Some(held_back) = held_back {
             self.record_next_arrival(held_back.number);
         }
@@ -339,13 +340,13 @@ mod tests {
         #[test]
         fn any_numbers_are_counted_without_panic(numbers in proptest::collection::vec((any::<u32>(), any::<bool>()), 0..60)) {
             let mut counter = ArrivalCounter::new(at(0));
-            let mut before = counter.totals(at(0));
+            let mut earlier_totals = counter.totals(at(0));
             for (now, (number, arrives)) in numbers.into_iter().enumerate() {
                 let now = at(now as i64 * 300);
                 if arrives { counter.record_arrival(number, now) } else { counter.note_sent(number, now) }
                 let totals = counter.totals(now);
-                prop_assert_eq!(totals.max(before), totals);
-                before = totals;
+                prop_assert_eq!(totals.max(earlier_totals), totals);
+                earlier_totals = totals;
             }
         }
     }

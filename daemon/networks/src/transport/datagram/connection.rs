@@ -309,7 +309,7 @@ impl Connection {
             let heartbeat = self.make_heartbeat(time, now);
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
-        if self.bye_at().is_some_and(|at| at <= now) {
+        if self.bye_at().is_some_and(|bye_time| bye_time <= now) {
             self.shutdown.send_bye(now);
             self.send_bye();
         }
@@ -319,16 +319,16 @@ impl Connection {
         self.timer.ping_at(self.sending.unsettled_since())
     }
 
-    /// Returns the time of the next goodbye. All messages are sent before the first one.
+    /// Returns the time of the next goodbye. All messages are sent before the first goodbye.
     fn bye_at(&self) -> Option<MonoTime> {
         self.shutdown.bye_at().filter(|_| self.sending.is_empty())
     }
 
     /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
-        let next = self.ping_at().min(self.timer.expires_at());
+        let earliest_time = self.ping_at().min(self.timer.expires_at());
         let other_timers = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
-        other_timers.into_iter().flatten().fold(next, MonoTime::min)
+        other_timers.into_iter().flatten().fold(earliest_time, MonoTime::min)
     }
 
     /// Removes and returns the next event.

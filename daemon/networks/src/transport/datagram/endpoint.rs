@@ -340,8 +340,8 @@ impl Endpoint {
     /// Schedules the next timer call of a connection. Called after each change.
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
-            let at = entry.next_timer(self.limits.hello_timeout, now);
-            self.timers.schedule(id, at.max(now + MIN_TIMER_INTERVAL));
+            let timer_time = entry.next_timer(self.limits.hello_timeout, now);
+            self.timers.schedule(id, timer_time.max(now + MIN_TIMER_INTERVAL));
         }
     }
 

@@ -102,14 +102,14 @@ impl OutgoingMessage {
             part.advance(count);
             missing -= count;
             if part.is_empty() {
-                // Frees the memory of frames that were sent, before the whole message has been sent.
+                // The memory of a sent frame is freed before the whole message has been sent.
                 *part = Bytes::new();
                 self.first_unused += 1;
             }
         }
-        let taken = max_bytes - missing as u16;
-        self.offset += u32::from(taken);
-        (offset, taken)
+        let fragment_bytes = max_bytes - missing as u16;
+        self.offset += u32::from(fragment_bytes);
+        (offset, fragment_bytes)
     }
 }
 
@@ -150,9 +150,9 @@ mod tests {
             let mut message = OutgoingMessage::new(frames.clone(), 0, 0, None).expect("small");
             let (mut joined, mut fragments) = (Vec::new(), 0);
             while !message.is_done() {
-                let (offset, taken) = message.take(stride, &mut joined);
-                prop_assert_eq!(offset as usize + usize::from(taken), joined.len());
-                prop_assert!(taken == stride || message.is_done());
+                let (offset, fragment_bytes) = message.take(stride, &mut joined);
+                prop_assert_eq!(offset as usize + usize::from(fragment_bytes), joined.len());
+                prop_assert!(fragment_bytes == stride || message.is_done());
                 fragments += 1;
             }
             prop_assert_eq!(fragments, fragment_count(message.total, stride));

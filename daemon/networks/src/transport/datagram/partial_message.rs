@@ -161,9 +161,9 @@ mod tests {
                 }
                 prop_assert!(budget.reserved_bytes() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
             }
-            let (whole, reserved) = message.into_bytes();
-            prop_assert_eq!(&whole[..], &bytes[..]);
-            drop(reserved);
+            let (message_bytes, reservation) = message.into_bytes();
+            prop_assert_eq!(&message_bytes[..], &bytes[..]);
+            drop(reservation);
             prop_assert_eq!(budget.reserved_bytes(), 0);
         }
     }

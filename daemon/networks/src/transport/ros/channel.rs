@@ -139,15 +139,15 @@ impl Channel {
     /// Publishes a message. Its first payload part is published on the payload topic if its type fits and the topic is
     /// open. Everything else is published on the companions' topic.
     pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
-        let gone = |reason: String| SendFailure::Gone(reason);
-        let peer = self.peer.get().ok_or_else(|| gone("the connection is not open".into()))?;
+        let gone_failure = |reason: String| SendFailure::Gone(reason);
+        let peer = self.peer.get().ok_or_else(|| gone_failure("the connection is not open".into()))?;
         let payload_header = message.get(PAYLOAD_FRAME).and_then(|_| read_payload_header(message.first()?));
         let departure = payload_header.as_ref().map_or_else(|| self.clock.wall(), |header| header.departure);
         // The lock is held until both messages are published, so that both topics have the messages in the order of their
         // stamps.
         let mut state = self.lock();
         if state.is_closed() {
-            return Err(gone("the connection is closed".into()));
+            return Err(gone_failure("the connection is closed".into()));
         }
         let mut companion = state.new_companion(MessageInfo::DATA, departure, self.now());
         companion.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
@@ -159,7 +159,7 @@ impl Channel {
             _ => false,
         };
         if !frames::pack(&mut companion, message, has_payload) {
-            return Err(gone("a frame has 4 GiB or more".into()));
+            return Err(gone_failure("a frame has 4 GiB or more".into()));
         }
         // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order of
         // sending.
@@ -171,17 +171,19 @@ impl Channel {
         companions.push(companion);
         let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
         let encoded: Vec<EncodedMessage> =
-            encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
+            encoded.collect::<Result<_, _>>().map_err(|error| gone_failure(error.to_string()))?;
         match self
             .companion_publisher
             .publish_to(&peer.node, &encoded)
-            .map_err(|error| gone(error.to_string()))?
+            .map_err(|error| gone_failure(error.to_string()))?
         {
             Delivery::Accepted => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
-            Delivery::NotConnected => {
-                Err(gone(format!("node {} has left topic {}", peer.node, self.companion_publisher.topic())))
-            }
+            Delivery::NotConnected => Err(gone_failure(format!(
+                "node {} has left topic {}",
+                peer.node,
+                self.companion_publisher.topic()
+            ))),
         }
     }
 

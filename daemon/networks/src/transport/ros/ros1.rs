@@ -55,11 +55,11 @@ impl Ros1Node {
         };
         let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.pipeline_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
-            let others: Vec<String> =
+            let other_publishers: Vec<String> =
                 state.publishers_of(topic).iter().filter(is_of_other_program).cloned().collect();
-            if let Some(other) = self.node.running_publishers(topic, &others).await?.first() {
+            if let Some(publisher) = self.node.running_publishers(topic, &other_publishers).await?.first() {
                 return Err(NodeFailure(format!(
-                    "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
+                    "node {publisher} publishes topic {topic} already; stop it, give the pipeline another name, or set \
                      ROS_NAMESPACE to a namespace of this robot"
                 )));
             }
@@ -80,12 +80,13 @@ impl Ros1Node {
         Ok(cloud.into())
     }
 
-    /// Returns a running node, other than this one, that serves a name. Nodes that only observe the topic do not count.
-    /// If another node has this node's name, the master knows only the newer one.
+    /// Returns a running node, other than this node, that serves a name. Nodes that only observe the topic do not
+    /// count.
+    /// If another node has this node's name, the master knows only the newer node.
     async fn find_other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
-        let own = base_name(self.node.name());
-        let is_cloud = |other: &&String| base_name(other) == own;
+        let own_base_name = base_name(self.node.name());
+        let is_cloud = |node: &&String| base_name(node) == own_base_name;
         let sessions = sessions_topic(cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
         Ok(self.node.running_subscribers(&sessions, &clouds).await?.pop())

@@ -35,13 +35,14 @@ fn find_with(
 
 /// Returns the requested version; ROS 1 if neither the configuration nor the environment states one.
 fn requested_version(
-    given: Option<u64>,
+    requested: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<RosVersion, ListenerLookupError> {
     // A number that does not fit into a byte is not a version.
-    let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
-    let given = given.transpose().map_err(|error| ListenerLookupError(format!("ros_version: {error}")))?;
-    match RosVersion::resolve(given, variable) {
+    let requested = requested.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
+    let requested =
+        requested.transpose().map_err(|error| ListenerLookupError(format!("ros_version: {error}")))?;
+    match RosVersion::resolve(requested, variable) {
         Err(VersionError::NotGiven) => Ok(RosVersion::Ros1),
         other => other.map_err(|error| ListenerLookupError(error.to_string())),
     }

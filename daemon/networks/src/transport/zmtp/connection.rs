@@ -143,7 +143,7 @@ impl ZmtpConnection {
     /// Hands a message to the network. Never waits. The message goes to the kernel if nothing is queued before it, else
     /// to the queue, which the connection's task sends.
     pub(super) fn try_send(&self, frames: Frames) -> Result<(), SendFailure> {
-        let gone = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
+        let gone_failure = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
         if self.phase() >= Phase::Closing {
             return Err(SendFailure::Gone("the connection is being closed".into()));
         }
@@ -162,7 +162,7 @@ impl ZmtpConnection {
             // If nothing is queued, `write` reserves memory for the bytes that the kernel does not accept.
             codec.reserve(queued_bytes + bytes).map_err(|_| SendFailure::Full)?;
         }
-        codec.zmtp.send_message(&message).map_err(|error| gone(&error))?;
+        codec.zmtp.send_message(&message).map_err(|error| gone_failure(&error))?;
         let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
         codec.ends.push_back(end);
         if queued_bytes > 0 {
@@ -175,7 +175,7 @@ impl ZmtpConnection {
                 self.wake.notify_one();
                 Ok(())
             }
-            Err(error) => Err(gone(&error)),
+            Err(error) => Err(gone_failure(&error)),
         }
     }
 

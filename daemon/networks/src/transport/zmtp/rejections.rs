@@ -93,7 +93,7 @@ impl RejectionCounts {
         let now = Instant::now();
         let mut logged = self.logged.lock().unwrap_or_else(PoisonError::into_inner);
         let last_line = &mut logged[reason as usize];
-        if last_line.is_some_and(|(at, _)| now - at < LOG_INTERVAL) {
+        if last_line.is_some_and(|(logged_at, _)| now - logged_at < LOG_INTERVAL) {
             return;
         }
         let since_last_line = count - last_line.map_or(0, |(_, count)| count);

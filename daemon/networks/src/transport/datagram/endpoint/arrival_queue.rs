@@ -50,8 +50,8 @@ mod tests {
             queue.push(Arrival::InvalidData(None, String::new()), None);
         }
         queue.push(Arrival::Gone(ConnectionId(1), String::new()), None);
-        let all: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();
-        assert_eq!(all.len(), MAX_ARRIVALS + 1);
-        assert!(all.last().is_some_and(|last| matches!(last.arrival, Arrival::Gone(..))));
+        let deliveries: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();
+        assert_eq!(deliveries.len(), MAX_ARRIVALS + 1);
+        assert!(deliveries.last().is_some_and(|delivery| matches!(delivery.arrival, Arrival::Gone(..))));
     }
 }

@@ -161,16 +161,20 @@ mod tests {
     #[test]
     fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
-        let (one, other) =
+        let (first_group, second_group) =
             (AddressGroup::from_address(address(1, 1)), AddressGroup::from_address(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
-        assert_eq!(table.capacity(one, 8), Capacity::Free);
+        assert_eq!(table.capacity(first_group, 8), Capacity::Free);
         table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
         table.insert(3, entry(address(1, 3), 3, unadmitted(4)));
-        assert_eq!(table.capacity(one, 8), Capacity::FreeAfterClosing(3), "a quarter is of this address");
-        assert_eq!(table.capacity(other, 8), Capacity::Free);
-        assert_eq!(table.capacity(other, 3), Capacity::FreeAfterClosing(3), "all are taken");
-        assert_eq!(table.capacity(one, 1_000), Capacity::Free);
+        assert_eq!(
+            table.capacity(first_group, 8),
+            Capacity::FreeAfterClosing(3),
+            "a quarter is of this address"
+        );
+        assert_eq!(table.capacity(second_group, 8), Capacity::Free);
+        assert_eq!(table.capacity(second_group, 3), Capacity::FreeAfterClosing(3), "all are taken");
+        assert_eq!(table.capacity(first_group, 1_000), Capacity::Free);
     }
 
     #[test]

@@ -39,15 +39,15 @@ mod tests {
 
     #[test]
     fn pause_allows_one_burst_only() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
-        let mut pacer = Pacer::new(Some(8_000_000), at(0));
-        pacer.record_sent(1_000, at(5_000));
-        assert_eq!(pacer.opens_at(), at(4_999));
-        pacer.record_sent(1_000, at(5_000));
-        pacer.record_sent(1_000, at(5_000));
-        assert_eq!(pacer.opens_at(), at(5_001));
-        let mut unpaced = Pacer::new(None, at(0));
-        unpaced.record_sent(u32::MAX, at(0));
-        assert_eq!(unpaced.opens_at(), at(-2));
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut pacer = Pacer::new(Some(8_000_000), time_at(0));
+        pacer.record_sent(1_000, time_at(5_000));
+        assert_eq!(pacer.opens_at(), time_at(4_999));
+        pacer.record_sent(1_000, time_at(5_000));
+        pacer.record_sent(1_000, time_at(5_000));
+        assert_eq!(pacer.opens_at(), time_at(5_001));
+        let mut unpaced = Pacer::new(None, time_at(0));
+        unpaced.record_sent(u32::MAX, time_at(0));
+        assert_eq!(unpaced.opens_at(), time_at(-2));
     }
 }

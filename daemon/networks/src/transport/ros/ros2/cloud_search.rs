@@ -60,24 +60,34 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     let remedy = "give the pipeline another name, or set ROS_NAMESPACE to a namespace of this robot";
     let expected = ros2_name(MessageInfo::DEFINITION.name);
     for topic in [&topics.request.info, &topics.response.info] {
-        if let Some(other) = node.endpoints_of(topic).iter().find(|endpoint| endpoint.type_name != expected) {
-            let of_node = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
+        if let Some(endpoint_of_other_type) =
+            node.endpoints_of(topic).iter().find(|endpoint| endpoint.type_name != expected)
+        {
+            let node_suffix = endpoint_of_other_type
+                .node
+                .as_ref()
+                .map(|name| format!(" for node {name}"))
+                .unwrap_or_default();
             return Err(NodeFailure(format!(
-                "topic {topic} has the message type {}{of_node} and would need {expected}; {remedy}",
-                other.type_name
+                "topic {topic} has the message type {}{node_suffix} and would need {expected}; {remedy}",
+                endpoint_of_other_type.type_name
             )));
         }
     }
     for topic in [&topics.request.info, &topics.request.payload] {
         let publishers = node.publishers_of(topic);
-        if let Some(other) =
+        if let Some(other_publisher) =
             publishers.iter().find(|endpoint| !is_local_participant(endpoint.id.participant()))
         {
-            let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
-            let publisher = match &other.node {
+            let host =
+                other_publisher.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
+            let publisher = match &other_publisher.node {
                 Some(name) => format!("node {name}"),
                 None => {
-                    format!("a program without a known node (participant {})", other.id.participant())
+                    format!(
+                        "a program without a known node (participant {})",
+                        other_publisher.id.participant()
+                    )
                 }
             };
             return Err(NodeFailure(format!(

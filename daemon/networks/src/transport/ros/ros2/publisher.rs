@@ -124,16 +124,16 @@ impl PublisherState {
         loop {
             let changed = self.queue_changed.notified();
             // `Err` if no message is queued: whether the queue is closed.
-            let next = {
+            let next_message = {
                 let mut queue = self.queue();
-                let next = queue.messages.pop_front();
-                queue.is_busy = next.is_some();
-                match next {
-                    Some(next) => Ok(next),
+                let next_message = queue.messages.pop_front();
+                queue.is_busy = next_message.is_some();
+                match next_message {
+                    Some(next_message) => Ok(next_message),
                     None => Err(queue.is_closed),
                 }
             };
-            match next {
+            match next_message {
                 Ok(message) => {
                     if let Err(failure) = self.publish_when_accepted(&message).await {
                         tracing::warn!(topic = self.topic, %failure, "stopped publishing a ROS 2 topic");

@@ -149,9 +149,10 @@ impl SubscriberTask {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
         let is_from_publisher = |endpoint: &&DiscoveredEndpoint| {
-            let wanted = self.publisher.as_deref();
+            let publisher_id = self.publisher.as_deref();
             endpoint.role == EndpointRole::Publisher
-                && wanted.is_none_or(|wanted| endpoint.id.participant().to_string() == wanted)
+                && publisher_id
+                    .is_none_or(|publisher_id| endpoint.id.participant().to_string() == publisher_id)
         };
         let endpoints = self.node.endpoints_of(&self.topic);
         let endpoints = endpoints.iter().filter(is_from_publisher);
