@@ -83,17 +83,20 @@ mod tests {
         let first = schedule.due().expect("not paused");
         assert!(first <= at(100), "the first comes soon: {first:?}");
         let mut last = first;
-        let mut seen = Vec::new();
+        let mut intervals = Vec::new();
         for _ in 0..2000 {
-            // Slightly late each time, as timers are.
+            // Each call comes slightly late, as timers do.
             schedule.advance(last + Span::from_millis(1));
             let due = schedule.due().expect("not paused");
-            seen.push((due - last).seconds());
+            intervals.push((due - last).seconds());
             last = due;
         }
-        assert!(seen.iter().all(|interval| (0.08..=0.12).contains(interval)));
-        assert!(seen.iter().any(|interval| *interval < 0.09) && seen.iter().any(|interval| *interval > 0.11));
-        let mean = (last - first).seconds() / seen.len() as f64;
+        assert!(intervals.iter().all(|interval| (0.08..=0.12).contains(interval)));
+        assert!(
+            intervals.iter().any(|interval| *interval < 0.09)
+                && intervals.iter().any(|interval| *interval > 0.11)
+        );
+        let mean = (last - first).seconds() / intervals.len() as f64;
         assert!((0.098..0.102).contains(&mean), "{mean}");
     }
 

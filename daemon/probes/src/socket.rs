@@ -221,22 +221,23 @@ fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime
     Some(clock.apply_faults(WallTime::from_unix_nanos(system)))
 }
 
-/// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and
-/// one after it was received. `None` if the clock was set in between, or there is no stamp.
+/// Sends a packet to this host. Returns whether the kernel's stamp of its arrival lies between two readings of the
+/// clock: one before the packet was sent, one after it was received. `None` if the clock was set in between, or the
+/// packet has no stamp.
 async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
     let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
     let socket = open_ip(loopback, GeneralTimestampMode::SoftwareRecv, false)?;
     let local = socket.local_addr();
     let epoch = clock.wall_epoch();
-    let before = clock.wall();
+    let time_before = clock.wall();
     poll_fn(|cx| socket.poll_send_to(&[0], local, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
-    let after = clock.wall();
+    let time_after = clock.wall();
     let stamp = accepted_stamp(clock, received.timestamp_data);
     let is_steady = clock.wall_epoch() == epoch;
     Ok(stamp
         .filter(|_| is_steady)
-        .map(|stamp| before - ORDER_TOLERANCE <= stamp && stamp <= after + ORDER_TOLERANCE))
+        .map(|stamp| time_before - ORDER_TOLERANCE <= stamp && stamp <= time_after + ORDER_TOLERANCE))
 }
 
 fn is_unsupported_option(error: &io::Error) -> bool {

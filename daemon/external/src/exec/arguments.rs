@@ -187,14 +187,14 @@ mod tests {
         assert_eq!(hide_arguments(plain), plain);
         let text = "name = 'line'\nsensor = { kind = 'exec', command = ['./light', '--token', 'hunter2'], timeout_ms = 5 }\n\
             actuator = { kind = 'exec', command = 'TOKEN=hunter3 ./act | tee log' }";
-        let hidden = hide_arguments(text);
-        assert!(!hidden.contains("hunter") && !hidden.contains("--token"), "{hidden}");
-        let table: Table = hidden.parse().expect("is TOML");
+        let shown_text = hide_arguments(text);
+        assert!(!shown_text.contains("hunter") && !shown_text.contains("--token"), "{shown_text}");
+        let table: Table = shown_text.parse().expect("is TOML");
         assert_eq!(table["sensor"]["command"]["program"].as_str(), Some("./light"));
         assert_eq!(table["sensor"]["command"]["arguments"].as_integer(), Some(2));
         assert_eq!(table["sensor"]["timeout_ms"].as_integer(), Some(5));
         assert_eq!(table["actuator"]["command"]["program"].as_str(), Some("sh"));
-        assert_eq!(hide_arguments(&hidden), hidden, "once is enough");
+        assert_eq!(hide_arguments(&shown_text), shown_text, "once is enough");
         assert!(!hide_arguments("command = hunter2").contains("hunter"));
     }
 
@@ -216,9 +216,9 @@ mod tests {
         let launch = words(&["./light", "--token", "hunter2"]);
         let pipeline = Pipeline { sensor: Kind::Service { launch: launch.clone(), then: vec![shell] } };
         let write = || toml::to_string(&pipeline).expect("TOML");
-        let hidden = write();
-        assert!(!hidden.contains("hunter"), "{hidden}");
-        let table: Table = hidden.parse().expect("TOML");
+        let shown_text = write();
+        assert!(!shown_text.contains("hunter"), "{shown_text}");
+        let table: Table = shown_text.parse().expect("TOML");
         let expected = |program: &str, arguments: i64| {
             Value::Table(Table::from_iter([
                 ("program".to_owned(), Value::String(program.to_owned())),
@@ -228,9 +228,9 @@ mod tests {
         assert_eq!(table["sensor"]["launch"], expected("./light", 2));
         assert_eq!(table["sensor"]["then"][0], expected("sh", 1));
 
-        let whole: Table = with_arguments(write).parse().expect("TOML");
-        assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch));
-        assert_eq!(write(), hidden, "only within the call");
+        let full_table: Table = with_arguments(write).parse().expect("TOML");
+        assert_eq!(full_table["sensor"]["launch"].clone().try_into(), Ok(launch));
+        assert_eq!(write(), shown_text, "only within the call");
     }
 
     #[test]

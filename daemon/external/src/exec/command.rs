@@ -153,8 +153,8 @@ impl ExecConfig {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
             return if path.is_file() { Ok(()) } else { Err(CommandError::NoFile(path)) };
         }
-        let found = find_program(OsStr::new(program)).map(drop);
-        found.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
+        let program_in_path = find_program(OsStr::new(program)).map(drop);
+        program_in_path.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
     }
 
     /// Returns the program and its arguments for the system call.

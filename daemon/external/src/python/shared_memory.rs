@@ -182,9 +182,9 @@ mod tests {
     fn excess_memory_is_returned_after_large_call() {
         let mut shared_memory = SharedMemory::new().expect("there is memory");
         shared_memory.write_parts(&[part(2 * MAX_KEPT_BYTES as usize)]).expect("there is memory");
-        let held = || shared_memory.file.metadata().expect("it is open").blocks() * 512;
-        assert!(held() >= 2 * MAX_KEPT_BYTES);
+        let allocated_bytes = || shared_memory.file.metadata().expect("it is open").blocks() * 512;
+        assert!(allocated_bytes() >= 2 * MAX_KEPT_BYTES);
         shared_memory.release_excess();
-        assert!(held() <= MAX_KEPT_BYTES);
+        assert!(allocated_bytes() <= MAX_KEPT_BYTES);
     }
 }

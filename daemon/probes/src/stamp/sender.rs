@@ -328,23 +328,23 @@ impl SenderState {
                 uncertainty::OTHER_IMPLEMENTATION
             },
         };
-        let answered = ExchangeObservation {
+        let observation = ExchangeObservation {
             exchange,
             cloud_elapsed: None,
             edge_epoch: arrival.epoch,
             cloud_epoch: reflector_times.epoch,
         };
-        probe.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(answered) });
+        probe.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(observation) });
         let refined = reflector_times.previous.and_then(|(sequence, departure)| {
             refine_departure(
                 &mut self.pending,
                 reply.request.sequence,
                 sequence,
                 departure,
-                answered.cloud_epoch,
+                observation.cloud_epoch,
             )
         });
-        Ok(ReplyResult { refined, answered: Some(answered) })
+        Ok(ReplyResult { refined, answered: Some(observation) })
     }
 
     /// Returns the times of the requested clock in a reply.
@@ -429,10 +429,10 @@ fn refine_departure(
 ) -> Option<ExchangeObservation> {
     let earlier_probes =
         pending.iter_mut().rev().filter(|probe| probe.departure.sequence != current_sequence);
-    let answered = earlier_probes
+    let answered_probe = earlier_probes
         .filter_map(|probe| probe.answer.as_mut())
-        .find(|answered| answered.sequence == sequence)?;
-    let observation = answered.observation.as_mut()?;
+        .find(|answered_probe| answered_probe.sequence == sequence)?;
+    let observation = answered_probe.observation.as_mut()?;
     let delay = departure - observation.exchange.replied;
     if delay <= Span::ZERO || delay > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
         return None;

@@ -159,9 +159,9 @@ mod tests {
 
     #[test]
     fn hostname_precedes_address() {
-        let both = [("ROS_IP", "10.0.0.1"), ("ROS_HOSTNAME", "robot")];
-        assert_eq!(environment(&both).unwrap().advertised_host.as_deref(), Some("robot"));
-        assert_eq!(environment(&both[..1]).unwrap().advertised_host.as_deref(), Some("10.0.0.1"));
+        let variables = [("ROS_IP", "10.0.0.1"), ("ROS_HOSTNAME", "robot")];
+        assert_eq!(environment(&variables).unwrap().advertised_host.as_deref(), Some("robot"));
+        assert_eq!(environment(&variables[..1]).unwrap().advertised_host.as_deref(), Some("10.0.0.1"));
     }
 
     #[test]

@@ -105,7 +105,7 @@ fn join(namespace: &str, name: &str) -> Result<String, NameError> {
         return Err(NameError::Character { name: name_text(), character });
     }
     let parts = namespace.split('/').chain(name.split('/')).filter(|part| !part.is_empty());
-    Ok(parts.fold(String::new(), |whole, part| whole + "/" + part))
+    Ok(parts.fold(String::new(), |name, part| name + "/" + part))
 }
 
 #[cfg(test)]

@@ -108,7 +108,7 @@ impl Registrations {
 
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
-        let with_status = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
+        let with_status = |wanted_status| self.entries.iter().find(|(_, status)| **status == wanted_status);
         // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the node.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);

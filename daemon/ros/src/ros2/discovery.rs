@@ -23,8 +23,8 @@ pub(super) enum DiscoveryEvent {
 /// State of the domain as one node sees it.
 #[derive(Debug)]
 pub(super) struct DiscoveryState {
-    /// Our participant.
-    own: ParticipantId,
+    /// Identity of our participant.
+    own_id: ParticipantId,
     /// Other participants.
     participants: BTreeSet<ParticipantId>,
     /// DDS names of the topic and of the type of every endpoint in the domain.
@@ -66,6 +66,7 @@ struct LocalEndpoint {
     role: EndpointRole,
     /// DDS name of the type.
     type_name: String,
+    /// Table of the peers, which discovery updates.
     peers: watch::Sender<PeerTable>,
 }
 
@@ -73,9 +74,9 @@ impl DiscoveryState {
     /// Longest name of a topic or type that is remembered. Names in DDS have at most 255 bytes. Bytes.
     const MAX_NAME_BYTES: usize = 1_024;
 
-    pub(super) fn new(own: ParticipantId) -> Self {
+    pub(super) fn new(own_id: ParticipantId) -> Self {
         Self {
-            own,
+            own_id,
             participants: BTreeSet::new(),
             endpoints: BTreeMap::new(),
             nodes: BTreeMap::new(),
@@ -139,7 +140,7 @@ impl DiscoveryState {
 
     /// Returns the absolute names of the ROS 2 topics of other participants.
     pub(super) fn topics(&self) -> Vec<String> {
-        let remote_endpoints = self.endpoints.iter().filter(|(id, _)| id.participant() != self.own);
+        let remote_endpoints = self.endpoints.iter().filter(|(id, _)| id.participant() != self.own_id);
         let names: BTreeSet<&str> = remote_endpoints
             .filter_map(|(_, (topic, _))| topic.strip_prefix("rt").filter(|name| name.starts_with('/')))
             .collect();
@@ -151,7 +152,7 @@ impl DiscoveryState {
         let topic_endpoints = self
             .endpoints
             .iter()
-            .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own);
+            .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own_id);
         let endpoints = topic_endpoints.filter_map(|(id, (_, type_name))| {
             let node = self.node_of(*id).map(str::to_owned);
             Some(DiscoveredEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name), node })
@@ -180,7 +181,7 @@ impl DiscoveryState {
     fn update_state(&mut self, event: DiscoveryEvent) {
         match event {
             DiscoveryEvent::ParticipantDiscovered(id) => {
-                if id == self.own || self.participants.contains(&id) {
+                if id == self.own_id || self.participants.contains(&id) {
                 } else if self.participants.len() < self.bounds.participants {
                     self.participants.insert(id);
                 } else {
@@ -243,7 +244,7 @@ impl DiscoveryState {
 
     /// Replaces the listed nodes of a participant.
     fn replace_nodes(&mut self, ListEntry { participant, nodes }: ListEntry) {
-        if participant == self.own {
+        if participant == self.own_id {
             return;
         }
         // A node takes memory even without endpoints.

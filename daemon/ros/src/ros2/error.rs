@@ -172,10 +172,11 @@ impl NoPeer {
         );
         if let Some((node, refusal)) = self.refused.first() {
             let other_count = self.refused.len() - 1;
-            let more = if other_count == 0 { String::new() } else { format!(" (and {other_count} more)") };
+            let remark_on_others =
+                if other_count == 0 { String::new() } else { format!(" (and {other_count} more)") };
             let of_node = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
             return format!(
-                "{tried}; a {peer}{of_node} exists, but {refusal}{more}; use the same settings at both ends"
+                "{tried}; a {peer}{of_node} exists, but {refusal}{remark_on_others}; use the same settings at both ends"
             );
         }
         let advice = advise(*domain_id, interfaces, *participants, &self.topics);

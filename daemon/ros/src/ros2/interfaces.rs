@@ -29,18 +29,18 @@ pub(super) fn find_interfaces(
     names: &[String],
     existing: &[(String, Ipv4Addr)],
 ) -> Result<Vec<(String, Ipv4Addr)>, UnknownInterface> {
-    let mut found: Vec<(String, Ipv4Addr)> = Vec::new();
+    let mut chosen: Vec<(String, Ipv4Addr)> = Vec::new();
     for wanted_name in names {
         let is_wanted = |(name, address): &&(String, Ipv4Addr)| {
             name == wanted_name || address.to_string() == *wanted_name
         };
-        let count_before = found.len();
-        found.extend(existing.iter().filter(is_wanted).cloned());
-        if found.len() == count_before {
+        let count_before = chosen.len();
+        chosen.extend(existing.iter().filter(is_wanted).cloned());
+        if chosen.len() == count_before {
             return Err(UnknownInterface { name: wanted_name.clone(), known: existing.to_vec() });
         }
     }
-    Ok(found)
+    Ok(chosen)
 }
 
 /// Returns the interfaces with an IPv4 address.

@@ -157,9 +157,9 @@ mod tests {
         let settings = resolve(Ros2Settings::default(), &all).expect("valid");
         assert_eq!((settings.domain_id, settings.identifier_length()), (Some(7), 24));
         assert_eq!(settings.interfaces, ["127.0.0.1"]);
-        let given =
+        let configured =
             Ros2Settings { domain_id: Some(3), interfaces: vec!["eth0".into()], ..Ros2Settings::default() };
-        let settings = resolve(given, &all).expect("valid");
+        let settings = resolve(configured, &all).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces), (Some(3), vec!["eth0".to_owned()]));
     }
 

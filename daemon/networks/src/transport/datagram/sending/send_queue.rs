@@ -54,8 +54,8 @@ impl SendQueue {
     /// the offset in the message at which these bytes end.
     pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
-        let (_, taken) = message.take(max_bytes, out);
-        self.bytes -= u64::from(taken);
+        let (_, fragment_bytes) = message.take(max_bytes, out);
+        self.bytes -= u64::from(fragment_bytes);
         let end = (message.sequence, message.offset);
         if message.is_done() {
             self.messages.pop_front();
