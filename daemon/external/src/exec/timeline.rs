@@ -89,7 +89,7 @@ mod tests {
 
     /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
     fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
-        after(None, reported)
+        stages_after_restart(None, reported)
     }
 
     /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
@@ -126,11 +126,15 @@ mod tests {
 
     #[test]
     fn only_reported_stages_count_after_restart() {
-        let reported = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
+        let reported =
+            stages_after_restart(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
         let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
         assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
-        assert_eq!(after(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
-        assert!(after(Some(90_000), &[("inference", 11_500)]).is_err(), "it replied within 10 ms");
+        assert_eq!(stages_after_restart(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
+        assert!(
+            stages_after_restart(Some(90_000), &[("inference", 11_500)]).is_err(),
+            "it replied within 10 ms"
+        );
     }
 
     #[test]

@@ -160,7 +160,7 @@ fn memory_and_messages_are_bounded() {
     let small = [7; 20];
     for sequence in 100..200 {
         reassembly.receive(&fragments(sequence, &small, 10)[0], time_at(0));
-        assert!(reassembly.unfinished <= LIMITS.max_unfinished_messages);
+        assert!(reassembly.unfinished_count <= LIMITS.max_unfinished_messages);
     }
     let oversized =
         Fragment { sequence: 200, total: LIMITS.max_message_bytes + 1, ..fragments(0, &bytes, 1_000)[0] };
