@@ -33,8 +33,8 @@ fn main() {
     let folder = tempfile::tempdir().expect("there is room for a folder");
     let (source, program) = (folder.path().join("echo.c"), folder.path().join("echo"));
     fs::write(&source, ECHO).expect("it can be written");
-    let built = Command::new("cc").arg("-O2").arg("-o").arg(&program).arg(&source).status();
-    assert!(built.expect("a C compiler is there").success());
+    let compilation = Command::new("cc").arg("-O2").arg("-o").arg(&program).arg(&source).status();
+    assert!(compilation.expect("a C compiler is there").success());
     let config = ExecConfig::new(CommandLine::Words(vec![program.display().to_string()]));
 
     let rows = SIZES.map(|size| (size, call(&config, size, rounds)));
@@ -56,7 +56,7 @@ fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
     let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("bench", ClockIdentity::SYSTEM)));
     let mut program = Program::start(config, Role::Model, "bench", &clock).expect("it starts");
     let sample = Sample::from_part(Description::bytes(), vec![7; size].into());
-    let mut taken: Vec<f64> = (0..rounds + rounds / 10)
+    let mut durations: Vec<f64> = (0..rounds + rounds / 10)
         .map(|_| {
             let program_call = program.call(Request::Sample(&sample)).expect("it answers");
             assert!(matches!(&program_call.outcome, ReplyOutcome::Parts(parts) if *parts == sample.parts));
@@ -64,6 +64,6 @@ fn call(config: &ExecConfig, size: usize, rounds: usize) -> [f64; 2] {
         })
         .skip(rounds / 10)
         .collect();
-    taken.sort_unstable_by(f64::total_cmp);
-    [0.5, 0.99].map(|p| taken[((taken.len() - 1) as f64 * p).round() as usize])
+    durations.sort_unstable_by(f64::total_cmp);
+    [0.5, 0.99].map(|p| durations[((durations.len() - 1) as f64 * p).round() as usize])
 }

@@ -16,7 +16,7 @@ use peernet_sample::{Description, ElementType, MediaType, Part};
 
 const SIZES: [usize; 3] = [1_000, 150_000, 1_200_000];
 const ECHO: &str = "class Echo:\n    def infer(self, x): return x\n";
-const PATIENCE: Span = Span::from_seconds(60);
+const TIMEOUT: Span = Span::from_seconds(60);
 
 #[expect(clippy::print_stdout, reason = "a benchmark prints its table")]
 fn main() {
@@ -59,17 +59,18 @@ fn echo(part: &Part, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     config.folder = Some(folder.path().to_owned());
     let mut object = PythonObject::start(&config, Role::Model, "bench", None, clock).expect("it starts");
     let parts = std::slice::from_ref(part);
-    let mut taken = Vec::with_capacity(rounds);
+    let mut durations = Vec::with_capacity(rounds);
     for round in 0..rounds + rounds / 10 {
-        let called = object.call(parts);
-        assert_eq!(called.result.expect("it answers").as_deref(), Some(parts));
+        let object_call = object.call(parts);
+        assert_eq!(object_call.result.expect("it answers").as_deref(), Some(parts));
         if round >= rounds / 10 {
-            taken.push(called.times.overhead().seconds());
+            durations.push(object_call.times.overhead().seconds());
         }
     }
-    quantiles(taken)
+    quantiles(durations)
 }
 
+/// Measures the time to write to `cat` and read the same bytes back; returns its p50 and p99 in seconds.
 fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
     let launch = Launch {
         name: "cat".to_owned(),
@@ -81,21 +82,21 @@ fn cat(content: &Bytes, rounds: usize, clock: &SharedClock) -> [f64; 2] {
         inherited_file: None,
     };
     let mut process = Process::start(&launch, clock).expect("cat is there");
-    let mut taken = Vec::with_capacity(rounds);
+    let mut durations = Vec::with_capacity(rounds);
     for round in 0..rounds + rounds / 10 {
         let started_at = clock.mono();
-        process.write(&[content], started_at + PATIENCE).expect("it reads");
-        let back = process.read_exact(content.len(), started_at + PATIENCE).expect("it writes");
+        process.write(&[content], started_at + TIMEOUT).expect("it reads");
+        let echoed_bytes = process.read_exact(content.len(), started_at + TIMEOUT).expect("it writes");
         let span = clock.mono() - started_at;
-        assert_eq!(back.len(), content.len());
+        assert_eq!(echoed_bytes.len(), content.len());
         if round >= rounds / 10 {
-            taken.push(span.seconds());
+            durations.push(span.seconds());
         }
     }
-    quantiles(taken)
+    quantiles(durations)
 }
 
-fn quantiles(mut taken: Vec<f64>) -> [f64; 2] {
-    taken.sort_by(f64::total_cmp);
-    [0.5, 0.99].map(|share| taken[((taken.len() - 1) as f64 * share) as usize])
+fn quantiles(mut durations: Vec<f64>) -> [f64; 2] {
+    durations.sort_by(f64::total_cmp);
+    [0.5, 0.99].map(|share| durations[((durations.len() - 1) as f64 * share) as usize])
 }

@@ -12,15 +12,15 @@ use peernet_sample::printable_line;
 /// Size of the largest file of users' code that is hashed, bytes (256 MiB).
 const MAX_HASHED_BYTES: u64 = 256 << 20;
 
-/// Returns the SHA-256 (FIPS 180-4) of everything that `from` yields, in hexadecimal.
+/// Returns the SHA-256 (FIPS 180-4) of everything that `reader` yields, in hexadecimal.
 ///
 /// # Errors
 /// If reading fails.
-pub fn sha256(mut from: impl Read) -> io::Result<String> {
+pub fn sha256(mut reader: impl Read) -> io::Result<String> {
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 16];
     loop {
-        match from.read(&mut buffer) {
+        match reader.read(&mut buffer) {
             Ok(0) => break,
             Ok(count) => hasher.update(&buffer[..count]),
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
@@ -33,8 +33,8 @@ pub fn sha256(mut from: impl Read) -> io::Result<String> {
 /// Returns the name and value of a run's fact about files (`Sensor files`, `camera.py SHA-256 …`); `None` without
 /// files.
 pub(crate) fn files_fact(role: &str, files: &[PathBuf]) -> Option<(String, String)> {
-    let words: Vec<String> = files.iter().map(|file| describe_with_hash(file)).collect();
-    (!words.is_empty()).then(|| (format!("{role} files"), words.join(", ")))
+    let descriptions: Vec<String> = files.iter().map(|file| describe_with_hash(file)).collect();
+    (!descriptions.is_empty()).then(|| (format!("{role} files"), descriptions.join(", ")))
 }
 
 /// Returns a file's name with its hash (`camera.py SHA-256 …`) or with the reason that it has none.
@@ -42,11 +42,12 @@ pub fn describe_with_hash(file: &Path) -> String {
     let name = file.display().to_string();
     let name = printable_line(&name);
     match hash_file(file) {
-        Ok(words) => format!("{name} {words}"),
+        Ok(hash) => format!("{name} {hash}"),
         Err(error) => format!("{name} (cannot be read: {error})"),
     }
 }
 
+/// Returns `SHA-256 …`, or the size of a file that is too large to be hashed.
 fn hash_file(file: &Path) -> io::Result<String> {
     // The type is checked before opening, because opening a device may have effects, and after it, because the file
     // may have been replaced.
@@ -62,7 +63,7 @@ fn hash_file(file: &Path) -> io::Result<String> {
     if length > MAX_HASHED_BYTES {
         return Ok(format!("of {length} bytes, not hashed"));
     }
-    // No more than the length is read, because files of the kernel have length 0 and reading them may block for ever.
+    // At most `length` bytes are read: a file in /proc has length 0, and reading it may block forever.
     sha256(opened.take(length)).map(|hash| format!("SHA-256 {hash}"))
 }
 
@@ -101,14 +102,14 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let pipe = folder.path().join("pipe");
         rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, Mode::RWXU).expect("can be made");
-        let refused = format!("{} (cannot be read: it is not a regular file)", pipe.display());
-        assert_eq!(describe_with_hash(&pipe), refused);
+        let expected = format!("{} (cannot be read: it is not a regular file)", pipe.display());
+        assert_eq!(describe_with_hash(&pipe), expected);
         // The length of this file is 0 although it has contents. Reading the kernel's messages would wait for the
         // next one.
-        let nothing = sha256(io::empty()).expect("reads");
+        let empty_hash = sha256(io::empty()).expect("reads");
         let description = describe_with_hash(Path::new("/proc/self/status"));
-        assert_eq!(description, format!("/proc/self/status SHA-256 {nothing}"));
+        assert_eq!(description, format!("/proc/self/status SHA-256 {empty_hash}"));
         let messages = describe_with_hash(Path::new("/proc/kmsg"));
-        assert!(messages.ends_with(&nothing) || messages.contains("cannot be read"), "{messages}");
+        assert!(messages.ends_with(&empty_hash) || messages.contains("cannot be read"), "{messages}");
     }
 }

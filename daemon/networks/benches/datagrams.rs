@@ -32,25 +32,25 @@ fn clock() -> SharedClock {
 }
 
 fn main() -> BenchResult<()> {
-    let (mut sizes, mut rounds, mut datagram) = (vec![1_000, 150_000, 1_200_000], 20, 1_200_usize);
+    let (mut sizes, mut rounds, mut datagram_bytes) = (vec![1_000, 150_000, 1_200_000], 20, 1_200_usize);
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         let mut value = || arguments.next().ok_or_else(|| format!("{argument} needs a value"));
         match argument.as_str() {
             "--sizes" => sizes = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?,
             "--rounds" => rounds = value()?.parse()?,
-            "--datagram" => datagram = value()?.parse()?,
+            "--datagram" => datagram_bytes = value()?.parse()?,
             // Cargo passes this argument to every benchmark.
             "--bench" => {}
             other => return Err(format!("unknown argument {other}").into()),
         }
     }
-    let settings = SessionSettings { datagram_bytes: datagram as u64, ..SessionSettings::default() };
-    let bare = BareUdp::start(datagram)?;
+    let settings = SessionSettings { datagram_bytes: datagram_bytes as u64, ..SessionSettings::default() };
+    let bare = BareUdp::start(datagram_bytes)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let address = runtime.block_on(serve(settings.clone()))?;
     let session = runtime.block_on(async { tokio::spawn(open(address, settings)).await })??;
-    println!("datagrams of {datagram} bytes, answers of {ANSWER_BYTES} bytes, two threads");
+    println!("datagrams of {datagram_bytes} bytes, answers of {ANSWER_BYTES} bytes, two threads");
     println!(
         "{:>9} | {:>9} {:>9} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
         "bytes", "UDP p50", "p99", "p50", "p99", "UDP/s", "/s", "ratio"
@@ -60,13 +60,13 @@ fn main() -> BenchResult<()> {
         let trips = (20_000_000 / (size + 20_000)).clamp(20, 500);
         let (mut bare_times, mut session_times) = (Vec::new(), Vec::new());
         for round in 0..=rounds {
-            let a = bare.round(size, trips)?;
+            let bare_round = bare.round(size, trips)?;
             let task = round_session(session.clone(), payload.clone(), trips);
-            let b = runtime.block_on(async { tokio::spawn(task).await })??;
+            let session_round = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
-                bare_times.extend(a);
-                session_times.extend(b);
+                bare_times.extend(bare_round);
+                session_times.extend(session_round);
             }
         }
         report(size, &mut bare_times, &mut session_times);
@@ -77,18 +77,18 @@ fn main() -> BenchResult<()> {
 }
 
 fn report(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
-    let at = |spans: &mut [Span], q: f64| {
+    let quantile_micros = |spans: &mut [Span], quantile: f64| {
         spans.sort_unstable();
-        spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
+        spans[((spans.len() - 1) as f64 * quantile) as usize].seconds() * 1e6
     };
     let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
     let (bare_rate, session_rate) = (rate(bare_times), rate(session_times));
     println!(
         "{size:>9} | {:>9.1} {:>9.1} | {:>9.1} {:>9.1} | {bare_rate:>8.0} {session_rate:>8.0} {:>6.2}",
-        at(bare_times, 0.5),
-        at(bare_times, 0.99),
-        at(session_times, 0.5),
-        at(session_times, 0.99),
+        quantile_micros(bare_times, 0.5),
+        quantile_micros(bare_times, 0.99),
+        quantile_micros(session_times, 0.5),
+        quantile_micros(session_times, 0.99),
         session_rate / bare_rate,
     );
 }
@@ -96,11 +96,11 @@ fn report(size: usize, bare_times: &mut [Span], session_times: &mut [Span]) {
 /// Round trips over bare UDP: the first four bytes of each datagram are the number of datagrams of its message.
 struct BareUdp {
     socket: UdpSocket,
-    datagram: usize,
+    datagram_bytes: usize,
 }
 
 impl BareUdp {
-    fn start(datagram: usize) -> BenchResult<Self> {
+    fn start(datagram_bytes: usize) -> BenchResult<Self> {
         let server = Self::socket()?;
         let address: SocketAddr = server.local_addr()?;
         std::thread::spawn(move || -> BenchResult<()> {
@@ -119,7 +119,7 @@ impl BareUdp {
         let socket = Self::socket()?;
         socket.connect(address)?;
         socket.set_read_timeout(Some(Duration::from_secs(5)))?;
-        Ok(Self { socket, datagram })
+        Ok(Self { socket, datagram_bytes })
     }
 
     fn socket() -> BenchResult<UdpSocket> {
@@ -131,27 +131,27 @@ impl BareUdp {
 
     fn round(&self, size: usize, trips: usize) -> BenchResult<Vec<Span>> {
         let clock = clock();
-        let mut buffer = vec![7; self.datagram];
-        let count = size.div_ceil(self.datagram).max(1);
+        let mut buffer = vec![7; self.datagram_bytes];
+        let count = size.div_ceil(self.datagram_bytes).max(1);
         buffer[..4].copy_from_slice(&(count as u32).to_le_bytes());
         let mut answer = [0; ANSWER_BYTES];
         (0..trips)
             .map(|_| {
-                let start = clock.mono();
-                for n in 0..count {
-                    let length = (size - n * self.datagram).clamp(4, self.datagram);
+                let started_at = clock.mono();
+                for index in 0..count {
+                    let length = (size - index * self.datagram_bytes).clamp(4, self.datagram_bytes);
                     self.socket.send(&buffer[..length])?;
                 }
                 self.socket.recv(&mut answer)?;
-                Ok(clock.mono() - start)
+                Ok(clock.mono() - started_at)
             })
             .collect()
     }
 }
 
 async fn serve(settings: SessionSettings) -> BenchResult<Address> {
-    let (host, any) = (HostId::random(), "udp://127.0.0.1:0".parse()?);
-    let mut listener = Listener::bind(&any, settings, host, clock()).await?;
+    let (host, any_port) = (HostId::random(), "udp://127.0.0.1:0".parse()?);
+    let mut listener = Listener::bind(&any_port, settings, host, clock()).await?;
     let address = listener.address().clone();
     tokio::spawn(async move {
         while let Some(incoming) = listener.next().await {
@@ -204,12 +204,12 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
     let mut spans = Vec::new();
     for _ in 0..trips {
         let sample = Sample::from_part(Description::bytes(), payload.clone());
-        let start = clock.mono();
+        let started_at = clock.mono();
         let recorder = Recorder::new(clock.clone(), host);
         let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
         // A lost request has no round trip; the statistics at the end count it.
         if exchange.result.is_ok() {
-            spans.push(clock.mono() - start);
+            spans.push(clock.mono() - started_at);
         }
     }
     Ok(spans)

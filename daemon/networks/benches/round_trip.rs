@@ -26,9 +26,11 @@ use peernet_stream::Hardware;
 
 type BenchResult<T> = Result<T, Box<dyn Error + Send + Sync>>;
 
+/// The arguments of the benchmark.
 #[derive(Clone, Debug)]
 struct Plan {
     sizes: Vec<usize>,
+    /// Length of an answer; `None` for the length of the payload. Bytes.
     answer: Option<usize>,
     rounds: usize,
     multi_thread: bool,
@@ -39,14 +41,14 @@ struct Plan {
 fn main() -> BenchResult<()> {
     let plan = Plan::from_arguments()?;
     if plan.cloud {
-        let (bare, session) = start_cloud(&plan)?;
-        println!("{bare} {session}");
+        let (bare_address, session_address) = start_cloud(&plan)?;
+        println!("{bare_address} {session_address}");
         // The edge ends this process by closing its standard input.
         std::io::stdin().read_to_end(&mut Vec::new())?;
         return Ok(());
     }
     let mut child = None;
-    let (bare, session) = if plan.processes {
+    let (bare_address, session_address) = if plan.processes {
         let arguments = std::env::args().skip(1).chain(["--cloud".to_owned()]);
         let process = Command::new(std::env::current_exe()?)
             .args(arguments)
@@ -56,12 +58,12 @@ fn main() -> BenchResult<()> {
         let process = child.insert(process);
         let mut line = String::new();
         BufReader::new(process.stdout.take().ok_or("no stdout")?).read_line(&mut line)?;
-        let (bare, session) = line.trim().split_once(' ').ok_or("the cloud did not start")?;
-        (bare.to_owned(), session.parse::<Address>()?)
+        let (bare_address, session_address) = line.trim().split_once(' ').ok_or("the cloud did not start")?;
+        (bare_address.to_owned(), session_address.parse::<Address>()?)
     } else {
         start_cloud(&plan)?
     };
-    edge(&plan, &bare, &session)?;
+    edge(&plan, &bare_address, &session_address)?;
     if let Some(mut process) = child {
         drop(process.stdin.take());
         process.wait()?;
@@ -123,7 +125,7 @@ fn clock() -> SharedClock {
 /// Starts the servers of both contenders. Returns their addresses.
 fn start_cloud(plan: &Plan) -> BenchResult<(String, Address)> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
-    let bare = listener.local_addr()?.to_string();
+    let bare_address = listener.local_addr()?.to_string();
     std::thread::spawn(move || {
         for stream in listener.incoming() {
             // The edge closes the connection when it is done.
@@ -134,10 +136,11 @@ fn start_cloud(plan: &Plan) -> BenchResult<(String, Address)> {
     let plan = plan.clone();
     std::thread::spawn(move || -> BenchResult<()> {
         let runtime = plan.runtime()?;
-        // In a task, as in an agent: the main future of a multi-thread runtime does not run on a worker thread.
+        // The server runs in a task, as in an agent: the main future of a multi-thread runtime does not run on a worker
+        // thread.
         runtime.block_on(async { tokio::spawn(serve_session(plan, address_sender)).await })?
     });
-    Ok((bare, address_receiver.recv()?))
+    Ok((bare_address, address_receiver.recv()?))
 }
 
 /// Serves `size u64 | answer u64 | payload` with `arrival stamp i64 | answer`.
@@ -145,28 +148,28 @@ fn serve_bare(mut stream: TcpStream) -> BenchResult<()> {
     let clock = clock();
     stream.set_nodelay(true)?;
     let mut payload = Vec::new();
-    let mut head = [0; 16];
+    let mut header = [0; 16];
     loop {
-        stream.read_exact(&mut head)?;
-        let (size, answer) = (word(&head[..8]) as usize, word(&head[8..]) as usize);
+        stream.read_exact(&mut header)?;
+        let (size, answer) = (read_u64(&header[..8]) as usize, read_u64(&header[8..]) as usize);
         payload.resize(size, 0);
         stream.read_exact(&mut payload)?;
-        let arrived = clock.wall().unix_nanos();
+        let arrival_nanos = clock.wall().unix_nanos();
         payload.resize(size.max(answer), 0);
-        let mut reply = arrived.to_le_bytes().to_vec();
+        let mut reply = arrival_nanos.to_le_bytes().to_vec();
         reply.extend_from_slice(&payload[..answer]);
         stream.write_all(&reply)?;
     }
 }
 
-fn word(bytes: &[u8]) -> u64 {
+fn read_u64(bytes: &[u8]) -> u64 {
     bytes.try_into().map_or(0, u64::from_le_bytes)
 }
 
 async fn serve_session(plan: Plan, address_sender: std::sync::mpsc::SyncSender<Address>) -> BenchResult<()> {
     let (host, clock) = (HostId::random(), clock());
-    let any = "tcp://127.0.0.1:0".parse()?;
-    let mut listener = Listener::bind(&any, SessionSettings::default(), host, clock.clone()).await?;
+    let any_port = "tcp://127.0.0.1:0".parse()?;
+    let mut listener = Listener::bind(&any_port, SessionSettings::default(), host, clock.clone()).await?;
     address_sender.send(listener.address().clone())?;
     while let Some(incoming) = listener.next().await {
         match incoming {
@@ -213,9 +216,9 @@ impl ContenderTimes {
     }
 }
 
-fn edge(plan: &Plan, bare: &str, address: &Address) -> BenchResult<()> {
+fn edge(plan: &Plan, bare_address: &str, address: &Address) -> BenchResult<()> {
     let runtime = plan.runtime()?;
-    let mut stream = TcpStream::connect(bare)?;
+    let mut stream = TcpStream::connect(bare_address)?;
     stream.set_nodelay(true)?;
     let hello = SessionHello {
         versions: SESSION_VERSIONS,
@@ -244,16 +247,16 @@ fn edge(plan: &Plan, bare: &str, address: &Address) -> BenchResult<()> {
         let trips = (20_000_000 / (size + 20_000)).clamp(30, 500);
         let (mut tcp_times, mut session_times) = (ContenderTimes::default(), ContenderTimes::default());
         for round in 0..=plan.rounds {
-            let mut a = ContenderTimes::default();
-            round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut a)?;
+            let mut bare_round = ContenderTimes::default();
+            round_bare(&mut stream, &payload, plan.answer_bytes(size), trips, &mut bare_round)?;
             let task = round_session(session.clone(), payload.clone(), trips);
-            let mut b = runtime.block_on(async { tokio::spawn(task).await })??;
+            let mut session_round = runtime.block_on(async { tokio::spawn(task).await })??;
             // The first round only warms up both contenders.
             if round > 0 {
-                tcp_times.trips.append(&mut a.trips);
-                tcp_times.uploads.append(&mut a.uploads);
-                session_times.trips.append(&mut b.trips);
-                session_times.uploads.append(&mut b.uploads);
+                tcp_times.trips.append(&mut bare_round.trips);
+                tcp_times.uploads.append(&mut bare_round.uploads);
+                session_times.trips.append(&mut session_round.trips);
+                session_times.uploads.append(&mut session_round.uploads);
             }
         }
         report(size, &mut tcp_times, &mut session_times);
@@ -279,8 +282,8 @@ fn round_bare(
         let start = clock.stamp();
         stream.write_all(&message)?;
         stream.read_exact(&mut reply)?;
-        let arrived = word(&reply[..8]) as i64;
-        let upload = Span::from_nanos(arrived - start.wall.unix_nanos());
+        let arrival_nanos = read_u64(&reply[..8]) as i64;
+        let upload = Span::from_nanos(arrival_nanos - start.wall.unix_nanos());
         times.add(clock.mono() - start.mono, upload);
     }
     Ok(())
@@ -295,8 +298,10 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
         let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
         exchange.result?;
-        let upload =
-            exchange.upload.and_then(|up| exchange.recorder.tree().get(up)).map(|node| &node.measure);
+        let upload = exchange
+            .upload
+            .and_then(|upload_id| exchange.recorder.tree().get(upload_id))
+            .map(|node| &node.measure);
         let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
         let upload = upload.received.ok_or("upload did not end")? - upload.sent;
         times.add(trip, upload);
@@ -305,19 +310,20 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
 }
 
 fn report(size: usize, tcp_times: &mut ContenderTimes, session_times: &mut ContenderTimes) {
-    let at = |spans: &mut Vec<Span>, q: f64| {
+    let quantile_micros = |spans: &mut Vec<Span>, quantile: f64| {
         spans.sort_unstable();
-        spans[((spans.len() - 1) as f64 * q) as usize].seconds() * 1e6
+        spans[((spans.len() - 1) as f64 * quantile) as usize].seconds() * 1e6
     };
     let rate = |spans: &[Span]| spans.len() as f64 / spans.iter().copied().sum::<Span>().seconds();
     let (tcp_rate, session_rate) = (rate(&tcp_times.trips), rate(&session_times.trips));
-    let (tcp_upload, session_upload) = (at(&mut tcp_times.uploads, 0.5), at(&mut session_times.uploads, 0.5));
+    let (tcp_upload, session_upload) =
+        (quantile_micros(&mut tcp_times.uploads, 0.5), quantile_micros(&mut session_times.uploads, 0.5));
     println!(
         "{size:>9} | {:>8.1} {:>8.1} {:>8.1} {:>8.1} | {tcp_rate:>7.0} {session_rate:>7.0} {:>6.2} | {tcp_upload:>7.1} {session_upload:>7.1} {:>6.2}",
-        at(&mut tcp_times.trips, 0.5),
-        at(&mut tcp_times.trips, 0.99),
-        at(&mut session_times.trips, 0.5),
-        at(&mut session_times.trips, 0.99),
+        quantile_micros(&mut tcp_times.trips, 0.5),
+        quantile_micros(&mut tcp_times.trips, 0.99),
+        quantile_micros(&mut session_times.trips, 0.5),
+        quantile_micros(&mut session_times.trips, 0.99),
         session_rate / tcp_rate,
         session_upload / tcp_upload,
     );

@@ -1,7 +1,8 @@
 //! An edge and a cloud of `zmq-udp` with a relay of another project between them, for the test with libzmq
 //! (`tests/interop/zmq-udp`). Fails unless every request is answered byte for byte or recorded as lost.
 //!
-//! Usage: `zmq_udp_peer RELAY`, a program that gets the cloud's address and prints its own.
+//! Usage: `zmq_udp_peer RELAY`. The relay is a program that gets the cloud's address as its argument and prints its
+//! own address.
 #![expect(clippy::print_stdout, reason = "a test program prints its results")]
 
 use std::error::Error;
@@ -41,7 +42,7 @@ impl Relay {
 
 impl Drop for Relay {
     fn drop(&mut self) {
-        // Killing fails if it has already exited.
+        // Killing fails if the relay has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -67,15 +68,15 @@ async fn serve(mut listener: Listener, accepted: SessionAccepted) {
     }
 }
 
-/// Sends requests of one size. Returns the numbers of answered and of lost ones.
+/// Sends requests of one size. Returns the numbers of answered and of lost requests.
 async fn exchange(session: &Session, size: usize, count: usize) -> Result<(usize, usize), Box<dyn Error>> {
     let (mut answered, mut lost) = (0, 0);
     for number in 0..count {
-        let bytes: Vec<u8> = (0..size).map(|at| ((at * 7 + number) % 256) as u8).collect();
-        let sent = Sample::from_part(Description::bytes(), bytes.into());
+        let bytes: Vec<u8> = (0..size).map(|index| ((index * 7 + number) % 256) as u8).collect();
+        let request = Sample::from_part(Description::bytes(), bytes.into());
         let recorder = Recorder::new(clock(), HostId::random());
-        match session.request(recorder, &sent, TIMEOUT).await.result {
-            Ok(answer) if answer == sent => answered += 1,
+        match session.request(recorder, &request, TIMEOUT).await.result {
+            Ok(answer) if answer == request => answered += 1,
             Ok(_) => return Err(format!("an answer of {size} bytes differs").into()),
             Err(RequestError::Lost(_)) => lost += 1,
             Err(error) => return Err(error.into()),

@@ -19,7 +19,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 /// closed.
 const PORT_OVERHEAD: u64 = 18;
 
-/// A port that accepts connections, as a receiver of a share of the descriptors.
+/// Kind of port that gets a share of the descriptors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DescriptorShare {
     /// Port to which agents connect and send events.
@@ -96,10 +96,10 @@ mod tests {
 
     #[test]
     fn several_data_ports_take_one_share() {
-        let of_each = |ports| {
+        let max_connections = |ports| {
             let ports = NonZeroUsize::new(ports).expect("above 0");
             DescriptorShare::DataPort.max_connections_under(Some(1_024), ports)
         };
-        assert_eq!([1, 2, 4, 100].map(of_each), [302, 142, 62, 1]);
+        assert_eq!([1, 2, 4, 100].map(max_connections), [302, 142, 62, 1]);
     }
 }

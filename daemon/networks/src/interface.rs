@@ -32,7 +32,7 @@ const TUNNELS: [u32; 5] = [
 /// If the system cannot list its interfaces.
 pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<NetworkInterface>> {
     let (local, remote) = (addresses.local.ip().to_canonical(), addresses.remote.ip().to_canonical());
-    let mut by_address = None;
+    let mut name_by_address = None;
     let mut loopback = None;
     let mut is_local = remote.is_loopback();
     for entry in getifaddrs()? {
@@ -42,12 +42,12 @@ pub fn outgoing_interface(addresses: &ConnectionAddresses) -> io::Result<Option<
         let Some(address) = entry.address.as_ref().and_then(to_ip) else { continue };
         is_local |= address == remote;
         if address == local {
-            by_address.get_or_insert(entry.interface_name);
+            name_by_address.get_or_insert(entry.interface_name);
         }
     }
     // Linux sends packets to one of the host's own addresses over the loopback interface, whichever interface has the
     // address.
-    let name = if is_local { loopback } else { by_address };
+    let name = if is_local { loopback } else { name_by_address };
     Ok(name.map(|name| describe_interface(Path::new(SYSFS), name)))
 }
 
@@ -84,13 +84,13 @@ mod tests {
 
     #[test]
     fn loopback_connection_leaves_by_loopback() {
-        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
+        let address_from = |text: &str| text.parse::<SocketAddr>().expect("an address");
         for (local, remote) in [
             ("127.0.0.1:40000", "127.0.0.1:5551"),
             ("127.0.0.1:40000", "127.0.0.2:5551"),
             ("[::ffff:127.0.0.1]:40000", "[::ffff:127.0.0.1]:5551"),
         ] {
-            let addresses = ConnectionAddresses { local: at(local), remote: at(remote) };
+            let addresses = ConnectionAddresses { local: address_from(local), remote: address_from(remote) };
             let interface = outgoing_interface(&addresses).expect("interfaces are listed").expect(local);
             assert_eq!(
                 (interface.name.as_str(), interface.kind.as_deref()),
@@ -103,9 +103,12 @@ mod tests {
 
     #[test]
     fn address_of_no_interface_has_none() {
-        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
+        let address_from = |text: &str| text.parse::<SocketAddr>().expect("an address");
         // TEST-NET-1 and TEST-NET-2 (RFC 5737).
-        let addresses = ConnectionAddresses { local: at("192.0.2.1:1"), remote: at("198.51.100.1:2") };
+        let addresses = ConnectionAddresses {
+            local: address_from("192.0.2.1:1"),
+            remote: address_from("198.51.100.1:2"),
+        };
         assert_eq!(outgoing_interface(&addresses).expect("interfaces are listed"), None);
     }
 
@@ -116,8 +119,8 @@ mod tests {
         if socket.connect("192.0.2.1:9").is_err() {
             return;
         }
-        let own = socket.local_addr().expect("connected");
-        let interface = outgoing_interface(&ConnectionAddresses { local: own, remote: own });
+        let own_address = socket.local_addr().expect("connected");
+        let interface = outgoing_interface(&ConnectionAddresses { local: own_address, remote: own_address });
         let interface = interface.expect("interfaces are listed").expect("the address is of this host");
         assert_eq!(interface.name, "lo");
     }
@@ -140,7 +143,7 @@ mod tests {
                 NetworkInterface { name: name.into(), kind: Some(kind.into()), mtu_bytes: Some(1_280) };
             assert_eq!(describe_interface(sysfs.path(), name.into()), expected);
         }
-        let gone = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
-        assert_eq!(describe_interface(sysfs.path(), "usb0".into()), gone);
+        let missing_interface = NetworkInterface { name: "usb0".into(), kind: None, mtu_bytes: None };
+        assert_eq!(describe_interface(sysfs.path(), "usb0".into()), missing_interface);
     }
 }

@@ -53,7 +53,7 @@ pub struct SessionSettings {
     /// request of any size is accepted.
     pub max_in_flight_bytes: u64,
     /// Largest number of bytes of unfinished messages of all sessions of a listener. A connection whose message would
-    /// exceed it is closed. While no other message is unfinished, a message of any allowed size is accepted. A
+    /// exceed this limit is closed. While no other message is unfinished, a message of any allowed size is accepted. A
     /// connection without a session may have 64 KiB of unfinished messages.
     pub max_unfinished_bytes: u64,
     /// Largest number of sessions of a listener. One host may hold at most half of the sessions that others leave free.

@@ -16,9 +16,9 @@ pub(crate) struct Counters {
     sent_bytes: AtomicU64,
     received_messages: AtomicU64,
     received_bytes: AtomicU64,
-    malformed: AtomicU64,
-    late: AtomicU64,
-    lost: AtomicU64,
+    malformed_messages: AtomicU64,
+    late_messages: AtomicU64,
+    lost_messages: AtomicU64,
 }
 
 /// Statistics that only the transport knows. Totals since the connection was opened. A value that the transport does
@@ -61,15 +61,15 @@ impl Counters {
     }
 
     pub(crate) fn count_malformed(&self) {
-        self.malformed.fetch_add(1, Ordering::Relaxed);
+        self.malformed_messages.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn count_late(&self) {
-        self.late.fetch_add(1, Ordering::Relaxed);
+        self.late_messages.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn count_lost(&self, count: u64) {
-        self.lost.fetch_add(count, Ordering::Relaxed);
+        self.lost_messages.fetch_add(count, Ordering::Relaxed);
     }
 
     /// Returns the totals together with the totals of the transport.
@@ -82,9 +82,9 @@ impl Counters {
                 read(&self.received_bytes),
                 transport.received,
             ),
-            malformed_messages: read(&self.malformed),
-            late_messages: read(&self.late),
-            lost_messages: read(&self.lost),
+            malformed_messages: read(&self.malformed_messages),
+            late_messages: read(&self.late_messages),
+            lost_messages: read(&self.lost_messages),
             round_trip: transport.round_trip,
         }
     }

@@ -34,22 +34,22 @@ fn main() {
         ("kernel's, authenticated", StampSource::Kernel, true),
     ] {
         let key = key.then(|| Key::from_bytes(&[7; 32]));
-        let (address, stop, reflecting) = start_reflector(stamps, key.clone());
-        let mut probed =
+        let (address, stop, reflector_thread) = start_reflector(stamps, key.clone());
+        let mut totals =
             thread::spawn(move || probe(address, stamps, key.as_ref())).join().expect("no panic");
         stop.cancel();
-        let reflector = reflecting.join().expect("no panic");
-        probed.round_trips.sort();
+        let reflector_cpu_seconds = reflector_thread.join().expect("no panic");
+        totals.round_trips.sort();
         let seconds = MEASURED_DURATION.as_secs_f64();
         println!(
             "{name:<26}{:>10.0}{:>10.0}{:>8}{:>9.2} % {:>11.2} % {:>17.1} µs",
-            probed.round_trips.len() as f64 / seconds,
-            probed.refined as f64 / seconds,
-            probed.lost,
-            100.0 * probed.busy / seconds,
+            totals.round_trips.len() as f64 / seconds,
+            totals.refined as f64 / seconds,
+            totals.lost,
+            100.0 * totals.cpu_seconds / seconds,
             // The reflector ran during the warm-up as well.
-            100.0 * reflector / (MEASURED_DURATION + WARM_UP).as_secs_f64(),
-            probed.round_trips[probed.round_trips.len() / 2].seconds() * 1e6,
+            100.0 * reflector_cpu_seconds / (MEASURED_DURATION + WARM_UP).as_secs_f64(),
+            totals.round_trips[totals.round_trips.len() / 2].seconds() * 1e6,
         );
     }
 }
@@ -61,7 +61,7 @@ struct ProbeTotals {
     refined: usize,
     lost: usize,
     /// CPU time. Seconds.
-    busy: f64,
+    cpu_seconds: f64,
 }
 
 fn start_reflector(
@@ -69,8 +69,8 @@ fn start_reflector(
     key: Option<Key>,
 ) -> (SocketAddr, CancellationToken, JoinHandle<f64>) {
     let stop = CancellationToken::new();
-    let (tell, told) = oneshot::channel();
-    let stopped = stop.clone();
+    let (address_sender, address_receiver) = oneshot::channel();
+    let stop_of_reflector = stop.clone();
     let thread = thread::spawn(move || {
         runtime().block_on(async {
             let listen = SocketAddr::from(([127, 0, 0, 1], 0));
@@ -84,20 +84,20 @@ fn start_reflector(
                 stateful: true,
             };
             let reflector = Reflector::bind(config, clock("cloud")).expect("a free port");
-            tell.send(reflector.address()).expect("it is waited for");
-            let busy_before = busy();
-            reflector.run(stopped).await.expect("the socket stays");
-            busy() - busy_before
+            address_sender.send(reflector.address()).expect("it is waited for");
+            let cpu_seconds_before = thread_cpu_seconds();
+            reflector.run(stop_of_reflector).await.expect("the socket stays");
+            thread_cpu_seconds() - cpu_seconds_before
         })
     });
-    (told.blocking_recv().expect("it was bound"), stop, thread)
+    (address_receiver.blocking_recv().expect("it was bound"), stop, thread)
 }
 
 fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTotals {
     runtime().block_on(async {
         let stop = CancellationToken::new();
         let (_rate, rate_hz) = watch::channel(RATE_HZ);
-        let (tell, mut results) = mpsc::channel(4096);
+        let (result_sender, mut results) = mpsc::channel(4096);
         let probers: Vec<_> = (0..LINKS)
             .map(|_| {
                 let timeout = Duration::from_secs(1);
@@ -111,35 +111,35 @@ fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTot
                     timeout,
                 };
                 let prober = Prober::open(config, clock("edge")).expect("a socket");
-                tokio::spawn(prober.run(rate_hz.clone(), tell.clone(), stop.clone()))
+                tokio::spawn(prober.run(rate_hz.clone(), result_sender.clone(), stop.clone()))
             })
             .collect();
         // Results of the warm-up are not counted.
         let warm_up = async { while results.recv().await.is_some() {} };
         let _ = tokio::time::timeout(WARM_UP, warm_up).await;
-        let mut probed = ProbeTotals::default();
-        let busy_before = busy();
+        let mut totals = ProbeTotals::default();
+        let cpu_seconds_before = thread_cpu_seconds();
         let counting = async {
             while let Some(result) = results.recv().await {
                 match result {
                     ProbeResult::Answered(observation) => {
-                        probed.round_trips.push(observation.exchange.round_trip());
+                        totals.round_trips.push(observation.exchange.round_trip());
                     }
-                    ProbeResult::Refined(_) => probed.refined += 1,
-                    ProbeResult::Lost => probed.lost += 1,
+                    ProbeResult::Refined(_) => totals.refined += 1,
+                    ProbeResult::Lost => totals.lost += 1,
                     ProbeResult::Sent | ProbeResult::Late => {}
                     ProbeResult::Stepped(_) => panic!("the clock was set"),
-                    ProbeResult::Refused(why) => panic!("refused: {why}"),
+                    ProbeResult::Refused(reason) => panic!("refused: {reason}"),
                 }
             }
         };
         let _ = tokio::time::timeout(MEASURED_DURATION, counting).await;
-        probed.busy = busy() - busy_before;
+        totals.cpu_seconds = thread_cpu_seconds() - cpu_seconds_before;
         stop.cancel();
         for prober in probers {
             prober.await.expect("no panic");
         }
-        probed
+        totals
     })
 }
 
@@ -152,7 +152,7 @@ fn runtime() -> Runtime {
 }
 
 /// Returns the CPU time of this thread. Seconds.
-fn busy() -> f64 {
+fn thread_cpu_seconds() -> f64 {
     let time = clock_gettime(ClockId::ThreadCPUTime);
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }

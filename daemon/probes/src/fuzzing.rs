@@ -12,14 +12,14 @@ use crate::stamp::sender::{ReplyArrival, SenderConfig, SenderState};
 use crate::stamp::timestamp::Format;
 use crate::stamp::tlv;
 
-/// Bits of the first byte. They select changes to the other bytes, without which random bytes would hardly ever pass
-/// the checks.
+/// Bits of the first byte. They select changes to the other bytes. Without the changes, random bytes would hardly ever
+/// pass the checks.
 const WITH_KEY: u8 = 1;
 const STATEFUL: u8 = 2;
 const AUTHENTIC: u8 = 4;
 const MATCHING: u8 = 8;
-const PROGRAM: u8 = 16;
-const RAW: u8 = 32;
+const PROGRAM_STAMPS: u8 = 16;
+const RAW_CLOCKS: u8 = 32;
 
 /// Handles a packet in both roles. The first byte selects the circumstances, the other bytes are the packet.
 ///
@@ -39,7 +39,7 @@ fn feed_reflector(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualCl
     authenticate(options, key, &mut packet);
     let mut reflector = ReflectorState::new(key.cloned(), 1, 10, options & STATEFUL != 0);
     let source = SocketAddr::from(([10, 0, 0, 1], 40_000));
-    // Twice, because the second request finds a session.
+    // The request arrives twice, because the second request finds a session.
     for _ in 0..2 {
         let mut answer = packet.clone();
         let arrival =
@@ -48,11 +48,11 @@ fn feed_reflector(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualCl
         clock.advance(Span::from_micros(20));
         let stamp = reflector.complete(&prepared, &mut answer, clock);
         reflector.record_sent(&prepared, stamp);
-        let left = stamp + Span::from_micros(1);
-        reflector.record_departure(&prepared.session(), prepared.sequence(), left.wall, left.raw);
+        let departure = stamp + Span::from_micros(1);
+        reflector.record_departure(&prepared.session(), prepared.sequence(), departure.wall, departure.raw);
         assert_eq!(answer.len(), packet.len(), "an answer has the length of its request");
-        let back = reflector.prepare(&mut answer, &arrival);
-        assert_eq!(back.map(|_| ()), Err(Refusal::Reply), "an answer is not answered");
+        let result = reflector.prepare(&mut answer, &arrival);
+        assert_eq!(result.map(|_| ()), Err(Refusal::Reply), "an answer is not answered");
     }
 }
 
@@ -62,7 +62,7 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         key: key.cloned(),
         instance: None,
         with_nonce: false,
-        clocks: if options & RAW != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
+        clocks: if options & RAW_CLOCKS != 0 { RelatedClocks::Raw } else { RelatedClocks::RawToWall },
         ssid: 5,
         first_sequence: u32::MAX,
         padding_bytes: 0,
@@ -73,7 +73,7 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         let (departure, _) = sender.request(clock);
         let sent = clock.wall();
         sender.record_sent(departure);
-        if options & PROGRAM == 0 {
+        if options & PROGRAM_STAMPS == 0 {
             sender.record_departure(departure.sequence(), sent + Span::from_micros(1), clock.wall_ahead());
         }
         if options & MATCHING != 0
@@ -86,13 +86,12 @@ fn feed_sender(options: u8, key: Option<&Key>, bytes: &[u8], clock: &ManualClock
         }
         authenticate(options, key, &mut packet);
         clock.advance(Span::from_millis(3));
-        let returned =
-            ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
-        if let Ok(result) = sender.receive(&packet, &returned) {
-            let answered = result.answered.expect("no step");
-            assert_eq!(answered.exchange.returned, returned.read.raw);
+        let arrival = ReplyArrival { kernel: None, read: clock.stamp(), ahead: clock.wall_ahead(), epoch: 0 };
+        if let Ok(result) = sender.receive(&packet, &arrival) {
+            let observation = result.answered.expect("no step");
+            assert_eq!(observation.exchange.returned, arrival.read.raw);
             assert!(result.refined.is_none() || round == 1, "nothing came before the first");
-            assert!(sender.receive(&packet, &returned).is_err(), "an answer counts once");
+            assert!(sender.receive(&packet, &arrival).is_err(), "an answer counts once");
         }
     }
     sender.expire(clock.mono() + Span::from_seconds(2));

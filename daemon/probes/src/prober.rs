@@ -18,7 +18,7 @@ use crate::{Key, StampSource};
 const MAX_REPLY_BYTES: usize = 2048;
 
 /// Time limit for sending a probe. A probe that takes longer is dropped.
-// Its stamp becomes old. The first probe waits until the runtime has registered the socket.
+// The stamp in a waiting probe becomes old. The first probe waits until the runtime has registered the socket.
 const SEND_TIMEOUT: Duration = Duration::from_millis(20);
 
 /// Largest number of awaited departure stamps.
@@ -40,7 +40,7 @@ pub struct ProberConfig {
     /// Clocks of the exchanges: both free-running clocks, which needs a reflector of PEERNet 0.3.0 or later, or this
     /// host's free-running clock and the reflector's wall clock.
     pub clocks: RelatedClocks,
-    /// Bytes of padding (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
+    /// Number of padding bytes (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
     pub padding_bytes: u16,
     /// Source of the packet stamps.
     pub stamps: StampSource,
@@ -156,14 +156,14 @@ impl Prober {
         let mut rate_is_fixed = false;
         loop {
             let mut pending_results = PendingResults::default();
-            let wake = [schedule.due(), self.sender.deadline()].into_iter().flatten().min();
+            let wake_up_at = [schedule.due(), self.sender.deadline()].into_iter().flatten().min();
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return,
                 () = results.closed() => return,
-                // Before the reply, because the stamp belongs to the reply's exchange.
+                // Polled before the reply, because the stamp belongs to the reply's exchange.
                 departure = self.socket.departure() => match departure {
-                    Ok((token, left)) => self.record_departure(token, left),
+                    Ok((token, departed_at)) => self.record_departure(token, departed_at),
                     Err(error) => self.pause_after_error(&error).await,
                 },
                 received = self.socket.receive(&mut buffer) => match received {
@@ -176,7 +176,7 @@ impl Prober {
                     Ok(()) => schedule.set_rate(*rate_hz.borrow_and_update(), self.clock.mono()),
                     Err(_) => rate_is_fixed = true,
                 },
-                () = sleep_until(wake, &self.clock) => {
+                () = sleep_until(wake_up_at, &self.clock) => {
                     let now = self.clock.mono();
                     pending_results.push_lost(self.sender.expire(now));
                     if schedule.is_due(now) {
@@ -195,6 +195,7 @@ impl Prober {
         }
     }
 
+    /// Sends a probe.
     async fn send(&mut self, pending_results: &mut PendingResults) {
         let (departure, packet) = self.sender.request(&*self.clock);
         match self.socket.send(packet, None, self.config.target, SEND_TIMEOUT).await {
@@ -234,19 +235,21 @@ impl Prober {
         }
     }
 
-    fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
+    /// Handles the kernel's stamp of a probe's departure.
+    fn record_departure(&mut self, token: Token, departed_at: Option<WallTime>) {
         // Stamps come in the order of departure. The stamps of dropped packets never come.
-        let Some(found) =
-            self.awaited_departures.iter().position(|(awaited_departures, _)| *awaited_departures == token)
+        let Some(index) =
+            self.awaited_departures.iter().position(|(awaited_token, _)| *awaited_token == token)
         else {
             return;
         };
-        let named = self.awaited_departures.drain(..=found).next_back();
-        if let (Some((_, sequence)), Some(left)) = (named, left) {
-            self.sender.record_departure(sequence, left, self.clock.wall_ahead());
+        let departure = self.awaited_departures.drain(..=index).next_back();
+        if let (Some((_, sequence)), Some(departed_at)) = (departure, departed_at) {
+            self.sender.record_departure(sequence, departed_at, self.clock.wall_ahead());
         }
     }
 
+    /// Handles a packet that arrived.
     fn handle_packet(
         &mut self,
         packet: &[u8],
@@ -261,20 +264,20 @@ impl Prober {
             return;
         }
         let (ahead, epoch) = (self.clock.wall_ahead(), self.clock.epoch());
-        let returned = ReplyArrival { kernel: received.kernel, read, ahead, epoch };
+        let arrival = ReplyArrival { kernel: received.kernel_stamp, read, ahead, epoch };
         pending_results.push_lost(self.sender.expire(read.mono));
-        let reply = self.sender.receive(packet, &returned);
+        let reply = self.sender.receive(packet, &arrival);
         if self.sender.ignores_kernel_stamps() && !self.socket.are_kernel_stamps_disabled() {
             self.ignore_kernel_stamps();
         }
         match reply {
             Ok(reply) => {
                 pending_results.0.extend(reply.refined.map(ProbeResult::Refined));
-                let stepped = ProbeResult::Stepped(returned.epoch);
+                let stepped = ProbeResult::Stepped(arrival.epoch);
                 pending_results.push(reply.answered.map_or(stepped, ProbeResult::Answered));
             }
             Err(LATE) => pending_results.push(ProbeResult::Late),
-            Err(why) => pending_results.push(ProbeResult::Refused(why)),
+            Err(reason) => pending_results.push(ProbeResult::Refused(reason)),
         }
     }
 
@@ -312,9 +315,9 @@ fn send_error_text(error: &io::Error) -> &'static str {
     }
 }
 
-async fn sleep_until(wake: Option<MonoTime>, clock: &SharedClock) {
-    match wake {
-        Some(wake) => tokio::time::sleep((wake - clock.mono()).to_duration()).await,
+async fn sleep_until(wake_up_at: Option<MonoTime>, clock: &SharedClock) {
+    match wake_up_at {
+        Some(wake_up_at) => tokio::time::sleep((wake_up_at - clock.mono()).to_duration()).await,
         None => std::future::pending().await,
     }
 }

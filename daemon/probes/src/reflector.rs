@@ -80,7 +80,7 @@ pub enum BindError {
 #[derive(Debug, thiserror::Error)]
 #[error("cannot receive probes on {listen} any more: {error}")]
 pub struct ReceiveError {
-    /// Address it listened on.
+    /// Address that the reflector listened on.
     pub listen: SocketAddr,
     /// Error of the system.
     pub error: io::Error,
@@ -131,9 +131,9 @@ impl Reflector {
     pub fn bind(config: ReflectorConfig, clock: SharedClock) -> Result<Self, BindError> {
         let listen = config.listen;
         // Only a session stores the departure of its last reply.
-        let departures = config.stateful;
-        let bound = ProbeSocket::bind(listen, config.stamps, departures, clock.clone());
-        let socket = bound.map_err(|error| match error.kind() {
+        let with_departure_stamps = config.stateful;
+        let socket = ProbeSocket::bind(listen, config.stamps, with_departure_stamps, clock.clone());
+        let socket = socket.map_err(|error| match error.kind() {
             io::ErrorKind::AddrInUse => BindError::InUse(listen),
             io::ErrorKind::PermissionDenied => BindError::NotPermitted(listen),
             io::ErrorKind::AddrNotAvailable => BindError::NoSuchAddress(listen),
@@ -190,18 +190,18 @@ impl Reflector {
         let mut peers = self.peers.subscribe();
         peers.mark_changed();
         loop {
-            let failed = tokio::select! {
+            let error = tokio::select! {
                 biased;
                 () = stop.cancelled() => return Ok(()),
-                // Before the first probe of a peer whose session was just opened.
+                // Polled first, so that a peer is known before the first probe of its new session.
                 Ok(()) = peers.changed() => {
                     self.state.set_peers(&peers.borrow_and_update());
                     None
                 }
-                // Before the next request, whose answer reports the stamp.
+                // Polled before the next request, whose answer reports the stamp.
                 departure = self.socket.departure() => match departure {
-                    Ok((token, left)) => {
-                        self.record_departure(token, left);
+                    Ok((token, departed_at)) => {
+                        self.record_departure(token, departed_at);
                         None
                     }
                     Err(error) => Some(error),
@@ -210,9 +210,9 @@ impl Reflector {
                     Ok(received) => {
                         match self.answer(&mut buffer[..received.bytes], &received).await {
                             Ok(()) => self.counters.count_answered(),
-                            Err(why) => {
-                                self.counters.count_refused(why);
-                                self.log_refusal(why, received.source);
+                            Err(reason) => {
+                                self.counters.count_refused(reason);
+                                self.log_refusal(reason, received.source);
                             }
                         }
                         None
@@ -221,7 +221,7 @@ impl Reflector {
                 },
             };
             // The system also reports errors of single packets on receiving.
-            match failed {
+            match error {
                 None => failures = 0,
                 Some(error) if failures < MAX_FAILURES => {
                     tracing::debug!(%error, "failed to receive a probe");
@@ -234,31 +234,36 @@ impl Reflector {
         }
     }
 
-    fn log_refusal(&mut self, why: Refusal, source: SocketAddr) {
-        if let Some((count, advice)) = self.refusal_log.record(why, self.clock.mono()) {
-            let (why, listen) = (why.description(), self.address());
+    fn log_refusal(&mut self, reason: Refusal, source: SocketAddr) {
+        if let Some((count, advice)) = self.refusal_log.record(reason, self.clock.mono()) {
+            let (reason, listen) = (reason.description(), self.address());
             tracing::warn!(
                 %source, %listen, count,
-                "refused a probe: {why}; {advice} (logged at most once a minute; count has the number since the last line)"
+                "refused a probe: {reason}; {advice} (logged at most once a minute; count has the number since the last line)"
             );
         }
     }
 
+    /// Answers a packet if it is a request that may be answered.
     async fn answer(&mut self, packet: &mut [u8], received: &ReceivedPacket) -> Result<(), Refusal> {
         let read = self.clock.stamp();
-        let kernel = received.kernel.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
-        if kernel.is_none() && received.kernel.is_some() {
+        let kernel_stamp = received.kernel_stamp.filter(|stamp| *stamp <= read.wall + ORDER_TOLERANCE);
+        if kernel_stamp.is_none() && received.kernel_stamp.is_some() {
             // The stamp is of another clock, or the clock was set back in between.
             self.socket.check().await;
         }
-        let before = kernel.and_then(|stamp| self.difference_before(stamp));
+        let earlier_difference = kernel_stamp.and_then(|stamp| self.difference_before(stamp));
         let ahead = self.compare_clocks();
-        let latest = |stamp| before.map(|before| KernelStamp::from_comparisons(stamp, before, ahead).latest);
+        let latest_arrival = |stamp| {
+            earlier_difference.map(|earlier| KernelStamp::from_comparisons(stamp, earlier, ahead).latest)
+        };
         let arrival = Arrival {
             source: received.source,
-            received: kernel.unwrap_or(read.wall),
+            received: kernel_stamp.unwrap_or(read.wall),
             // The program's reading always holds; the kernel's stamp may narrow the bound.
-            received_raw: kernel.and_then(latest).map_or(read.raw, |latest| latest.min(read.raw)),
+            received_raw: kernel_stamp
+                .and_then(latest_arrival)
+                .map_or(read.raw, |latest| latest.min(read.raw)),
             now: read.mono,
         };
         let answer = self.state.prepare(packet, &arrival)?;
@@ -281,18 +286,19 @@ impl Reflector {
         Ok(())
     }
 
-    /// Handles the kernel's stamp of a departure, `left`.
-    fn record_departure(&mut self, token: Token, left: Option<WallTime>) {
+    /// Handles the kernel's stamp of a reply's departure.
+    fn record_departure(&mut self, token: Token, departed_at: Option<WallTime>) {
         // Stamps come in the order of departure. The stamps of dropped packets never come.
-        let Some(found) =
-            self.awaited_departures.iter().position(|awaited_departures| awaited_departures.token == token)
-        else {
+        let Some(index) = self.awaited_departures.iter().position(|reply| reply.token == token) else {
             return;
         };
-        let named = self.awaited_departures.drain(..=found).next_back();
-        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(left)) = (named, left) {
-            let left_raw = KernelStamp::from_comparisons(left, ahead, self.compare_clocks()).earliest;
-            self.state.record_departure(&session, sequence, left, left_raw);
+        let reply = self.awaited_departures.drain(..=index).next_back();
+        if let (Some(DepartingReply { session, sequence, ahead, .. }), Some(departed_at)) =
+            (reply, departed_at)
+        {
+            let departed_at_raw =
+                KernelStamp::from_comparisons(departed_at, ahead, self.compare_clocks()).earliest;
+            self.state.record_departure(&session, sequence, departed_at, departed_at_raw);
         }
     }
 

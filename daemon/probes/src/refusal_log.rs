@@ -22,15 +22,15 @@ impl RefusalLog {
 
     /// Counts a refused probe. If a log line is due, returns the number of probes refused for this reason since the
     /// last line, and the advice.
-    pub(crate) fn record(&mut self, why: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
-        let (logged, count) = &mut self.reasons[why as usize];
+    pub(crate) fn record(&mut self, reason: Refusal, now: MonoTime) -> Option<(u64, &'static str)> {
+        let (last_line_at, count) = &mut self.reasons[reason as usize];
         *count += 1;
-        if logged.is_some_and(|logged| now - logged < LOG_INTERVAL) {
+        if last_line_at.is_some_and(|last_line_at| now - last_line_at < LOG_INTERVAL) {
             return None;
         }
-        *logged = Some(now);
+        *last_line_at = Some(now);
         let count = std::mem::take(count);
-        let advice = match (why, self.has_key) {
+        let advice = match (reason, self.has_key) {
             (Refusal::Short, true) => {
                 "it was probably sent without a key; with [probes] key_file both ends need the same key"
             }

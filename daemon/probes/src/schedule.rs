@@ -3,7 +3,7 @@
 use peernet_clock::{MonoTime, Span};
 
 /// Relative variation of intervals in both directions.
-// Without it, probes could synchronise with periodic load.
+// Without jitter, probes could synchronise with periodic load.
 const JITTER: f64 = 0.2;
 
 /// Largest number of probes per second.
@@ -15,7 +15,9 @@ const FIRST_PROBE_WINDOW: Span = Span::from_millis(100);
 /// A schedule of jittered intervals with a constant mean. Missed probes are skipped, so that there are no bursts.
 #[derive(Debug)]
 pub(crate) struct Schedule {
+    /// Mean interval; `None` if the schedule is paused.
     interval: Option<Span>,
+    /// Time of the next probe.
     due: MonoTime,
 }
 
@@ -28,11 +30,11 @@ impl Schedule {
 
     /// Sets the rate from now on. A rate that is not a positive number pauses the schedule.
     pub(crate) fn set_rate(&mut self, rate_hz: f64, now: MonoTime) {
-        let before = self.interval;
+        let previous_interval = self.interval;
         self.interval = (rate_hz > 0.0).then(|| Span::from_seconds_f64(1.0 / rate_hz.min(MAX_HZ)));
         let Some(interval) = self.interval else { return };
         let first = now + scale(interval.min(FIRST_PROBE_WINDOW), rand::random());
-        self.due = match before {
+        self.due = match previous_interval {
             None => first,
             // At most one new interval away. An earlier time of the old rate is kept.
             Some(_) => self.due.min(now + with_jitter(interval)),
@@ -81,17 +83,20 @@ mod tests {
         let first = schedule.due().expect("not paused");
         assert!(first <= at(100), "the first comes soon: {first:?}");
         let mut last = first;
-        let mut seen = Vec::new();
+        let mut intervals = Vec::new();
         for _ in 0..2000 {
-            // Slightly late each time, as timers are.
+            // Each call comes slightly late, as timers do.
             schedule.advance(last + Span::from_millis(1));
             let due = schedule.due().expect("not paused");
-            seen.push((due - last).seconds());
+            intervals.push((due - last).seconds());
             last = due;
         }
-        assert!(seen.iter().all(|interval| (0.08..=0.12).contains(interval)));
-        assert!(seen.iter().any(|interval| *interval < 0.09) && seen.iter().any(|interval| *interval > 0.11));
-        let mean = (last - first).seconds() / seen.len() as f64;
+        assert!(intervals.iter().all(|interval| (0.08..=0.12).contains(interval)));
+        assert!(
+            intervals.iter().any(|interval| *interval < 0.09)
+                && intervals.iter().any(|interval| *interval > 0.11)
+        );
+        let mean = (last - first).seconds() / intervals.len() as f64;
         assert!((0.098..0.102).contains(&mean), "{mean}");
     }
 

@@ -43,9 +43,10 @@ pub(crate) struct ReceivedPacket {
     /// Address of this machine to which it was sent.
     pub(crate) local: SocketAddr,
     /// Kernel's stamp of the arrival, converted to the program's clock.
-    pub(crate) kernel: Option<WallTime>,
+    pub(crate) kernel_stamp: Option<WallTime>,
 }
 
+/// A UDP socket for probes or their answers.
 pub(crate) struct ProbeSocket {
     inner: Socket<SocketAddr, Open>,
     mode: GeneralTimestampMode,
@@ -61,16 +62,16 @@ impl fmt::Debug for ProbeSocket {
 }
 
 impl ProbeSocket {
-    /// Binds a socket to `address`, with the best of the wanted stamps that the kernel supports. Each departure stamp
-    /// costs a system call.
+    /// Binds a socket to `address`, with the best of the wanted stamps that the kernel supports. `with_departures`
+    /// also asks for stamps of departures, each of which costs a system call.
     pub(crate) fn bind(
         address: SocketAddr,
         stamps: StampSource,
-        departures: bool,
+        with_departures: bool,
         clock: SharedClock,
     ) -> io::Result<Self> {
         let modes: &[GeneralTimestampMode] = match stamps {
-            StampSource::Kernel if departures => {
+            StampSource::Kernel if with_departures => {
                 &[GeneralTimestampMode::SoftwareAll, GeneralTimestampMode::SoftwareRecv]
             }
             StampSource::Kernel => &[GeneralTimestampMode::SoftwareRecv],
@@ -98,11 +99,11 @@ impl ProbeSocket {
         stamps: StampSource,
         clock: SharedClock,
     ) -> io::Result<Self> {
-        let any = match target {
+        let unspecified = match target {
             SocketAddr::V4(_) => SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)),
             SocketAddr::V6(_) => SocketAddr::from((Ipv6Addr::UNSPECIFIED, 0)),
         };
-        Self::bind(any, stamps, true, clock)
+        Self::bind(unspecified, stamps, true, clock)
     }
 
     pub(crate) fn address(&self) -> SocketAddr {
@@ -169,7 +170,7 @@ impl ProbeSocket {
             bytes: received.bytes_read,
             source: received.remote_addr,
             local: received.local_addr,
-            kernel: self.accepted_stamp(received.timestamp_data),
+            kernel_stamp: self.accepted_stamp(received.timestamp_data),
         })
     }
 
@@ -198,7 +199,7 @@ impl ProbeSocket {
         tokio::time::timeout(timeout, sending).await.unwrap_or_else(|_| Err(io::ErrorKind::WouldBlock.into()))
     }
 
-    /// Waits for the kernel's next stamp of a departure; forever if the kernel does not stamp departures. Cancel safe.
+    /// Waits for the kernel's next stamp of a departure. Waits forever if the kernel does not stamp departures. Cancel safe.
     pub(crate) async fn departure(&self) -> io::Result<(Token, Option<WallTime>)> {
         if !self.stamps_departures() {
             return pending().await;
@@ -212,6 +213,7 @@ impl ProbeSocket {
     }
 }
 
+/// Returns the kernel's stamp as a time of the program's clock.
 fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime> {
     let Timestamp { seconds, nanos } = stamps.selected_timestamp()?;
     let system = seconds.saturating_mul(1_000_000_000).saturating_add(i64::from(nanos));
@@ -219,22 +221,23 @@ fn accepted_stamp(clock: &SharedClock, stamps: TimestampData) -> Option<WallTime
     Some(clock.apply_faults(WallTime::from_unix_nanos(system)))
 }
 
-/// Returns whether the kernel's stamp of a packet lies between two readings of the clock, one before it was sent and
-/// one after it was received. `None` if the clock was set in between, or there is no stamp.
+/// Sends a packet to this host. Returns whether the kernel's stamp of its arrival lies between two readings of the
+/// clock: one before the packet was sent, one after it was received. `None` if the clock was set in between, or the
+/// packet has no stamp.
 async fn check_kernel_clock(clock: &SharedClock) -> io::Result<Option<bool>> {
-    let any = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-    let socket = open_ip(any, GeneralTimestampMode::SoftwareRecv, false)?;
+    let loopback = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let socket = open_ip(loopback, GeneralTimestampMode::SoftwareRecv, false)?;
     let local = socket.local_addr();
     let epoch = clock.wall_epoch();
-    let before = clock.wall();
+    let time_before = clock.wall();
     poll_fn(|cx| socket.poll_send_to(&[0], local, cx)).await?;
     let received = socket.recv(&mut [0; 1]).await?;
-    let after = clock.wall();
+    let time_after = clock.wall();
     let stamp = accepted_stamp(clock, received.timestamp_data);
     let is_steady = clock.wall_epoch() == epoch;
     Ok(stamp
         .filter(|_| is_steady)
-        .map(|stamp| before - ORDER_TOLERANCE <= stamp && stamp <= after + ORDER_TOLERANCE))
+        .map(|stamp| time_before - ORDER_TOLERANCE <= stamp && stamp <= time_after + ORDER_TOLERANCE))
 }
 
 fn is_unsupported_option(error: &io::Error) -> bool {

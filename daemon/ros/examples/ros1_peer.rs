@@ -41,14 +41,14 @@ fn print_line(line: &str) {
 }
 
 async fn wait_for_end_of_input() {
-    let (ended, end) = tokio::sync::oneshot::channel();
-    // A thread outside the runtime, which does not keep the process alive.
+    let (end_sender, end_receiver) = tokio::sync::oneshot::channel();
+    // A thread outside the runtime does not keep the process alive.
     std::thread::spawn(move || {
         // An error counts as the end as well.
         let _ = std::io::stdin().read_to_end(&mut Vec::new());
-        ended.send(())
+        end_sender.send(())
     });
-    let _ = end.await;
+    let _ = end_receiver.await;
 }
 
 async fn publish(node: &Node, topic: &str, count: usize, length: usize) -> anyhow::Result<()> {
@@ -132,10 +132,10 @@ async fn state(node: &Node, topic: &str) -> anyhow::Result<()> {
     }
 }
 
-async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
+async fn echo(node: &Node, input_topic: &str, output_topic: &str) -> anyhow::Result<()> {
     let kind = TopicType::from_message::<CompressedImage>();
-    let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
-    let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
+    let publisher = node.publish(output_topic, kind.clone(), PublisherOptions::default()).await?;
+    let mut subscriber = node.subscribe(input_topic, kind, SubscriberOptions::default()).await?;
     print_line("ready");
     tokio::select! {
         () = wait_for_end_of_input() => Ok(()),
@@ -148,11 +148,17 @@ async fn echo(node: &Node, from: &str, to: &str) -> anyhow::Result<()> {
     }
 }
 
-async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -> anyhow::Result<()> {
+async fn ping(
+    node: &Node,
+    request_topic: &str,
+    response_topic: &str,
+    count: usize,
+    length: usize,
+) -> anyhow::Result<()> {
     let clock = SystemClock::new(ClockIdentity::new("peer", "peer"));
     let kind = TopicType::from_message::<CompressedImage>();
-    let mut subscriber = node.subscribe(back, kind.clone(), SubscriberOptions::default()).await?;
-    let publisher = node.publish(out, kind, PublisherOptions::default()).await?;
+    let mut subscriber = node.subscribe(response_topic, kind.clone(), SubscriberOptions::default()).await?;
+    let publisher = node.publish(request_topic, kind, PublisherOptions::default()).await?;
     publisher.wait_for_subscribers(1).await?;
     subscriber.wait_for_publishers(1).await?;
     let image = picture(0, length);
@@ -190,11 +196,11 @@ async fn ping(node: &Node, out: &str, back: &str, count: usize, length: usize) -
 }
 
 async fn run(arguments: &[String]) -> anyhow::Result<()> {
-    let [command, name, rest @ ..] = arguments else { bail!("usage: see the head of ros1_peer.rs") };
+    let [command, name, parameters @ ..] = arguments else { bail!("usage: see the head of ros1_peer.rs") };
     let clock = Arc::new(SystemClock::new(ClockIdentity::new("peer", "peer")));
     let node = Node::new(&Environment::from_process()?, name, clock).await?;
-    let rest: Vec<&str> = rest.iter().map(String::as_str).collect();
-    match (command.as_str(), rest.as_slice()) {
+    let parameters: Vec<&str> = parameters.iter().map(String::as_str).collect();
+    match (command.as_str(), parameters.as_slice()) {
         ("publish", [topic, count, length]) => publish(&node, topic, count.parse()?, length.parse()?).await,
         ("latch", [topic, text]) => latch(&node, topic, text).await,
         ("subscribe", [topic, count]) => subscribe(&node, topic, count.parse()?).await,
@@ -202,7 +208,7 @@ async fn run(arguments: &[String]) -> anyhow::Result<()> {
         ("state", [topic]) => state(&node, topic).await,
         ("echo", [from, to]) => echo(&node, from, to).await,
         ("ping", [out, back, count, length]) => ping(&node, out, back, count.parse()?, length.parse()?).await,
-        _ => bail!("unknown command {command} with {} arguments", rest.len()),
+        _ => bail!("unknown command {command} with {} arguments", parameters.len()),
     }?;
     node.shutdown().await.context("cannot shut down the node")
 }

@@ -56,6 +56,7 @@ impl Kind {
     }
 }
 
+/// The arguments of the program.
 struct Plan {
     topic: String,
     kind: Kind,
@@ -92,8 +93,8 @@ fn clock() -> Result<SystemClock, Box<dyn Error + Send + Sync>> {
     Ok(SystemClock::new(ClockIdentity::from_system("system")?))
 }
 
-/// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be gone
-/// before it is repaired.
+/// Returns a profile that keeps more messages than are sent. With the usual depth of ten, a lost message may be
+/// replaced before it is sent again.
 fn keep_all_qos() -> QosProfile {
     QosProfile { depth: 100, ..QosProfile::default() }
 }
@@ -107,7 +108,8 @@ async fn publish(node: &Ros2Node, plan: &Plan) -> PeerResult {
     tokio::time::sleep(Duration::from_secs(1)).await;
     for number in 0..plan.count {
         publisher.publish(plan.kind.message(plan.size, number), clock.wall()).await?;
-        // Sent all at once, 40 MB overflow the sockets' buffers, and Fast DDS may never get a message repaired.
+        // If all messages were sent at once, 40 MB would overflow the sockets' buffers, and Fast DDS might never get a
+        // message repaired.
         if plan.size >= LARGE_BYTES {
             publisher.wait_for_acknowledgment(TIME_LIMIT).await?;
         }
@@ -126,7 +128,8 @@ async fn receive(node: &Ros2Node, plan: &Plan) -> PeerResult {
             received.map_err(|_| format!("only {} of {} messages arrived", payloads.len(), plan.count))??;
         payloads.push(received.payload);
     }
-    // Compared afterwards, because messages that are not read before the publisher leaves are lost.
+    // The messages are compared after all have arrived, because messages that are not read before the publisher leaves
+    // are lost.
     for (number, payload) in payloads.iter().enumerate() {
         let expected = plan.kind.message(plan.size, number);
         if !payload.starts_with(&expected) || payload.len() >= expected.len() + 4 {

@@ -26,8 +26,8 @@ pub fn any_xml_rpc(data: &[u8]) {
     }
 }
 
-/// Feeds the bytes to a TCPROS connection. As many bytes arrive at a time as the first byte says, plus one. Each frame is
-/// parsed as a subscriber's header and as a publisher's.
+/// Feeds the bytes to a TCPROS connection. The first byte is one less than the number of bytes that arrive at a time.
+/// Each frame is parsed as a subscriber's header and as a publisher's header.
 ///
 /// # Panics
 /// If more than four times the limit of a frame is reserved, or a header that was read cannot be sent.
@@ -145,13 +145,13 @@ mod tests {
             (run, mut data) in inputs(),
             changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>(), 0..4_u8), 1..8),
         ) {
-            for (at, byte, how) in changes {
-                let at = at.index(data.len() + 1);
-                match how {
-                    0 => data.insert(at, byte),
-                    1 => data.truncate(at),
-                    2 => data.extend_from_within(at..),
-                    _ if at < data.len() => data[at] = byte,
+            for (index, byte, change) in changes {
+                let index = index.index(data.len() + 1);
+                match change {
+                    0 => data.insert(index, byte),
+                    1 => data.truncate(index),
+                    2 => data.extend_from_within(index..),
+                    _ if index < data.len() => data[index] = byte,
                     _ => {}
                 }
             }

@@ -40,16 +40,17 @@ impl FingerprintKey {
     fn fingerprint(&self, command: &CommandLine) -> String {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.0).expect("HMAC takes keys of any length");
         // The length marks where each word ends.
-        let mut word = |word: &str| {
+        let mut add_word = |word: &str| {
             mac.update(&(word.len() as u64).to_be_bytes());
             mac.update(word.as_bytes());
         };
         match command {
-            CommandLine::Shell(line) => word(line),
-            CommandLine::Words(words) => words.iter().for_each(|each| word(each)),
+            CommandLine::Shell(line) => add_word(line),
+            CommandLine::Words(words) => words.iter().for_each(|word| add_word(word)),
         }
-        let code = mac.finalize().into_bytes();
-        code.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS].to_owned()
+        let mac_bytes = mac.finalize().into_bytes();
+        mac_bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>()[..FINGERPRINT_DIGITS]
+            .to_owned()
     }
 }
 
@@ -68,14 +69,15 @@ impl CommandLine {
 }
 
 thread_local! {
-    // Serde passes no context to nested values, and only the values know which of their keys hold commands.
+    // Serde passes no context to nested values, and only the values know which of their fields hold commands.
     static SHOWS_ARGUMENTS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Calls `write`, in which each command is serialized with its arguments. They may be secret, so that this is for
-/// files and programs of the user only.
+/// Calls `write`. During this call, each command is serialized with its arguments. The arguments may be secret, so
+/// the result must go only to files and programs of the user.
 ///
-/// Outside of it each command is serialized as its program and the number of its arguments, whatever its key.
+/// At any other time a command is serialized as its program and the number of its arguments, whatever the name of the
+/// field that holds the command.
 pub fn with_arguments<T>(write: impl FnOnce() -> T) -> T {
     /// Restores the previous mode, also when `write` panics.
     struct ShowsArgumentsGuard(bool);
@@ -113,8 +115,8 @@ impl Serialize for CommandLine {
     }
 }
 
-/// Replaces each command in a pipeline's table (TOML) of an earlier build by its program and the number of its
-/// arguments.
+/// Replaces each command in a pipeline's configuration (TOML) that an earlier build stored by its program and the
+/// number of its arguments. Text that is not TOML is replaced as a whole if it contains the word `command`.
 pub fn hide_arguments(configuration: &str) -> String {
     // Most tables have no command and stay exactly as they were written.
     if !configuration.contains("command") {
@@ -126,9 +128,9 @@ pub fn hide_arguments(configuration: &str) -> String {
     for name in TABLES {
         let command = table.get_mut(name).and_then(|inner| inner.get_mut("command"));
         if let Some(command) = command
-            && let Ok(line) = command.clone().try_into::<CommandLine>()
+            && let Ok(command_line) = command.clone().try_into::<CommandLine>()
         {
-            match Value::try_from(PublicCommand::from(&line)) {
+            match Value::try_from(PublicCommand::from(&command_line)) {
                 Ok(public) => *command = public,
                 Err(error) => return format!("# cannot be written down: {error}\n"),
             }
@@ -165,15 +167,16 @@ mod tests {
     #[test]
     fn fingerprints_tell_commands_and_keys_apart() {
         let key = FingerprintKey::new([1; 32]);
-        let of = |command: &CommandLine| command.fingerprint(&key).expect("has arguments");
-        let one = of(&words(&["./blur", "--token", "hunter2"]));
-        assert_eq!(one, of(&words(&["./blur", "--token", "hunter2"])));
-        assert!(one.starts_with("2, fingerprint ") && !one.contains("hunter"), "{one}");
+        let fingerprint = |command: &CommandLine| command.fingerprint(&key).expect("has arguments");
+        let first = fingerprint(&words(&["./blur", "--token", "hunter2"]));
+        assert_eq!(first, fingerprint(&words(&["./blur", "--token", "hunter2"])));
+        assert!(first.starts_with("2, fingerprint ") && !first.contains("hunter"), "{first}");
         for other in [&["./blur", "--token", "hunter3"][..], &["./blur", "--tokenhunter2", ""]] {
-            assert_ne!(one, of(&words(other)));
+            assert_ne!(first, fingerprint(&words(other)));
         }
-        let elsewhere = words(&["./blur", "--token", "hunter2"]).fingerprint(&FingerprintKey::new([2; 32]));
-        assert_ne!(Some(one), elsewhere);
+        let with_other_key =
+            words(&["./blur", "--token", "hunter2"]).fingerprint(&FingerprintKey::new([2; 32]));
+        assert_ne!(Some(first), with_other_key);
         assert_eq!(words(&["./blur"]).fingerprint(&key), None);
         assert_eq!(format!("{key:?}"), "FingerprintKey(hidden)");
     }
@@ -184,14 +187,14 @@ mod tests {
         assert_eq!(hide_arguments(plain), plain);
         let text = "name = 'line'\nsensor = { kind = 'exec', command = ['./light', '--token', 'hunter2'], timeout_ms = 5 }\n\
             actuator = { kind = 'exec', command = 'TOKEN=hunter3 ./act | tee log' }";
-        let hidden = hide_arguments(text);
-        assert!(!hidden.contains("hunter") && !hidden.contains("--token"), "{hidden}");
-        let table: Table = hidden.parse().expect("is TOML");
+        let shown_text = hide_arguments(text);
+        assert!(!shown_text.contains("hunter") && !shown_text.contains("--token"), "{shown_text}");
+        let table: Table = shown_text.parse().expect("is TOML");
         assert_eq!(table["sensor"]["command"]["program"].as_str(), Some("./light"));
         assert_eq!(table["sensor"]["command"]["arguments"].as_integer(), Some(2));
         assert_eq!(table["sensor"]["timeout_ms"].as_integer(), Some(5));
         assert_eq!(table["actuator"]["command"]["program"].as_str(), Some("sh"));
-        assert_eq!(hide_arguments(&hidden), hidden, "once is enough");
+        assert_eq!(hide_arguments(&shown_text), shown_text, "once is enough");
         assert!(!hide_arguments("command = hunter2").contains("hunter"));
     }
 
@@ -213,9 +216,9 @@ mod tests {
         let launch = words(&["./light", "--token", "hunter2"]);
         let pipeline = Pipeline { sensor: Kind::Service { launch: launch.clone(), then: vec![shell] } };
         let write = || toml::to_string(&pipeline).expect("TOML");
-        let hidden = write();
-        assert!(!hidden.contains("hunter"), "{hidden}");
-        let table: Table = hidden.parse().expect("TOML");
+        let shown_text = write();
+        assert!(!shown_text.contains("hunter"), "{shown_text}");
+        let table: Table = shown_text.parse().expect("TOML");
         let expected = |program: &str, arguments: i64| {
             Value::Table(Table::from_iter([
                 ("program".to_owned(), Value::String(program.to_owned())),
@@ -225,9 +228,9 @@ mod tests {
         assert_eq!(table["sensor"]["launch"], expected("./light", 2));
         assert_eq!(table["sensor"]["then"][0], expected("sh", 1));
 
-        let whole: Table = with_arguments(write).parse().expect("TOML");
-        assert_eq!(whole["sensor"]["launch"].clone().try_into(), Ok(launch));
-        assert_eq!(write(), hidden, "only within the call");
+        let full_table: Table = with_arguments(write).parse().expect("TOML");
+        assert_eq!(full_table["sensor"]["launch"].clone().try_into(), Ok(launch));
+        assert_eq!(write(), shown_text, "only within the call");
     }
 
     #[test]

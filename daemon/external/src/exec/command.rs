@@ -20,7 +20,7 @@ use crate::process::{MAX_TIMEOUT_MS, find_program, invalid_variable};
 /// Largest number of a command's files that are recorded as facts.
 const MAX_RECORDED_FILES: usize = 4;
 
-/// Permission bit that lets users read a file who are neither its owner nor in its group.
+/// Permission bit: users who are neither the file's owner nor in its group may read the file.
 const READ_BY_OTHERS: u32 = 0o004;
 
 /// Command: a line for the shell, or a program with its arguments.
@@ -114,18 +114,18 @@ impl ExecConfig {
         Some((format!("{} arguments", role.heading()), fingerprint))
     }
 
-    /// Returns the files that the command names, as far as its text shows: the program, and its script or data.
+    /// Returns the files that the text of the command names: the program, and its script or data.
     ///
-    /// For an actuator only the program and its script count, because it may write the other files. Files that not
-    /// every user of the host may read are left out, such as files with passwords, unless they are the program or its
-    /// script.
+    /// For an actuator these are only the program and its script, because the actuator may write the other files. A
+    /// file that only some users of the host may read is left out, because it may hold passwords. The program and its
+    /// script are never left out.
     fn files(&self, role: Role) -> Vec<PathBuf> {
         let (program, words) = match &self.command {
             CommandLine::Shell(line) => (single_program(line), split(line)),
             CommandLine::Words(words) => (words.first().map(String::as_str), words.clone()),
         };
-        let on_path = program.filter(|program| !program.contains('/'));
-        let on_path = on_path.and_then(|program| find_program(OsStr::new(program)));
+        let name_in_path = program.filter(|program| !program.contains('/'));
+        let program_in_path = name_in_path.and_then(|program| find_program(OsStr::new(program)));
         let folder = self.folder.as_deref().unwrap_or(Path::new(""));
         let is_file = |word: &str| folder.join(word).is_file();
         let script = script(&words, is_file).cloned();
@@ -138,9 +138,13 @@ impl ExecConfig {
             Role::Sensor | Role::Model => words,
             Role::Actuator => program.map(str::to_owned).into_iter().chain(script.clone()).collect(),
         };
-        let named = words.into_iter().skip(on_path.iter().count());
-        let named = named.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
-        on_path.into_iter().chain(named.map(|word| folder.join(word))).take(MAX_RECORDED_FILES).collect()
+        let named_files = words.into_iter().skip(program_in_path.iter().count());
+        let named_files = named_files.filter(|word| is_file(word) && (is_code(word) || is_public(word)));
+        program_in_path
+            .into_iter()
+            .chain(named_files.map(|word| folder.join(word)))
+            .take(MAX_RECORDED_FILES)
+            .collect()
     }
 
     /// Checks that a program exists.
@@ -149,8 +153,8 @@ impl ExecConfig {
             let path = self.folder.as_deref().unwrap_or(Path::new("")).join(program);
             return if path.is_file() { Ok(()) } else { Err(CommandError::NoFile(path)) };
         }
-        let found = find_program(OsStr::new(program)).map(drop);
-        found.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
+        let program_in_path = find_program(OsStr::new(program)).map(drop);
+        program_in_path.ok_or_else(|| CommandError::NotInPath(program.to_owned()))
     }
 
     /// Returns the program and its arguments for the system call.
@@ -177,7 +181,8 @@ const fn ten_seconds() -> NonZeroU64 {
 }
 
 impl CommandLine {
-    /// Returns the program without its arguments; `sh` for a line that is more than one program with its arguments.
+    /// Returns the program without its arguments; `sh` for a line that is not a single program with
+    /// arguments.
     pub fn program(&self) -> &str {
         match self {
             Self::Shell(line) => single_program(line).unwrap_or("sh"),

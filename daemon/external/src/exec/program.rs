@@ -106,9 +106,9 @@ impl Program {
             None => self.restart()?,
         };
         let started_at = self.clock.mono();
-        let replied = send_and_receive(&mut process, request, self.role, started_at + self.timeout);
+        let result = send_and_receive(&mut process, request, self.role, started_at + self.timeout);
         let ended_at = self.clock.mono();
-        match replied {
+        match result {
             Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
                 self.restart_backoff.record_success();
@@ -130,7 +130,7 @@ impl Program {
                         error
                     }
                 };
-                Err(self.failed(error))
+                Err(self.record_failure(error))
             }
         }
     }
@@ -143,10 +143,12 @@ impl Program {
             });
         }
         tracing::info!(name = self.launch.name, "restarting the program");
-        Process::start(&self.launch, &self.clock).map_err(|error| self.failed(ProgramCallError::Start(error)))
+        Process::start(&self.launch, &self.clock)
+            .map_err(|error| self.record_failure(ProgramCallError::Start(error)))
     }
 
-    fn failed(&mut self, error: ProgramCallError) -> ProgramCallError {
+    /// Remembers a failure, which delays the next restart, and returns the error.
+    fn record_failure(&mut self, error: ProgramCallError) -> ProgramCallError {
         self.restart_backoff.record_failure(self.clock.mono());
         self.last_failure = error.to_string();
         error
@@ -169,7 +171,8 @@ fn send_and_receive(
     role: Role,
     deadline: MonoTime,
 ) -> Result<Reply, ProgramCallError> {
-    // Output before the request would be taken for its reply, and each reply for the reply to the next request.
+    // Output before the request would be mistaken for its reply. From then on, each reply would be mistaken for the
+    // reply to the next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
@@ -177,9 +180,9 @@ fn send_and_receive(
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
     process.write(&slices, deadline)?;
     let mut assembler = ReplyAssembler::new(role);
-    let mut next = ReplyInput::Line;
+    let mut input = ReplyInput::Line;
     loop {
-        next = match next {
+        input = match input {
             ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline)?)?,
             ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_BYTES`, which fits into a usize.

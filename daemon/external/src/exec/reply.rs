@@ -103,7 +103,7 @@ pub struct ReplyAssembler {
     role: Role,
     notes: ReplyNotes,
     parts: Vec<Part>,
-    lines: usize,
+    line_count: usize,
     /// Number of bytes of all parts so far.
     bytes: u64,
     /// Description of the part whose bytes are expected next, and whether it is the last part.
@@ -113,7 +113,14 @@ pub struct ReplyAssembler {
 impl ReplyAssembler {
     /// Creates the assembler for one reply of a program in the given role.
     pub fn new(role: Role) -> Self {
-        Self { role, notes: ReplyNotes::default(), parts: Vec::new(), lines: 0, bytes: 0, pending_part: None }
+        Self {
+            role,
+            notes: ReplyNotes::default(),
+            parts: Vec::new(),
+            line_count: 0,
+            bytes: 0,
+            pending_part: None,
+        }
     }
 
     /// Processes a line, without its `\n`.
@@ -121,33 +128,33 @@ impl ReplyAssembler {
     /// # Errors
     /// If the line does not follow the framing.
     pub fn push_line(&mut self, line: &[u8]) -> Result<ReplyInput, FramingError> {
-        self.lines += 1;
-        if self.lines > MAX_LINES {
+        self.line_count += 1;
+        if self.line_count > MAX_LINES {
             return Err(FramingError::TooManyLines);
         }
         let line = text(line)?;
         let (word, rest) = split_first_word(line);
-        let wrong = |form| FramingError::Form { line: shorten(line), form };
+        let form_error = |form| FramingError::Form { line: shorten(line), form };
         let notes = &mut self.notes;
         match (word, self.role) {
             ("", _) if line.trim().is_empty() => {}
             ("version", _) => {
-                let version = rest.parse().map_err(|_| wrong("version NUMBER"))?;
+                let version = rest.parse().map_err(|_| form_error("version NUMBER"))?;
                 if version != VERSION {
                     return Err(FramingError::Version(version));
                 }
             }
             ("stage", role) => {
-                let (name, span) = stage(rest).ok_or_else(|| wrong(STAGE))?;
+                let (name, span) = parse_stage(rest).ok_or_else(|| form_error(STAGE_FORM))?;
                 notes.stages.push((check_name(name, role == Role::Model)?, span));
             }
             ("value", _) => {
-                let (name, number, unit) = value(rest).ok_or_else(|| wrong(VALUE))?;
+                let (name, number, unit) = parse_value(rest).ok_or_else(|| form_error(VALUE_FORM))?;
                 notes.values.push((check_name(name, false)?, number, unit.to_owned()));
             }
             ("error", _) => return Ok(self.finish(ReplyOutcome::Error(printable_lines(rest).into_owned()))),
             ("sequence", Role::Sensor) => {
-                notes.sequence = Some(rest.parse().map_err(|_| wrong("sequence NUMBER"))?);
+                notes.sequence = Some(rest.parse().map_err(|_| form_error("sequence NUMBER"))?);
             }
             ("label", Role::Sensor) => notes.label = Some(rest.to_owned()).filter(|label| !label.is_empty()),
             ("source", Role::Sensor) => notes.source = Some(rest.to_owned()),
@@ -156,7 +163,7 @@ impl ReplyAssembler {
             ("answer" | "part", Role::Sensor | Role::Model) => {
                 return self
                     .announce_part(rest, word == "answer")
-                    .map_err(|error| error.unwrap_or_else(|| wrong(ANSWER)));
+                    .map_err(|error| error.unwrap_or_else(|| form_error(ANSWER_FORM)));
             }
             _ => return Err(self.unknown_word(line)),
         }
@@ -165,17 +172,17 @@ impl ReplyAssembler {
 
     /// Processes the bytes that [`ReplyInput::Bytes`] asked for.
     pub fn push_bytes(&mut self, bytes: Bytes) -> ReplyInput {
-        let Some((description, last)) = self.pending_part.take() else { return ReplyInput::Line };
+        let Some((description, is_last)) = self.pending_part.take() else { return ReplyInput::Line };
         self.parts.push(Part { description, bytes });
-        if last {
+        if is_last {
             let parts = std::mem::take(&mut self.parts);
             return self.finish(ReplyOutcome::Parts(parts));
         }
         ReplyInput::Line
     }
 
-    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the form is wrong.
-    fn announce_part(&mut self, rest: &str, last: bool) -> Result<ReplyInput, Option<FramingError>> {
+    /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the form is form_error.
+    fn announce_part(&mut self, rest: &str, is_last: bool) -> Result<ReplyInput, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
@@ -194,7 +201,7 @@ impl ReplyAssembler {
         if self.parts.len() == MAX_PARTS {
             return Err(Some(FramingError::TooManyParts));
         }
-        self.pending_part = Some((description, last));
+        self.pending_part = Some((description, is_last));
         Ok(ReplyInput::Bytes(bytes))
     }
 
@@ -212,9 +219,10 @@ impl ReplyAssembler {
     }
 }
 
-const STAGE: &str = "stage NAME SECONDS";
-const VALUE: &str = "value NAME NUMBER [UNIT]";
-const ANSWER: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
+/// Forms of lines, which errors quote.
+const STAGE_FORM: &str = "stage NAME SECONDS";
+const VALUE_FORM: &str = "value NAME NUMBER [UNIT]";
+const ANSWER_FORM: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
 /// Returns `name` if programs may use it.
 fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
@@ -223,7 +231,7 @@ fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
 }
 
 /// Parses `NAME SECONDS`.
-fn stage(rest: &str) -> Option<(&str, Span)> {
+fn parse_stage(rest: &str) -> Option<(&str, Span)> {
     let (name, seconds) = split_name(rest)?;
     let seconds: f64 = seconds.parse().ok()?;
     // One day is longer than any stage and far below the largest value of `Span`.
@@ -231,7 +239,7 @@ fn stage(rest: &str) -> Option<(&str, Span)> {
 }
 
 /// Parses `NAME NUMBER [UNIT]`.
-fn value(rest: &str) -> Option<(&str, f64, &str)> {
+fn parse_value(rest: &str) -> Option<(&str, f64, &str)> {
     let (name, rest) = split_name(rest)?;
     let (number, unit) = split_first_word(rest);
     let number: f64 = number.parse().ok()?;

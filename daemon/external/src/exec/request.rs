@@ -29,19 +29,20 @@ impl Request<'_> {
     pub fn pieces(&self) -> Vec<Bytes> {
         match self {
             Self::Next => vec![Bytes::from_static(b"next\n")],
-            Self::Sample(sample) => parts("sample", sample, &sample.source),
-            Self::Answer { answer, source } => parts("answer", answer, source),
+            Self::Sample(sample) => sample_pieces("sample", sample, &sample.source),
+            Self::Answer { answer, source } => sample_pieces("answer", answer, source),
         }
     }
 }
 
-fn parts(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
+/// Returns the parts of a sample as pieces, each after a line that announces it.
+fn sample_pieces(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
     let source = printable_line(source);
     let source = if source.trim().is_empty() { NOTHING } else { &source };
-    let Some((last, before)) = sample.parts.split_last() else {
+    let Some((last, other_parts)) = sample.parts.split_last() else {
         return vec![format!("{word} 0 {BYTES} {NOTHING} {source}\n").into()];
     };
-    let parts = before.iter().map(|part| ("part", part)).chain([(word, last)]);
+    let parts = other_parts.iter().map(|part| ("part", part)).chain([(word, last)]);
     let pieces = parts.flat_map(|(word, part)| {
         // A space in the name would shift the words after it.
         let media = printable_line(&part.description.media.iana()).replace(' ', "?");

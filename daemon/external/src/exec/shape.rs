@@ -58,7 +58,7 @@ pub(super) fn read(media: MediaType, shape: &str) -> Option<(Description, Option
         return Some((Description::unshaped(media), None));
     }
     let (lengths, element) = shape.split_once(':')?;
-    let element = ELEMENTS.into_iter().find(|known| name(*known) == element)?;
+    let element = ELEMENTS.into_iter().find(|candidate| name(*candidate) == element)?;
     // A shape without dimensions is a single number.
     let shape = match lengths {
         "" => Vec::new(),

@@ -1,11 +1,12 @@
 //! Analysis of a shell command line, without running it.
 
-/// Returns the program of a line that is one program with arguments; `None` if the text does not show that.
+/// Returns the program of a line that is one program with arguments; otherwise `None`. A line with an operator of the
+/// shell is more than that, and so is a line whose first word may be an assignment or an expansion.
 pub(super) fn single_program(line: &str) -> Option<&str> {
     let program = line.split_ascii_whitespace().next()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
-    let more = [';', '&', '|', '\n', '(', ')', '{', '}', '`', '\0'];
-    (program.bytes().all(is_plain) && !line.contains(more)).then_some(program)
+    let operators = [';', '&', '|', '\n', '(', ')', '{', '}', '`', '\0'];
+    (program.bytes().all(is_plain) && !line.contains(operators)).then_some(program)
 }
 
 /// Splits a line into words and removes quotes; `$NAME` and `*` are not expanded.
@@ -60,7 +61,7 @@ const INTERPRETERS: [(&str, &str); 20] = [
     ("Rscript", "e"),
 ];
 
-/// Long options with the same meaning.
+/// Long options of these interpreters after which the command line contains the code.
 const INLINE_CODE_OPTIONS: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
 
 /// Returns the script that an interpreter runs.
@@ -71,14 +72,14 @@ pub(super) fn script(words: &[String], is_file: impl Fn(&str) -> bool) -> Option
     let (program, arguments) = words.split_first()?;
     let name = program.rsplit('/').next().unwrap_or(program);
     let name = name.trim_end_matches(|char: char| char.is_ascii_digit() || char == '.');
-    let (_, inline) = INTERPRETERS.iter().find(|(interpreter, _)| *interpreter == name)?;
-    let is_inline = |argument: &String| {
+    let (_, code_letters) = INTERPRETERS.iter().find(|(interpreter, _)| *interpreter == name)?;
+    let announces_code = |argument: &String| {
         let letters = argument.strip_prefix('-').filter(|rest| !rest.starts_with('-'));
-        letters.is_some_and(|letters| letters.contains(|letter| inline.contains(letter)))
+        letters.is_some_and(|letters| letters.contains(|letter| code_letters.contains(letter)))
             || INLINE_CODE_OPTIONS.iter().any(|option| argument.starts_with(option))
     };
-    let before = arguments.iter().take_while(|argument| !is_inline(argument));
-    before.into_iter().find(|argument| is_file(argument))
+    let before_code = arguments.iter().take_while(|argument| !announces_code(argument));
+    before_code.into_iter().find(|argument| is_file(argument))
 }
 
 #[cfg(test)]

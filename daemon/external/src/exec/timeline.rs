@@ -48,7 +48,7 @@ impl ProgramCall {
     /// # Errors
     /// [`ProgramCallError::Stages`] if the stages add up to more than the whole.
     pub fn stages(&self) -> Result<Vec<TimedStage>, ProgramCallError> {
-        let timed = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
+        let timed_stage = |name: &str, from, to| TimedStage { name: name.to_owned(), from, to };
         let is_stage = |name: &String| SUMMED_STAGES.contains(&name.as_str());
         let summed = self.notes.stages.iter().filter(|(name, _)| is_stage(name));
         let reported: Span = summed.map(|(_, span)| *span).sum();
@@ -60,23 +60,23 @@ impl ProgramCall {
             Some(from) => from + (self.ended_at - from - reported).max(Span::ZERO),
             None => self.started_at,
         };
-        let (mut stages, mut at) = (Vec::new(), stages_start);
+        let (mut stages, mut next_start) = (Vec::new(), stages_start);
         for (name, span) in &self.notes.stages {
             if is_stage(name) {
-                stages.push(timed(name, at, at + *span));
-                at = at + *span;
+                stages.push(timed_stage(name, next_start, next_start + *span));
+                next_start = next_start + *span;
             } else {
-                stages.push(timed(name, self.started_at, self.started_at + *span));
+                stages.push(timed_stage(name, self.started_at, self.started_at + *span));
             }
         }
-        // `restart` is a node and no stage: it belongs to the failure before it, not to the loop, and would distort
+        // `restart` is a node and not a stage: it belongs to the preceding failure, not to the loop, and would distort
         // the sum of the stages.
         if let Some(from) = self.restarted_at {
-            stages.push(timed(RESTART, from, stages_start));
+            stages.push(timed_stage(RESTART, from, stages_start));
         } else if !stages.iter().any(|stage| is_stage(&stage.name)) {
-            stages.push(timed("inference", self.started_at, self.ended_at));
+            stages.push(timed_stage("inference", self.started_at, self.ended_at));
         } else {
-            stages.push(timed(IPC, at.min(self.ended_at), self.ended_at));
+            stages.push(timed_stage(IPC, next_start.min(self.ended_at), self.ended_at));
         }
         Ok(stages)
     }
@@ -89,17 +89,17 @@ mod tests {
 
     /// Returns the stages of a program that reported these durations (milliseconds) and replied after 10 ms.
     fn stages(reported: &[(&str, i64)]) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
-        after(None, reported)
+        stages_after_restart(None, reported)
     }
 
     /// Returns the stages of a program that was restarted the given number of milliseconds before the request.
-    fn after(
-        restart: Option<i64>,
+    fn stages_after_restart(
+        restart_age: Option<i64>,
         reported: &[(&str, i64)],
     ) -> Result<Vec<(String, i64, i64)>, ProgramCallError> {
         let stages = reported.iter().map(|(name, ms)| ((*name).to_owned(), Span::from_millis(*ms))).collect();
         let (started_at, ended_at) = (MonoTime::from_nanos(0), MonoTime::from_nanos(10_000_000));
-        let restarted_at = restart.map(|before| MonoTime::from_nanos(-before * 1_000_000));
+        let restarted_at = restart_age.map(|age| MonoTime::from_nanos(-age * 1_000_000));
         let notes = ReplyNotes { stages, ..ReplyNotes::default() };
         let program_call =
             ProgramCall { restarted_at, started_at, ended_at, notes, outcome: ReplyOutcome::Done };
@@ -126,11 +126,15 @@ mod tests {
 
     #[test]
     fn only_reported_stages_count_after_restart() {
-        let reported = after(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
+        let reported =
+            stages_after_restart(Some(2), &[("inference", 3), ("postprocessing", 1)]).expect("adds up");
         let expected = [("inference", 6, 9), ("postprocessing", 9, 10), ("restart", -2, 6)];
         assert_eq!(reported, expected.map(|(name, from, to)| (name.to_owned(), from, to)));
-        assert_eq!(after(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
-        assert!(after(Some(90_000), &[("inference", 11_500)]).is_err(), "it replied within 10 ms");
+        assert_eq!(stages_after_restart(Some(2), &[]).expect("adds up"), [("restart".to_owned(), -2, 10)]);
+        assert!(
+            stages_after_restart(Some(90_000), &[("inference", 11_500)]).is_err(),
+            "it replied within 10 ms"
+        );
     }
 
     #[test]

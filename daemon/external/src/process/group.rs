@@ -28,7 +28,7 @@ pub(super) struct Group {
 struct Watcher {
     child: Child,
     /// Write end of the watcher's standard input. It is only kept open: nothing is written.
-    _alive: Option<ChildStdin>,
+    _stdin: Option<ChildStdin>,
 }
 
 impl Group {
@@ -37,7 +37,7 @@ impl Group {
         command.process_group(0);
         let leader = spawner::spawn(command)?;
         let watcher = Watcher::start(&leader)
-            // Without it only the leader ends when this program is killed.
+            // Without a watcher only the leader ends when this program is killed.
             .inspect_err(|error| {
                 tracing::warn!(%error, "cannot start the watcher of a program; its processes may outlive this program");
             })
@@ -65,7 +65,7 @@ impl Group {
     }
 
     /// Kills the rest of the group, then collects the leader's status.
-    // In this order, because afterwards the number may belong to another process.
+    // The group is killed first: once the status is collected, the number may belong to another process.
     pub(super) fn finish(&mut self) -> Option<ExitStatus> {
         self.signal(Signal::KILL);
         // Ends a leader that moved to another group. For a leader that has already ended the error does not matter.
@@ -93,6 +93,6 @@ impl Watcher {
         command.args(["-c", WATCHER_SCRIPT, "peernet-watcher"]).process_group(group).current_dir("/");
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = command.spawn()?;
-        Ok(Self { _alive: child.stdin.take(), child })
+        Ok(Self { _stdin: child.stdin.take(), child })
     }
 }

@@ -16,8 +16,10 @@ const MAX_BYTES: u64 = 32 << 10;
 #[derive(Debug, Default)]
 pub(super) struct LogLimit {
     /// End of the current period; `None` before the first line.
-    until: Option<MonoTime>,
+    period_end: Option<MonoTime>,
+    /// Lines that were logged in the current period.
     logged: LogVolume,
+    /// Lines that were left out since the last report.
     omitted: LogVolume,
 }
 
@@ -38,8 +40,8 @@ impl LogVolume {
 impl LogLimit {
     /// Returns whether a line may be logged at `now`, and counts it.
     pub(super) fn admit(&mut self, line: &str, now: MonoTime) -> bool {
-        if self.until.is_none_or(|until| until <= now) {
-            self.until = Some(now + PERIOD);
+        if self.period_end.is_none_or(|end| end <= now) {
+            self.period_end = Some(now + PERIOD);
             self.logged = LogVolume::default();
         }
         let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_BYTES;
@@ -50,13 +52,13 @@ impl LogLimit {
 
     /// Returns the time until the end of the period, if lines were left out in it.
     pub(super) fn time_to_report(&self, now: MonoTime) -> Option<Duration> {
-        let until = self.until.filter(|_| self.omitted.lines > 0)?;
-        Some((until - now).to_duration())
+        let period_end = self.period_end.filter(|_| self.omitted.lines > 0)?;
+        Some((period_end - now).to_duration())
     }
 
     /// Returns the lines that were left out since the last report, if there are any and the period has ended.
     pub(super) fn report(&mut self, now: MonoTime) -> Option<LogVolume> {
-        self.until.is_some_and(|until| until <= now).then(|| self.report_rest()).flatten()
+        self.period_end.is_some_and(|end| end <= now).then(|| self.report_rest()).flatten()
     }
 
     /// Returns the lines that were left out since the last report, if there are any.

@@ -3,8 +3,8 @@
 //! Writes go to its standard input, reads come from its standard output, and each line of its standard error goes to
 //! the log.
 //!
-//! All calls block the calling thread, until a deadline at most. Each process leads a separate process group, which is
-//! ended with it and with this program, for whatever reason these end.
+//! All calls block the calling thread, until a deadline at most. Each process leads a separate process group. The
+//! whole group is killed when the process or this program ends, for whatever reason.
 
 mod error;
 mod group;

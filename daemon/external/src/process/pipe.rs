@@ -1,4 +1,4 @@
-//! The pipes to and from a process; each call waits no longer than until a deadline.
+//! The pipes to and from a process; each call waits until a deadline at most.
 
 use std::io::{self, IoSlice};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
@@ -43,7 +43,8 @@ impl PipeError {
     /// Converts this to the error of a process.
     ///
     /// # Errors
-    /// For a closed pipe, which end was closed: only the exit status of the process tells the reason.
+    /// For a closed pipe: the end that the process closed, or `None` if the process has ended. The caller finds the reason
+    /// in the exit status.
     pub(super) fn into_process_error(self) -> Result<ProcessError, Option<Fault>> {
         match self {
             Self::Closed(end) => Err(end),
@@ -64,40 +65,40 @@ pub(super) fn prepare(fd: impl AsFd) -> io::Result<()> {
     Ok(())
 }
 
-/// Deadline of a call, and the process at the other end.
+/// Limits of a wait: the deadline of the call, and the end of the process at the other end.
 #[derive(Clone, Copy)]
 pub(super) struct Wait<'a> {
     pub(super) clock: &'a SharedClock,
-    pub(super) until: MonoTime,
+    pub(super) deadline: MonoTime,
     /// Descriptor that becomes readable when the process at the other end ends (pidfd_open(2)), if the kernel supports it.
     // The pipe alone does not show the end, because a child of the process may keep it open.
     pub(super) process: Option<BorrowedFd<'a>>,
 }
 
 impl Wait<'_> {
-    /// Waits until one of the pipes is ready; returns which are.
+    /// Waits until one of the pipes is ready. Returns for each pipe whether it is ready.
     fn until_ready<const N: usize>(&self, pipes: [(&OwnedFd, PollFlags); N]) -> Result<[bool; N], PipeError> {
-        let mut watched: Vec<_> = pipes.iter().map(|(fd, what)| PollFd::new(*fd, *what)).collect();
-        watched.extend(self.process.map(|process| PollFd::from_borrowed_fd(process, PollFlags::IN)));
-        self.poll(&mut watched)?;
-        if watched[..N].iter().all(|pipe| pipe.revents().is_empty()) {
+        let mut poll_fds: Vec<_> = pipes.iter().map(|(fd, events)| PollFd::new(*fd, *events)).collect();
+        poll_fds.extend(self.process.map(|process| PollFd::from_borrowed_fd(process, PollFlags::IN)));
+        self.poll(&mut poll_fds)?;
+        if poll_fds[..N].iter().all(|pipe| pipe.revents().is_empty()) {
             // The process has ended; its last output is in the pipe by now.
-            poll(&mut watched[..N], Some(&Timespec::default()))?;
+            poll(&mut poll_fds[..N], Some(&Timespec::default()))?;
         }
-        let ready = std::array::from_fn(|at| !watched[at].revents().is_empty());
+        let ready = std::array::from_fn(|index| !poll_fds[index].revents().is_empty());
         if ready.contains(&true) { Ok(ready) } else { Err(PipeError::Closed(None)) }
     }
 
     /// Waits until one of the descriptors is ready.
-    fn poll(&self, watched: &mut [PollFd<'_>]) -> Result<(), PipeError> {
+    fn poll(&self, poll_fds: &mut [PollFd<'_>]) -> Result<(), PipeError> {
         loop {
-            let remaining = (self.until - self.clock.mono()).to_duration();
+            let remaining = (self.deadline - self.clock.mono()).to_duration();
             let timeout = Timespec {
                 tv_sec: remaining.as_secs().cast_signed(),
                 tv_nsec: remaining.subsec_nanos().into(),
             };
-            match poll(watched, Some(&timeout)) {
-                Ok(0) if self.until <= self.clock.mono() => return Err(PipeError::TimedOut),
+            match poll(poll_fds, Some(&timeout)) {
+                Ok(0) if self.deadline <= self.clock.mono() => return Err(PipeError::TimedOut),
                 Ok(0) | Err(Errno::INTR) => {}
                 Ok(_) => return Ok(()),
                 Err(error) => return Err(error.into()),
@@ -113,11 +114,11 @@ impl Wait<'_> {
 }
 
 /// Writes all parts in order, and at the same time reads what the process writes.
-// Otherwise both sides would wait for each other if the process answers before it has read everything.
+// If this only wrote, both sides would wait for each other when the process answers before it has read everything.
 pub(super) fn write(
     fd: &OwnedFd,
     parts: &[&[u8]],
-    answers: &mut Reader,
+    output: &mut Reader,
     wait: Wait<'_>,
 ) -> Result<(), PipeError> {
     let mut slices: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part)).collect();
@@ -127,7 +128,7 @@ pub(super) fn write(
         match rustix::io::writev(fd, &remaining[..remaining.len().min(MAX_SLICES_PER_WRITE)]) {
             Ok(written) => IoSlice::advance_slices(&mut remaining, written),
             Err(Errno::INTR) => {}
-            Err(Errno::AGAIN) => wait_to_write(fd, answers, wait)?,
+            Err(Errno::AGAIN) => wait_to_write(fd, output, wait)?,
             Err(Errno::PIPE) => return Err(PipeError::Closed(Some(Fault::ClosedInput))),
             Err(error) => return Err(error.into()),
         }
@@ -136,16 +137,16 @@ pub(super) fn write(
 }
 
 /// Waits until the pipe accepts more bytes, and at the same time reads what the process writes.
-fn wait_to_write(fd: &OwnedFd, answers: &mut Reader, wait: Wait<'_>) -> Result<(), PipeError> {
+fn wait_to_write(fd: &OwnedFd, output: &mut Reader, wait: Wait<'_>) -> Result<(), PipeError> {
     let writable = (fd, PollFlags::OUT);
-    if answers.is_full() {
+    if output.is_full() {
         return wait.until_ready([writable]).map(drop);
     }
-    let [_, has_answer] = wait.until_ready([writable, (&answers.fd, PollFlags::IN)])?;
-    if has_answer { answers.read_more(wait) } else { Ok(()) }
+    let [_, has_output] = wait.until_ready([writable, (&output.fd, PollFlags::IN)])?;
+    if has_output { output.read_more(wait) } else { Ok(()) }
 }
 
-/// The end of a pipe that is read, with a buffer for what was read ahead.
+/// Read end of a pipe, with a buffer for bytes that were read ahead.
 #[derive(Debug)]
 pub(super) struct Reader {
     pub(super) fd: OwnedFd,
@@ -179,9 +180,9 @@ impl Reader {
     }
 
     /// Reads once into the spare capacity of a vector; waits until there is something to read.
-    fn read_into(fd: &OwnedFd, into: &mut Vec<u8>, wait: Wait<'_>) -> Result<(), PipeError> {
+    fn read_into(fd: &OwnedFd, buffer: &mut Vec<u8>, wait: Wait<'_>) -> Result<(), PipeError> {
         loop {
-            match rustix::io::read(fd, spare_capacity(into)) {
+            match rustix::io::read(fd, spare_capacity(buffer)) {
                 Ok(0) => return Err(PipeError::Closed(Some(Fault::ClosedOutput))),
                 Ok(_) => return Ok(()),
                 Err(Errno::INTR) => {}
@@ -191,6 +192,7 @@ impl Reader {
         }
     }
 
+    /// Reads once into the buffer, after bytes that were returned already are removed where that makes room.
     fn read_more(&mut self, wait: Wait<'_>) -> Result<(), PipeError> {
         if self.consumed == self.buffer.len() {
             self.buffer.clear();
@@ -206,7 +208,7 @@ impl Reader {
         Self::read_into(&self.fd, &mut self.buffer, wait)
     }
 
-    /// Returns what the process has written of its next line, without waiting for more.
+    /// Returns the part of the next line that is available. Reads at most once, and only if the buffer is empty.
     pub(super) fn peek_line(&mut self, wait: Wait<'_>) -> &[u8] {
         if self.buffered_bytes().is_empty() {
             // After an error the line is empty; the next read returns the error.
@@ -225,9 +227,9 @@ impl Reader {
             // A short remainder is read together with the bytes after it, which saves a system call.
             if length - bytes.len() < READ_CHUNK_BYTES {
                 self.read_more(wait)?;
-                let more = self.buffered_bytes().len().min(length - bytes.len());
-                bytes.extend_from_slice(&self.buffered_bytes()[..more]);
-                self.consumed += more;
+                let available = self.buffered_bytes().len().min(length - bytes.len());
+                bytes.extend_from_slice(&self.buffered_bytes()[..available]);
+                self.consumed += available;
             } else {
                 Self::read_into(&self.fd, &mut bytes, wait)?;
             }
@@ -235,17 +237,18 @@ impl Reader {
         Ok(bytes.into())
     }
 
-    /// Reads the bytes up to the next `end`, without it; at most `max_length`.
+    /// Reads the bytes before the next `delimiter`, at most `max_length`. The delimiter is read but not returned.
     pub(super) fn read_until(
         &mut self,
-        end: u8,
+        delimiter: u8,
         max_length: usize,
         wait: Wait<'_>,
     ) -> Result<Bytes, PipeError> {
         let mut searched = 0;
         loop {
-            if let Some(at) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == end) {
-                let length = searched + at;
+            if let Some(offset) = self.buffered_bytes()[searched..].iter().position(|byte| *byte == delimiter)
+            {
+                let length = searched + offset;
                 let bytes = Bytes::copy_from_slice(&self.buffered_bytes()[..length]);
                 self.consumed += length + 1;
                 return if length > max_length { Err(PipeError::TooLong(max_length)) } else { Ok(bytes) };

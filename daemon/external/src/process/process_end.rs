@@ -13,9 +13,9 @@ pub struct ProcessEnd {
     pub status: Option<ExitStatus>,
     /// Misbehaviour after which the process had to be ended; `None` if it just ended.
     pub fault: Option<Fault>,
-    /// `true` if this program killed it.
+    /// `true` if this program killed the process.
     pub killed: bool,
-    /// `true` if this program had asked it to end (SIGTERM).
+    /// `true` if this program had asked the process to end (SIGTERM).
     pub termination_requested: bool,
     /// Last lines of its standard error, oldest first.
     pub last_lines: Vec<String>,
@@ -49,7 +49,7 @@ impl ProcessEnd {
     }
 
     /// Returns whether it ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
-    /// exit status that a shell makes of that signal (128 + 15).
+    /// exit status by which a shell reports that signal (128 + 15).
     pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();
         let by_term = |status: ExitStatus| status.signal() == Some(term) || status.code() == Some(128 + term);

@@ -2,10 +2,11 @@
 
 use peernet_clock::{MonoTime, Span};
 
-/// Exponential backoff for restarts: no delay after a process that worked, growing delays while processes die before they work.
+/// Exponential backoff for restarts. The first restart after a successful call has no delay. Each further failure before
+/// the next success doubles the delay, up to a maximum.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RestartBackoff {
-    /// Number of consecutive ends without a successful call in between.
+    /// Number of failures since the last successful call.
     consecutive_failures: u32,
     /// Earliest time of the next start.
     not_before: Option<MonoTime>,

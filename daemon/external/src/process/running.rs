@@ -15,7 +15,7 @@ use super::pipe::{self, PipeError, Reader, Wait};
 use super::stderr_log::StderrReader;
 use super::{Fault, Launch, ProcessEnd, ProcessError};
 
-/// Longest time from the closing of a process's pipes to its end, if it closes them because it ends.
+/// Longest time between the closing of the pipes and the end of a process that is exiting.
 const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
 /// Time for a running process that closed a pipe to end by itself, so that its exit status can be reported.
 const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
@@ -45,13 +45,13 @@ impl Process {
     /// # Errors
     /// [`ProcessError::Start`] if the program does not exist or cannot be run.
     pub fn start(launch: &Launch, clock: &SharedClock) -> Result<Self, ProcessError> {
-        let failed = |error| ProcessError::Start { program: launch.describe(), error };
-        let mut group = Group::start(launch.command()).map_err(failed)?;
-        let pipes = Self::pipes(&mut group, launch, clock).inspect_err(|_| {
+        let start_error = |error| ProcessError::Start { program: launch.describe(), error };
+        let mut group = Group::start(launch.command()).map_err(start_error)?;
+        let pipes = Self::take_pipes(&mut group, launch, clock).inspect_err(|_| {
             // The process was killed, so that its status means nothing.
             let _ = group.finish();
         });
-        let (input, output, stderr_log) = pipes.map_err(failed)?;
+        let (input, output, stderr_log) = pipes.map_err(start_error)?;
         Ok(Self {
             pidfd: group.pid().and_then(|pid| pidfd_open(pid, PidfdFlags::empty()).ok()),
             group,
@@ -67,7 +67,7 @@ impl Process {
     }
 
     /// Returns its standard input and output, and starts the thread that reads its standard error.
-    fn pipes(
+    fn take_pipes(
         group: &mut Group,
         launch: &Launch,
         clock: &SharedClock,
@@ -86,12 +86,12 @@ impl Process {
     /// Writes all parts to its standard input, without joining them in one buffer.
     ///
     /// # Errors
-    /// If the process has ended, or does not read everything before the deadline `until`; then no further write
-    /// succeeds.
-    pub fn write(&mut self, parts: &[&[u8]], until: MonoTime) -> Result<(), ProcessError> {
+    /// If the process has ended, or does not read everything before the deadline. No write succeeds after such
+    /// an error.
+    pub fn write(&mut self, parts: &[&[u8]], deadline: MonoTime) -> Result<(), ProcessError> {
         let result = match &self.input {
             Some(input) => {
-                let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
+                let wait = wait_until(&self.clock, self.pidfd.as_ref(), deadline);
                 pipe::write(input, parts, &mut self.output, wait)
             }
             None => Err(PipeError::Closed(None)),
@@ -102,18 +102,18 @@ impl Process {
     /// Reads exactly `length` bytes from its standard output.
     ///
     /// # Errors
-    /// If the process has ended, or does not send all bytes before the deadline `until`.
-    pub fn read_exact(&mut self, length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
-        let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
+    /// If the process has ended, or does not send all bytes before the deadline.
+    pub fn read_exact(&mut self, length: usize, deadline: MonoTime) -> Result<Bytes, ProcessError> {
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), deadline);
         self.output.read_exact(length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
     /// Reads the next line of its standard output, without the line feed, of at most `max_length` bytes.
     ///
     /// # Errors
-    /// If the process has ended, sends a longer line, or sends no whole line before the deadline `until`.
-    pub fn read_line(&mut self, max_length: usize, until: MonoTime) -> Result<Bytes, ProcessError> {
-        let wait = wait_until(&self.clock, self.pidfd.as_ref(), until);
+    /// If the process has ended, sends a longer line, or sends no whole line before the deadline.
+    pub fn read_line(&mut self, max_length: usize, deadline: MonoTime) -> Result<Bytes, ProcessError> {
+        let wait = wait_until(&self.clock, self.pidfd.as_ref(), deadline);
         self.output.read_until(b'\n', max_length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
@@ -135,7 +135,7 @@ impl Process {
     }
 
     /// Ends the process: closes its standard input, sends SIGTERM after half of `grace`, and kills the group when
-    /// `grace` is over. Blocks no longer than `grace`.
+    /// `grace` has passed. Blocks no longer than `grace`.
     pub fn end(mut self, grace: Span) -> ProcessEnd {
         self.input = None;
         let half = Span::from_nanos(grace.nanos() / 2);
@@ -148,7 +148,8 @@ impl Process {
         self.process_end()
     }
 
-    /// Converts the error of a pipe to an error of the process; waits for the exit status of a process that closed its end.
+    /// Converts the error of a pipe to an error of the process; waits for the exit status of a process that closed its
+    /// end of the pipe.
     fn convert_pipe_error(&mut self, error: PipeError) -> ProcessError {
         error.into_process_error().unwrap_or_else(|fault| {
             // A process that ends closes its pipes as well. A closed pipe is a fault only of a process that still
@@ -175,20 +176,22 @@ impl Process {
         }
     }
 
-    /// Waits for the end of the process without collecting its status. If the kernel has no pidfd, this does not
-    /// wait.
+    /// Waits for the end of the process without collecting its status. Returns whether the process has ended. If the
+    /// kernel has no pidfd, this returns `false` at once for a process whose status was not collected.
     fn exits_within(&self, timeout: Span) -> bool {
         let deadline = self.clock.mono() + timeout;
         self.status.is_some() || wait_until(&self.clock, self.pidfd.as_ref(), deadline).wait_for_exit()
     }
 
-    /// Kills the rest of the process and its group; `fault` is the misbehaviour of the process before, if any.
+    /// Kills the process and its group, and collects the exit status. `fault` is the preceding misbehaviour of the
+    /// process, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
             let has_ended = self.exits_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));
             self.killed = !has_ended && by_kill;
+            // A process that ended before it was killed has not ignored SIGTERM.
             self.fault = fault.filter(|fault| self.killed || *fault != Fault::IgnoredTermination);
         }
     }
@@ -200,6 +203,6 @@ impl Drop for Process {
     }
 }
 
-fn wait_until<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, until: MonoTime) -> Wait<'a> {
-    Wait { clock, until, process: pidfd.map(AsFd::as_fd) }
+fn wait_until<'a>(clock: &'a SharedClock, pidfd: Option<&'a OwnedFd>, deadline: MonoTime) -> Wait<'a> {
+    Wait { clock, deadline, process: pidfd.map(AsFd::as_fd) }
 }

@@ -22,17 +22,18 @@ pub(super) fn spawn(command: Command) -> io::Result<Child> {
     let requests = match SPAWNER.get() {
         Some(requests) => requests,
         None => {
-            let (requests, received) = sync_channel(1);
-            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&received))?;
+            let (requests, receiver) = sync_channel(1);
+            thread::Builder::new().name("spawner".to_owned()).spawn(move || serve(&receiver))?;
             // If two threads get here at the same time, the spawner of the second thread ends at once.
             SPAWNER.get_or_init(|| requests)
         }
     };
-    let (reply, started) = sync_channel(1);
+    let (reply, result) = sync_channel(1);
     requests.send(SpawnRequest { command, reply }).map_err(|_| spawner_gone())?;
-    started.recv().map_err(|_| spawner_gone())?
+    result.recv().map_err(|_| spawner_gone())?
 }
 
+/// Starts a process for each request.
 fn serve(requests: &Receiver<SpawnRequest>) {
     for SpawnRequest { mut command, reply } in requests {
         // The requester waits for the reply, so that this cannot fail.

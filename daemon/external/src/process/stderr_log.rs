@@ -19,7 +19,7 @@ use super::log_limit::{LogLimit, LogVolume};
 const MAX_LINE_BYTES: usize = 4096;
 /// Largest number of last lines in the report of the process's end.
 const MAX_KEPT_LINES: usize = 12;
-/// Longest part of a line in that report.
+/// Longest part of a line in that report, bytes.
 const MAX_KEPT_LINE_BYTES: usize = 400;
 
 /// Log target of a process's standard error.
@@ -59,10 +59,11 @@ impl StderrLog {
     }
 }
 
-/// The thread that logs the lines, and the last of them.
+/// Handle of the thread that logs the lines, with the last lines.
 #[derive(Debug)]
 pub(super) struct StderrReader {
-    last: Arc<Mutex<VecDeque<String>>>,
+    last_lines: Arc<Mutex<VecDeque<String>>>,
+    /// Is disconnected when the standard error is closed.
     closed: Receiver<()>,
 }
 
@@ -73,22 +74,27 @@ impl StderrReader {
         name: String,
         clock: SharedClock,
     ) -> io::Result<Self> {
-        let last = Arc::new(Mutex::new(VecDeque::with_capacity(MAX_KEPT_LINES)));
+        let last_lines = Arc::new(Mutex::new(VecDeque::with_capacity(MAX_KEPT_LINES)));
         let (end, closed) = sync_channel(0);
-        let mut logger =
-            LineLogger { stderr_log, name, clock, limit: LogLimit::default(), last: Arc::clone(&last) };
+        let mut logger = LineLogger {
+            stderr_log,
+            name,
+            clock,
+            limit: LogLimit::default(),
+            last_lines: Arc::clone(&last_lines),
+        };
         thread::Builder::new().name("stderr".to_owned()).spawn(move || {
             // Dropping the sender reports that the standard error is closed.
             let _end = end;
             logger.log_all(&stderr);
         })?;
-        Ok(Self { last, closed })
+        Ok(Self { last_lines, closed })
     }
 
     /// Returns the last lines, after the standard error is closed or `timeout` has passed.
     pub(super) fn last_lines(&self, timeout: Duration) -> Vec<String> {
         let _ = self.closed.recv_timeout(timeout);
-        self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
+        self.last_lines.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned().collect()
     }
 }
 
@@ -98,7 +104,7 @@ struct LineLogger {
     name: String,
     clock: SharedClock,
     limit: LogLimit,
-    last: Arc<Mutex<VecDeque<String>>>,
+    last_lines: Arc<Mutex<VecDeque<String>>>,
 }
 
 impl LineLogger {
@@ -109,7 +115,7 @@ impl LineLogger {
             self.wait_for_output(stderr);
             match rustix::io::read(stderr, &mut chunk) {
                 Ok(0) => break,
-                Ok(read) => lines.split(&chunk[..read], |line| self.log(line)),
+                Ok(length) => lines.split(&chunk[..length], |line| self.log(line)),
                 Err(Errno::INTR) => {}
                 Err(_) => break,
             }
@@ -147,16 +153,17 @@ impl LineLogger {
         } else {
             self.stderr_log.log_omitted_line(&self.name, line);
         }
-        keep_line(&self.last, line);
+        keep_line(&self.last_lines, line);
     }
 }
 
-fn keep_line(last: &Mutex<VecDeque<String>>, line: &str) {
-    let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
-    if last.len() == MAX_KEPT_LINES {
-        last.pop_front();
+/// Appends a line to the last lines, without the part beyond [`MAX_KEPT_LINE_BYTES`].
+fn keep_line(last_lines: &Mutex<VecDeque<String>>, line: &str) {
+    let mut last_lines = last_lines.lock().unwrap_or_else(PoisonError::into_inner);
+    if last_lines.len() == MAX_KEPT_LINES {
+        last_lines.pop_front();
     }
-    last.push_back(line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)].to_owned());
+    last_lines.push_back(line[..line.floor_char_boundary(MAX_KEPT_LINE_BYTES)].to_owned());
 }
 
 /// Splitter of output into lines. A carriage return ends a line as well: progress bars write only these.
@@ -204,13 +211,13 @@ mod tests {
 
     #[test]
     fn last_lines_are_kept_and_bounded() {
-        let last = Mutex::new(VecDeque::new());
+        let last_lines = Mutex::new(VecDeque::new());
         for number in 0..100 {
-            keep_line(&last, &format!("{number} {}", "ä".repeat(MAX_KEPT_LINE_BYTES)));
+            keep_line(&last_lines, &format!("{number} {}", "ä".repeat(MAX_KEPT_LINE_BYTES)));
         }
-        let last = last.into_inner().expect("not poisoned");
-        assert_eq!(last.len(), MAX_KEPT_LINES);
-        assert!(last.iter().all(|line| line.len() <= MAX_KEPT_LINE_BYTES));
-        assert!(last.back().is_some_and(|line| line.starts_with("99 ")));
+        let last_lines = last_lines.into_inner().expect("not poisoned");
+        assert_eq!(last_lines.len(), MAX_KEPT_LINES);
+        assert!(last_lines.iter().all(|line| line.len() <= MAX_KEPT_LINE_BYTES));
+        assert!(last_lines.back().is_some_and(|line| line.starts_with("99 ")));
     }
 }

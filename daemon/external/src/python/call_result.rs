@@ -48,21 +48,22 @@ impl CallTimes {
     /// injection the stamps may lie outside of the call; the steps then follow each other from the beginning of the
     /// call.
     pub(super) fn new(started_at: MonoTime, ended_at: MonoTime, stamps: &[(Step, i64, i64)]) -> Self {
-        let inside = stamps.iter().try_fold(started_at.nanos(), |before, (_, from, to)| {
-            (before <= *from && from <= to).then_some(*to)
+        // End of the last step; `None` if the stamps are not in order.
+        let last_end = stamps.iter().try_fold(started_at.nanos(), |previous_end, (_, from, to)| {
+            (previous_end <= *from && from <= to).then_some(*to)
         });
-        let mut next = started_at;
-        let place = |&(step, from, to): &(Step, i64, i64)| match inside {
-            Some(last) if last <= ended_at.nanos() => {
+        let mut next_start = started_at;
+        let timed_step = |&(step, from, to): &(Step, i64, i64)| match last_end {
+            Some(last_end) if last_end <= ended_at.nanos() => {
                 (step, MonoTime::from_nanos(from), MonoTime::from_nanos(to))
             }
             _ => {
-                let from_here = next;
-                next = next + Span::from_nanos(to.saturating_sub(from).max(0));
-                (step, from_here, next)
+                let step_start = next_start;
+                next_start = next_start + Span::from_nanos(to.saturating_sub(from).max(0));
+                (step, step_start, next_start)
             }
         };
-        Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(place).collect() }
+        Self { restarted_at: None, started_at, ended_at, steps: stamps.iter().map(timed_step).collect() }
     }
 
     /// Returns the time that is not spent in the user's code: transfer and conversion of the arguments and of the result.

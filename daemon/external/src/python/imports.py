@@ -10,10 +10,13 @@ MAX_FILES = 64
 MAX_NAMES = 1 << 14
 # Limit of the total source that is parsed for imports, in bytes: takes some tenths of a second at most.
 MAX_SOURCE = 1 << 18
+# Limit of the length of a version, in characters.
 MAX_VERSION = 100
 # Length of the longest path that Linux opens, in characters.
 MAX_PATH = 4096
+# Folder of the standard library.
 STANDARD = os.path.dirname(os.__file__) + os.sep
+# Names of folders with installed libraries, which may be inside the folder of the standard library.
 INSTALLED = ("site-packages", "dist-packages")
 
 
@@ -23,51 +26,52 @@ class Imports:
     def __init__(self, folder):
         # The user's code may change the working folder, but its modules were searched in the first one.
         self.folder = folder
-        self.path = [place or folder for place in sys.path if isinstance(place, str)]
+        self.path = [entry or folder for entry in sys.path if isinstance(entry, str)]
         # Dictionaries keep the order of discovery.
         self.files, self.libraries = {}, {}
         # Folders of the submodules of a package, by its name; None if its imports are not followed.
-        self.places = {}
-        self.unread, self.more = [], False
-        self.name_space, self.source_space = MAX_NAMES, MAX_SOURCE
+        self.package_folders = {}
+        self.pending_sources, self.is_incomplete = [], False
+        self.name_chars_left, self.source_bytes_left = MAX_NAMES, MAX_SOURCE
         self.distributions = {}
 
     def follow(self, name):
         """Records a module, the packages that contain it, and all their imports if they are the user's own."""
         self.visit(name)
-        while self.unread:
-            for name in imports_of(*self.unread.pop(0)):
+        while self.pending_sources:
+            for name in imports_of(*self.pending_sources.pop(0)):
                 self.visit(name)
 
     def visit(self, name):
-        whole, within = "", self.path
+        """Records a module and the packages that contain it."""
+        qualified_name, search_path = "", self.path
         for part in name.split("."):
-            whole = whole + "." + part if whole else part
-            if whole not in self.places:
-                self.places[whole] = self.visit_one(whole, within)
-            within = self.places[whole]
-            if within is None:
+            qualified_name = qualified_name + "." + part if qualified_name else part
+            if qualified_name not in self.package_folders:
+                self.package_folders[qualified_name] = self.visit_module(qualified_name, search_path)
+            search_path = self.package_folders[qualified_name]
+            if search_path is None:
                 return
 
-    def visit_one(self, name, within):
-        file, places = locate(name, within)
-        where = file or (places[0] if places else None)
-        if where is None or self.is_standard(where):
+    def visit_module(self, name, search_path):
+        file, folders = locate(name, search_path)
+        location = file or (folders[0] if folders else None)
+        if location is None or self.is_standard(location):
             return None
-        if self.is_installed(name, where):
+        if self.is_installed(name, location):
             if file:
                 self.libraries[name] = self.version(name, file)
                 return None
-            return places
+            return folders
         file = containing_archive(os.path.join(self.folder, file)) if file else None
         if file and file not in self.files:
-            self.name_space -= len(file)
-            if len(self.files) == MAX_FILES or self.name_space < 0:
-                self.more = True
+            self.name_chars_left -= len(file)
+            if len(self.files) == MAX_FILES or self.name_chars_left < 0:
+                self.is_incomplete = True
                 return None
             self.files[file] = None
-            self.queue(name if places else name.rpartition(".")[0], file)
-        return places
+            self.queue(name if folders else name.rpartition(".")[0], file)
+        return folders
 
     def queue(self, package, file):
         """Parses a Python file within the limit of source. A file that Python cannot parse has no imports."""
@@ -75,22 +79,22 @@ class Imports:
             return
         try:
             with open(file, "rb") as opened:
-                source = opened.read(self.source_space + 1)
-            self.more = self.more or len(source) > self.source_space
-            if len(source) <= self.source_space:
-                self.source_space -= len(source)
-                self.unread.append((ast.parse(source), package))
+                source = opened.read(self.source_bytes_left + 1)
+            self.is_incomplete = self.is_incomplete or len(source) > self.source_bytes_left
+            if len(source) <= self.source_bytes_left:
+                self.source_bytes_left -= len(source)
+                self.pending_sources.append((ast.parse(source), package))
         except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
             pass
 
-    def is_standard(self, where):
-        return where.startswith(STANDARD) and not any(name in where[len(STANDARD) :] for name in INSTALLED)
+    def is_standard(self, location):
+        return location.startswith(STANDARD) and not any(name in location[len(STANDARD) :] for name in INSTALLED)
 
-    def is_installed(self, name, where):
+    def is_installed(self, name, location):
         """Whether pip or the system installed it."""
-        if any(folder in INSTALLED for folder in where.split(os.sep)):
+        if any(folder in INSTALLED for folder in location.split(os.sep)):
             return True
-        return name.partition(".")[0] in self.installed(search_folder(name, where))
+        return name.partition(".")[0] in self.installed(search_folder(name, location))
 
     def version(self, name, file):
         """The `__version__` of the library; if it has none or is not imported yet, the version of its installation."""
@@ -105,52 +109,52 @@ class Imports:
         return self.distributions[folder]
 
 
-def locate(name, within):
+def locate(name, search_path):
     """The file of a module, and the folders of its submodules if it is a package; None if it is not found."""
     try:
         module = sys.modules.get(name)
         if module is not None:
-            places = getattr(module, "__path__", None)
-            places = [place for place in places if isinstance(place, str)] if places else None
-            return module_text(name, "__file__"), places
-        spec = PathFinder.find_spec(name, within)
+            folders = getattr(module, "__path__", None)
+            folders = [folder for folder in folders if isinstance(folder, str)] if folders else None
+            return module_text(name, "__file__"), folders
+        spec = PathFinder.find_spec(name, search_path)
     except Exception:
         return None, None
     if spec is None:
         return None, None
     if spec.origin is None:
-        # A namespace's own list asks for its parent, which may not be imported.
-        places = (os.path.join(place, name.rpartition(".")[2]) for place in within)
-        return None, [place for place in places if os.path.isdir(place)]
+        # The list in the spec of a namespace package looks up the parent in sys.modules, where it may be missing.
+        folders = (os.path.join(folder, name.rpartition(".")[2]) for folder in search_path)
+        return None, [folder for folder in folders if os.path.isdir(folder)]
     return spec.origin, spec.submodule_search_locations
 
 
 def containing_archive(file):
     """The archive that contains a module, such as a zipped egg; otherwise its own file."""
-    place = file if len(file) < MAX_PATH else ""
-    while place and not os.path.exists(place):
-        place = os.path.dirname(place)
-    return place if os.path.isfile(place) else file
+    path = file if len(file) < MAX_PATH else ""
+    while path and not os.path.exists(path):
+        path = os.path.dirname(path)
+    return path if os.path.isfile(path) else file
 
 
 def imports_of(tree, package):
-    """The names that a source of this package imports anywhere; the last component may not be a module."""
+    """The names that a module in this package imports anywhere. The last component of a name may not be a module."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: package.count(".") + 2 - node.level] if node.level and package else []
-            base = ".".join(above + ([node.module] if node.module else []))
+            parents = package.split(".")[: package.count(".") + 2 - node.level] if node.level and package else []
+            base = ".".join(parents + ([node.module] if node.module else []))
             yield from (base + "." + alias.name if base else alias.name for alias in node.names)
 
 
-def search_folder(name, where):
+def search_folder(name, location):
     """The entry of the search path in which a module was found."""
-    if os.path.basename(where).startswith("__init__."):
-        where = os.path.dirname(where)
+    if os.path.basename(location).startswith("__init__."):
+        location = os.path.dirname(location)
     for _ in name.split("."):
-        where = os.path.dirname(where)
-    return where
+        location = os.path.dirname(location)
+    return location
 
 
 def distributions(folder):
@@ -169,28 +173,29 @@ def distributions(folder):
     return versions
 
 
-def modules(information):
+def modules(metadata_folder):
     """The modules of a distribution, from its list of top-level names or of its files."""
-    for name, end in (("top_level.txt", "\n"), ("RECORD", ".")):
+    for name, delimiter in (("top_level.txt", "\n"), ("RECORD", ".")):
         try:
-            with open(os.path.join(information, name), encoding="utf-8", errors="replace") as lines:
-                return {line.partition("/")[0].partition(end)[0].strip() for line in lines}
+            with open(os.path.join(metadata_folder, name), encoding="utf-8", errors="replace") as lines:
+                return {line.partition("/")[0].partition(delimiter)[0].strip() for line in lines}
         except OSError:
             pass
     return set()
 
 
-def describe_code(module, folder, before):
+def describe_code(module, folder, modules_before):
     """The files, the libraries with their versions, and whether either list is incomplete."""
-    found = Imports(folder)
+    imports = Imports(folder)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             # Modules that were imported without an import statement are among the loaded modules.
-            for name in [module] + [name for name in list(sys.modules) if name not in before]:
-                found.follow(name)
+            for name in [module] + [name for name in list(sys.modules) if name not in modules_before]:
+                imports.follow(name)
     except Exception:
-        found.more = True
-    libraries = [(plain(name), plain(version)) for name, version in found.libraries.items()]
-    more = found.more or len(libraries) > MAX_FILES
-    return {"files": [plain(file) for file in found.files], "libraries": libraries[:MAX_FILES], "more": more}
+        imports.is_incomplete = True
+    libraries = [(bounded_utf8(name), bounded_utf8(version)) for name, version in imports.libraries.items()]
+    is_incomplete = imports.is_incomplete or len(libraries) > MAX_FILES
+    files = [bounded_utf8(file) for file in imports.files]
+    return {"files": files, "libraries": libraries[:MAX_FILES], "more": is_incomplete}

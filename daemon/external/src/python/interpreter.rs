@@ -36,7 +36,7 @@ pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
     let name = configured
         .or_else(|| env::var_os(PYTHON_VARIABLE).filter(|name| !name.is_empty()))
         .unwrap_or_else(|| OsString::from("python3"));
-    let missing = || {
+    let missing_error = || {
         let name = name.to_string_lossy();
         PythonError::NoPython(if name.contains('/') {
             name.into_owned()
@@ -44,9 +44,9 @@ pub(super) fn python(config: &PythonConfig) -> Result<PathBuf, PythonError> {
             format!("{name} on the PATH")
         })
     };
-    let found = find_program(&name).ok_or_else(missing)?;
+    let path = find_program(&name).ok_or_else(missing_error)?;
     // The process may run in another working directory.
-    std::path::absolute(&found).map_err(|_| missing())
+    std::path::absolute(&path).map_err(|_| missing_error())
 }
 
 /// Returns the description of an object's process. The process reads its source first.
@@ -74,7 +74,7 @@ pub(super) fn launch(
 }
 
 /// Checks everything that can be checked without running the user's code: the name, the folder, the interpreter, and
-/// whether it finds the top-level package of the module.
+/// whether the interpreter finds the top-level package of the module.
 ///
 /// # Errors
 /// The first failed check.
@@ -82,29 +82,33 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     config.check()?;
     let (module, _) = config.module_and_path()?;
     let launch = launch(config, config.object.clone(), None)?;
-    let place = launch.folder.clone().unwrap_or_default();
-    let top = module.split('.').next().unwrap_or(module);
-    if place.join(format!("{top}.py")).is_file() || place.join(top).is_dir() {
+    let module_folder = launch.folder.clone().unwrap_or_default();
+    let top_package = module.split('.').next().unwrap_or(module);
+    if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {
         return Ok(());
     }
-    let arguments = ["-c", FIND_MODULE, top].map(OsString::from).to_vec();
+    let arguments = ["-c", FIND_MODULE, top_package].map(OsString::from).to_vec();
     let python = launch.program.to_string_lossy().into_owned();
-    let failed =
+    let start_error =
         |reason: String| PythonError::Start { object: config.object.clone(), python: python.clone(), reason };
     let search = Launch { arguments, ..launch };
     let mut process = Process::start(&search, clock).map_err(PythonError::Process)?;
     match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
         Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
         Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {
-            let folder =
-                if place.as_os_str().is_empty() { env::current_dir().unwrap_or_default() } else { place };
+            let folder = if module_folder.as_os_str().is_empty() {
+                env::current_dir().unwrap_or_default()
+            } else {
+                module_folder
+            };
             Err(PythonError::NoModule { module: module.to_owned(), folder, python })
         }
-        Err(error) => Err(failed(error.to_string())),
-        Ok(_) => Err(failed("it wrote to its standard output at its start".to_owned())),
+        Err(error) => Err(start_error(error.to_string())),
+        Ok(_) => Err(start_error("it wrote to its standard output at its start".to_owned())),
     }
 }
 
+/// Returns the configured folder, if it exists.
 fn folder(config: &PythonConfig) -> Result<Option<PathBuf>, PythonError> {
     match &config.folder {
         Some(folder) if !Path::new(folder).is_dir() => Err(PythonError::Folder(folder.clone())),

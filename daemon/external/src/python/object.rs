@@ -139,34 +139,34 @@ impl PythonObject {
     /// and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
         let called_at = self.clock.mono();
-        let restarted = self.worker.is_none().then_some(called_at);
+        let restarted_at = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
             let started_at = self.clock.mono();
-            let until = started_at + milliseconds(self.config.timeout_ms.get());
-            match worker.call(parts, until) {
-                // A process is used again only after an answer: after a failure, bytes in the pipe would be taken for the
+            let deadline = started_at + milliseconds(self.config.timeout_ms.get());
+            match worker.call(parts, deadline) {
+                // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken for the
                 // answer to the next call.
                 Ok(answer) => {
                     self.worker = Some(worker);
                     self.restart_backoff.record_success();
                     Ok((started_at, answer))
                 }
-                Err(failure) => Err(self.failure(failure, worker)),
+                Err(failure) => Err(self.call_error(failure, worker)),
             }
         });
-        let ended = self.clock.mono();
+        let ended_at = self.clock.mono();
         match answer {
             Ok((started_at, (reply, bytes))) => {
-                let mut call_result = self.call_result(reply, bytes, started_at, ended);
-                call_result.times.restarted_at = restarted;
+                let mut call_result = self.call_result(reply, bytes, started_at, ended_at);
+                call_result.times.restarted_at = restarted_at;
                 call_result
             }
             Err(error) => {
                 if !matches!(error, PythonError::RestartDelayed { .. }) {
-                    self.restart_backoff.record_failure(ended);
+                    self.restart_backoff.record_failure(ended_at);
                     self.last_failure = error.to_string();
                 }
-                CallResult { result: Err(error), times: CallTimes::new(called_at, ended, &[]) }
+                CallResult { result: Err(error), times: CallTimes::new(called_at, ended_at, &[]) }
             }
         }
     }
@@ -176,11 +176,11 @@ impl PythonObject {
         reply: Reply,
         bytes: Vec<Bytes>,
         started_at: MonoTime,
-        ended: MonoTime,
+        ended_at: MonoTime,
     ) -> CallResult {
         let call_result = |result, steps: &[(Step, i64, i64)]| CallResult {
             result,
-            times: CallTimes::new(started_at, ended, steps),
+            times: CallTimes::new(started_at, ended_at, steps),
         };
         match reply {
             Reply::Value { parts, steps } => {
@@ -199,7 +199,7 @@ impl PythonObject {
         }
     }
 
-    /// Returns the running process, or a new one if the last has died and its delay is over.
+    /// Returns the running process. If it has died, starts a new one as soon as the restart delay is over.
     fn take_or_start_worker(&mut self) -> Result<Worker, PythonError> {
         if let Some(worker) = self.worker.take() {
             return Ok(worker);
@@ -218,8 +218,8 @@ impl PythonObject {
     /// Starts a process and waits until the object is created.
     fn start_worker(&mut self) -> Result<Worker, PythonError> {
         let (module, path) = self.config.module_and_path()?;
-        let allowed = milliseconds(self.config.start_timeout_ms.get());
-        let until = self.clock.mono() + allowed;
+        let timeout = milliseconds(self.config.start_timeout_ms.get());
+        let deadline = self.clock.mono() + timeout;
         let mut worker = Worker::start(&self.launch, &self.clock)
             .map_err(|failure| self.start_error(failure.to_string()))?;
         let settings = Request::Start {
@@ -230,7 +230,7 @@ impl PythonObject {
             images: self.config.images,
             shared_memory: worker.shared_memory(),
         };
-        match worker.create_object(&settings, until) {
+        match worker.create_object(&settings, deadline) {
             Ok((Reply::Ready(description), _)) => {
                 self.description = description;
                 Ok(worker)
@@ -240,9 +240,9 @@ impl PythonObject {
             }
             Ok(_) => Err(self.start_error("it answered before a request".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
-                let (allowed, stderr_suffix) = (allowed.seconds(), worker.kill().stderr_suffix());
+                let (timeout_s, stderr_suffix) = (timeout.seconds(), worker.kill().stderr_suffix());
                 Err(self.start_error(format!(
-                    "it was not ready within {allowed} s and was killed{stderr_suffix}; raise start_timeout_ms if it needs \
+                    "it was not ready within {timeout_s} s and was killed{stderr_suffix}; raise start_timeout_ms if it needs \
                      longer"
                 )))
             }
@@ -256,7 +256,7 @@ impl PythonObject {
     }
 
     /// Converts the failure of a call after which the process cannot be used any more.
-    fn failure(&self, failure: WorkerError, worker: Worker) -> PythonError {
+    fn call_error(&self, failure: WorkerError, worker: Worker) -> PythonError {
         let object = self.config.object.clone();
         match failure {
             WorkerError::Process(ProcessError::ProcessEnd(ended)) => PythonError::Died { object, ended },

@@ -39,7 +39,7 @@ impl SharedMemory {
         let flags = MemfdFlags::CLOEXEC | MemfdFlags::ALLOW_SEALING;
         let create = |flags| memfd_create(c"peernet-shared-memory", flags);
         let file = match create(flags | MemfdFlags::NOEXEC_SEAL) {
-            // Before Linux 6.3 the flag is not known. Newer systems may require it.
+            // Linux before 6.3 does not know the flag. Newer systems may require it.
             Err(Errno::INVAL) => create(flags)?,
             file => file?,
         };
@@ -91,8 +91,8 @@ impl SharedMemory {
 
     /// Copies bytes out of the memory; returns `None` if they are not within it.
     pub(super) fn read_part(&mut self, at: u64, length: usize) -> io::Result<Option<Bytes>> {
-        let reach = |at: usize| Some((at, at.checked_add(length)?));
-        let Some((at, end)) = usize::try_from(at).ok().and_then(reach) else { return Ok(None) };
+        let with_end = |at: usize| Some((at, at.checked_add(length)?));
+        let Some((at, end)) = usize::try_from(at).ok().and_then(with_end) else { return Ok(None) };
         if end > self.map.len() && end as u64 <= self.file.metadata()?.len() {
             // The other side extended the file.
             self.map = MmapRaw::map_raw(&*self.file)?;
@@ -168,13 +168,13 @@ mod tests {
     #[test]
     fn other_side_may_grow_but_not_shrink_memory() {
         let mut shared_memory = SharedMemory::new().expect("there is memory");
-        let theirs = shared_memory.file();
-        theirs.set_len(0).expect_err("it is sealed");
-        theirs.set_len(2 * INITIAL_BYTES as u64).expect("it may grow");
-        theirs.write_all_at(b"late", INITIAL_BYTES as u64 + 7).expect("there is room");
-        let taken = shared_memory.read_part(INITIAL_BYTES as u64 + 7, 4).expect("it is mapped");
-        assert_eq!(taken.as_deref(), Some(&b"late"[..]));
-        theirs.set_len(16 * INITIAL_BYTES as u64).expect("it may grow");
+        let peer_file = shared_memory.file();
+        peer_file.set_len(0).expect_err("it is sealed");
+        peer_file.set_len(2 * INITIAL_BYTES as u64).expect("it may grow");
+        peer_file.write_all_at(b"late", INITIAL_BYTES as u64 + 7).expect("there is room");
+        let bytes = shared_memory.read_part(INITIAL_BYTES as u64 + 7, 4).expect("it is mapped");
+        assert_eq!(bytes.as_deref(), Some(&b"late"[..]));
+        peer_file.set_len(16 * INITIAL_BYTES as u64).expect("it may grow");
         shared_memory.write_parts(&[part(3 * INITIAL_BYTES)]).expect("it is there already");
     }
 
@@ -182,9 +182,9 @@ mod tests {
     fn excess_memory_is_returned_after_large_call() {
         let mut shared_memory = SharedMemory::new().expect("there is memory");
         shared_memory.write_parts(&[part(2 * MAX_KEPT_BYTES as usize)]).expect("there is memory");
-        let held = || shared_memory.file.metadata().expect("it is open").blocks() * 512;
-        assert!(held() >= 2 * MAX_KEPT_BYTES);
+        let allocated_bytes = || shared_memory.file.metadata().expect("it is open").blocks() * 512;
+        assert!(allocated_bytes() >= 2 * MAX_KEPT_BYTES);
         shared_memory.release_excess();
-        assert!(held() <= MAX_KEPT_BYTES);
+        assert!(allocated_bytes() <= MAX_KEPT_BYTES);
     }
 }

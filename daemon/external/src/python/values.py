@@ -9,6 +9,7 @@ import sys
 PICKLE = "application/x-python-pickle"
 # A tree of containers as JSON whose leaves may be the parts that follow.
 TREE = "application/x-python-tree"
+# Advice at the end of an error text.
 OR_PICKLE = "set pickle = true on both ends"
 # A message holds up to 64 parts; the first may be the tree or the pickle.
 MAX_LEAVES = 63
@@ -34,7 +35,7 @@ PIXELS = {"RGB": ("rgb8", 3), "L": ("grey8", 1)}
 to_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
-class Refused(Exception):
+class UnsupportedValue(Exception):
     """A value that cannot be transferred."""
 
 
@@ -55,6 +56,8 @@ def part(media, data, shape=(), element=None):
 
 
 class Encoder:
+    """Converts a Python value to parts."""
+
     def __init__(self, may_pickle):
         self.may_pickle = may_pickle
 
@@ -62,12 +65,12 @@ class Encoder:
         form = self.form(value)
         if form is not None:
             return [form(value)]
-        if self.may_pickle and not self.plain(value):
+        if self.may_pickle and not self.has_only_builtins(value):
             return self.pickled(value)
         if isinstance(value, (list, tuple)) and 1 < len(value) <= MAX_LEAVES:
-            forms = [self.form(one) for one in value]
-            if all(forms) and any(not isinstance(one, str) for one in value):
-                return [form(one) for form, one in zip(forms, value)]
+            forms = [self.form(item) for item in value]
+            if all(forms) and any(not isinstance(item, str) for item in value):
+                return [form(item) for form, item in zip(forms, value)]
         leaves = []
         tree, is_json = self.tree(value, leaves, 0)
         if not leaves and is_json:
@@ -75,8 +78,8 @@ class Encoder:
             text = json.dumps(value, separators=(",", ":"), default=lambda scalar: scalar.item())
             return [part("json", text.encode())]
         if len(leaves) > MAX_LEAVES:
-            many = (len(leaves), MAX_LEAVES)
-            raise Refused("a value holds %d arrays, pictures or byte strings; at most %d can be transferred" % many)
+            text = "a value holds %d arrays, pictures or byte strings; at most %d can be transferred"
+            raise UnsupportedValue(text % (len(leaves), MAX_LEAVES))
         return [part({"other": TREE}, to_json(tree).encode())] + leaves
 
     def form(self, value):
@@ -102,26 +105,28 @@ class Encoder:
         try:
             return part("text", value.encode())
         except UnicodeEncodeError as error:
-            raise Refused("a text that is not Unicode cannot be transferred (%s); encode it" % error.reason) from None
+            text = "a text that is not Unicode cannot be transferred (%s); encode it"
+            raise UnsupportedValue(text % error.reason) from None
 
     def tensor(self, value):
         try:
             return self.array(value.detach().cpu().numpy())
         except (RuntimeError, TypeError) as error:
             text = "a tensor of type %s cannot be transferred (%s); convert it, or %s"
-            raise Refused(text % (value.dtype, error, OR_PICKLE)) from None
+            raise UnsupportedValue(text % (value.dtype, error, OR_PICKLE)) from None
 
     def array(self, value):
         numpy = sys.modules["numpy"]
         if isinstance(value, numpy.ma.MaskedArray) and numpy.ma.is_masked(value):
             text = "a masked array cannot be transferred, because its mask would be lost; fill it, or "
-            raise Refused(text + OR_PICKLE)
+            raise UnsupportedValue(text + OR_PICKLE)
         element = ELEMENTS.get(value.dtype.str[1:])
         if element is None:
-            raise Refused("an array of type %s cannot be transferred; convert it, or %s" % (value.dtype, OR_PICKLE))
+            text = "an array of type %s cannot be transferred; convert it, or %s"
+            raise UnsupportedValue(text % (value.dtype, OR_PICKLE))
         if any(length > MAX_LENGTH for length in value.shape):
             text = "an array of shape %s cannot be transferred; each dimension may be at most %d"
-            raise Refused(text % (value.shape, MAX_LENGTH))
+            raise UnsupportedValue(text % (value.shape, MAX_LENGTH))
         value = numpy.ascontiguousarray(value, dtype=DTYPES[element]).reshape(value.shape)
         data = value.reshape(-1).view(numpy.uint8).data if value.size else b""
         return part("tensor", data, value.shape, element)
@@ -130,19 +135,19 @@ class Encoder:
         if value.mode in NUMBERS:
             data = value.tobytes()
             if value.mode == "I;16B":
-                high_first, data = data, bytearray(data)
-                data[::2], data[1::2] = high_first[1::2], high_first[::2]
+                big_endian, data = data, bytearray(data)
+                data[::2], data[1::2] = big_endian[1::2], big_endian[::2]
             return part("tensor", data, (value.height, value.width), NUMBERS[value.mode])
         if value.mode not in PIXELS:
             try:
                 value = value.convert("L" if value.mode in ("1", "LA") else "RGB")
             except ValueError as error:
                 text = "a picture of mode %s cannot be transferred (%s); convert it"
-                raise Refused(text % (value.mode, error)) from None
+                raise UnsupportedValue(text % (value.mode, error)) from None
         name, channels = PIXELS[value.mode]
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
-    def plain(self, value, depth=0):
+    def has_only_builtins(self, value, depth=0):
         """Whether a value is made of built-in types alone, so that nothing is lost without a pickle."""
         kind = type(value)
         if value is None or kind in (bool, int, float):
@@ -150,9 +155,9 @@ class Encoder:
         if depth > 100:
             return False
         if kind in (list, tuple):
-            return all(self.plain(one, depth + 1) for one in value)
+            return all(self.has_only_builtins(item, depth + 1) for item in value)
         if kind is dict:
-            return all(type(key) is str and self.plain(one, depth + 1) for key, one in value.items())
+            return all(type(key) is str and self.has_only_builtins(item, depth + 1) for key, item in value.items())
         return self.form(value) is not None
 
     def tree(self, value, leaves, depth):
@@ -162,7 +167,7 @@ class Encoder:
         if isinstance(value, float):
             return value, math.isfinite(value)
         if depth > 100:
-            raise Refused("a value is nested more than 100 levels deep")
+            raise UnsupportedValue("a value is nested more than 100 levels deep")
         if isinstance(value, str):
             return value, True
         form = self.form(value)
@@ -170,15 +175,17 @@ class Encoder:
             leaves.append(form(value))
             return {"part": len(leaves)}, False
         if isinstance(value, (list, tuple)):
-            items = [self.tree(one, leaves, depth + 1) for one in value]
-            tree = [item for item, _ in items]
-            return (tree if isinstance(value, list) else {"tuple": tree}), all(plain for _, plain in items)
+            items = [self.tree(item, leaves, depth + 1) for item in value]
+            tree = [subtree for subtree, _ in items]
+            is_json = all(item_is_json for _, item_is_json in items)
+            return (tree if isinstance(value, list) else {"tuple": tree}), is_json
         if isinstance(value, dict):
             keys = [self.tree(key, leaves, depth + 1)[0] for key in value]
             if not all(key is None or isinstance(key, (str, int, float)) for key in keys):
-                raise Refused("a dictionary whose keys are not strings or numbers cannot be transferred; " + OR_PICKLE)
-            items = [self.tree(one, leaves, depth + 1) for one in value.values()]
-            is_json = all(isinstance(key, str) for key in keys) and all(plain for _, plain in items)
+                text = "a dictionary whose keys are not strings or numbers cannot be transferred; "
+                raise UnsupportedValue(text + OR_PICKLE)
+            items = [self.tree(item, leaves, depth + 1) for item in value.values()]
+            is_json = all(isinstance(key, str) for key in keys) and all(item_is_json for _, item_is_json in items)
             return {"dict": [[key, item] for key, (item, _) in zip(keys, items)]}, is_json
         if is_a(value, "numpy", "generic") and value.dtype.kind in "biuf":
             number = value.item()
@@ -186,7 +193,7 @@ class Encoder:
             if isinstance(number, (bool, int, float)):
                 return self.tree(number, leaves, depth)
         kind = type(value)
-        raise Refused(
+        raise UnsupportedValue(
             "a %s.%s cannot be transferred; return bytes, text, numbers, arrays, pictures, lists or dictionaries of "
             "them, or %s"
             % (kind.__module__, kind.__qualname__, OR_PICKLE)
@@ -203,7 +210,7 @@ class Encoder:
             if buffers is None or len(buffers) > MAX_LEAVES:
                 data, buffers = pickle.dumps(value, protocol=5), []
         except Exception as error:
-            raise Refused("a %s cannot be pickled: %s" % (type(value).__qualname__, error)) from None
+            raise UnsupportedValue("a %s cannot be pickled: %s" % (type(value).__qualname__, error)) from None
         return [part({"other": PICKLE}, data)] + [part("bytes", buffer) for buffer in buffers]
 
 
@@ -211,6 +218,8 @@ class Encoder:
 
 
 class Decoder:
+    """Converts parts to a Python value."""
+
     def __init__(self, may_pickle, images):
         self.may_pickle = may_pickle
         self.images = images
@@ -218,12 +227,12 @@ class Decoder:
     def read(self, channel, heads):
         """The value of the next parts. All parts are read, even if one is invalid."""
         first = heads[0]["description"]["media"] if heads else None
-        other = first.get("other") if isinstance(first, dict) else None
-        values, refused = [], None
+        custom_media = first.get("other") if isinstance(first, dict) else None
+        values, first_error = [], None
         for head in heads:
             description = head["description"]
             try:
-                if other == PICKLE:
+                if custom_media == PICKLE:
                     values.append(channel.array(head))
                 elif description["media"] == "tensor":
                     values.append(self.array(description, channel.array(head)))
@@ -233,16 +242,16 @@ class Decoder:
                 raise
             except Exception as error:
                 # The other parts still have to be read.
-                refused = refused or error
-        if refused is not None:
-            raise Refused(str(refused) or type(refused).__name__)
-        if other == PICKLE:
+                first_error = first_error or error
+        if first_error is not None:
+            raise UnsupportedValue(str(first_error) or type(first_error).__name__)
+        if custom_media == PICKLE:
             return self.unpickled(values)
-        if other == TREE:
+        if custom_media == TREE:
             try:
                 return from_tree(json.loads(values[0]), values)
             except Exception as error:
-                raise Refused("a value arrived with invalid containers: %s" % error) from None
+                raise UnsupportedValue("a value arrived with invalid containers: %s" % error) from None
         return None if not values else values[0] if len(values) == 1 else tuple(values)
 
     def value(self, description, data):
@@ -258,12 +267,12 @@ class Decoder:
         return data
 
     def array(self, description, data):
-        numpy = imported("numpy", "an array", "python3-numpy", "")
+        numpy = import_library("numpy", "an array", "python3-numpy", "")
         dtype, shape = DTYPES.get(description["element"]), description["shape"]
         try:
             return numpy.frombuffer(data, dtype="u1" if dtype is None else dtype).reshape(shape if dtype else -1)
         except ValueError as error:
-            raise Refused("an array does not match its shape: %s" % error) from None
+            raise UnsupportedValue("an array does not match its shape: %s" % error) from None
 
     def pixels(self, description, data):
         height, width, channels = description["shape"]
@@ -273,13 +282,13 @@ class Decoder:
                 return pil().new(mode, (width, height))
             return pil().frombuffer(mode, (width, height), data, "raw", mode, 0, 1)
         if self.images == "numpy":
-            numpy = imported("numpy", "a picture", "python3-numpy", " or set images = 'bytes'")
+            numpy = import_library("numpy", "a picture", "python3-numpy", " or set images = 'bytes'")
             return numpy.frombuffer(data, dtype="u1").reshape(height, width, channels)
         return data
 
     def unpickled(self, parts):
         if not self.may_pickle:
-            raise Refused(
+            raise UnsupportedValue(
                 "a pickled object arrived and is not unpickled, because that runs code of the sender; "
                 "if you trust the sender, set pickle = true here as well"
             )
@@ -287,32 +296,32 @@ class Decoder:
             return pickle.loads(parts[0], buffers=parts[1:])
         except Exception as error:
             text = "a pickled object arrived that cannot be unpickled: %s: %s"
-            raise Refused(text % (type(error).__name__, error)) from None
+            raise UnsupportedValue(text % (type(error).__name__, error)) from None
 
 
 def pil():
-    return imported("PIL.Image", "a picture", "python3-pil", " or set images = 'numpy' or 'bytes'")
+    return import_library("PIL.Image", "a picture", "python3-pil", " or set images = 'numpy' or 'bytes'")
 
 
-def imported(module, what, package, otherwise):
+def import_library(module, value_kind, package, alternative):
     try:
         __import__(module)
     except ImportError as error:
         text = "%s arrived and %s cannot be imported (%s); install %s%s"
-        raise Refused(text % (what, module, error, package, otherwise)) from None
+        raise UnsupportedValue(text % (value_kind, module, error, package, alternative)) from None
     return sys.modules[module]
 
 
 def from_tree(tree, parts):
     """The value of a tree whose leaves are `parts`."""
     if isinstance(tree, list):
-        return [from_tree(one, parts) for one in tree]
+        return [from_tree(item, parts) for item in tree]
     if not isinstance(tree, dict):
         return tree
     if "part" in tree:
         return parts[tree["part"]]
     if "tuple" in tree:
-        return tuple(from_tree(one, parts) for one in tree["tuple"])
-    return {key: from_tree(one, parts) for key, one in tree["dict"]}
+        return tuple(from_tree(item, parts) for item in tree["tuple"])
+    return {key: from_tree(item, parts) for key, item in tree["dict"]}
 
 

@@ -2,7 +2,7 @@
 import mmap
 import os
 
-MARK = b"PN1\n"
+MESSAGE_PREFIX = b"PN1\n"
 # Shorter parts are sent through the pipe, after the header: one page.
 MIN_SHARED_BYTES = 4096
 # Every part in the shared memory begins at a multiple of this: a cache line.
@@ -18,20 +18,20 @@ class Channel:
         self.memory = None
         # Consecutive requests often have equal headers; the last one is parsed once.
         self.header, self.request = b"", None
-        nothing = os.open(os.devnull, os.O_RDONLY)
-        os.dup2(nothing, 0)
-        os.close(nothing)
+        null_device = os.open(os.devnull, os.O_RDONLY)
+        os.dup2(null_device, 0)
+        os.close(null_device)
         # The user's output goes to standard error.
         os.dup2(2, 1)
         sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
         # A forked process must not use the pipes.
-        os.register_at_fork(after_in_child=self.forget)
+        os.register_at_fork(after_in_child=self.close_in_child)
 
-    def share(self, number):
+    def map_shared_memory(self, descriptor):
         """Maps the shared memory in the inherited file descriptor."""
-        self.memory = SharedMemory(number)
+        self.memory = SharedMemory(descriptor)
 
-    def forget(self):
+    def close_in_child(self):
         os.close(self.source.fileno())
         os.close(self.sink)
         if self.memory is not None:
@@ -42,16 +42,18 @@ class Channel:
         prefix = self.source.read(8)
         if len(prefix) < 8:
             return None
-        if prefix[:4] != MARK:
+        if prefix[:4] != MESSAGE_PREFIX:
             raise RuntimeError("the request begins with %r" % prefix)
-        header = self.piped(int.from_bytes(prefix[4:], "little"))
+        header = self.read_exactly(int.from_bytes(prefix[4:], "little"))
         if header != self.header:
             self.header, self.request = header, json.loads(header)
         return self.request
 
     def bytes(self, head):
         """The content of a part."""
-        return self.piped(head["length"]) if head.get("at") is None else self.memory.bytes(head["at"], head["length"])
+        if head.get("at") is None:
+            return self.read_exactly(head["length"])
+        return self.memory.bytes(head["at"], head["length"])
 
     def array(self, head):
         """The content of a part in writable memory, so that users can change arrays in place."""
@@ -64,7 +66,7 @@ class Channel:
             raise PipeClosed
         return data
 
-    def piped(self, length):
+    def read_exactly(self, length):
         data = self.source.read(length)
         if len(data) < length:
             raise PipeClosed
@@ -75,12 +77,12 @@ class Channel:
 
     def frame(self, kind, body, parts=()):
         """The chunks to send through the pipe, after large parts were copied to the shared memory."""
-        piped = []
+        pipe_chunks = []
         if parts:
             parts = [(description, memoryview(data)) for description, data in parts]
             length = sum(data.nbytes for _, data in parts)
             if length > MAX_BYTES:
-                raise Refused("a value has %d bytes; at most %d can be transferred" % (length, MAX_BYTES))
+                raise UnsupportedValue("a value has %d bytes; at most %d can be transferred" % (length, MAX_BYTES))
             body["parts"] = heads = []
             end = 0
             for description, data in parts:
@@ -92,11 +94,12 @@ class Channel:
                     try:
                         self.memory.put(head["at"], data.cast("B"))
                     except (MemoryError, OSError) as error:
-                        raise Refused("not enough memory for a value of %d bytes: %s" % (length, error)) from None
+                        text = "not enough memory for a value of %d bytes: %s"
+                        raise UnsupportedValue(text % (length, error)) from None
                 elif data.nbytes:
-                    piped.append(data.cast("B"))
+                    pipe_chunks.append(data.cast("B"))
         header = to_json({kind: body}).encode()
-        return [memoryview(MARK + len(header).to_bytes(4, "little") + header)] + piped
+        return [memoryview(MESSAGE_PREFIX + len(header).to_bytes(4, "little") + header)] + pipe_chunks
 
     def send(self, chunks):
         while chunks:

@@ -4,6 +4,7 @@ import time
 import traceback
 
 METHODS = {"sensor": "sample", "model": "infer"}
+# Limit of the length of a text, in characters.
 MAX_TEXT = 4000
 # Exceptions that end the process; every other exception fails one call.
 EXITS = (SystemExit, KeyboardInterrupt)
@@ -17,14 +18,14 @@ def load_object(module, path, method):
     for name in path.split(".") if path else ():
         if not hasattr(user_object, name):
             names = getattr(user_object, "__dict__", ())
-            public = [one for one in names if not one.startswith("_")]
-            raise Refused("%s has no %s; it has %s" % (module, path, ", ".join(public[:20]) or "nothing"))
+            public = [attribute for attribute in names if not attribute.startswith("_")]
+            raise UnsupportedValue("%s has no %s; it has %s" % (module, path, ", ".join(public[:20]) or "nothing"))
         user_object = getattr(user_object, name)
     what = "%s %s" % (kind_of(user_object), "%s::%s" % (module, path) if path else module)
     if inspect.isclass(user_object):
         user_object = user_object()
     if not callable(getattr(user_object, method, None)):
-        raise Refused("the %s has no %s(%s)" % (what, method, "x" if method == "infer" else ""))
+        raise UnsupportedValue("the %s has no %s(%s)" % (what, method, "x" if method == "infer" else ""))
     return user_object, what
 
 
@@ -40,12 +41,12 @@ def module_text(module, name):
     """The text of an attribute of a module; None if it is missing or not a text."""
     try:
         text = getattr(sys.modules.get(module), name, None)
-        return plain(text) if isinstance(text, str) else None
+        return bounded_utf8(text) if isinstance(text, str) else None
     except Exception:
         return None
 
 
-def plain(text):
+def bounded_utf8(text):
     """The text as valid UTF-8 of limited length."""
     return str(text)[:MAX_TEXT].encode("utf-8", "backslashreplace").decode()
 
@@ -60,8 +61,8 @@ def wait_for_gpu():
 
 def pictures(value):
     """The value if it is a picture, or the pictures in it."""
-    held = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else (value,)
-    return [one for one in held if is_a(one, "PIL.Image", "Image")] if len(held) <= MAX_LEAVES else []
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, (list, tuple)) else (value,)
+    return [item for item in items if is_a(item, "PIL.Image", "Image")] if len(items) <= MAX_LEAVES else []
 
 
 class Sensor:
@@ -69,7 +70,7 @@ class Sensor:
         self.user_object = user_object
 
     def call(self, _, stages):
-        begun = now()
+        started_at = now()
         try:
             value = self.user_object.sample()
             # PIL decodes files lazily; decoding is part of taking the sample.
@@ -77,7 +78,7 @@ class Sensor:
                 picture.load()
             wait_for_gpu()
         finally:
-            stages.append(("sample", begun, now()))
+            stages.append(("sample", started_at, now()))
         return value
 
 
@@ -89,12 +90,12 @@ class Model:
 
     def call(self, value, stages):
         for stage, step in self.steps:
-            begun = now()
+            started_at = now()
             try:
                 value = step(value)
                 wait_for_gpu()
             finally:
-                stages.append((stage, begun, now()))
+                stages.append((stage, started_at, now()))
         return value
 
 
@@ -110,7 +111,7 @@ def exception_text(error):
     return line[: MAX_TEXT // 4] + "\n" + lines
 
 
-def fail(channel, kind, text, stages):
+def write_failure(channel, kind, text, stages):
     # Lone surrogates cannot be encoded.
     text = text.encode("utf-8", "backslashreplace").decode()
     if len(text) > MAX_TEXT:
@@ -120,7 +121,7 @@ def fail(channel, kind, text, stages):
 
 def start(request):
     settings = request["start"]
-    sys.path[:] = [""] + [place for place in sys.path if place != ""]
+    sys.path[:] = [""] + [entry for entry in sys.path if entry != ""]
     sys.argv[:] = [settings["module"]]
     if settings["role"] == "model" and settings["images"] == "pil":
         # Imported now, so that the first picture does not wait for it.
@@ -129,13 +130,13 @@ def start(request):
         except ImportError:
             pass
     # PIL opens the pictures of a model, so it is one of its libraries even if the model does not import it.
-    folder, before = os.getcwd(), set(sys.modules) - {"PIL"}
+    folder, modules_before = os.getcwd(), set(sys.modules) - {"PIL"}
     user_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
     role = Sensor(user_object) if settings["role"] == "sensor" else Model(user_object)
     version = ".".join(str(number) for number in sys.version_info[:3])
-    about = {"what": what, "python": version, "executable": plain(sys.executable or "")}
-    about.update(describe_code(settings["module"], folder, before))
-    return role, about, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
+    description = {"what": what, "python": version, "executable": bounded_utf8(sys.executable or "")}
+    description.update(describe_code(settings["module"], folder, modules_before))
+    return role, description, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
 
 
 def answer(channel, request, role, encoder, decoder):
@@ -146,13 +147,13 @@ def answer(channel, request, role, encoder, decoder):
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
     except (PipeClosed, *EXITS):
         raise
-    except Refused as error:
-        fail(channel, "refused", str(error), stages)
+    except UnsupportedValue as error:
+        write_failure(channel, "refused", str(error), stages)
     except BaseException as error:
         if isinstance(error, StopIteration) and isinstance(role, Sensor):
             channel.write("over", {"stages": stages})
         else:
-            fail(channel, "raised", exception_text(error), stages)
+            write_failure(channel, "raised", exception_text(error), stages)
     else:
         channel.send(frame)
 
@@ -160,16 +161,16 @@ def answer(channel, request, role, encoder, decoder):
 def main():
     channel = Channel()
     request = channel.read()
-    channel.share(request["start"]["window"])
+    channel.map_shared_memory(request["start"]["window"])
     try:
-        role, about, encoder, decoder = start(request)
+        role, description, encoder, decoder = start(request)
     except EXITS:
         raise
-    except Refused as error:
-        return fail(channel, "refused", str(error), [])
+    except UnsupportedValue as error:
+        return write_failure(channel, "refused", str(error), [])
     except BaseException as error:
-        return fail(channel, "raised", exception_text(error), [])
-    channel.write("ready", about)
+        return write_failure(channel, "raised", exception_text(error), [])
+    channel.write("ready", description)
     while True:
         request = channel.read()
         if request is None:

@@ -12,7 +12,7 @@ use super::frame::{self, FrameError, MAX_BYTES, PREFIX_BYTES, PartHead, Reply, R
 use super::shared_memory::SharedMemory;
 use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 
-/// Reply of the worker, with the bytes of its parts.
+/// Reply of the worker, with the bytes of the reply's parts.
 pub(super) type Answer = (Reply, Vec<Bytes>);
 
 /// Process with the memory that it shares with this one.
@@ -50,23 +50,23 @@ impl Worker {
     pub(super) fn create_object(
         &mut self,
         settings: &Request<'_>,
-        until: MonoTime,
+        deadline: MonoTime,
     ) -> Result<Answer, WorkerError> {
-        let head = encode_request(settings)?;
-        self.process.write(&[SOURCE.as_bytes(), &head], until)?;
-        self.receive_reply(until)
+        let header = encode_request(settings)?;
+        self.process.write(&[SOURCE.as_bytes(), &header], deadline)?;
+        self.receive_reply(deadline)
     }
 
     /// Calls the object.
-    pub(super) fn call(&mut self, parts: &[Part], until: MonoTime) -> Result<Answer, WorkerError> {
+    pub(super) fn call(&mut self, parts: &[Part], deadline: MonoTime) -> Result<Answer, WorkerError> {
         let positions = self.shared_memory.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
-        let head = encode_request(&Request::Call { parts: heads })?;
-        let mut chunks: Vec<&[u8]> = vec![&head];
+        let header = encode_request(&Request::Call { parts: heads })?;
+        let mut chunks: Vec<&[u8]> = vec![&header];
         let piped = parts.iter().zip(&positions).filter(|(_, at)| at.is_none());
         chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
-        self.process.write(&chunks, until)?;
-        let answer = self.receive_reply(until)?;
+        self.process.write(&chunks, deadline)?;
+        let answer = self.receive_reply(deadline)?;
         self.shared_memory.release_excess();
         Ok(answer)
     }
@@ -81,24 +81,24 @@ impl Worker {
         self.process.end(grace)
     }
 
-    fn receive_reply(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
-        let prefix = self.process.read_exact(PREFIX_BYTES, until)?;
+    fn receive_reply(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {
+        let prefix = self.process.read_exact(PREFIX_BYTES, deadline)?;
         let length = frame::header_length(&prefix)?;
-        let header = self.process.read_exact(length, until)?;
+        let header = self.process.read_exact(length, deadline)?;
         let reply: Reply = serde_json::from_slice(&header).map_err(FrameError::from)?;
         let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
         let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
         if total.is_none_or(|total| total > MAX_BYTES) {
             return Err(FrameError::ValueLength.into());
         }
-        let bytes = parts.iter().map(|part| self.read_part(part, until)).collect::<Result<_, _>>()?;
+        let bytes = parts.iter().map(|part| self.read_part(part, deadline)).collect::<Result<_, _>>()?;
         Ok((reply, bytes))
     }
 
     /// Returns the bytes of a part, from the shared memory or from the pipe.
-    fn read_part(&mut self, part: &PartHead, until: MonoTime) -> Result<Bytes, WorkerError> {
+    fn read_part(&mut self, part: &PartHead, deadline: MonoTime) -> Result<Bytes, WorkerError> {
         let length = part.length as usize;
-        let Some(at) = part.at else { return Ok(self.process.read_exact(length, until)?) };
+        let Some(at) = part.at else { return Ok(self.process.read_exact(length, deadline)?) };
         let bytes = self.shared_memory.read_part(at, length).map_err(WorkerError::Memory)?;
         bytes.ok_or_else(|| FrameError::Position { length, at }.into())
     }

@@ -33,8 +33,8 @@ fn actuator_writes_all_parts_of_an_answer() {
     let mut program = start(Role::Actuator, &[&program.to_string_lossy(), &file]);
     for parts in [&[&b"left"[..]][..], &[b"left", b"0.5", b"now"], &[b"right"]] {
         let answer = sample("text/plain", parts);
-        let acted = program.call(Request::Answer { answer: &answer, source: "cam" }).expect("acts");
-        assert_eq!(acted.outcome, ReplyOutcome::Done);
+        let actuator_call = program.call(Request::Answer { answer: &answer, source: "cam" }).expect("acts");
+        assert_eq!(actuator_call.outcome, ReplyOutcome::Done);
     }
     assert_eq!(fs::read_to_string(file).expect("was written"), "cam left\ncam left 0.5 now\ncam right\n");
 }
@@ -43,16 +43,15 @@ fn actuator_writes_all_parts_of_an_answer() {
 fn model_refuses_several_pictures_and_continues() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("brightness");
-    let built = Command::new("cc").arg("-o").arg(&program).arg(example("brightness.c")).status();
-    assert!(built.expect("a C compiler is installed").success());
+    let compilation = Command::new("cc").arg("-o").arg(&program).arg(example("brightness.c")).status();
+    assert!(compilation.expect("a C compiler is installed").success());
     let mut program = start(Role::Model, &[&program.to_string_lossy()]);
     let grey = |parts: &[&'static [u8]]| sample("image/x-grey8", parts);
-    let refused =
-        program.call(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
-    assert!(refused.contains("not a sample of 2 parts"), "{refused}");
-    let answered = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
+    let error = program.call(Request::Sample(&grey(&[b"\xff", b"\xff"]))).expect_err("takes one").to_string();
+    assert!(error.contains("not a sample of 2 parts"), "{error}");
+    let answer = program.call(Request::Sample(&grey(&[b"\xff"]))).expect("answers");
     assert!(
-        matches!(&answered.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
-        "{answered:?}"
+        matches!(&answer.outcome, ReplyOutcome::Parts(parts) if parts[0].bytes.starts_with(b"{\"label\":\"bright\"")),
+        "{answer:?}"
     );
 }

@@ -1,4 +1,5 @@
-//! Processes that a process started end with it, and with the program that started it.
+//! When a process ends, the processes that it started end as well. All of them end when the program that started the
+//! process ends.
 
 use std::io::{self, BufRead, BufReader, Read};
 use std::process::{Command, Stdio};
@@ -9,9 +10,9 @@ use peernet_external::process::{Launch, Process, ProcessError, StderrLog};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::{Pid, PidfdFlags, pidfd_open};
 
-const MOST: usize = 4096;
+const MAX_LINE_BYTES: usize = 4096;
 /// Timeout that is long enough on a busy machine.
-const PATIENT: Span = Span::from_millis(60_000);
+const LONG_TIMEOUT: Span = Span::from_millis(60_000);
 
 fn clock() -> SharedClock {
     Arc::new(SystemClock::new(ClockIdentity::new("boot", "test")))
@@ -31,50 +32,51 @@ fn shell(script: &str, clock: &SharedClock) -> Process {
 }
 
 fn line(process: &mut Process, clock: &SharedClock) -> Result<String, ProcessError> {
-    let line = process.read_line(MOST, clock.mono() + PATIENT)?;
+    let line = process.read_line(MAX_LINE_BYTES, clock.mono() + LONG_TIMEOUT)?;
     Ok(String::from_utf8(line.to_vec()).expect("text"))
 }
 
 /// Child of another process. The descriptor is held so that its number is not reused.
-struct Watched(std::os::fd::OwnedFd);
+struct WatchedChild(std::os::fd::OwnedFd);
 
-impl Watched {
+impl WatchedChild {
     fn new(pid: &str) -> Self {
         let pid = Pid::from_raw(pid.parse().expect("a number")).expect("not 0");
         Self(pidfd_open(pid, PidfdFlags::empty()).expect("it runs"))
     }
 
-    fn ends(&self) -> bool {
+    fn waits_for_end(&self) -> bool {
         let patience = Timespec { tv_sec: 60, tv_nsec: 0 };
         poll(&mut [PollFd::new(&self.0, PollFlags::IN)], Some(&patience)) == Ok(1)
     }
 }
 
-/// Script that waits until the test holds the remaining process.
-const LEAVES_ONE: &str = "sleep 600 & echo $!; read -r _; exit 3";
+/// Script that starts a child and ends before the child. It waits for a line, so that the test can watch the child
+/// before.
+const SCRIPT_WITH_CHILD: &str = "sleep 600 & echo $!; read -r _; exit 3";
 
 #[test]
 fn process_that_ends_by_itself_leaves_nothing() {
     let clock = clock();
-    let mut process = shell(LEAVES_ONE, &clock);
-    let child = Watched::new(&line(&mut process, &clock).expect("a number"));
-    process.write(&[b"go\n"], clock.mono() + PATIENT).expect("it reads");
+    let mut process = shell(SCRIPT_WITH_CHILD, &clock);
+    let child = WatchedChild::new(&line(&mut process, &clock).expect("a number"));
+    process.write(&[b"go\n"], clock.mono() + LONG_TIMEOUT).expect("it reads");
     let error = line(&mut process, &clock).expect_err("it has ended").to_string();
     assert!(error.contains("exit status 3"), "{error}");
-    assert!(child.ends());
+    assert!(child.waits_for_end());
 }
 
 #[test]
 fn requested_end_leaves_no_processes() {
     let clock = clock();
-    let mut process = shell(LEAVES_ONE, &clock);
-    let child = Watched::new(&line(&mut process, &clock).expect("a number"));
-    assert!(process.end(PATIENT).status_text().contains("exit status 3"));
-    assert!(child.ends());
+    let mut process = shell(SCRIPT_WITH_CHILD, &clock);
+    let child = WatchedChild::new(&line(&mut process, &clock).expect("a number"));
+    assert!(process.end(LONG_TIMEOUT).status_text().contains("exit status 3"));
+    assert!(child.waits_for_end());
 }
 
 #[test]
-fn end_by_requested_signal_is_no_fault() {
+fn end_by_requested_signal_is_expected() {
     let clock = clock();
     for (script, is_expected) in [
         ("echo here; exec sleep 600", true),
@@ -85,15 +87,16 @@ fn end_by_requested_signal_is_no_fault() {
     ] {
         let mut process = shell(script, &clock);
         line(&mut process, &clock).expect("it has begun");
-        let ended = process.end(Span::from_seconds(4));
-        assert_eq!(ended.ended_as_requested(), is_expected, "{script}: {ended:?}");
+        let end = process.end(Span::from_seconds(4));
+        assert_eq!(end.ended_as_requested(), is_expected, "{script}: {end:?}");
     }
 }
 
-/// Starts this test program again as the host, so that the host can end without the test.
-fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
-    let this = std::env::current_exe().expect("a test has a file");
-    let mut host = Command::new(this)
+/// Starts this test program again as the host, ends the host with `end`, and asserts that the processes that the host
+/// started end as well.
+fn assert_children_end_with_host(end: impl FnOnce(&mut std::process::Child)) {
+    let test_program = std::env::current_exe().expect("a test has a file");
+    let mut host = Command::new(test_program)
         .args(["--exact", "processes::host", "--ignored", "--nocapture"])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -102,22 +105,23 @@ fn ends_with_its_host(end: impl FnOnce(&mut std::process::Child)) {
     let output = BufReader::new(host.stdout.take().expect("a pipe"));
     let mut numbers = output.lines().map_while(Result::ok).filter_map(|line| {
         let (_, number) = line.split_once("left ")?;
-        Some(Watched::new(number))
+        Some(WatchedChild::new(number))
     });
-    let child = [numbers.next().expect("the pipeline"), numbers.next().expect("the one behind")];
+    let children =
+        [numbers.next().expect("the pipeline"), numbers.next().expect("the process that ignores signals")];
     end(&mut host);
     host.wait().expect("it was started");
-    assert!(child.iter().all(Watched::ends));
-}
-
-#[test]
-fn killed_host_leaves_no_child_processes() {
-    ends_with_its_host(|host| host.kill().expect("it runs"));
+    assert!(children.iter().all(WatchedChild::waits_for_end));
 }
 
 #[test]
 fn killed_host_leaves_no_processes() {
-    ends_with_its_host(|host| drop(host.stdin.take()));
+    assert_children_end_with_host(|host| host.kill().expect("it runs"));
+}
+
+#[test]
+fn ended_host_leaves_no_processes() {
+    assert_children_end_with_host(|host| drop(host.stdin.take()));
 }
 
 #[test]

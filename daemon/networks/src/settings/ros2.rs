@@ -16,8 +16,8 @@ pub struct Ros2SessionSettings {
     pub reliability: Reliability,
     /// Number of payloads that a topic keeps until they are taken.
     pub depth: u32,
-    /// Longest time between two payloads that this end promises, and for which it waits for a payload whose companion
-    /// message has arrived. Milliseconds.
+    /// Longest time between two payloads, which this end promises. It is also the longest time that this end waits for
+    /// a payload whose companion message has arrived. Milliseconds.
     // Skipped, because TOML has no null and the record of a run is written as TOML.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<u64>,

@@ -41,7 +41,7 @@ pub(crate) enum AddressForm {
         /// Default name.
         name: &'static str,
         /// Scheme of addresses that have a domain in place of host and port.
-        in_domain: &'static str,
+        domain_scheme: &'static str,
         /// Returns the address of the listener with this name, using the environment of this process.
         find: fn(&str, Option<u64>) -> Result<String, ListenerLookupError>,
     },
@@ -57,7 +57,7 @@ impl AddressForm {
     fn placeholder(self, scheme: &str) -> &'static str {
         match self {
             Self::HostPort => "host:port",
-            Self::Named { in_domain, .. } if in_domain == scheme => "domain/name",
+            Self::Named { domain_scheme, .. } if domain_scheme == scheme => "domain/name",
             Self::Named { .. } => "host:port/name",
         }
     }
@@ -78,12 +78,13 @@ impl Scheme {
 
     fn find(text: &str) -> Option<Self> {
         NetworkKind::ALL.iter().find_map(|network| {
-            let text = network.schemes().iter().copied().find(|known| *known == text)?;
+            let text = network.schemes().iter().copied().find(|scheme| *scheme == text)?;
             Some(Self { network: *network, text })
         })
     }
 }
 
+/// Host of an address, or the domain in its place.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 enum Host {
     Ip(IpAddr),
@@ -199,7 +200,7 @@ impl Address {
     /// Checks that the scheme selects `named`, a network that was named next to the address.
     ///
     /// # Errors
-    /// If it is another network.
+    /// If the scheme selects another network.
     pub fn check_network(&self, named: Option<NetworkKind>) -> Result<(), NetworkMismatch> {
         match named {
             Some(named) if named != self.network() => Err(NetworkMismatch { named, address: self.clone() }),
@@ -276,35 +277,36 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
         return Err(AddressProblem::UnknownScheme(scheme.to_owned()));
     };
     let form = scheme.network.address_form();
-    let (rest, name) = match form {
+    let (authority, name) = match form {
         AddressForm::HostPort => (rest, None),
-        AddressForm::Named { name: default, .. } => {
-            let (rest, name) = rest.split_once('/').unwrap_or((rest, ""));
-            (rest, Some(parse_name(if name.is_empty() { default } else { name })?))
+        AddressForm::Named { name: default_name, .. } => {
+            let (authority, name) = rest.split_once('/').unwrap_or((rest, ""));
+            (authority, Some(parse_name(if name.is_empty() { default_name } else { name })?))
         }
     };
     // DDS derives all ports from the number of the domain, so such an address has no port.
-    if matches!(form, AddressForm::Named { in_domain, .. } if in_domain == scheme.text) {
-        return Ok(Address { scheme, host: Host::Domain(parse_domain(rest)?), port: 0, name });
+    if matches!(form, AddressForm::Named { domain_scheme, .. } if domain_scheme == scheme.text) {
+        return Ok(Address { scheme, host: Host::Domain(parse_domain(authority)?), port: 0, name });
     }
     let text_with_port;
-    let rest = match form {
-        AddressForm::Named { port, .. } if !has_port(rest) => {
-            text_with_port = format!("{rest}:{port}");
+    let authority = match form {
+        AddressForm::Named { port, .. } if !has_port(authority) => {
+            text_with_port = format!("{authority}:{port}");
             &text_with_port
         }
-        _ => rest,
+        _ => authority,
     };
-    let (host, port) = if let Some(bracketed) = rest.strip_prefix('[') {
-        let (host, after) = bracketed.split_once(']').ok_or(AddressProblem::NoClosingBracket)?;
+    let (host, port) = if let Some(bracketed) = authority.strip_prefix('[') {
+        let (host, after_bracket) = bracketed.split_once(']').ok_or(AddressProblem::NoClosingBracket)?;
         let ip: Ipv6Addr = host.parse().map_err(|_| AddressProblem::InvalidIpv6(host.to_owned()))?;
-        let port = after.strip_prefix(':').ok_or(AddressProblem::NoPort)?;
+        let port = after_bracket.strip_prefix(':').ok_or(AddressProblem::NoPort)?;
         (Host::Ip(IpAddr::V6(ip)), port)
     } else {
-        let (host, port) = rest.rsplit_once(':').ok_or(AddressProblem::NoPort)?;
+        let (host, port) = authority.rsplit_once(':').ok_or(AddressProblem::NoPort)?;
         (parse_host(host)?, port)
     };
-    // Checked before the number is parsed, because the parser of the standard library accepts a plus sign.
+    // The digits are checked before the number is parsed, because the parser of the standard library accepts a plus
+    // sign.
     if port.is_empty() || !port.bytes().all(|byte| byte.is_ascii_digit()) {
         return Err(AddressProblem::InvalidPort(port.to_owned()));
     }

@@ -63,13 +63,13 @@ macro_rules! networks {
                 match self { $(Self::$variant => $name),* }
             }
 
-            /// Returns the schemes of its addresses, such as `tcp` of `tcp://host:port`. The first scheme is used for
+            /// Returns the schemes of the network's addresses, such as `tcp` of `tcp://host:port`. The first scheme is used for
             /// an address that is made without a scheme.
             pub const fn schemes(self) -> &'static [&'static str] {
                 match self { $(Self::$variant => &[$($scheme),+]),* }
             }
 
-            /// Returns the form of its addresses after the scheme.
+            /// Returns the form of the network's addresses after the scheme.
             pub(crate) const fn address_form(self) -> AddressForm {
                 match self { $(Self::$variant => $module::ADDRESS_FORM),* }
             }
@@ -138,17 +138,17 @@ impl NetworkKind {
     /// version of ROS. `None` if the network does not find listeners by name.
     ///
     /// # Errors
-    /// If the environment does not say where names are looked up.
+    /// If the environment does not state where names are looked up.
     pub fn find_listener(
         self,
         name: &str,
         ros_version: Option<u64>,
     ) -> Option<Result<Address, ListenerLookupError>> {
         let AddressForm::Named { find, .. } = self.address_form() else { return None };
-        let read = |text: String| {
+        let parse_address = |text: String| {
             text.parse().map_err(|error: InvalidAddress| ListenerLookupError(error.to_string()))
         };
-        Some(find(name, ros_version).and_then(read))
+        Some(find(name, ros_version).and_then(parse_address))
     }
 }
 
@@ -353,9 +353,9 @@ pub struct Peer {
 /// Reason why a connection could not be opened.
 #[derive(Debug)]
 pub(crate) enum DialFailure {
-    /// Nothing answers at the address, or not in this protocol.
+    /// Nothing answers at the address, or the answer is not of this protocol.
     Unreachable(String),
-    /// The cloud is there and refuses the connection.
+    /// The cloud answers and refuses the connection.
     Refused(String),
     /// The time limit has passed.
     TimedOut,

@@ -116,9 +116,9 @@ fn interface_index(address: &std::net::SocketAddr) -> u32 {
 /// Returns the bytes of `struct tcp_info` in an answer. If the connection is gone, the kernel answers with the listening
 /// socket, which is ignored.
 fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Option<Vec<u8>> {
-    let found: (IpAddr, u16) =
+    let destination: (IpAddr, u16) =
         (response.header.socket_id.destination_address, response.header.socket_id.destination_port);
-    if found != (addresses.remote.ip(), addresses.remote.port()) {
+    if destination != (addresses.remote.ip(), addresses.remote.port()) {
         return None;
     }
     response.nlas.into_iter().find_map(|attribute| match attribute {
@@ -130,8 +130,8 @@ fn find_tcp_info(addresses: &ConnectionAddresses, response: InetResponse) -> Opt
 /// Reads the fields by their offsets in `struct tcp_info` of `linux/tcp.h`. Kernels only add fields at the end; fields
 /// that an older kernel does not have are unknown.
 fn parse_tcp_info(info: &[u8]) -> TransportStatistics {
-    let field = |at: usize| Some(u32::from_ne_bytes(*info.get(at..)?.first_chunk()?));
-    let total = |at: usize| field(at).map(u64::from);
+    let field = |offset: usize| Some(u32::from_ne_bytes(*info.get(offset..)?.first_chunk()?));
+    let total = |offset: usize| field(offset).map(u64::from);
     let micros = |value: u32| Span::from_micros(value.into());
     // tcpi_rtt and tcpi_rttvar; 0 before the first measurement.
     let round_trip = field(68).zip(field(72)).filter(|(smoothed, _)| *smoothed > 0);
@@ -171,8 +171,8 @@ mod tests {
     }
 
     /// Returns a connection on which the accepting end has received and acknowledged 100 kB.
-    fn used_connection(at: &str) -> (TcpStream, TcpStream) {
-        let listener = TcpListener::bind(at).expect("a port");
+    fn used_connection(address: &str) -> (TcpStream, TcpStream) {
+        let listener = TcpListener::bind(address).expect("a port");
         let mut dialled = TcpStream::connect(listener.local_addr().expect("bound")).expect("it listens");
         let (mut accepted, _) = listener.accept().expect("a connection");
         let mut received = vec![0; 100_000];
@@ -187,22 +187,22 @@ mod tests {
 
     #[test]
     fn both_ends_of_connection_have_round_trip_and_segments() {
-        for at in ["127.0.0.1:0", "[::1]:0"] {
-            if at.starts_with('[') && TcpListener::bind(at).is_err() {
+        for address in ["127.0.0.1:0", "[::1]:0"] {
+            if address.starts_with('[') && TcpListener::bind(address).is_err() {
                 // This system has no IPv6.
                 continue;
             }
-            let (dialled, accepted) = used_connection(at);
+            let (dialled, accepted) = used_connection(address);
             for stream in [&dialled, &accepted] {
                 let info =
                     query(&addresses(stream)).expect("the kernel answers").expect("the connection is open");
-                let counted = parse_tcp_info(&info);
-                let trip = counted.round_trip.expect("data was acknowledged");
+                let statistics = parse_tcp_info(&info);
+                let trip = statistics.round_trip.expect("data was acknowledged");
                 assert!(trip.smoothed > Span::ZERO && trip.smoothed < Span::from_millis(1_000), "{trip:?}");
                 assert!(trip.min.is_some_and(|min| min <= trip.smoothed + trip.variation), "{trip:?}");
                 assert!(
-                    counted.sent.retransmitted.is_some() && counted.received.lost.is_none(),
-                    "{counted:?}"
+                    statistics.sent.retransmitted.is_some() && statistics.received.lost.is_none(),
+                    "{statistics:?}"
                 );
             }
             let sent = tcp_statistics(&addresses(&dialled)).sent.datagrams;
@@ -213,13 +213,16 @@ mod tests {
     #[test]
     fn closed_connection_has_no_statistics() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        let port = listener.local_addr().expect("bound");
-        // No connection comes from there, so the kernel finds the listening socket instead.
-        let gone = ConnectionAddresses { local: port, remote: "127.0.0.1:1".parse().expect("an address") };
-        assert!(query(&gone).expect("the kernel answers").is_none());
+        let listening_address = listener.local_addr().expect("bound");
+        // No connection comes from the remote address, so the kernel finds the listening socket instead.
+        let unconnected = ConnectionAddresses {
+            local: listening_address,
+            remote: "127.0.0.1:1".parse().expect("an address"),
+        };
+        assert!(query(&unconnected).expect("the kernel answers").is_none());
         drop(listener);
-        assert!(query(&gone).expect("the kernel answers").is_none());
-        assert_eq!(tcp_statistics(&gone), TransportStatistics::default());
+        assert!(query(&unconnected).expect("the kernel answers").is_none());
+        assert_eq!(tcp_statistics(&unconnected), TransportStatistics::default());
     }
 
     #[test]
@@ -228,12 +231,12 @@ mod tests {
         info[68..72].copy_from_slice(&1_500_u32.to_ne_bytes());
         info[72..76].copy_from_slice(&300_u32.to_ne_bytes());
         info[100..104].copy_from_slice(&9_u32.to_ne_bytes());
-        let counted = parse_tcp_info(&info);
+        let statistics = parse_tcp_info(&info);
         assert_eq!(
-            (counted.sent.retransmitted, counted.sent.datagrams, counted.sent.reordered),
+            (statistics.sent.retransmitted, statistics.sent.datagrams, statistics.sent.reordered),
             (Some(9), None, None)
         );
-        let trip = counted.round_trip.expect("told");
+        let trip = statistics.round_trip.expect("it was measured");
         assert_eq!(
             (trip.min, trip.smoothed, trip.variation),
             (None, Span::from_micros(1_500), Span::from_micros(300))

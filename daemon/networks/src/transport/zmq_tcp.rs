@@ -198,20 +198,20 @@ struct DealerReceiver {
 impl EdgeReceiver for DealerReceiver {
     fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
         Box::pin(async {
-            let arrived = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
+            let to_arrival = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
             loop {
                 // Messages that arrived before the end are still returned.
                 if let Some(reason) = &self.end_reason {
                     return self
                         .socket
                         .try_recv()
-                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| arrived(&m));
+                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| to_arrival(&m));
                 }
                 tokio::select! {
                     // Biased, so that messages are returned before the end that followed them.
                     biased;
                     message = self.socket.recv() => {
-                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| arrived(&m));
+                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| to_arrival(&m));
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.end_reason = Some(reason_text(&reason)),

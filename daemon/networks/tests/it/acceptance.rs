@@ -11,16 +11,16 @@ use crate::wire::{self, Header, Id, PROTOCOL, PlainSocket};
 #[tokio::test]
 async fn hello_without_model_lets_cloud_choose() {
     let mut cloud = Cloud::start().await;
-    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
+    let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default()).await;
     let hello = wire::Hello { model: None, ..wire::hello(PROTOCOL) };
-    plain.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
+    plain_socket.send_message(&Header::Open { hello, max_message_bytes: 1_000_000 }, Vec::new()).await;
     let open_request = cloud.next_open().await;
     assert_eq!(open_request.hello.model, None);
     open_request.accept(accepted(cloud.host));
-    let (Header::Accepted { accepted, .. }, _) = plain.receive_message().await else {
+    let (Header::Accepted { accepted, .. }, _) = plain_socket.receive_message().await else {
         panic!("not accepted")
     };
-    assert_eq!(accepted.model, "echo", "the cloud says which one it is");
+    assert_eq!(accepted.model, "echo", "the cloud says which model it has chosen");
 }
 
 fn condition(host: &str) -> wire::Condition {
@@ -49,12 +49,16 @@ async fn conditions_of_cloud_are_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, _) = cloud.receive_message().await;
+    let (edge_identity, _) = cloud.receive_message().await;
     let id = Id::from([3; 16]);
     let too_many = accepted_with_conditions(id.clone(), vec![condition("too many"); MAX_CONDITIONS + 1]);
-    cloud.send_message(&to, &too_many, Vec::new()).await;
+    cloud.send_message(&edge_identity, &too_many, Vec::new()).await;
     cloud
-        .send_message(&to, &accepted_with_conditions(id, vec![condition("fake"); MAX_CONDITIONS]), Vec::new())
+        .send_message(
+            &edge_identity,
+            &accepted_with_conditions(id, vec![condition("fake"); MAX_CONDITIONS]),
+            Vec::new(),
+        )
         .await;
     let session = within(edge).await.expect("no panic").expect("accepted");
     let expected = Condition {
@@ -72,7 +76,7 @@ async fn hardware_of_cloud_is_bounded_and_printable() {
     let cloud = FakeCloud::start().await;
     let address = cloud.address.clone();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let (to, _) = cloud.receive_message().await;
+    let (edge_identity, _) = cloud.receive_message().await;
     let Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight } =
         FakeCloud::accepted(Id::from([3; 16]), PROTOCOL)
     else {
@@ -88,7 +92,7 @@ async fn hardware_of_cloud_is_bounded_and_printable() {
     };
     let accepted = wire::Accepted { hardware: Box::new(hardware), ..accepted };
     let answer = Header::Accepted { protocol, session, accepted, max_message_bytes, max_in_flight };
-    cloud.send_message(&to, &answer, Vec::new()).await;
+    cloud.send_message(&edge_identity, &answer, Vec::new()).await;
     let session = within(edge).await.expect("no panic").expect("accepted");
     let expected = Hardware {
         cpu: "x".repeat(128),

@@ -27,14 +27,14 @@ struct AdjustableClocks {
     system: SystemClock,
     wall: ClockOffset,
     raw: ClockOffset,
-    /// The clock that is moved slightly right after the next stamp.
+    /// The clock that is moved slightly after the next stamp.
     slipping: Mutex<Option<SlippingClock>>,
 }
 
 /// Offset of a clock, and the number of its changes.
 #[derive(Debug, Default)]
 struct ClockOffset {
-    by: AtomicI64,
+    nanos: AtomicI64,
     epoch: AtomicU32,
 }
 
@@ -45,12 +45,12 @@ enum SlippingClock {
 }
 
 impl ClockOffset {
-    fn by(&self) -> Span {
-        Span::from_nanos(self.by.load(Ordering::SeqCst))
+    fn span(&self) -> Span {
+        Span::from_nanos(self.nanos.load(Ordering::SeqCst))
     }
 
     fn step_unnoticed(&self, by: Span) {
-        self.by.fetch_add(by.nanos(), Ordering::SeqCst);
+        self.nanos.fetch_add(by.nanos(), Ordering::SeqCst);
     }
 
     fn forward(&self, by: Span) {
@@ -63,15 +63,15 @@ impl AdjustableClocks {
     /// Creates clocks with these offsets of the wall clock and the free-running clock.
     fn new(wall: Span, raw: Span) -> Arc<Self> {
         let system = SystemClock::new(ClockIdentity::new("boot", "set"));
-        let set = Self {
+        let clocks = Self {
             system,
             wall: ClockOffset::default(),
             raw: ClockOffset::default(),
             slipping: Mutex::default(),
         };
-        set.wall.step_unnoticed(wall);
-        set.raw.step_unnoticed(raw);
-        Arc::new(set)
+        clocks.wall.step_unnoticed(wall);
+        clocks.raw.step_unnoticed(raw);
+        Arc::new(clocks)
     }
 
     fn shift_after_next_stamp(&self, slipping: SlippingClock) {
@@ -81,7 +81,7 @@ impl AdjustableClocks {
 
 impl Clock for AdjustableClocks {
     fn wall(&self) -> WallTime {
-        self.system.wall() + self.wall.by()
+        self.system.wall() + self.wall.span()
     }
 
     fn mono(&self) -> MonoTime {
@@ -89,7 +89,7 @@ impl Clock for AdjustableClocks {
     }
 
     fn raw(&self) -> RawTime {
-        self.system.raw() + self.raw.by()
+        self.system.raw() + self.raw.span()
     }
 
     fn identity(&self) -> &ClockIdentity {
@@ -98,7 +98,7 @@ impl Clock for AdjustableClocks {
 
     fn stamp(&self) -> Stamp {
         let stamp = self.system.stamp();
-        let stamp = Stamp { wall: stamp.wall + self.wall.by(), raw: stamp.raw + self.raw.by(), ..stamp };
+        let stamp = Stamp { wall: stamp.wall + self.wall.span(), raw: stamp.raw + self.raw.span(), ..stamp };
         match self.slipping.lock().expect("no panic").take() {
             Some(SlippingClock::Wall) => self.wall.forward(Span::from_micros(-30)),
             Some(SlippingClock::Raw) => self.raw.forward(Span::from_micros(-30)),
@@ -136,20 +136,25 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
     let (session, _) = cloud.session(settings()).await;
     assert_eq!(session.clocks(), RelatedClocks::Raw);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
-    let (up, down) = transits(&exchange);
+    let (upload, download) = transits(&exchange);
     let observation = exchange.observation.expect("answered");
     let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
-    assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
-    assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
+    assert_eq!(raw(&upload), Some((stamps.sent, stamps.received)));
+    assert_eq!(raw(&download), Some((stamps.replied, stamps.returned)));
     assert!(stamps.sent + HOUR <= stamps.received && stamps.received <= stamps.replied);
     assert!(stamps.replied <= stamps.returned + HOUR);
     assert!(stamps.lower() <= HOUR && HOUR <= stamps.upper(), "{:?}", stamps.bounds());
     assert!(stamps.uncertainty > Span::ZERO && stamps.uncertainty < Span::from_micros(1));
 
-    let (there, back) =
-        (up.received.expect("arrived") - up.sent, down.received.expect("arrived") - down.sent);
-    assert!(there >= DAY && back <= Span::ZERO - DAY + Span::from_seconds(60), "{there} {back}");
+    let (upload_span, download_span) = (
+        upload.received.expect("arrived") - upload.sent,
+        download.received.expect("arrived") - download.sent,
+    );
+    assert!(
+        upload_span >= DAY && download_span <= Span::ZERO - DAY + Span::from_seconds(60),
+        "{upload_span} {download_span}"
+    );
     assert_eq!((observation.edge_epoch, observation.cloud_epoch), (0, Some(0)));
     assert_eq!(observation.cloud_elapsed, None, "nothing to compare");
 }
@@ -161,39 +166,44 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let session = cloud.session_with_clock(AdjustableClocks::new(Span::ZERO, Span::ZERO), VERSION_4).await;
     assert_eq!(session.clocks(), RelatedClocks::RawToWall);
     let exchange = echo(&mut cloud, &session, "four stamps").await;
-    let (up, down) = transits(&exchange);
+    let (upload, download) = transits(&exchange);
     let observation = exchange.observation.expect("answered");
     let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
-    assert_eq!(raw(&up), Some((stamps.sent, stamps.received)));
-    assert_eq!(raw(&down), Some((stamps.replied, stamps.returned)));
-    assert_eq!(Some(stamps.received), up.received.map(RawTime::from_wall));
-    assert_eq!(stamps.replied, RawTime::from_wall(down.sent));
+    assert_eq!(raw(&upload), Some((stamps.sent, stamps.received)));
+    assert_eq!(raw(&download), Some((stamps.replied, stamps.returned)));
+    assert_eq!(Some(stamps.received), upload.received.map(RawTime::from_wall));
+    assert_eq!(stamps.replied, RawTime::from_wall(download.sent));
     let offset = cloud_clock.system.wall_ahead();
     let tolerance = Span::from_millis(1);
     let offset = Interval { lo: offset.lo + DAY - tolerance, hi: offset.hi + DAY + tolerance };
     assert!(offset.intersection(stamps.bounds()).is_some(), "{:?} {offset:?}", stamps.bounds());
-    let there = observation.cloud_elapsed.expect("read");
-    assert!(Span::ZERO <= there && there <= stamps.returned - stamps.sent, "{there}");
+    let time_at_cloud = observation.cloud_elapsed.expect("read");
+    assert!(Span::ZERO <= time_at_cloud && time_at_cloud <= stamps.returned - stamps.sent, "{time_at_cloud}");
 
-    let mut now = PeerClock { epoch: 1, ..raw_news() };
+    let mut state_with_raw_step = PeerClock { epoch: 1, ..clock_state_with_raw() };
     let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..ClockFaultStep::wall_step(HOUR, HOUR) };
-    now.faults.as_mut().expect("it has faults").steps.push(raw_step);
-    cloud.listener.announcer().announce(now);
-    let mut told = session.peer_clock();
-    let told = within(told.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
-    assert_eq!(*told, PeerClock { epoch: 1, ..news() }, "version 4 has no fields for free-running clocks");
+    state_with_raw_step.faults.as_mut().expect("it has faults").steps.push(raw_step);
+    cloud.listener.announcer().announce(state_with_raw_step);
+    let mut peer_clock = session.peer_clock();
+    let peer_clock =
+        within(peer_clock.wait_for(|clock| clock.epoch == 1)).await.expect("the session is open");
+    assert_eq!(
+        *peer_clock,
+        PeerClock { epoch: 1, ..clock_state() },
+        "version 4 has no fields for free-running clocks"
+    );
 }
 
 #[tokio::test]
 async fn time_at_cloud_is_measured_despite_clock_steps() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
-    let mut open = Vec::new();
+    let mut open_sessions = Vec::new();
     for version in [4, 5] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
-        open.push(session.clone());
+        open_sessions.push(session.clone());
         let pending = request(&session, "stepped", TIME_LIMIT);
         let incoming = cloud.next_request().await;
         // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
@@ -201,14 +211,20 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         incoming.reply.send(incoming.recorder, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
         let observation = exchange.observation.expect("answered");
-        let there = observation.exchange.replied - observation.exchange.received;
-        let waited = observation.exchange.returned - observation.exchange.sent;
+        let time_at_cloud = observation.exchange.replied - observation.exchange.received;
+        let round_trip = observation.exchange.returned - observation.exchange.sent;
         if version == 4 {
-            let by_mono = observation.cloud_elapsed.expect("read");
-            assert!(there >= Span::from_seconds(3) + by_mono - Span::from_seconds(1), "{there} {by_mono}");
-            assert!(by_mono < waited);
+            let mono_elapsed = observation.cloud_elapsed.expect("read");
+            assert!(
+                time_at_cloud >= Span::from_seconds(3) + mono_elapsed - Span::from_seconds(1),
+                "{time_at_cloud} {mono_elapsed}"
+            );
+            assert!(mono_elapsed < round_trip);
         } else {
-            assert!(Span::ZERO <= there && there < waited, "{there} of {waited}");
+            assert!(
+                Span::ZERO <= time_at_cloud && time_at_cloud < round_trip,
+                "{time_at_cloud} of {round_trip}"
+            );
         }
     }
 }
@@ -217,12 +233,12 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
 async fn moved_cloud_clock_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
-    let mut open = Vec::new();
-    for (version, moved, untouched) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
+    let mut open_sessions = Vec::new();
+    for (version, moved_clock, other_clock) in [(4, &clock.wall, &clock.raw), (5, &clock.raw, &clock.wall)] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_with_clock(edge, VersionRange::single(version)).await;
-        open.push(session.clone());
-        for (clock, voids) in [(moved, true), (untouched, false)] {
+        open_sessions.push(session.clone());
+        for (clock, prevents_observation) in [(moved_clock, true), (other_clock, false)] {
             let pending = request(&session, "moved at the cloud", TIME_LIMIT);
             let incoming = cloud.next_request().await;
             clock.forward(Span::from_seconds(3));
@@ -231,34 +247,34 @@ async fn moved_cloud_clock_yields_no_observation() {
             assert!(exchange.result.is_ok() && exchange.download.is_some());
             assert_eq!(
                 exchange.observation.is_none(),
-                voids,
+                prevents_observation,
                 "version {version}: {:?}",
                 exchange.observation
             );
         }
         let exchange = echo(&mut cloud, &session, "after").await;
-        let epoch = moved.epoch.load(Ordering::SeqCst);
+        let epoch = moved_clock.epoch.load(Ordering::SeqCst);
         assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(epoch));
     }
 }
 
 #[tokio::test]
-async fn interrupted_raw_clock_of_edge_yields_no_observation() {
+async fn moved_raw_clock_of_edge_yields_no_observation() {
     let mut cloud = Cloud::start().await;
-    let mut open = Vec::new();
+    let mut open_sessions = Vec::new();
     for version in [4, 5] {
         let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_with_clock(clock.clone(), VersionRange::single(version)).await;
-        open.push(session.clone());
-        for (moved, voids) in [(&clock.raw, true), (&clock.wall, false)] {
+        open_sessions.push(session.clone());
+        for (moved_clock, prevents_observation) in [(&clock.raw, true), (&clock.wall, false)] {
             let pending = request(&session, "moved at the edge", TIME_LIMIT);
             let incoming = cloud.next_request().await;
-            moved.forward(Span::from_seconds(3));
+            moved_clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.recorder, Ok(incoming.sample));
             let exchange = within(pending).await.expect("no panic");
             assert!(exchange.result.is_ok());
             let epoch = exchange.observation.map(|observation| observation.edge_epoch);
-            assert_eq!(epoch, (!voids).then_some(1), "version {version}");
+            assert_eq!(epoch, (!prevents_observation).then_some(1), "version {version}");
         }
     }
 }
@@ -267,11 +283,11 @@ async fn interrupted_raw_clock_of_edge_yields_no_observation() {
 async fn clock_moved_after_first_stamp_yields_no_observation() {
     let clock = AdjustableClocks::new(Span::ZERO, Span::ZERO);
     let mut cloud = Cloud::start_with_clock(clock.clone()).await;
-    let mut open = Vec::new();
+    let mut open_sessions = Vec::new();
     for (version, slipping) in [(4, SlippingClock::Wall), (5, SlippingClock::Raw)] {
         let edge = AdjustableClocks::new(Span::ZERO, Span::ZERO);
         let session = cloud.session_with_clock(edge.clone(), VersionRange::single(version)).await;
-        open.push(session.clone());
+        open_sessions.push(session.clone());
         clock.shift_after_next_stamp(slipping);
         let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
         assert_eq!(exchange.observation, None);
@@ -298,7 +314,7 @@ async fn request_without_model_answer_yields_no_observation() {
     assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout(Awaited::Answer)), None));
 }
 
-fn news() -> PeerClock {
+fn clock_state() -> PeerClock {
     let error = Interval { lo: Span::from_micros(-20), hi: Span::from_micros(30) };
     let step = ClockFaultStep::wall_step(Span::from_seconds(5), Span::from_seconds(3));
     PeerClock {
@@ -315,9 +331,9 @@ fn news() -> PeerClock {
     }
 }
 
-fn raw_news() -> PeerClock {
+fn clock_state_with_raw() -> PeerClock {
     let wall_ahead = Interval { lo: Span::from_seconds(9), hi: Span::from_nanos(9_000_000_080) };
-    PeerClock { raw: Some(RawClock { epoch: 4, wall_ahead, clocksource: "tsc".into() }), ..news() }
+    PeerClock { raw: Some(RawClock { epoch: 4, wall_ahead, clocksource: "tsc".into() }), ..clock_state() }
 }
 
 #[tokio::test]
@@ -328,34 +344,34 @@ async fn announcement_reaches_all_open_and_later_sessions() {
     let mut clock = session.peer_clock();
     assert_eq!(*clock.borrow_and_update(), accepted(cloud.host).host_clock);
 
-    let news = raw_news();
-    announcer.clone().announce(news.clone());
+    let announced_state = clock_state_with_raw();
+    announcer.clone().announce(announced_state.clone());
     within(clock.changed()).await.expect("the session is open");
-    assert_eq!(*clock.borrow_and_update(), news);
+    assert_eq!(*clock.borrow_and_update(), announced_state);
 
     // The session was accepted with the state before the announcement.
-    let (later, _) = cloud.session(settings()).await;
-    assert_eq!(*later.peer_clock().borrow(), news);
-    assert_eq!(later.accepted().host_clock, news);
+    let (later_session, _) = cloud.session(settings()).await;
+    assert_eq!(*later_session.peer_clock().borrow(), announced_state);
+    assert_eq!(later_session.accepted().host_clock, announced_state);
 
     within(session.close()).await;
     cloud.next_closed().await;
     announcer.announce(PeerClock::default());
-    echo(&mut cloud, &later, "still open").await;
-    assert_eq!(*later.peer_clock().borrow(), PeerClock::default());
+    echo(&mut cloud, &later_session, "still open").await;
+    assert_eq!(*later_session.peer_clock().borrow(), PeerClock::default());
     drop(cloud);
-    announcer.announce(news);
+    announcer.announce(announced_state);
 }
 
 #[tokio::test]
 async fn plain_zeromq_socket_reads_announcement() {
     let mut cloud = Cloud::start().await;
     let (plain, session) = plain_session(&mut cloud).await;
-    cloud.listener.announcer().announce(news());
-    let (Header::Clock { session: of, clock }, _) = plain.receive_message().await else {
+    cloud.listener.announcer().announce(clock_state());
+    let (Header::Clock { session: announced_session, clock }, _) = plain.receive_message().await else {
         panic!("no announcement")
     };
-    assert_eq!((of, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));
+    assert_eq!((announced_session, clock.epoch, clock.text.as_str()), (session, 2, "chrony, 3 sources"));
     let discipline = clock.discipline.expect("announced");
     assert_eq!(
         (discipline.source.as_str(), discipline.error.lo, discipline.error.hi),

@@ -20,10 +20,10 @@ fn payload(seed: usize) -> Bytes {
 }
 
 async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
-    for n in 0..REQUESTS {
-        let sent = Sample::from_part(Description::bytes(), payload(task * REQUESTS + n));
-        let exchange = session.request(recorder(), &sent, Duration::from_secs(60)).await;
-        assert_eq!(exchange.result?, sent);
+    for number in 0..REQUESTS {
+        let request = Sample::from_part(Description::bytes(), payload(task * REQUESTS + number));
+        let exchange = session.request(recorder(), &request, Duration::from_secs(60)).await;
+        assert_eq!(exchange.result?, request);
         assert!(exchange.download.is_some());
     }
     Ok(())
@@ -42,20 +42,20 @@ async fn every_datagram_request_of_many_edges_is_answered() {
 async fn serve_many_edges(network: TestNetwork) {
     let Cloud { host, mut listener, .. } = Cloud::on_network(network).await;
     let address = listener.address().clone();
-    let (done, mut all_done) = tokio::sync::oneshot::channel();
+    let (done_sender, mut done_receiver) = tokio::sync::oneshot::channel();
     let cloud = tokio::spawn(async move {
-        let mut turn = 0;
+        let mut request_count = 0;
         loop {
             let incoming = tokio::select! {
                 incoming = listener.next() => incoming.expect("the listener is open"),
-                _ = &mut all_done => break listener,
+                _ = &mut done_receiver => break listener,
             };
             match incoming {
                 Incoming::Open(open) => assert!(open.accept(accepted(host))),
                 Incoming::Request(request) => {
-                    turn += 1;
+                    request_count += 1;
                     // Answers are sent from the listening task and from other tasks alternately.
-                    if turn % 2 == 0 {
+                    if request_count % 2 == 0 {
                         request.reply.send(request.recorder, Ok(request.sample));
                     } else {
                         tokio::task::spawn_blocking(move || {
@@ -74,12 +74,15 @@ async fn serve_many_edges(network: TestNetwork) {
             tasks.spawn(send_requests(session.clone(), edge * TASKS + task));
         }
     }
-    for finished in within(tasks.join_all()).await {
-        assert_eq!(finished, Ok(()));
+    for result in within(tasks.join_all()).await {
+        assert_eq!(result, Ok(()));
     }
-    done.send(()).expect("the cloud waits for it");
+    done_sender.send(()).expect("the cloud waits for it");
     let listener = within(cloud).await.expect("no panic");
-    let all = listener.statistics();
-    assert_eq!((all.malformed_messages, all.late_messages, all.lost_messages), (0, 0, 0));
-    assert!(all.received.messages >= (EDGES * TASKS * REQUESTS) as u64);
+    let statistics = listener.statistics();
+    assert_eq!(
+        (statistics.malformed_messages, statistics.late_messages, statistics.lost_messages),
+        (0, 0, 0)
+    );
+    assert!(statistics.received.messages >= (EDGES * TASKS * REQUESTS) as u64);
 }

@@ -21,9 +21,9 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let pending: Vec<_> = (0..5).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
-    let mut held = Vec::new();
+    let mut held_requests = Vec::new();
     for _ in 0..5 {
-        held.push(cloud.next_request().await);
+        held_requests.push(cloud.next_request().await);
     }
     drop(cloud);
     for pending in pending {
@@ -36,25 +36,25 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     let exchange = within(session.request(recorder(), &sample("too late"), TIME_LIMIT)).await;
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     // Answers to a listener that is gone are dropped without an error.
-    for request in held {
+    for request in held_requests {
         request.reply.send(request.recorder, Ok(request.sample));
     }
 }
 
 async fn restarted_cloud_accepts_new_session_on_same_port(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
-    let (old, _) = cloud.session(settings()).await;
+    let (old_session, _) = cloud.session(settings()).await;
     let address = cloud.address();
-    echo(&mut cloud, &old, "before").await;
+    echo(&mut cloud, &old_session, "before").await;
     drop(cloud);
-    assert!(matches!(within(old.closed()).await, CloseReason::Broken(_)));
+    assert!(matches!(within(old_session.closed()).await, CloseReason::Broken(_)));
 
     let mut cloud = restart(&address).await;
-    let (new, _) = cloud.session(settings()).await;
-    echo(&mut cloud, &new, "after").await;
+    let (new_session, _) = cloud.session(settings()).await;
+    echo(&mut cloud, &new_session, "after").await;
 }
 
-/// Starts a cloud on the port of an earlier one. The port is free as soon as the task of the old listener has ended.
+/// Starts a cloud on the port of an earlier cloud. The port is free as soon as the task of the old listener has ended.
 async fn restart(address: &Address) -> Cloud {
     let is_taken = || match address.scheme() {
         // Binding asks the master or the domain, which find an earlier cloud.
@@ -88,17 +88,18 @@ async fn vanished_edge_closes_its_sessions(network: TestNetwork) {
 #[tokio::test]
 async fn silent_connection_ends_after_heartbeat_timeout() {
     let mut cloud = Cloud::start().await;
-    let wire = SilencingRelay::start(cloud.address()).await;
-    let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
-    let address = wire.address.clone();
-    let edge = tokio::spawn(async move { open(&address, hello(), quick).await });
+    let relay = SilencingRelay::start(cloud.address()).await;
+    let short_heartbeats =
+        SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
+    let address = relay.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), short_heartbeats).await });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
     echo(&mut cloud, &session, "the wire works").await;
 
     let pending = request(&session, "the wire is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
-    wire.cut.notify_waiters();
+    relay.cut.notify_waiters();
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
@@ -113,18 +114,18 @@ struct SilencingRelay {
 impl SilencingRelay {
     async fn start(cloud: Address) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
-        let local = listener.local_addr().expect("bound");
+        let local_address = listener.local_addr().expect("bound");
         let cut = Arc::new(Notify::new());
-        let cutting = cut.clone();
+        let cut_receiver = cut.clone();
         tokio::spawn(async move {
             let (mut edge, _) = listener.accept().await.expect("the edge comes");
             let mut cloud =
                 TcpStream::connect((cloud.host(), cloud.port())).await.expect("the cloud listens");
             tokio::select! {
                 _ = tokio::io::copy_bidirectional(&mut edge, &mut cloud) => {}
-                () = cutting.notified() => std::future::pending().await,
+                () = cut_receiver.notified() => std::future::pending().await,
             }
         });
-        Self { address: Address::from_ip(local.ip(), local.port()), cut }
+        Self { address: Address::from_ip(local_address.ip(), local_address.port()), cut }
     }
 }

@@ -26,10 +26,15 @@ impl FakeCloud {
         (identity, rmp_serde::from_slice(&message[0]).expect("a header"))
     }
 
-    pub(crate) async fn send_message(&self, to: &zeromq::Identity, header: &Header, rest: Vec<Bytes>) {
+    pub(crate) async fn send_message(
+        &self,
+        edge_identity: &zeromq::Identity,
+        header: &Header,
+        frames: Vec<Bytes>,
+    ) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
-        let message = Message::multipart([vec![header.into()], rest].concat());
-        within(self.socket.send_to(to, message)).await.expect("sent");
+        let message = Message::multipart([vec![header.into()], frames].concat());
+        within(self.socket.send_to(edge_identity, message)).await.expect("sent");
     }
 
     pub(crate) fn accepted(session: Id, protocol: u16) -> Header {
@@ -60,17 +65,17 @@ impl FakeCloud {
     ) -> (peernet_networks::Session, zeromq::Identity, Id) {
         let address = self.address.clone();
         let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
-        let (to, header) = self.receive_message().await;
+        let (edge_identity, header) = self.receive_message().await;
         assert!(matches!(header, Header::Open { .. }));
         let id = Id::from([3; 16]);
         // An invalid message before the answer is ignored.
         self.send_message(
-            &to,
+            &edge_identity,
             &Header::Goodbye { session: id.clone(), reason: String::new(), ordered: None },
             Vec::new(),
         )
         .await;
-        self.send_message(&to, &Self::accepted(id.clone(), version), Vec::new()).await;
-        (within(edge).await.expect("no panic").expect("accepted"), to, id)
+        self.send_message(&edge_identity, &Self::accepted(id.clone(), version), Vec::new()).await;
+        (within(edge).await.expect("no panic").expect("accepted"), edge_identity, id)
     }
 }

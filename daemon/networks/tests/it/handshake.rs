@@ -83,12 +83,12 @@ async fn unreachable_cloud_is_reported_at_once(network: TestNetwork) {
     };
     assert!(reason.contains(expected), "{reason}");
 
-    let nowhere = match network.scheme() {
+    let unknown_address = match network.scheme() {
         "ros2" => "ros2://0/nobody".to_owned(),
         scheme => format!("{scheme}://no-such-host.invalid:5551"),
     };
-    let nowhere = nowhere.parse().expect("an address");
-    let error = open(&nowhere, hello(), settings()).await.expect_err("no such host");
+    let unknown_address = unknown_address.parse().expect("an address");
+    let error = open(&unknown_address, hello(), settings()).await.expect_err("no such host");
     assert!(matches!(error, OpenError::Unreachable { .. }), "{error}");
 }
 
@@ -96,9 +96,9 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     // A ROS node asks its master several times, or searches the cloud, before it can ask for a session.
     let waited_ms = if network.scheme().starts_with("ros") { 3_000 } else { 200 };
-    let impatient = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
+    let short_timeout = SessionSettings { open_timeout_ms: waited_ms, ..settings() };
     let address = cloud.address();
-    let edge = tokio::spawn(async move { open(&address, hello(), impatient).await });
+    let edge = tokio::spawn(async move { open(&address, hello(), short_timeout).await });
     let unanswered = cloud.next_open().await;
     let error = within(edge).await.expect("no panic").expect_err("no answer");
     let address = cloud.address();
@@ -114,41 +114,41 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
 
 async fn port_in_use_is_reported_with_advice(network: TestNetwork) {
     let cloud = Cloud::on_network(network).await;
-    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
-    let error = again.expect_err("the port is taken");
+    let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
+    let error = result.expect_err("the port is taken");
     assert_eq!(error, BindError::InUse(cloud.address()));
     assert!(error.to_string().contains("another program uses port"), "{error}");
 
-    let elsewhere = format!("{}://192.0.2.1:0", network.scheme());
-    let elsewhere = elsewhere.parse().expect("an address");
-    let error = Listener::bind(&elsewhere, settings(), cloud.host, clock()).await;
-    assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(elsewhere));
+    let foreign_address = format!("{}://192.0.2.1:0", network.scheme());
+    let foreign_address = foreign_address.parse().expect("an address");
+    let error = Listener::bind(&foreign_address, settings(), cloud.host, clock()).await;
+    assert_eq!(error.expect_err("a documentation address"), BindError::NotLocal(foreign_address));
 }
 
 async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork) {
-    let limited = SessionSettings { max_sessions: 1, ..settings() };
-    let mut cloud = Cloud::start_at(&unused_address(network), limited).await;
-    let (first, _) = cloud.session(settings()).await;
+    let one_session = SessionSettings { max_sessions: 1, ..settings() };
+    let mut cloud = Cloud::start_at(&unused_address(network), one_session).await;
+    let (first_session, _) = cloud.session(settings()).await;
     let address = cloud.address();
-    let second = tokio::spawn(async move { open(&address, hello(), settings()).await });
-    let refused = tokio::select! {
-        refused = within(second) => refused.expect("no panic"),
+    let second_session = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    let result = tokio::select! {
+        result = within(second_session) => result.expect("no panic"),
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
-    let error = refused.expect_err("one is the limit").to_string();
+    let error = result.expect_err("one is the limit").to_string();
     assert!(error.contains("max_sessions"), "{error}");
-    within(first.close()).await;
+    within(first_session.close()).await;
     cloud.next_closed().await;
-    let (third, _) = within(cloud.session(settings())).await;
-    let exchange = echo(&mut cloud, &third, "in").await;
+    let (third_session, _) = within(cloud.session(settings())).await;
+    let exchange = echo(&mut cloud, &third_session, "in").await;
     assert!(exchange.arrived_at.is_some());
 }
 
 #[tokio::test]
 async fn settings_refuse_unknown_keys_and_have_defaults() {
-    let read = |text: &str| serde_json::from_str::<SessionSettings>(text);
-    assert_eq!(read("{}").expect("all defaults"), SessionSettings::default());
-    assert!(read(r#"{"max_message_byte": 1}"#).is_err());
+    let parse = |text: &str| serde_json::from_str::<SessionSettings>(text);
+    assert_eq!(parse("{}").expect("all defaults"), SessionSettings::default());
+    assert!(parse(r#"{"max_message_byte": 1}"#).is_err());
     let kind: NetworkKind = serde_json::from_str("\"zmq-tcp\"").expect("the kind's name");
     assert_eq!(kind.to_string(), "zmq-tcp");
     assert_eq!(

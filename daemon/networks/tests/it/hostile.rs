@@ -28,11 +28,11 @@ fn plain_request(session: &Id, number: u64, parts: usize) -> Header {
 
 /// Opens a session over a plain socket.
 pub(crate) async fn plain_session(cloud: &mut Cloud) -> (PlainSocket, Id) {
-    let plain = PlainSocket::dealer(&cloud.address(), Options::default()).await;
-    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
+    let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default()).await;
+    plain_socket.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     cloud.next_open().await.accept(accepted(cloud.host));
-    match plain.receive_message().await {
-        (Header::Accepted { session, .. }, _) => (plain, session),
+    match plain_socket.receive_message().await {
+        (Header::Accepted { session, .. }, _) => (plain_socket, session),
         other => panic!("{other:?}"),
     }
 }
@@ -58,14 +58,14 @@ async fn check_malformed_count(cloud: &mut Cloud, expected: u64) {
 #[tokio::test]
 async fn plain_zeromq_socket_is_served_as_edge() {
     let mut cloud = Cloud::start().await;
-    let (plain, session) = plain_session(&mut cloud).await;
-    plain.send_message(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
+    plain_socket.send_message(&plain_request(&session, 7, 1), vec![tree(), "payload".into()]).await;
     let incoming = cloud.next_request().await;
     assert_eq!(incoming.sample.parts[0].bytes, "payload");
     incoming.reply.send(incoming.recorder, Ok(sample("answer")));
-    let (header, rest) = plain.receive_message().await;
+    let (header, frames) = plain_socket.receive_message().await;
     assert!(matches!(header, Header::Reply(s, 7, Some(_), 0, Outcome::Answer(_)) if s == session));
-    assert_eq!((rest.len(), &rest[1]), (2, &Bytes::from("answer")));
+    assert_eq!((frames.len(), &frames[1]), (2, &Bytes::from("answer")));
 }
 
 #[tokio::test]
@@ -77,7 +77,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
     {
         let mut stream = TcpStream::connect(address.clone()).await.expect("the port is open");
         stream.write_all(garbage).await.expect("sent");
-        // Until the listener closes the connection, in whatever way.
+        // Reads until the listener closes the connection, in whatever way.
         let _ = within(stream.read_to_end(&mut Vec::new())).await;
     }
     check_malformed_count(&mut cloud, 2).await;
@@ -86,7 +86,7 @@ async fn bytes_that_are_not_zmtp_are_dropped_and_counted() {
 #[tokio::test]
 async fn frames_that_are_no_message_are_dropped_and_counted() {
     let mut cloud = Cloud::start().await;
-    let (plain, session) = plain_session(&mut cloud).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
     let garbage: Vec<Vec<Bytes>> = vec![
         vec![Bytes::new()],
         vec!["hello".into()],
@@ -100,9 +100,9 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
     ];
     let mut expected = garbage.len() as u64;
     for frames in garbage {
-        plain.frames(frames).await;
+        plain_socket.frames(frames).await;
     }
-    let out_of_place = [
+    let misplaced_headers = [
         Header::Refused {
             protocol: 1,
             newest: None,
@@ -114,8 +114,8 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
         Header::Clock { session: session.clone(), clock: wire::host_clock(1) },
         Header::Goodbye { session: Id::from([9; 16]), reason: "whose?".into(), ordered: None },
     ];
-    for header in &out_of_place {
-        plain.send_message(header, Vec::new()).await;
+    for header in &misplaced_headers {
+        plain_socket.send_message(header, Vec::new()).await;
         expected += 1;
     }
     check_malformed_count(&mut cloud, expected).await;
@@ -124,7 +124,7 @@ async fn frames_that_are_no_message_are_dropped_and_counted() {
 #[tokio::test]
 async fn invalid_requests_are_answered_as_failed() {
     let mut cloud = Cloud::start().await;
-    let (plain, session) = plain_session(&mut cloud).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
     let cases: Vec<(usize, Vec<Bytes>)> = vec![
         (0, vec![]),
         (0, vec!["no tree".into()]),
@@ -135,11 +135,11 @@ async fn invalid_requests_are_answered_as_failed() {
         (1_000, vec![tree(), "too few".into()]),
     ];
     let count = cases.len() as u64;
-    for (number, (parts, rest)) in cases.into_iter().enumerate() {
+    for (number, (parts, frames)) in cases.into_iter().enumerate() {
         let number = number as u64;
-        plain.send_message(&plain_request(&session, number, parts), rest).await;
+        plain_socket.send_message(&plain_request(&session, number, parts), frames).await;
         let (header, _) = tokio::select! {
-            received = plain.receive_message() => received,
+            received = plain_socket.receive_message() => received,
             incoming = cloud.next() => panic!("handed out {incoming:?}"),
         };
         assert!(
@@ -170,43 +170,43 @@ async fn session_of_another_connection_is_unknown() {
 
 #[tokio::test]
 async fn requests_above_limit_are_answered_as_overload() {
-    let two = SessionSettings { max_in_flight: 2, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two).await;
-    let (plain, session) = plain_session(&mut cloud).await;
+    let two_in_flight = SessionSettings { max_in_flight: 2, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", two_in_flight).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
     for number in 0..3 {
-        plain.send_message(&plain_request(&session, number, 0), vec![tree()]).await;
+        plain_socket.send_message(&plain_request(&session, number, 0), vec![tree()]).await;
     }
-    let held = [cloud.next_request().await, cloud.next_request().await];
+    let held_requests = [cloud.next_request().await, cloud.next_request().await];
     let (header, _) = tokio::select! {
-        received = plain.receive_message() => received,
+        received = plain_socket.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     assert!(matches!(header, Header::Reply(_, 2, None, _, Outcome::Overloaded(_))), "{header:?}");
-    drop(held);
+    drop(held_requests);
 }
 
 #[tokio::test]
 async fn memory_of_all_requests_is_bounded() {
-    let little = SessionSettings { max_in_flight_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", little).await;
-    let (first, session) = plain_session(&mut cloud).await;
-    let (second, other) = plain_session(&mut cloud).await;
+    let small_memory = SessionSettings { max_in_flight_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small_memory).await;
+    let (first_socket, first_session) = plain_session(&mut cloud).await;
+    let (second_socket, second_session) = plain_session(&mut cloud).await;
     let payload = || vec![tree(), Bytes::from(vec![1; 40_000])];
-    let mut held = Vec::new();
+    let mut held_requests = Vec::new();
     for number in 0..2 {
-        first.send_message(&plain_request(&session, number, 1), payload()).await;
-        held.push(cloud.next_request().await);
+        first_socket.send_message(&plain_request(&first_session, number, 1), payload()).await;
+        held_requests.push(cloud.next_request().await);
     }
-    second.send_message(&plain_request(&other, 0, 1), payload()).await;
+    second_socket.send_message(&plain_request(&second_session, 0, 1), payload()).await;
     let (header, _) = tokio::select! {
-        received = second.receive_message() => received,
+        received = second_socket.receive_message() => received,
         incoming = cloud.next() => panic!("handed out {incoming:?}"),
     };
     let Header::Reply(_, 0, None, _, Outcome::Overloaded(reason)) = header else { panic!("{header:?}") };
     assert!(reason.contains("max_in_flight_bytes, 100000"), "{reason}");
-    // Requests that are answered make room, also for others.
-    held.clear();
-    second.send_message(&plain_request(&other, 1, 1), payload()).await;
+    // Requests that are answered make room, also for requests of other sessions.
+    held_requests.clear();
+    second_socket.send_message(&plain_request(&second_session, 1, 1), payload()).await;
     assert_eq!(cloud.next_request().await.sample.payload_bytes(), 40_000);
 }
 
@@ -214,44 +214,46 @@ async fn memory_of_all_requests_is_bounded() {
 async fn silent_connections_do_not_block_new_edges() {
     let mut cloud = Cloud::start().await;
     let address = (cloud.address().host(), cloud.address().port());
-    let mut silent = Vec::new();
+    let mut silent_connections = Vec::new();
     for _ in 0..300 {
-        silent.push(TcpStream::connect(address.clone()).await.expect("the port is open"));
+        silent_connections.push(TcpStream::connect(address.clone()).await.expect("the port is open"));
     }
     let (session, _) = cloud.session(settings()).await;
     echo(&mut cloud, &session, "still served").await;
-    // They are closed when the time limit for the handshake has passed.
+    // The connections are closed when the time limit for the handshake has passed.
     check_malformed_count(&mut cloud, 300).await;
-    drop(silent);
+    drop(silent_connections);
 }
 
 #[tokio::test]
 async fn chosen_routing_id_is_refused() {
     let mut cloud = Cloud::start().await;
-    let plain = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
-    plain.send_message(&wire::open(PROTOCOL), Vec::new()).await;
+    let plain_socket = PlainSocket::dealer(&cloud.address(), Options::default().identity("robot-1")).await;
+    plain_socket.send_message(&wire::open(PROTOCOL), Vec::new()).await;
     check_malformed_count(&mut cloud, 1).await;
 }
 
 #[tokio::test]
 async fn oversize_message_ends_only_its_connection() {
-    let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small).await;
-    let (good, _) = cloud.session(settings()).await;
-    let (plain, session) = plain_session(&mut cloud).await;
-    plain.send_message(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
+    let small_messages = SessionSettings { max_message_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at("tcp://127.0.0.1:0", small_messages).await;
+    let (good_session, _) = cloud.session(settings()).await;
+    let (plain_socket, session) = plain_session(&mut cloud).await;
+    plain_socket.send_message(&plain_request(&session, 0, 1), vec![tree(), vec![0; 1_000_000].into()]).await;
     cloud.next_closed().await;
-    echo(&mut cloud, &good, "not my fault").await;
+    echo(&mut cloud, &good_session, "not my fault").await;
 }
 
 #[tokio::test]
 async fn session_unknown_to_cloud_ends() {
     let cloud = FakeCloud::start().await;
-    let (session, to, id) = cloud.session().await;
+    let (session, edge_identity, id) = cloud.session().await;
     let pending = request(&session, "do you know me?", TIME_LIMIT);
     let (_, header) = cloud.receive_message().await;
     let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
-    cloud.send_message(&to, &Header::UnknownSession { session: id, request: number }, Vec::new()).await;
+    cloud
+        .send_message(&edge_identity, &Header::UnknownSession { session: id, request: number }, Vec::new())
+        .await;
     let exchange = within(pending).await.expect("no panic");
     assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
@@ -277,8 +279,8 @@ fn delta(base: u32, host: u8, closed: u32, node_host: u8) -> Bytes {
 #[tokio::test]
 async fn invalid_answers_change_no_tree() {
     let cloud = FakeCloud::start().await;
-    let (session, to, id) = cloud.session().await;
-    let bad = [
+    let (session, edge_identity, id) = cloud.session().await;
+    let invalid_deltas = [
         Bytes::from("garbage"),
         delta(2, 2, 2, 1),
         delta(3, 9, 2, 1),
@@ -286,15 +288,15 @@ async fn invalid_answers_change_no_tree() {
         delta(3, 2, 2, 0),
         delta(3, 2, 2, 7),
     ];
-    let count = bad.len() as u64;
-    for delta in bad {
+    let count = invalid_deltas.len() as u64;
+    for delta in invalid_deltas {
         let pending = request(&session, "x", TIME_LIMIT);
         let (_, header) = cloud.receive_message().await;
         let Header::Request(_, number, ..) = header else { panic!("{header:?}") };
         let answer = Outcome::Answer((Vec::new(), String::new(), None));
         cloud
             .send_message(
-                &to,
+                &edge_identity,
                 &Header::Reply(id.clone(), number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
                 vec![delta],
             )
@@ -306,7 +308,7 @@ async fn invalid_answers_change_no_tree() {
     assert_eq!(session.statistics().malformed_messages, count);
 
     let error = wire::Interval { lo: 1, hi: 0 };
-    let impossible = wire::HostClock {
+    let impossible_clock = wire::HostClock {
         discipline: Some(wire::Discipline { source: "chrony".into(), error }),
         ..wire::host_clock(1)
     };
@@ -316,9 +318,9 @@ async fn invalid_answers_change_no_tree() {
         Header::Reply(Id::from([8; 16]), 0, None, 0, Outcome::Failed(String::new())),
         FakeCloud::accepted(id.clone(), PROTOCOL),
         Header::Clock { session: Id::from([8; 16]), clock: wire::host_clock(1) },
-        Header::Clock { session: id.clone(), clock: impossible },
+        Header::Clock { session: id.clone(), clock: impossible_clock },
     ] {
-        cloud.send_message(&to, &header, Vec::new()).await;
+        cloud.send_message(&edge_identity, &header, Vec::new()).await;
     }
     let pending = tokio::spawn({
         let session = session.clone();
@@ -329,7 +331,7 @@ async fn invalid_answers_change_no_tree() {
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
         .send_message(
-            &to,
+            &edge_identity,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![delta(3, 2, 2, 1)],
         )
@@ -341,7 +343,7 @@ async fn invalid_answers_change_no_tree() {
 #[tokio::test]
 async fn version_five_reply_without_raw_stamps_is_invalid() {
     let cloud = FakeCloud::start().await;
-    let (session, to, id) = cloud.session_of_version(5).await;
+    let (session, edge_identity, id) = cloud.session_of_version(5).await;
     let pending = tokio::spawn({
         let session = session.clone();
         async move { session.request(recorder(), &sample("x"), TIME_LIMIT).await }
@@ -351,7 +353,7 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
     let answer = Outcome::Answer((Vec::new(), String::new(), None));
     cloud
         .send_message(
-            &to,
+            &edge_identity,
             &Header::Reply(id, number, Some(wire::Departure(1, 1, 0, None)), 0, answer),
             vec![delta(3, 2, 2, 1)],
         )

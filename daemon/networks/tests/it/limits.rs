@@ -12,22 +12,22 @@ use zeromq::{Message, Options, Socket, SocketType};
 
 use crate::support::within;
 
-/// Length of the listener's READY after its first two bytes.
-const REST_OF_READY: usize = 28;
+/// Length of the listener's READY command after its first two bytes.
+const READY_REST_BYTES: usize = 28;
 
 /// A time that is longer than any test.
-const LONG: Duration = Duration::from_secs(60);
+const LONG_TIME: Duration = Duration::from_secs(60);
 
 fn limits() -> ListenerLimits {
     ListenerLimits {
         max_connections: 400,
         max_message_bytes: 4 * 1024 * 1024,
         max_unfinished_bytes: 16 * 1024 * 1024,
-        hello_timeout: LONG,
+        hello_timeout: LONG_TIME,
         max_queued_messages: 16,
         max_queued_bytes: 4 * 1024 * 1024,
         heartbeat_interval: Duration::from_secs(20),
-        heartbeat_timeout: LONG,
+        heartbeat_timeout: LONG_TIME,
     }
 }
 
@@ -47,7 +47,8 @@ async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     .await
 }
 
-async fn until_rejected(listener: &ZmtpListener, reason: Rejection, count: u64) {
+/// Waits until `count` connections were rejected for this reason, and asserts that no more were.
+async fn wait_for_rejections(listener: &ZmtpListener, reason: Rejection, count: u64) {
     let counts = listener.rejections();
     within(async {
         while counts.count(reason) < count {
@@ -69,7 +70,8 @@ impl RawPeer {
         greeting.extend_from_slice(b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER");
         let mut stream = TcpStream::connect(to).await.expect("the port is open");
         stream.write_all(&greeting).await.expect("sends");
-        // The greeting and READY of the listener, which has handled ours then.
+        // Reads the greeting of the listener and the first bytes of its READY. The listener sends READY after it has
+        // handled our greeting.
         within(stream.read_exact(&mut [0; 64 + 2])).await.expect("is greeted");
         Self(stream)
     }
@@ -84,44 +86,44 @@ impl RawPeer {
         self.0.write_all(&[&[0, text.len() as u8][..], text].concat()).await.expect("sends");
     }
 
-    async fn until_closed(mut self) {
+    async fn wait_for_close(mut self) {
         // The connection may be closed in any way.
         let _reset = within(self.0.read_to_end(&mut Vec::new())).await;
     }
 }
 
 /// Returns a peer whose hello was accepted.
-async fn admitted(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
-    let mut raw = RawPeer::connect(listener.address()).await;
-    raw.send_bytes(b"hello").await;
+async fn admitted_peer(listener: &mut ZmtpListener) -> (RawPeer, Peer) {
+    let mut raw_peer = RawPeer::connect(listener.address()).await;
+    raw_peer.send_bytes(b"hello").await;
     let (peer, frames) = message(listener).await;
     assert_eq!(frames, ["hello"]);
     listener.sender().admit(peer.connection);
-    (raw, peer)
+    (raw_peer, peer)
 }
 
 #[tokio::test]
 async fn claimed_length_before_hello_closes_connection() {
     let listener = bind(limits()).await;
-    for claimed in [65_536, 4_000_000, u64::MAX >> 1] {
-        let mut raw = RawPeer::connect(listener.address()).await;
-        raw.begin_frame(claimed, 0).await.expect("sends");
-        raw.until_closed().await;
+    for claimed_bytes in [65_536, 4_000_000, u64::MAX >> 1] {
+        let mut raw_peer = RawPeer::connect(listener.address()).await;
+        raw_peer.begin_frame(claimed_bytes, 0).await.expect("sends");
+        raw_peer.wait_for_close().await;
     }
-    until_rejected(&listener, Rejection::LargeBeforeHello, 3).await;
+    wait_for_rejections(&listener, Rejection::LargeBeforeHello, 3).await;
 }
 
 #[tokio::test]
 async fn connection_without_hello_is_closed_in_time() {
     let mut listener = bind(ListenerLimits { hello_timeout: Duration::from_millis(100), ..limits() }).await;
-    let (accepted, _) = admitted(&mut listener).await;
-    RawPeer::connect(listener.address()).await.until_closed().await;
-    until_rejected(&listener, Rejection::NoHello, 1).await;
+    let (accepted, _) = admitted_peer(&mut listener).await;
+    RawPeer::connect(listener.address()).await.wait_for_close().await;
+    wait_for_rejections(&listener, Rejection::NoHello, 1).await;
     // A connection whose host has left has the same time limit.
-    let (left, peer) = admitted(&mut listener).await;
+    let (leaving_peer, peer) = admitted_peer(&mut listener).await;
     listener.sender().demote(peer.connection);
-    left.until_closed().await;
-    until_rejected(&listener, Rejection::NoHello, 2).await;
+    leaving_peer.wait_for_close().await;
+    wait_for_rejections(&listener, Rejection::NoHello, 2).await;
     let mut accepted = accepted;
     accepted.send_bytes(b"still here").await;
     assert_eq!(message(&mut listener).await.1, ["still here"]);
@@ -130,87 +132,87 @@ async fn connection_without_hello_is_closed_in_time() {
 #[tokio::test]
 async fn unfinished_messages_share_one_budget() {
     let mut listener = bind(limits()).await;
-    let (mut held, mut open) = (Vec::new(), Vec::new());
+    let (mut raw_peers, mut connections) = (Vec::new(), Vec::new());
     for _ in 0..8 {
-        let (mut raw, peer) = admitted(&mut listener).await;
-        // Fails if the connection was closed in the meantime.
-        let _closed = raw.begin_frame(4_000_000, 3_900_000).await;
-        held.push(raw);
-        open.push(peer.connection);
+        let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
+        // Sending fails if the connection was closed in the meantime.
+        let _closed = raw_peer.begin_frame(4_000_000, 3_900_000).await;
+        raw_peers.push(raw_peer);
+        connections.push(peer.connection);
     }
-    until_rejected(&listener, Rejection::NoMemory, 4).await;
-    drop(held);
-    // Their memory is returned before their end is reported.
-    open.truncate(4);
+    wait_for_rejections(&listener, Rejection::NoMemory, 4).await;
+    drop(raw_peers);
+    // The memory of the closed connections is returned before their ends are reported.
+    connections.truncate(4);
     within(async {
-        while !open.is_empty() {
+        while !connections.is_empty() {
             if let Some(Arrival::Gone(gone, _)) = listener.receive().await {
-                open.retain(|connection| *connection != gone);
+                connections.retain(|connection| *connection != gone);
             }
         }
     })
     .await;
-    let (mut raw, _) = admitted(&mut listener).await;
-    raw.begin_frame(4_000_000, 4_000_000).await.expect("sends");
+    let (mut raw_peer, _) = admitted_peer(&mut listener).await;
+    raw_peer.begin_frame(4_000_000, 4_000_000).await.expect("sends");
     assert_eq!(message(&mut listener).await.1[0].len(), 4_000_000);
 }
 
 #[tokio::test]
 async fn stalled_frame_ends_connection() {
-    let quick = ListenerLimits {
+    let short_heartbeats = ListenerLimits {
         heartbeat_interval: Duration::from_millis(50),
         heartbeat_timeout: Duration::from_millis(200),
         ..limits()
     };
-    let mut listener = bind(quick).await;
-    let (mut raw, _) = admitted(&mut listener).await;
-    raw.begin_frame(1_000_000, 1_000).await.expect("sends");
-    raw.until_closed().await;
-    until_rejected(&listener, Rejection::Silent, 1).await;
+    let mut listener = bind(short_heartbeats).await;
+    let (mut raw_peer, _) = admitted_peer(&mut listener).await;
+    raw_peer.begin_frame(1_000_000, 1_000).await.expect("sends");
+    raw_peer.wait_for_close().await;
+    wait_for_rejections(&listener, Rejection::Silent, 1).await;
 }
 
 #[tokio::test]
 async fn new_connection_replaces_oldest_silent_one() {
     let mut listener = bind(ListenerLimits { max_connections: 40, ..limits() }).await;
-    let (mut first, _) = admitted(&mut listener).await;
-    let mut silent = Vec::new();
+    let (mut first_peer, _) = admitted_peer(&mut listener).await;
+    let mut silent_peers = Vec::new();
     for _ in 0..30 {
-        silent.push(RawPeer::connect(listener.address()).await);
+        silent_peers.push(RawPeer::connect(listener.address()).await);
     }
     // A quarter of all connections may wait from one address.
-    until_rejected(&listener, Rejection::Replaced, 20).await;
-    for closed in silent.drain(..20) {
-        closed.until_closed().await;
+    wait_for_rejections(&listener, Rejection::Replaced, 20).await;
+    for closed_peer in silent_peers.drain(..20) {
+        closed_peer.wait_for_close().await;
     }
-    first.send_bytes(b"untouched").await;
+    first_peer.send_bytes(b"untouched").await;
     assert_eq!(message(&mut listener).await.1, ["untouched"]);
-    silent[9].send_bytes(b"in time").await;
+    silent_peers[9].send_bytes(b"in time").await;
     assert_eq!(message(&mut listener).await.1, ["in time"]);
 }
 
 #[tokio::test]
 async fn admitted_connections_at_limit_are_not_replaced() {
     let mut listener = bind(ListenerLimits { max_connections: 4, ..limits() }).await;
-    let mut open = Vec::new();
+    let mut admitted_peers = Vec::new();
     for _ in 0..4 {
-        open.push(admitted(&mut listener).await);
+        admitted_peers.push(admitted_peer(&mut listener).await);
     }
-    let refused = TcpStream::connect(listener.address()).await.expect("the port is open");
-    RawPeer(refused).until_closed().await;
-    until_rejected(&listener, Rejection::TooMany, 1).await;
-    open[0].0.send_bytes(b"here").await;
+    let refused_stream = TcpStream::connect(listener.address()).await.expect("the port is open");
+    RawPeer(refused_stream).wait_for_close().await;
+    wait_for_rejections(&listener, Rejection::TooMany, 1).await;
+    admitted_peers[0].0.send_bytes(b"here").await;
     assert_eq!(message(&mut listener).await.1, ["here"]);
 }
 
 #[tokio::test]
 async fn peer_not_reading_uses_bounded_memory() {
     let mut listener = bind(limits()).await;
-    let (mut raw, peer) = admitted(&mut listener).await;
+    let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
     let sender = listener.sender();
-    let piece = Bytes::from(vec![3; 500_000]);
+    let payload = Bytes::from(vec![3; 500_000]);
     let mut sent = 0;
     let failure = loop {
-        match sender.try_send(peer.connection, vec![piece.clone()]) {
+        match sender.try_send(peer.connection, vec![payload.clone()]) {
             Ok(()) => sent += 1,
             Err(failure) => break failure,
         }
@@ -219,25 +221,25 @@ async fn peer_not_reading_uses_bounded_memory() {
     assert_eq!(failure, SendFailure::Full);
     // The accepted messages arrive whole, and then there is room again.
     let mut bytes = vec![0; sent * 500_009];
-    let mut ready = [0; REST_OF_READY];
-    within(raw.0.read_exact(&mut ready)).await.expect("the rest of READY");
-    within(raw.0.read_exact(&mut bytes)).await.expect("all of it");
-    assert!(bytes.chunks(500_009).all(|frame| frame[0] == 2 && frame[9..] == piece[..]));
-    sender.try_send(peer.connection, vec![piece]).expect("there is room");
+    let mut ready = [0; READY_REST_BYTES];
+    within(raw_peer.0.read_exact(&mut ready)).await.expect("the rest of READY");
+    within(raw_peer.0.read_exact(&mut bytes)).await.expect("all of it");
+    assert!(bytes.chunks(500_009).all(|frame| frame[0] == 2 && frame[9..] == payload[..]));
+    sender.try_send(peer.connection, vec![payload]).expect("there is room");
 }
 
 #[tokio::test]
 async fn pings_of_peer_not_reading_are_throttled() {
     let mut listener = bind(limits()).await;
-    let (mut raw, peer) = admitted(&mut listener).await;
+    let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
     let pings = b"\x04\x17\x04PING\x00\x000123456789abcdef".repeat(4_096);
     let flood = async {
         for _ in 0..1_000 {
-            raw.0.write_all(&pings).await.expect("sends");
+            raw_peer.0.write_all(&pings).await.expect("sends");
         }
     };
-    let stuck = tokio::time::timeout(Duration::from_secs(2), flood).await;
-    assert!(stuck.is_err(), "400 MB of PINGs were read");
+    let result = tokio::time::timeout(Duration::from_secs(2), flood).await;
+    assert!(result.is_err(), "400 MB of PINGs were read");
     listener.sender().demote(peer.connection);
 }
 
@@ -259,15 +261,15 @@ async fn messages_of_all_sizes_arrive_in_order() {
                 other => panic!("{other:?}"),
             }
         }
-        listener.close(LONG).await;
+        listener.close(LONG_TIME).await;
     });
-    for n in 0..60_usize {
-        let size = [0, 1, 255, 256, 9_000, 16_384, 70_000, 1_200_000, 3_000_000][n % 9];
-        let parts: Vec<Bytes> = vec![vec![n as u8; size].into(), Bytes::new(), vec![1; n].into()];
-        let parts = if n == 0 { vec![Bytes::from("hello")] } else { parts };
+    for number in 0..60_usize {
+        let size = [0, 1, 255, 256, 9_000, 16_384, 70_000, 1_200_000, 3_000_000][number % 9];
+        let parts: Vec<Bytes> = vec![vec![number as u8; size].into(), Bytes::new(), vec![1; number].into()];
+        let parts = if number == 0 { vec![Bytes::from("hello")] } else { parts };
         within(socket.send(Message::multipart(parts.clone()))).await.expect("sends");
         let answer: Vec<Bytes> = within(socket.recv()).await.expect("receives").iter().collect();
-        assert_eq!(answer, parts, "message {n}");
+        assert_eq!(answer, parts, "message {number}");
     }
     within(echo).await.expect("closes");
 }
@@ -275,15 +277,15 @@ async fn messages_of_all_sizes_arrive_in_order() {
 #[tokio::test]
 async fn messages_sent_before_closing_arrive() {
     let mut listener = bind(limits()).await;
-    let (mut raw, peer) = admitted(&mut listener).await;
-    let last = Bytes::from(vec![9; 3_000_000]);
-    listener.sender().try_send(peer.connection, vec![last]).expect("there is room");
+    let (mut raw_peer, peer) = admitted_peer(&mut listener).await;
+    let payload = Bytes::from(vec![9; 3_000_000]);
+    listener.sender().try_send(peer.connection, vec![payload]).expect("there is room");
     // The peer continues to send, and has much to read.
-    raw.send_bytes(b"unread").await;
-    let closing = tokio::spawn(listener.close(Duration::from_secs(10)));
-    let mut all = Vec::new();
-    within(raw.0.read_to_end(&mut all)).await.expect("is not reset");
-    assert_eq!(all.len(), REST_OF_READY + 9 + 3_000_000);
-    drop(raw);
-    within(closing).await.expect("ends");
+    raw_peer.send_bytes(b"unread").await;
+    let closing_task = tokio::spawn(listener.close(Duration::from_secs(10)));
+    let mut received_bytes = Vec::new();
+    within(raw_peer.0.read_to_end(&mut received_bytes)).await.expect("is not reset");
+    assert_eq!(received_bytes.len(), READY_REST_BYTES + 9 + 3_000_000);
+    drop(raw_peer);
+    within(closing_task).await.expect("ends");
 }

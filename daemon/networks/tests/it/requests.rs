@@ -29,9 +29,10 @@ over_every_network!(
 async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let mut full = recorder();
-    while full.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
-    let pending = tokio::spawn(async move { session.request(full, &sample("hello"), TIME_LIMIT).await });
+    let mut full_recorder = recorder();
+    while full_recorder.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
+    let pending =
+        tokio::spawn(async move { session.request(full_recorder, &sample("hello"), TIME_LIMIT).await });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(sample("answer")));
     let exchange = within(pending).await.expect("no panic");
@@ -45,8 +46,8 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
 async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, id) = cloud.session(settings()).await;
-    let opened = session.statistics();
-    let two = Sample {
+    let statistics_at_opening = session.statistics();
+    let two_parts = Sample {
         parts: vec![
             Part { description: Description::bytes(), bytes: vec![7; 200_000].into() },
             Part { description: Description::bytes(), bytes: vec![8; 10].into() },
@@ -58,13 +59,13 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     edge_log.time(stage::SENSING);
     let edge_host = edge_log.tree().anchors()[0].host;
     let pending = tokio::spawn({
-        let (session, two) = (session.clone(), two.clone());
-        async move { session.request(edge_log, &two, TIME_LIMIT).await }
+        let (session, two_parts) = (session.clone(), two_parts.clone());
+        async move { session.request(edge_log, &two_parts, TIME_LIMIT).await }
     });
 
     let mut incoming = cloud.next_request().await;
     assert_eq!(incoming.session, id);
-    assert_eq!(incoming.sample, two);
+    assert_eq!(incoming.sample, two_parts);
     let (upload, _) = incoming.recorder.tree().find(&["upload"]).expect("closed on arrival");
     incoming.recorder.record_timer(
         stage::QUEUE,
@@ -80,8 +81,8 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
     assert_eq!(exchange.upload, Some(upload));
-    let (down, download) = tree.find(&["download"]).expect("the way back");
-    assert_eq!(exchange.download, Some(down));
+    let (download_id, download) = tree.find(&["download"]).expect("the way back");
+    assert_eq!(exchange.download, Some(download_id));
     assert_eq!(download.host, HostIndex(1));
     let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
     assert_eq!((inference.host, inference.parent), (HostIndex(1), Some(NodeId::ROOT)));
@@ -93,7 +94,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
         Measure::Transit(transit) => (transit.sent, transit.received.expect("arrived")),
         other => panic!("{other:?}"),
     };
-    let ((sent, received), (answered, arrived)) = (transit(upload), transit(down));
+    let ((sent, received), (answered, arrived)) = (transit(upload), transit(download_id));
     assert_eq!(received, incoming.received.wall);
     assert_eq!(Some(arrived), exchange.arrived_at.map(|stamp| stamp.wall));
     assert!(sent <= received && received <= answered && answered <= arrived);
@@ -101,18 +102,19 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     let value = |name| tree.find(&[name]).and_then(|(_, node)| node.measure.value()).expect(name);
     assert_eq!(value("upload-bytes"), 200_010.0);
     assert_eq!(value("download-bytes"), 6.0);
-    let logger = value("upload-logger-bytes") + value("download-logger-bytes");
+    let logger_bytes = value("upload-logger-bytes") + value("download-logger-bytes");
     let (sent, received) = (session.statistics().sent, session.statistics().received);
-    let bytes = sent.bytes - opened.sent.bytes + received.bytes - opened.received.bytes;
-    assert_eq!(bytes, 200_016 + logger as u64);
-    assert_eq!((opened.sent.messages, opened.received.messages), (1, 1));
+    let bytes =
+        sent.bytes - statistics_at_opening.sent.bytes + received.bytes - statistics_at_opening.received.bytes;
+    assert_eq!(bytes, 200_016 + logger_bytes as u64);
+    assert_eq!((statistics_at_opening.sent.messages, statistics_at_opening.received.messages), (1, 1));
     assert_eq!((sent.messages, received.messages), (2, 2));
 }
 
 async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
-    let pending: Vec<_> = (0..50).map(|n| request(&session, &n.to_string(), TIME_LIMIT)).collect();
+    let pending: Vec<_> = (0..50).map(|number| request(&session, &number.to_string(), TIME_LIMIT)).collect();
     let mut incoming = Vec::new();
     for _ in 0..pending.len() {
         incoming.push(cloud.next_request().await);
@@ -123,9 +125,9 @@ async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
             request.reply.send(request.recorder, Ok(request.sample));
         }
     });
-    for (n, pending) in pending.into_iter().enumerate() {
+    for (number, pending) in pending.into_iter().enumerate() {
         let exchange = within(pending).await.expect("no panic");
-        assert_eq!(exchange.result.as_ref().map(text), Ok(n.to_string().as_str()));
+        assert_eq!(exchange.result.as_ref().map(text), Ok(number.to_string().as_str()));
     }
     worker.join().expect("no panic");
 }
@@ -186,7 +188,7 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
     let before_cancellation = VersionRange::new(4, 5, Release(0, 1, 0));
     let session = cloud.session_with_clock(clock(), before_cancellation).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
-    let slow = cloud.next_request().await;
+    let slow_request = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Answer)));
     assert_eq!((exchange.arrived_at, exchange.download), (None, None));
@@ -194,8 +196,8 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
     assert!(upload.measure.is_open());
     assert!(exchange.recorder.tree().find(&["upload-bytes"]).is_some());
 
-    slow.reply.send(slow.recorder, Ok(slow.sample));
-    // The next answer arrives after the late one.
+    slow_request.reply.send(slow_request.recorder, Ok(slow_request.sample));
+    // The next answer arrives after the late answer.
     echo(&mut cloud, &session, "next").await;
     assert_eq!(session.statistics().late_messages, 1);
     assert_eq!(session.statistics().lost_messages, 0);
@@ -203,8 +205,8 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
 
 async fn abandoned_request_frees_its_place(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
-    let one = SessionSettings { max_in_flight: 1, ..settings() };
-    let (session, _) = cloud.session(one).await;
+    let one_in_flight = SessionSettings { max_in_flight: 1, ..settings() };
+    let (session, _) = cloud.session(one_in_flight).await;
     let pending = request(&session, "dropped", TIME_LIMIT);
     let dropped = cloud.next_request().await;
     pending.abort();
@@ -217,8 +219,8 @@ async fn abandoned_request_frees_its_place(network: TestNetwork) {
 }
 
 async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) {
-    let two = SessionSettings { max_in_flight: 1, ..settings() };
-    let mut cloud = Cloud::start_at(&unused_address(network), two).await;
+    let one_in_flight = SessionSettings { max_in_flight: 1, ..settings() };
+    let mut cloud = Cloud::start_at(&unused_address(network), one_in_flight).await;
     let (session, _) = cloud.session(settings()).await;
     let (first, second) = (request(&session, "a", TIME_LIMIT), request(&session, "b", TIME_LIMIT));
     for _ in 0..2 {
@@ -227,35 +229,35 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     }
     let (first, second) = (within(first).await.expect("no panic"), within(second).await.expect("no panic"));
     assert!(first.result.is_ok() && second.result.is_ok());
-    let waited =
+    let has_waited =
         |exchange: &peernet_networks::Exchange| exchange.recorder.tree().find(&["send-queue"]).is_some();
-    assert_eq!([waited(&first), waited(&second)].iter().filter(|waited| **waited).count(), 1);
+    assert_eq!([has_waited(&first), has_waited(&second)].iter().filter(|has_waited| **has_waited).count(), 1);
 
-    let held = request(&session, "c", TIME_LIMIT);
+    let first_request = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    let impatient = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
-    assert_eq!(impatient.result, Err(RequestError::Timeout(Awaited::Slot)));
-    assert_eq!(impatient.upload, None);
+    let exchange = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
+    assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Slot)));
+    assert_eq!(exchange.upload, None);
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-    assert!(within(held).await.expect("no panic").result.is_ok());
+    assert!(within(first_request).await.expect("no panic").result.is_ok());
 }
 
 async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
-    let small = SessionSettings { max_message_bytes: 100_000, ..settings() };
-    let mut cloud = Cloud::start_at(&unused_address(network), small.clone()).await;
+    let small_limit = SessionSettings { max_message_bytes: 100_000, ..settings() };
+    let mut cloud = Cloud::start_at(&unused_address(network), small_limit.clone()).await;
     let (session, _) = cloud.session(settings()).await;
-    let large = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
-    let exchange = within(session.request(recorder(), &large, TIME_LIMIT)).await;
+    let oversized_sample = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
+    let exchange = within(session.request(recorder(), &oversized_sample, TIME_LIMIT)).await;
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
     assert_eq!(exchange.upload, None);
     echo(&mut cloud, &session, "small").await;
 
     let mut cloud = Cloud::on_network(network).await;
-    let (session, _) = cloud.session(small).await;
+    let (session, _) = cloud.session(small_limit).await;
     let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    incoming.reply.send(incoming.recorder, Ok(large));
+    incoming.reply.send(incoming.recorder, Ok(oversized_sample));
     let exchange = within(pending).await.expect("no panic");
     let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
@@ -266,18 +268,18 @@ async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let part = Part { description: Description::bytes(), bytes: "x".into() };
-    let crowded = Sample { parts: vec![part; 65], source: String::new(), label: None };
-    let talkative = Sample { source: "x".repeat(70_000), ..sample("x") };
-    for bad in [crowded, talkative] {
-        let exchange = within(session.request(recorder(), &bad, TIME_LIMIT)).await;
+    let sample_with_many_parts = Sample { parts: vec![part; 65], source: String::new(), label: None };
+    let sample_with_long_source = Sample { source: "x".repeat(70_000), ..sample("x") };
+    for invalid_sample in [sample_with_many_parts, sample_with_long_source] {
+        let exchange = within(session.request(recorder(), &invalid_sample, TIME_LIMIT)).await;
         assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
     }
-    let empty = Sample { parts: Vec::new(), source: String::new(), label: None };
+    let sample_without_parts = Sample { parts: Vec::new(), source: String::new(), label: None };
     let pending = tokio::spawn({
-        let (session, empty) = (session.clone(), empty.clone());
-        async move { session.request(recorder(), &empty, TIME_LIMIT).await }
+        let (session, sample_without_parts) = (session.clone(), sample_without_parts.clone());
+        async move { session.request(recorder(), &sample_without_parts, TIME_LIMIT).await }
     });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-    assert_eq!(within(pending).await.expect("no panic").result, Ok(empty));
+    assert_eq!(within(pending).await.expect("no panic").result, Ok(sample_without_parts));
 }

@@ -30,6 +30,7 @@ fn request_topic(pipeline: &str) -> String {
     format!("/{}/request", pipeline.replace('-', "_"))
 }
 
+/// Sends a sample and lets the cloud answer with the same sample. Returns the answer.
 pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sample) -> Sample {
     let pending = tokio::spawn({
         let (session, sample) = (session.clone(), sample.clone());
@@ -41,7 +42,7 @@ pub(crate) async fn exchange(cloud: &mut Cloud, session: &Session, sample: Sampl
     within(pending).await.expect("no panic").result.expect("an answer")
 }
 
-/// Opens a session. Returns it with the name of its pipeline.
+/// Opens a session. Returns the session and the name of its pipeline.
 pub(crate) async fn session(cloud: &mut Cloud) -> (Session, String) {
     let (address, hello) = (cloud.address(), hello());
     let pipeline = hello.pipeline.to_string();
@@ -60,7 +61,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         let mut cloud = Cloud::on_network(TestNetwork::Ros1).await;
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_000] {
-            let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
+            let bytes: Bytes = (0..size).map(|index: u32| (index % 251) as u8).collect::<Vec<u8>>().into();
             let sample = Sample::from_part(description.clone(), bytes);
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample);
         }
@@ -84,16 +85,16 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .expect("registered");
     let picture = Sample::from_part(Description::unshaped(MediaType::Jpeg), Bytes::from(vec![9; 5_000]));
     // The first pictures are sent in the companions until the topic is open.
-    let seen = loop {
+    let image = loop {
         exchange(&mut cloud, &session, picture.clone()).await;
-        let seen = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
-        if let Ok(message) = seen {
+        let result = tokio::time::timeout(Duration::from_millis(50), pictures.recv()).await;
+        if let Ok(message) = result {
             break CompressedImage::decode(WireForm::Ros1, message.expect("the node runs").bytes)
                 .expect("an image");
         }
     };
-    assert_eq!((&*seen.format, &seen.data[..]), ("jpeg", &picture.parts[0].bytes[..]));
-    assert!(seen.header.stamp.sec > 1_000_000_000, "the departure is in the header");
+    assert_eq!((&*image.format, &image.data[..]), ("jpeg", &picture.parts[0].bytes[..]));
+    assert!(image.header.stamp.sec > 1_000_000_000, "the departure is in the header");
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
@@ -102,12 +103,12 @@ async fn other_programs_see_pictures_as_their_own_type() {
 async fn sessions_continue_while_master_restarts() {
     let mut master = RosMaster::start();
     let mut cloud = Cloud::start_at(&master.address(), settings()).await;
-    let (first, _) = session(&mut cloud).await;
+    let (first_session, _) = session(&mut cloud).await;
     master.restart();
-    echo(&mut cloud, &first, "connections need no master").await;
+    echo(&mut cloud, &first_session, "connections need no master").await;
     // The cloud registers again within five seconds.
     let address = cloud.address();
-    let second = tokio::spawn(async move {
+    let second_session = tokio::spawn(async move {
         loop {
             match open(&address, hello(), settings()).await {
                 Ok(session) => return session,
@@ -117,9 +118,9 @@ async fn sessions_continue_while_master_restarts() {
         }
     });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
-    let second = within(second).await.expect("no panic");
-    echo(&mut cloud, &second, "the new master knows the cloud").await;
-    echo(&mut cloud, &first, "still there").await;
+    let second_session = within(second_session).await.expect("no panic");
+    echo(&mut cloud, &second_session, "the new master knows the cloud").await;
+    echo(&mut cloud, &first_session, "still there").await;
 }
 
 #[tokio::test]
@@ -139,19 +140,19 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
     replace_connections(Cloud::on_network(TestNetwork::Ros1).await).await;
 }
 
-/// Opens three connections of one pipeline in succession. Each one ends the one before, and works.
+/// Opens three connections of one pipeline in succession. Each connection ends the connection before it, and works.
 pub(crate) async fn replace_connections(mut cloud: Cloud) {
     let hello = hello();
-    let mut earlier: Option<Session> = None;
+    let mut earlier_session: Option<Session> = None;
     for _ in 0..3 {
         let (address, hello) = (cloud.address(), hello.clone());
         let mut edge = tokio::spawn(async move { open(&address, hello, settings()).await });
         let request = loop {
-            let next = tokio::select! {
-                next = cloud.next() => next,
-                opened = &mut edge => panic!("the cloud has accepted nothing: {opened:?}"),
+            let incoming = tokio::select! {
+                incoming = cloud.next() => incoming,
+                result = &mut edge => panic!("the cloud has accepted nothing: {result:?}"),
             };
-            match next {
+            match incoming {
                 Incoming::Open(request) => break request,
                 Incoming::Closed { .. } => {}
                 other => panic!("expected a hello, not {other:?}"),
@@ -159,19 +160,19 @@ pub(crate) async fn replace_connections(mut cloud: Cloud) {
         };
         assert!(request.accept(accepted(cloud.host)));
         let session = within(edge).await.expect("no panic").expect("accepted");
-        if let Some(earlier) = earlier {
-            assert!(matches!(within(earlier.closed()).await, CloseReason::Broken(_)));
+        if let Some(earlier_session) = earlier_session {
+            assert!(matches!(within(earlier_session.closed()).await, CloseReason::Broken(_)));
         }
         echo(&mut cloud, &session, "the new one works").await;
-        earlier = Some(session);
+        earlier_session = Some(session);
     }
 }
 
 #[tokio::test]
 async fn name_of_another_cloud_is_refused() {
     let cloud = Cloud::on_network(TestNetwork::Ros1).await;
-    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
-    let error = again.expect_err("the name is taken").to_string();
+    let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
+    let error = result.expect_err("the name is taken").to_string();
     assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
 }
 
@@ -180,7 +181,7 @@ async fn topic_of_another_publisher_or_type_is_refused() {
     let master = RosMaster::start();
     let cloud = Cloud::start_at(&master.address(), settings()).await;
     let node = foreign_node(&master, "rosbag").await;
-    for (ending, kind, said) in [
+    for (ending, kind, expected_text) in [
         ("_info", TopicType::from_message::<MessageInfo>(), "node /rosbag publishes topic"),
         ("", TopicType::from_message::<StringMessage>(), "node /rosbag publishes topic"),
     ] {
@@ -188,7 +189,10 @@ async fn topic_of_another_publisher_or_type_is_refused() {
         let topic = format!("{}{ending}", request_topic(hello.pipeline.as_str()));
         let _publisher = node.publish(&topic, kind, PublisherOptions::default()).await.expect("registered");
         let error = open(&cloud.address(), hello, settings()).await.expect_err("taken").to_string();
-        assert!(error.contains(said) && error.contains(&topic) && error.contains("ROS_NAMESPACE"), "{error}");
+        assert!(
+            error.contains(expected_text) && error.contains(&topic) && error.contains("ROS_NAMESPACE"),
+            "{error}"
+        );
     }
     let hello = hello();
     let topic = format!("/{}/response_info", hello.pipeline.as_str().replace('-', "_"));
@@ -216,11 +220,11 @@ async fn messages_of_second_publishers_are_dropped() {
     }
     publisher.publish(Bytes::from_static(b"nonsense")).expect("the node runs");
     echo(&mut cloud, &session, "the session goes on").await;
-    second_publisher_is_remarked(&mut cloud, &session, "node /stranger", &topic).await;
+    wait_for_remark_on_second_publisher(&mut cloud, &session, "node /stranger", &topic).await;
 }
 
 /// Exchanges requests until the cloud remarks on a second publisher.
-pub(crate) async fn second_publisher_is_remarked(
+pub(crate) async fn wait_for_remark_on_second_publisher(
     cloud: &mut Cloud,
     session: &Session,
     node: &str,
@@ -238,40 +242,43 @@ pub(crate) async fn second_publisher_is_remarked(
 }
 
 #[tokio::test]
-async fn edge_gets_reason_of_refusal() {
-    pipeline_of_another_host_is_refused(Cloud::on_network(TestNetwork::Ros1).await).await;
+async fn second_host_gets_reason_of_refusal() {
+    assert_second_host_is_refused(Cloud::on_network(TestNetwork::Ros1).await).await;
 }
 
-/// Requests the topics of a pipeline from a second host: both ends report it, and the session continues.
-pub(crate) async fn pipeline_of_another_host_is_refused(mut cloud: Cloud) {
-    let (first, pipeline) = session(&mut cloud).await;
+/// Requests the topics of a pipeline from a second host. Both ends report the refusal, and the first session continues.
+pub(crate) async fn assert_second_host_is_refused(mut cloud: Cloud) {
+    let (first_session, pipeline) = session(&mut cloud).await;
     let (address, hello) = (cloud.address(), hello());
     let hello = SessionHello { pipeline: pipeline.parse().expect("a name"), ..hello };
     let host = hello.host;
     let edge = tokio::spawn(async move { open(&address, hello, settings()).await });
-    let refused = within(async {
+    let refusal = within(async {
         loop {
             if let Some(Incoming::Refused { host, text }) = cloud.listener.next().await {
                 break (host, text);
             }
         }
     });
-    let (of, text) = refused.await;
-    assert_eq!(of, Some(host));
+    let (refused_host, text) = refusal.await;
+    assert_eq!(refused_host, Some(host));
     assert!(text.contains("refused a connection to node /peernet_robot_1_"), "{text}");
     let Err(OpenError::Refused { reason, .. }) = within(edge).await.expect("no panic") else {
         panic!("the edge is refused")
     };
-    for said in [text, reason] {
-        assert!(said.contains("another host uses the topics") && said.contains("ROS_NAMESPACE"), "{said}");
+    for message in [text, reason] {
+        assert!(
+            message.contains("another host uses the topics") && message.contains("ROS_NAMESPACE"),
+            "{message}"
+        );
     }
-    echo(&mut cloud, &first, "the first goes on").await;
+    echo(&mut cloud, &first_session, "the first goes on").await;
 }
 
 #[tokio::test]
 async fn connection_without_session_ends_after_hello_timeout() {
-    let hasty = peernet_networks::SessionSettings { hello_timeout_ms: 2_000, ..settings() };
-    let mut cloud = Cloud::start_at(&RosMaster::shared().address(), hasty).await;
+    let short_hello_timeout = peernet_networks::SessionSettings { hello_timeout_ms: 2_000, ..settings() };
+    let mut cloud = Cloud::start_at(&RosMaster::shared().address(), short_hello_timeout).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no");
@@ -290,13 +297,13 @@ async fn subscriber_that_does_not_read_loses_no_message() {
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&master, "viewer").await;
     let options = SubscriberOptions { when_full: WhenFull::Wait, ..SubscriberOptions::default() };
-    let watching =
+    let unread_subscriber =
         viewer.subscribe(&request_topic(&pipeline), TopicType::any(), options).await.expect("registered");
-    // It reads no message.
+    // The subscriber reads no message.
     for _ in 0..100 {
         let sample = Sample::from_part(Description::bytes(), Bytes::from(vec![1; 1_000_000]));
         exchange(&mut cloud, &session, sample).await;
     }
     assert_eq!(session.statistics().lost_messages, 0);
-    drop(watching);
+    drop(unread_subscriber);
 }

@@ -10,11 +10,11 @@ use crate::ros::{exchange, foreign_node, session};
 use crate::ros_master::RosMaster;
 use crate::support::{Cloud, accepted, clock, echo, hello, open, settings, within};
 
-/// Number of bytes that all sessions of a cloud share in these tests.
-const SHARED: u64 = 1_000_000;
+/// Memory that all sessions of a cloud share in these tests. Bytes.
+const SHARED_BYTES: u64 = 1_000_000;
 
 /// Number of connections that are opened without a session.
-const OTHERS: usize = 12;
+const CONNECTIONS_WITHOUT_SESSION: usize = 12;
 
 /// Returns a companion whose payload is never sent.
 fn companion_without_payload(sequence: u64, bytes: usize) -> EncodedMessage {
@@ -74,14 +74,15 @@ async fn send_hello(hellos: &Publisher, node: &Node, host: String, pipeline: Str
 #[tokio::test]
 async fn connections_without_session_leave_memory_to_sessions() {
     let master = RosMaster::start();
-    let limits = SessionSettings { max_message_bytes: SHARED, max_unfinished_bytes: SHARED, ..settings() };
+    let limits =
+        SessionSettings { max_message_bytes: SHARED_BYTES, max_unfinished_bytes: SHARED_BYTES, ..settings() };
     let mut cloud = Cloud::start_at(&master.address(), limits).await;
     let (session, _) = session(&mut cloud).await;
     let node = foreign_node(&master, "crowd").await;
     let options = PublisherOptions::default();
     let hellos = hello_publisher(&cloud, &node).await;
     let mut publishers: Vec<Publisher> = Vec::new();
-    for number in 0..OTHERS {
+    for number in 0..CONNECTIONS_WITHOUT_SESSION {
         let pipeline = format!("/crowd/line{number}");
         let topic = format!("{pipeline}/request_info");
         let publisher = node
@@ -91,8 +92,8 @@ async fn connections_without_session_leave_memory_to_sessions() {
         send_hello(&hellos, &node, "crowd".to_owned(), pipeline).await;
         within(publisher.wait_for_subscribers(1)).await.expect("the cloud subscribes");
         for sequence in 0..4 {
-            let sent = publisher.publish_waiting(companion_without_payload(sequence, 60_000));
-            within(sent).await.expect("the node runs");
+            let sending = publisher.publish_waiting(companion_without_payload(sequence, 60_000));
+            within(sending).await.expect("the node runs");
         }
         publishers.push(publisher);
     }

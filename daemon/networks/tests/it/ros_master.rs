@@ -28,7 +28,7 @@ impl RosMaster {
     }
 
     fn start_at(port: u16) -> Self {
-        // The shell ends the master when the shell's input closes, which happens whenever and however this process
+        // The shell ends the master when the shell's input closes. The input closes whenever and however this process
         // ends.
         let process = Command::new("sh")
             .args(["-c", "rosmaster --core -p \"$0\" & read -r _; kill -9 $!; wait", &port.to_string()])
@@ -71,7 +71,7 @@ impl RosMaster {
 impl Drop for RosMaster {
     fn drop(&mut self) {
         drop(self.process.stdin.take());
-        // Fails if the process has already been waited for.
+        // Waiting fails if the process has already been waited for.
         let _ = self.process.wait();
     }
 }

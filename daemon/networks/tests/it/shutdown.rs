@@ -16,22 +16,23 @@ use crate::support::{
 over_every_network!(closing_waits_for_answers_and_sends_goodbye, closing_ends_after_timeout);
 
 /// Name of the thread that a [`PausingClock`] stops.
-const PAUSED_THREAD: &str = "held";
+const PAUSED_THREAD: &str = "paused";
 
 /// A clock that stops one thread once: it signals that the thread has arrived, and waits for permission to continue.
 #[derive(Debug)]
 struct PausingClock {
     clock: SharedClock,
-    closed: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
+    /// Signals the arrival of the thread, and receives the permission; `None` after the stop.
+    gate: Mutex<Option<(oneshot::Sender<()>, mpsc::Receiver<()>)>>,
 }
 
 impl Clock for PausingClock {
     fn wall(&self) -> WallTime {
         if thread::current().name() == Some(PAUSED_THREAD)
-            && let Some((arrived, leave)) = self.closed.lock().expect("no panic").take()
+            && let Some((arrival_sender, leave_receiver)) = self.gate.lock().expect("no panic").take()
         {
-            arrived.send(()).expect("waited for");
-            leave.recv().expect("given leave");
+            arrival_sender.send(()).expect("waited for");
+            leave_receiver.recv().expect("given leave");
         }
         self.clock.wall()
     }
@@ -51,28 +52,32 @@ impl Clock for PausingClock {
 
 #[tokio::test]
 async fn closing_waits_for_answer_being_sent() {
-    let ((arrived, at_gate), (leave, left)) = (oneshot::channel(), mpsc::sync_channel(1));
-    let gate = PausingClock { clock: clock(), closed: Mutex::new(Some((arrived, left))) };
-    let mut cloud = Cloud::start_with_clock(Arc::new(gate)).await;
+    let ((arrival_sender, arrival_receiver), (leave_sender, leave_receiver)) =
+        (oneshot::channel(), mpsc::sync_channel(1));
+    let pausing_clock =
+        PausingClock { clock: clock(), gate: Mutex::new(Some((arrival_sender, leave_receiver))) };
+    let mut cloud = Cloud::start_with_clock(Arc::new(pausing_clock)).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = [request(&session, "one", TIME_LIMIT), request(&session, "other", TIME_LIMIT)];
-    let (slow, quick) = (cloud.next_request().await, cloud.next_request().await);
+    let (slow_request, quick_request) = (cloud.next_request().await, cloud.next_request().await);
     // The request is answered, but the answer has not been sent yet.
-    let held = thread::Builder::new().name(PAUSED_THREAD.to_owned());
-    let held = held.spawn(move || slow.reply.send(slow.recorder, Ok(slow.sample))).expect("a thread");
-    within(at_gate).await.expect("it comes to the gate");
+    let paused_thread = thread::Builder::new().name(PAUSED_THREAD.to_owned());
+    let paused_thread = paused_thread
+        .spawn(move || slow_request.reply.send(slow_request.recorder, Ok(slow_request.sample)))
+        .expect("a thread");
+    within(arrival_receiver).await.expect("it comes to the gate");
     let close = tokio::spawn(cloud.listener.close());
-    quick.reply.send(quick.recorder, Ok(quick.sample));
-    let early = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;
-    assert!(early.is_err(), "goodbye came before the answer: {early:?}");
-    leave.send(()).expect("waited for");
+    quick_request.reply.send(quick_request.recorder, Ok(quick_request.sample));
+    let result = tokio::time::timeout(Duration::from_millis(100), session.closed()).await;
+    assert!(result.is_err(), "goodbye came before the answer: {result:?}");
+    leave_sender.send(()).expect("waited for");
     for pending in pending {
         let exchange = within(pending).await.expect("no panic");
         assert!(exchange.result.is_ok(), "{:?}", exchange.result);
     }
     assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
     within(close).await.expect("no panic");
-    held.join().expect("no panic");
+    paused_thread.join().expect("no panic");
 }
 
 async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
@@ -80,13 +85,13 @@ async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "almost done", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    let (closing, closed) = tokio::sync::oneshot::channel();
+    let (closing_sender, closing_receiver) = tokio::sync::oneshot::channel();
     let listener = cloud.listener;
     let close = tokio::spawn(async move {
-        closing.send(()).expect("waited for");
+        closing_sender.send(()).expect("waited for");
         listener.close().await;
     });
-    within(closed).await.expect("the listener closes");
+    within(closing_receiver).await.expect("the listener closes");
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");
     assert_eq!(exchange.result.as_ref().map(text), Ok("almost done"));
@@ -95,8 +100,8 @@ async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
 }
 
 async fn closing_ends_after_timeout(network: TestNetwork) {
-    let hasty = SessionSettings { close_timeout_ms: 50, ..settings() };
-    let mut cloud = Cloud::start_at(&unused_address(network), hasty).await;
+    let short_timeout = SessionSettings { close_timeout_ms: 50, ..settings() };
+    let mut cloud = Cloud::start_at(&unused_address(network), short_timeout).await;
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "never done", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;

@@ -20,23 +20,23 @@ async fn both_ends_count_same_bytes_and_messages() {
         assert!(within(pending).await.expect("no panic").result.is_ok());
     }
     let (edge, listener) = (session.statistics(), cloud.listener.statistics());
-    // The hello and three samples; its acceptance and three answers.
+    // The edge sends the hello and three samples, and receives the acceptance and three answers.
     assert_eq!((edge.sent.messages, edge.received.messages), (4, 4));
     assert!(edge.sent.bytes > 300_010, "{edge:?}");
-    let totals = |one: &ConnectionStatistics| {
-        [one.sent, one.received].map(|direction| (direction.messages, direction.bytes))
+    let totals = |statistics: &ConnectionStatistics| {
+        [statistics.sent, statistics.received].map(|direction| (direction.messages, direction.bytes))
     };
-    let mut mirrored = totals(&listener);
-    mirrored.reverse();
-    assert_eq!(totals(&edge), mirrored);
+    let mut reversed_totals = totals(&listener);
+    reversed_totals.reverse();
+    assert_eq!(totals(&edge), reversed_totals);
 
     // The cloud's report has the counts at the time of the report.
     let reader = session.statistics_reader();
-    assert_eq!(reader.peer(), None, "nothing was told yet");
+    assert_eq!(reader.peer(), None, "nothing was reported yet");
     cloud.listener.announcer().report_statistics();
-    let mut told = session.peer_statistics();
-    within(told.wait_for(Option::is_some)).await.expect("the session is open");
-    let peer = reader.peer().expect("it was told");
+    let mut peer_statistics = session.peer_statistics();
+    within(peer_statistics.wait_for(Option::is_some)).await.expect("the session is open");
+    let peer = reader.peer().expect("it was reported");
     assert_eq!(totals(&peer), totals(&listener), "the report itself is not counted yet");
     assert!(peer.round_trip.is_some() && peer.sent.retransmitted.is_some(), "{peer:?}");
     assert_eq!((peer.malformed_messages, peer.lost_messages), (0, 0));
@@ -50,13 +50,13 @@ async fn tcp_connection_has_round_trip_and_interface() {
     let mut cloud = Cloud::start().await;
     let (session, _) = cloud.session(settings()).await;
     let reader = session.statistics_reader();
-    let known = reader.read().expect("the session is open");
-    let trip = known.round_trip.expect("the handshake was acknowledged");
+    let statistics = reader.read().expect("the session is open");
+    let trip = statistics.round_trip.expect("the handshake was acknowledged");
     assert!(trip.smoothed > Span::ZERO && trip.smoothed < Span::from_seconds(1), "{trip:?}");
-    assert!(known.sent.datagrams.is_some_and(|segments| segments > 0), "{known:?}");
-    assert!(known.sent.retransmitted.is_some(), "{known:?}");
+    assert!(statistics.sent.datagrams.is_some_and(|segments| segments > 0), "{statistics:?}");
+    assert!(statistics.sent.retransmitted.is_some(), "{statistics:?}");
     assert_eq!(
-        (known.sent.lost, known.received.retransmitted),
+        (statistics.sent.lost, statistics.received.retransmitted),
         (None, None),
         "the kernel does not count these"
     );

@@ -101,15 +101,17 @@ pub(crate) fn unused_address(network: TestNetwork) -> String {
 }
 
 /// Returns a ROS 2 domain that few other tests use, and a name that no other test uses, not even in another process.
-/// All tests are in the domains of the loopback interface, and the ports of higher domains may belong to other sockets.
+/// All tests use domains on the loopback interface. The domains are at most 100, because the ports of higher domains
+/// may belong to other sockets.
 #[cfg(feature = "ros2")]
 fn unused_domain() -> String {
     let (process, number) = (std::process::id(), next_number());
     format!("ros2://{}/cloud{process}n{number}", 1 + (process as usize * 37 + number) % 100)
 }
 
-pub(crate) async fn within<T>(what: impl Future<Output = T>) -> T {
-    tokio::time::timeout(TIME_LIMIT, what).await.expect("the test hangs")
+/// Returns the result of an operation that must end within the time limit.
+pub(crate) async fn within<T>(operation: impl Future<Output = T>) -> T {
+    tokio::time::timeout(TIME_LIMIT, operation).await.expect("the test hangs")
 }
 
 pub(crate) fn clock() -> SharedClock {
@@ -275,17 +277,17 @@ pub(crate) fn recorder() -> Recorder {
 }
 
 /// Starts a request in a separate task.
-pub(crate) fn request(session: &Session, what: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
-    let (session, sample) = (session.clone(), sample(what));
+pub(crate) fn request(session: &Session, text: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
+    let (session, sample) = (session.clone(), sample(text));
     tokio::spawn(async move { session.request(recorder(), &sample, timeout).await })
 }
 
 /// Sends a request and lets the cloud echo it, which shows that the session works.
-pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, what: &str) -> Exchange {
-    let pending = request(session, what, TIME_LIMIT);
+pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, content: &str) -> Exchange {
+    let pending = request(session, content, TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok(what));
+    assert_eq!(exchange.result.as_ref().map(text), Ok(content));
     exchange
 }

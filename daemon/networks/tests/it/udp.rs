@@ -36,20 +36,20 @@ fn echo_all(mut cloud: Cloud) -> tokio::task::JoinHandle<()> {
     })
 }
 
-/// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost ones; fails for all
-/// others.
+/// Sends samples of these sizes, `parallel` at a time. Returns the numbers of answered and lost samples. Panics
+/// for any other outcome.
 async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> (usize, usize) {
     let permits = std::sync::Arc::new(tokio::sync::Semaphore::new(parallel));
     let mut tasks = JoinSet::new();
-    for (n, size) in sizes.into_iter().enumerate() {
+    for (number, size) in sizes.into_iter().enumerate() {
         let (session, permits) = (session.clone(), permits.clone());
         tasks.spawn(async move {
             let _permit = permits.acquire().await.expect("open");
-            let sent = sample_of(payload(size, n));
-            let exchange = session.request(recorder(), &sent, TIME_LIMIT).await;
+            let request = sample_of(payload(size, number));
+            let exchange = session.request(recorder(), &request, TIME_LIMIT).await;
             match exchange.result {
                 Ok(answer) => {
-                    assert_eq!(answer, sent);
+                    assert_eq!(answer, request);
                     true
                 }
                 Err(RequestError::Lost(reason)) => {
@@ -88,7 +88,7 @@ async fn every_request_is_answered_or_lost() {
     let relay = UdpRelay::start(&cloud.address(), impairment, 2_026).await;
     let _echo = echo_all(cloud);
     let session = open(&relay.address, hello(), settings()).await.expect("accepted");
-    let sizes = (0..300).map(|n| [0, 1, 1_000, 20_000][n % 4]).collect();
+    let sizes = (0..300).map(|number| [0, 1, 1_000, 20_000][number % 4]).collect();
     let (answered, lost) = exchange_all(&session, sizes, 8).await;
     assert_eq!(answered + lost, 300);
     assert!(answered > 150 && lost > 10, "{answered} answered, {lost} lost");
@@ -114,22 +114,25 @@ async fn datagrams_of_both_directions_are_counted() {
         [direction.lost, direction.duplicated, direction.reordered].iter().all(|count| *count > Some(5))
     };
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
-    let counted = tokio::time::timeout(TIME_LIMIT, async {
+    let counting = tokio::time::timeout(TIME_LIMIT, async {
         loop {
             ticks.tick().await;
-            let known = session.statistics();
-            if is_counted(&known.sent) && is_counted(&known.received) {
-                return known;
+            let statistics = session.statistics();
+            if is_counted(&statistics.sent) && is_counted(&statistics.received) {
+                return statistics;
             }
         }
     });
-    let Ok(known) = counted.await else { panic!("never counted: {:?}", session.statistics()) };
+    let Ok(statistics) = counting.await else { panic!("never counted: {:?}", session.statistics()) };
     // 200 messages of nine datagrams, and the hello.
-    let sent = known.sent.datagrams.expect("this end sends them");
-    assert!((1_801..2_000).contains(&sent), "{known:?}");
-    assert!(known.sent.lost < Some(sent / 10) && known.received.lost < known.received.datagrams, "{known:?}");
-    assert_eq!((known.sent.retransmitted.is_some(), known.received.retransmitted), (true, None));
-    let trip = known.round_trip.expect("signs of life were answered");
+    let sent = statistics.sent.datagrams.expect("this end sends them");
+    assert!((1_801..2_000).contains(&sent), "{statistics:?}");
+    assert!(
+        statistics.sent.lost < Some(sent / 10) && statistics.received.lost < statistics.received.datagrams,
+        "{statistics:?}"
+    );
+    assert_eq!((statistics.sent.retransmitted.is_some(), statistics.received.retransmitted), (true, None));
+    let trip = statistics.round_trip.expect("signs of life were answered");
     assert!(trip.min <= Some(trip.smoothed) && trip.smoothed < Span::from_seconds(1), "{trip:?}");
 }
 
@@ -137,10 +140,11 @@ async fn datagrams_of_both_directions_are_counted() {
 async fn interrupted_path_ends_session_and_next_one_works() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
-    let quick = SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
+    let short_heartbeats =
+        SessionSettings { heartbeat_interval_ms: 50, heartbeat_timeout_ms: 200, ..settings() };
     let edge = tokio::spawn({
-        let (address, quick) = (relay.address.clone(), quick.clone());
-        async move { open(&address, hello(), quick).await }
+        let (address, short_heartbeats) = (relay.address.clone(), short_heartbeats.clone());
+        async move { open(&address, hello(), short_heartbeats).await }
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
@@ -154,7 +158,7 @@ async fn interrupted_path_ends_session_and_next_one_works() {
     relay.restore();
     let edge = tokio::spawn({
         let address = relay.address.clone();
-        async move { open(&address, hello(), quick).await }
+        async move { open(&address, hello(), short_heartbeats).await }
     });
     loop {
         match cloud.next().await {
@@ -189,7 +193,7 @@ async fn next_request_notices_restarted_cloud() {
     relay.cut();
     let address = cloud.address();
     drop(cloud);
-    within(relay.dropped()).await;
+    within(relay.wait_for_drop()).await;
     while std::net::UdpSocket::bind(address.authority()).is_err() {
         tokio::task::yield_now().await;
     }
@@ -221,10 +225,10 @@ async fn garbage_is_counted_without_effect() {
 async fn altered_heartbeat_loses_no_later_request() {
     let mut cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let relay = UdpRelay::start(&cloud.address(), PathImpairment::default(), 1).await;
-    let quick = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
+    let short_heartbeats = SessionSettings { heartbeat_interval_ms: 50, ..settings() };
     let edge = tokio::spawn({
         let address = relay.address.clone();
-        async move { open(&address, hello(), quick).await }
+        async move { open(&address, hello(), short_heartbeats).await }
     });
     cloud.next_open().await.accept(accepted(cloud.host));
     let session = within(edge).await.expect("no panic").expect("accepted");
@@ -242,11 +246,11 @@ async fn altered_heartbeat_loses_no_later_request() {
 
 #[tokio::test]
 async fn small_socket_buffers_lose_messages_but_no_count() {
-    let small = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
-    let cloud = Cloud::start_at("udp://127.0.0.1:0", small.clone()).await;
+    let small_buffers = SessionSettings { socket_buffer_bytes: 64 << 10, ..settings() };
+    let cloud = Cloud::start_at("udp://127.0.0.1:0", small_buffers.clone()).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
-    let session = open(&address, hello(), small).await.expect("accepted");
+    let session = open(&address, hello(), small_buffers).await.expect("accepted");
     let (answered, lost) = exchange_all(&session, vec![300_000; 20], 4).await;
     assert_eq!(answered + lost, 20);
 }
@@ -256,11 +260,11 @@ async fn configured_rate_is_kept() {
     let cloud = Cloud::on_network(TestNetwork::ZmqUdp).await;
     let address = cloud.address();
     let _echo = echo_all(cloud);
-    let slow = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
-    let session = open(&address, hello(), slow).await.expect("accepted");
-    let begin = tokio::time::Instant::now();
+    let limited_rate = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
+    let session = open(&address, hello(), limited_rate).await.expect("accepted");
+    let started_at = tokio::time::Instant::now();
     let exchange = within(session.request(recorder(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
     assert!(exchange.result.is_ok(), "{:?}", exchange.result);
-    let taken = begin.elapsed();
-    assert!(taken >= Duration::from_millis(290), "300 kB at 1 MB/s took {taken:?}");
+    let duration = started_at.elapsed();
+    assert!(duration >= Duration::from_millis(290), "300 kB at 1 MB/s took {duration:?}");
 }

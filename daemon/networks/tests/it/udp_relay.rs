@@ -21,8 +21,11 @@ pub(crate) struct PathImpairment {
 /// A relay for one edge. It ends when it is dropped.
 pub(crate) struct UdpRelay {
     pub(crate) address: Address,
+    /// Probability that a datagram is dropped. Percent.
     loss: Arc<AtomicU64>,
+    /// Number of dropped datagrams.
     dropped: Arc<AtomicU64>,
+    /// Number of heartbeats to be altered.
     alterations: Arc<AtomicU64>,
     task: JoinHandle<()>,
 }
@@ -41,14 +44,14 @@ async fn socket() -> Arc<UdpSocket> {
 
 impl UdpRelay {
     pub(crate) async fn start(cloud: &Address, impairment: PathImpairment, seed: u64) -> Self {
-        let (front, back) = (socket().await, socket().await);
-        let address = format!("udp://{}", front.local_addr().expect("bound"));
-        back.connect(cloud.authority()).await.expect("an address");
+        let (edge_socket, cloud_socket) = (socket().await, socket().await);
+        let address = format!("udp://{}", edge_socket.local_addr().expect("bound"));
+        cloud_socket.connect(cloud.authority()).await.expect("an address");
         let loss = Arc::new(AtomicU64::new(impairment.loss));
         let dropped = Arc::new(AtomicU64::new(0));
         let alterations = Arc::new(AtomicU64::new(0));
         let counts = (Arc::clone(&loss), Arc::clone(&dropped), Arc::clone(&alterations));
-        let task = tokio::spawn(relay_datagrams(front, back, impairment, counts, seed | 1));
+        let task = tokio::spawn(relay_datagrams(edge_socket, cloud_socket, impairment, counts, seed | 1));
         Self { address: address.parse().expect("an address"), loss, dropped, alterations, task }
     }
 
@@ -58,14 +61,14 @@ impl UdpRelay {
     }
 
     /// Waits until a datagram was dropped.
-    pub(crate) async fn dropped(&self) {
+    pub(crate) async fn wait_for_drop(&self) {
         while self.dropped.load(Ordering::Relaxed) == 0 {
             tokio::task::yield_now().await;
         }
     }
 
-    /// Alters the next heartbeat of the edge, as a faulty link would: it claims that 2^20 more messages were sent.
-    /// Waits until it has passed.
+    /// Alters the next heartbeat of the edge, as a faulty link would. The altered heartbeat claims that 2^20 more
+    /// messages were sent. Waits until the heartbeat has passed.
     pub(crate) async fn alter_heartbeat(&self) {
         self.alterations.store(1, Ordering::Relaxed);
         while self.alterations.load(Ordering::Relaxed) > 0 {
@@ -80,26 +83,26 @@ impl UdpRelay {
 }
 
 async fn relay_datagrams(
-    front: Arc<UdpSocket>,
-    back: Arc<UdpSocket>,
+    edge_socket: Arc<UdpSocket>,
+    cloud_socket: Arc<UdpSocket>,
     impairment: PathImpairment,
     (loss, dropped, alterations): (Arc<AtomicU64>, Arc<AtomicU64>, Arc<AtomicU64>),
     mut random: u64,
 ) {
     let mut edge: Option<SocketAddr> = None;
-    let (mut up, mut down) = (vec![0; 65_536], vec![0; 65_536]);
+    let (mut upload_buffer, mut download_buffer) = (vec![0; 65_536], vec![0; 65_536]);
     loop {
         let (datagram, to) = tokio::select! {
-            Ok((length, from)) = front.recv_from(&mut up) => {
+            Ok((length, from)) = edge_socket.recv_from(&mut upload_buffer) => {
                 edge = Some(from);
-                if alterations.load(Ordering::Relaxed) > 0 && alter(&mut up[..length]) {
+                if alterations.load(Ordering::Relaxed) > 0 && alter(&mut upload_buffer[..length]) {
                     alterations.store(0, Ordering::Relaxed);
                 }
-                (&up[..length], None)
+                (&upload_buffer[..length], None)
             }
-            Ok(length) = back.recv(&mut down) => {
+            Ok(length) = cloud_socket.recv(&mut download_buffer) => {
                 let Some(edge) = edge else { continue };
-                (&down[..length], Some(edge))
+                (&download_buffer[..length], Some(edge))
             }
             // The port of a cloud that is gone reports errors.
             else => continue,
@@ -117,21 +120,22 @@ async fn relay_datagrams(
         let copies = if chance(impairment.duplication) { 2 } else { 1 };
         let is_delayed = chance(impairment.delay);
         for _ in 0..copies {
-            let (front, back, datagram) = (Arc::clone(&front), Arc::clone(&back), datagram.to_vec());
-            let pass = async move {
+            let (edge_socket, cloud_socket, datagram) =
+                (Arc::clone(&edge_socket), Arc::clone(&cloud_socket), datagram.to_vec());
+            let send_copy = async move {
                 // Datagrams that the sockets do not accept are lost, as on a real path.
                 let _ = match to {
-                    Some(edge) => front.send_to(&datagram, edge).await,
-                    None => back.send(&datagram).await,
+                    Some(edge) => edge_socket.send_to(&datagram, edge).await,
+                    None => cloud_socket.send(&datagram).await,
                 };
             };
             if is_delayed {
                 tokio::spawn(async move {
                     tokio::time::sleep(Duration::from_millis(10)).await;
-                    pass.await;
+                    send_copy.await;
                 });
             } else {
-                pass.await;
+                send_copy.await;
             }
         }
     }

@@ -53,7 +53,7 @@ pub(crate) enum Header {
 /// Major, minor and patch version.
 pub(crate) type Release = (u16, u16, u16);
 
-/// Wall clock, offset on the monotonic clock, epoch; since version 5 the free-running clock.
+/// Wall clock, offset on the monotonic clock, and epoch. Since version 5 also the free-running clock.
 #[derive(Serialize, Deserialize, Debug)]
 pub(crate) struct Departure(
     pub(crate) i64,
@@ -213,9 +213,9 @@ impl PlainSocket {
         within(self.0.send(Message::multipart(frames))).await.expect("sent");
     }
 
-    pub(crate) async fn send_message(&self, header: &Header, rest: Vec<Bytes>) {
+    pub(crate) async fn send_message(&self, header: &Header, frames: Vec<Bytes>) {
         let header = rmp_serde::to_vec_named(header).expect("serialises");
-        self.frames([vec![header.into()], rest].concat()).await;
+        self.frames([vec![header.into()], frames].concat()).await;
     }
 
     pub(crate) async fn receive_message(&self) -> (Header, Vec<Bytes>) {

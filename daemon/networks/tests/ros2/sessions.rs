@@ -12,14 +12,15 @@ use peernet_ros::ros2::{QosProfile, Reliability, Ros2Node, Ros2Settings};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 
 use crate::ros::{
-    exchange, pipeline_of_another_host_is_refused, replace_connections, second_publisher_is_remarked, session,
+    assert_second_host_is_refused, exchange, replace_connections, session,
+    wait_for_remark_on_second_publisher,
 };
 use crate::support::{
     Cloud, TIME_LIMIT, TestNetwork, accepted, clock, echo, hello, open, recorder, settings, within,
 };
 
 /// Returns settings with changed settings for the topics of ROS 2.
-fn with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
+fn settings_with(change: impl FnOnce(&mut Ros2SessionSettings)) -> SessionSettings {
     let mut settings = settings();
     change(&mut settings.ros2);
     settings
@@ -45,13 +46,13 @@ fn topic(pipeline: &str, name: &str) -> String {
 }
 
 fn picture(bytes: usize) -> Sample {
-    let bytes: Vec<u8> = (0..bytes).map(|at| (at % 251) as u8).collect();
+    let bytes: Vec<u8> = (0..bytes).map(|index| (index % 251) as u8).collect();
     Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
 const INFO: &str = "peernet_msgs/msg/MessageInfo";
 
-// The ROS 2 clients have threads of their own, which must not wait for this one.
+// The ROS 2 clients have threads of their own. They must not wait for the thread of the test.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn payloads_of_all_sizes_and_types_come_back_identical() {
     for description in [
@@ -62,7 +63,7 @@ async fn payloads_of_all_sizes_and_types_come_back_identical() {
         let mut cloud = cloud().await;
         let (session, _) = session(&mut cloud).await;
         for size in [0, 1, 1_000, 60_000, 1_200_000, 20_000_000, 1_200_000, 1_000] {
-            let bytes: Bytes = (0..size).map(|at: u32| (at % 251) as u8).collect::<Vec<u8>>().into();
+            let bytes: Bytes = (0..size).map(|index: u32| (index % 251) as u8).collect::<Vec<u8>>().into();
             let sample = Sample::from_part(description.clone(), bytes);
             assert_eq!(exchange(&mut cloud, &session, sample.clone()).await, sample, "{size} bytes");
         }
@@ -88,16 +89,16 @@ async fn other_programs_see_pictures_as_their_own_type() {
         .expect("a subscription");
     let sample = picture(300_000);
     // The first pictures are sent in the companions until the topic is open.
-    let seen = loop {
+    let image = loop {
         exchange(&mut cloud, &session, sample.clone()).await;
-        let seen = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
-        if let Ok(message) = seen {
+        let result = tokio::time::timeout(Duration::from_millis(50), pictures.receive()).await;
+        if let Ok(message) = result {
             let payload = message.expect("the node runs").payload;
             break CompressedImage::decode(WireForm::Cdr, payload).expect("an image");
         }
     };
-    assert_eq!((&*seen.format, &seen.data[..]), ("jpeg", &sample.parts[0].bytes[..]));
-    assert!(seen.header.stamp.sec > 1_000_000_000, "the departure is in the header");
+    assert_eq!((&*image.format, &image.data[..]), ("jpeg", &sample.parts[0].bytes[..]));
+    assert!(image.header.stamp.sec > 1_000_000_000, "the departure is in the header");
     assert_eq!(session.statistics().lost_messages, 0);
 }
 
@@ -106,10 +107,12 @@ async fn error_for_other_domain_names_the_domain() {
     let cloud = cloud().await;
     let domain = cloud.address().domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
-    let other = format!("ros2://{}/{name}", 101 + domain);
-    let hasty = SessionSettings { open_timeout_ms: 2_000, ..settings() };
-    let error =
-        open(&other.parse().expect("an address"), hello(), hasty).await.expect_err("nobody").to_string();
+    let address_in_other_domain = format!("ros2://{}/{name}", 101 + domain);
+    let short_timeout = SessionSettings { open_timeout_ms: 2_000, ..settings() };
+    let error = open(&address_in_other_domain.parse().expect("an address"), hello(), short_timeout)
+        .await
+        .expect_err("nobody")
+        .to_string();
     for part in [&*name, &format!("ROS_DOMAIN_ID {}", 101 + domain), "127.0.0.1", "/sessions"] {
         assert!(error.contains(part), "{part}: {error}");
     }
@@ -118,8 +121,8 @@ async fn error_for_other_domain_names_the_domain() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn name_of_another_cloud_is_refused() {
     let cloud = cloud().await;
-    let again = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
-    let error = again.expect_err("the name is taken").to_string();
+    let result = Listener::bind(&cloud.address(), settings(), cloud.host, clock()).await;
+    let error = result.expect_err("the name is taken").to_string();
     assert!(error.contains("serves the name") && error.contains("another name"), "{error}");
 }
 
@@ -160,14 +163,14 @@ async fn messages_of_second_publishers_are_dropped() {
     for message in [goodbye, Bytes::from_static(&[0, 1, 0, 0, 9])] {
         publisher.publish(message, WallTime::from_unix_nanos(1)).await.expect("published");
     }
-    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has them");
+    publisher.wait_for_acknowledgment(TIME_LIMIT).await.expect("the cloud has the messages");
     echo(&mut cloud, &session, "the session goes on").await;
-    second_publisher_is_remarked(&mut cloud, &session, "node /viewer", publisher.topic()).await;
+    wait_for_remark_on_second_publisher(&mut cloud, &session, "node /viewer", publisher.topic()).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn edge_gets_reason_of_refusal() {
-    pipeline_of_another_host_is_refused(cloud().await).await;
+async fn second_host_gets_reason_of_refusal() {
+    assert_second_host_is_refused(cloud().await).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -177,8 +180,8 @@ async fn new_connection_of_same_pipeline_replaces_earlier_one() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn connection_without_session_ends_after_hello_timeout() {
-    let hasty = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
-    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), hasty).await;
+    let short_timeout = SessionSettings { hello_timeout_ms: 2_000, ..settings() };
+    let mut cloud = Cloud::start_at(&crate::support::unused_address(TestNetwork::Ros2), short_timeout).await;
     let address = cloud.address();
     let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
     cloud.next_open().await.refuse("no");
@@ -194,11 +197,11 @@ async fn connection_without_session_ends_after_hello_timeout() {
 async fn payloads_stay_in_companions_where_qos_does_not_fit() {
     let mut cloud = cloud().await;
     let (address, hello) = (cloud.address(), hello());
-    let best_effort = with(|ros2| ros2.reliability = Reliability::BestEffort);
+    let best_effort = settings_with(|ros2| ros2.reliability = Reliability::BestEffort);
     let edge = tokio::spawn(async move { open(&address, hello, best_effort).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    // The cloud requests more than the edge offers. Nothing is lost all the same.
+    // The cloud requests more than the edge offers. Nevertheless no message is lost.
     for _ in 0..20 {
         exchange(&mut cloud, &session, picture(100_000)).await;
     }
@@ -208,7 +211,7 @@ async fn payloads_stay_in_companions_where_qos_does_not_fit() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     let best_effort = || {
-        with(|ros2| {
+        settings_with(|ros2| {
             ros2.reliability = Reliability::BestEffort;
             ros2.deadline_ms = Some(500);
         })
@@ -227,13 +230,13 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     });
     let (mut answered, mut lost) = (0, 0);
     for _ in 0..10 {
-        let burst = (0..8).map(|_| {
+        let requests = (0..8).map(|_| {
             let session = session.clone();
             tokio::spawn(
                 async move { session.request(recorder(), &picture(2_000_000), TIME_LIMIT).await.result },
             )
         });
-        for request in burst.collect::<Vec<_>>() {
+        for request in requests.collect::<Vec<_>>() {
             match within(request).await.expect("no panic") {
                 Ok(_) => answered += 1,
                 Err(RequestError::Lost(_)) => lost += 1,
@@ -251,8 +254,8 @@ async fn subscriber_that_does_not_read_loses_no_message() {
     let mut cloud = cloud().await;
     let (session, pipeline) = session(&mut cloud).await;
     let viewer = foreign_node(&cloud).await;
-    // It reads no message.
-    let watching = viewer
+    // The subscription reads no message.
+    let unread_subscription = viewer
         .create_subscription(
             &topic(&pipeline, "request"),
             "std_msgs/msg/UInt8MultiArray",
@@ -264,5 +267,5 @@ async fn subscriber_that_does_not_read_loses_no_message() {
         exchange(&mut cloud, &session, sample).await;
     }
     assert_eq!(session.statistics().lost_messages, 0);
-    drop(watching);
+    drop(unread_subscription);
 }

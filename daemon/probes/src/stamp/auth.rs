@@ -67,14 +67,14 @@ impl Key {
         use std::io::Read;
         use std::os::unix::fs::PermissionsExt;
 
-        let failed = |error| KeyError::Read { path: path.to_owned(), error };
-        let file = std::fs::File::open(path).map_err(failed)?;
-        let mode = file.metadata().map_err(failed)?.permissions().mode() & 0o7777;
+        let read_error = |error| KeyError::Read { path: path.to_owned(), error };
+        let file = std::fs::File::open(path).map_err(read_error)?;
+        let mode = file.metadata().map_err(read_error)?.permissions().mode() & 0o7777;
         if mode & 0o077 != 0 {
             return Err(KeyError::OpenToOthers { path: path.to_owned(), mode });
         }
         let mut text = String::new();
-        file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(failed)?;
+        file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read_error)?;
         if text.len() as u64 > MAX_FILE_BYTES {
             return Err(KeyError::Malformed { path: path.to_owned(), what: "too long" });
         }

@@ -70,7 +70,7 @@ pub struct ReflectorCounts {
 impl ReflectorCounters {
     /// Returns the present values.
     pub fn read(&self) -> ReflectorCounts {
-        let refused = |why: Refusal| (why, self.0.refused[why as usize].load(Ordering::Relaxed));
+        let refused = |reason: Refusal| (reason, self.0.refused[reason as usize].load(Ordering::Relaxed));
         ReflectorCounts {
             answered: self.0.answered.load(Ordering::Relaxed),
             refused: Refusal::ALL.map(refused),
@@ -81,14 +81,14 @@ impl ReflectorCounters {
         self.0.answered.fetch_add(1, Ordering::Relaxed);
     }
 
-    pub(crate) fn count_refused(&self, why: Refusal) {
-        self.0.refused[why as usize].fetch_add(1, Ordering::Relaxed);
+    pub(crate) fn count_refused(&self, reason: Refusal) {
+        self.0.refused[reason as usize].fetch_add(1, Ordering::Relaxed);
     }
 }
 
 impl ReflectorCounts {
     /// Returns the number of requests refused for this reason.
-    pub fn refused(&self, why: Refusal) -> u64 {
-        self.refused[why as usize].1
+    pub fn refused(&self, reason: Refusal) -> u64 {
+        self.refused[reason as usize].1
     }
 }

@@ -24,9 +24,9 @@ impl KernelStamp {
     /// Converts a stamp that was made between two comparisons of the clocks.
     pub fn from_comparisons(stamp: WallTime, before: Interval, after: Interval) -> Self {
         let ahead = before.hull(after);
-        let raw = |ahead: Span| RawTime::from_nanos((stamp - ahead).unix_nanos());
+        let raw_time = |ahead: Span| RawTime::from_nanos((stamp - ahead).unix_nanos());
         let is_steady = ahead.width() <= before.width() + after.width() + MAX_STEADY_DIFFERENCE;
-        Self { earliest: raw(ahead.hi), latest: raw(ahead.lo), is_steady }
+        Self { earliest: raw_time(ahead.hi), latest: raw_time(ahead.lo), is_steady }
     }
 }
 

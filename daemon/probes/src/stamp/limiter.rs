@@ -52,9 +52,11 @@ impl TokenBucket {
 /// and takes nothing from the sources with a session. The table of the other sources is bounded; it drops the least recently used sources.
 #[derive(Debug)]
 pub struct Limiter {
+    /// Buckets of sources with a session.
     peers: HashMap<Source, TokenBucket>,
-    others: RecentMap<Source, TokenBucket>,
-    shared: TokenBucket,
+    other_sources: RecentMap<Source, TokenBucket>,
+    shared_bucket: TokenBucket,
+    /// Time in which a bucket of one source gains a token.
     interval: Span,
     shared_interval: Span,
 }
@@ -66,8 +68,8 @@ impl Limiter {
         let interval = |hz: u32| Span::from_nanos(1_000_000_000 / i64::from(hz.max(1)));
         Self {
             peers: HashMap::new(),
-            others: RecentMap::new(MIN_SOURCES),
-            shared: TokenBucket::default(),
+            other_sources: RecentMap::new(MIN_SOURCES),
+            shared_bucket: TokenBucket::default(),
             interval: interval(per_second),
             shared_interval: interval(per_second.max(1).saturating_mul(SHARED_FACTOR)),
         }
@@ -79,11 +81,13 @@ impl Limiter {
         let sources: HashSet<Source> = addresses.iter().copied().map(Source::from).collect();
         // Keeps the contents of the bucket of a source whose session has ended.
         for (source, bucket) in self.peers.extract_if(|source, _| !sources.contains(source)) {
-            *self.others.entry(source, TokenBucket::default) = bucket;
+            *self.other_sources.entry(source, TokenBucket::default) = bucket;
         }
         for source in sources {
-            let others = &mut self.others;
-            self.peers.entry(source).or_insert_with(|| others.get_mut(&source).copied().unwrap_or_default());
+            let other_sources = &mut self.other_sources;
+            self.peers
+                .entry(source)
+                .or_insert_with(|| other_sources.get_mut(&source).copied().unwrap_or_default());
         }
     }
 
@@ -105,16 +109,16 @@ impl Limiter {
             bucket.take(self.interval, now);
             return Ok(());
         }
-        // Checked first, so that a flood of forged addresses does not even enter the table.
-        if !self.shared.has_token(self.shared_interval, now) {
+        // The shared bucket is checked first, so that a flood of forged addresses does not even enter the table.
+        if !self.shared_bucket.has_token(self.shared_interval, now) {
             return Err(Refusal::TooMany);
         }
-        let bucket = self.others.entry(source, TokenBucket::default);
+        let bucket = self.other_sources.entry(source, TokenBucket::default);
         if !bucket.has_token(self.interval, now) {
             return Err(Refusal::TooOften);
         }
         bucket.take(self.interval, now);
-        self.shared.take(self.shared_interval, now);
+        self.shared_bucket.take(self.shared_interval, now);
         Ok(())
     }
 }

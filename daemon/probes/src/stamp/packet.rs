@@ -103,46 +103,49 @@ impl Request {
     /// Reads a request. `None` if the packet is too short.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
         let base = packet.get(..mode.base_bytes())?;
-        let at = mode.layout();
+        let layout = mode.layout();
         Some(Self {
             sequence: u32::from_be_bytes(field(base, 0)),
-            timestamp: u64::from_be_bytes(field(base, at.timestamp)),
-            estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(base, at.estimate))),
-            ssid: u16::from_be_bytes(field(base, at.ssid)),
+            timestamp: u64::from_be_bytes(field(base, layout.timestamp)),
+            estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(base, layout.estimate))),
+            ssid: u16::from_be_bytes(field(base, layout.ssid)),
         })
     }
 
     /// Writes the whole base packet without its code. `packet` must be at least as long as the base packet.
     pub fn write(&self, mode: Mode, packet: &mut [u8]) {
         let base = &mut packet[..mode.base_bytes()];
-        let at = mode.layout();
+        let layout = mode.layout();
         // The standards require zeros in all reserved fields.
         base.fill(0);
         put(base, 0, &self.sequence.to_be_bytes());
-        put(base, at.timestamp, &self.timestamp.to_be_bytes());
-        put(base, at.estimate, &self.estimate.bits().to_be_bytes());
-        put(base, at.ssid, &self.ssid.to_be_bytes());
+        put(base, layout.timestamp, &self.timestamp.to_be_bytes());
+        put(base, layout.estimate, &self.estimate.bits().to_be_bytes());
+        put(base, layout.ssid, &self.ssid.to_be_bytes());
     }
 }
 
 impl Reply {
-    /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the further fields are
-    /// then the bytes that follow it.
+    /// Reads a reply. `None` if the packet is too short. A request can also be read as a reply; the additional fields of the
+    /// reply are then the bytes that follow the request.
     pub fn parse(mode: Mode, packet: &[u8]) -> Option<Self> {
         let base_fields = Request::parse(mode, packet)?;
-        let at = mode.layout();
+        let layout = mode.layout();
         Some(Self {
             sequence: base_fields.sequence,
             timestamp: base_fields.timestamp,
             estimate: base_fields.estimate,
-            received: u64::from_be_bytes(field(packet, at.received)),
+            received: u64::from_be_bytes(field(packet, layout.received)),
             request: Request {
-                sequence: u32::from_be_bytes(field(packet, at.request_sequence)),
-                timestamp: u64::from_be_bytes(field(packet, at.request_timestamp)),
-                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(packet, at.request_estimate))),
+                sequence: u32::from_be_bytes(field(packet, layout.request_sequence)),
+                timestamp: u64::from_be_bytes(field(packet, layout.request_timestamp)),
+                estimate: ErrorEstimate::from_bits(u16::from_be_bytes(field(
+                    packet,
+                    layout.request_estimate,
+                ))),
                 ssid: base_fields.ssid,
             },
-            ttl: packet[at.ttl],
+            ttl: packet[layout.ttl],
         })
     }
 
@@ -156,20 +159,20 @@ impl Reply {
             ssid: self.request.ssid,
         };
         base_fields.write(mode, packet);
-        let at = mode.layout();
-        put(packet, at.received, &self.received.to_be_bytes());
-        put(packet, at.request_sequence, &self.request.sequence.to_be_bytes());
-        put(packet, at.request_timestamp, &self.request.timestamp.to_be_bytes());
-        put(packet, at.request_estimate, &self.request.estimate.bits().to_be_bytes());
-        packet[at.ttl] = self.ttl;
+        let layout = mode.layout();
+        put(packet, layout.received, &self.received.to_be_bytes());
+        put(packet, layout.request_sequence, &self.request.sequence.to_be_bytes());
+        put(packet, layout.request_timestamp, &self.request.timestamp.to_be_bytes());
+        put(packet, layout.request_estimate, &self.request.estimate.bits().to_be_bytes());
+        packet[layout.ttl] = self.ttl;
     }
 }
 
 /// Writes the code of an authenticated base packet, which covers all bytes before it.
 pub fn authenticate(key: &Key, packet: &mut [u8]) {
-    let at = Mode::Authenticated.base_bytes() - CODE_BYTES;
-    let code = key.code(&[&packet[..at]]);
-    put(packet, at, &code);
+    let code_offset = Mode::Authenticated.base_bytes() - CODE_BYTES;
+    let code = key.code(&[&packet[..code_offset]]);
+    put(packet, code_offset, &code);
 }
 
 /// Returns whether an authenticated base packet has the right code.
@@ -180,11 +183,11 @@ pub fn is_authentic(key: &Key, packet: &[u8]) -> bool {
         .is_some_and(|(text, code)| key.verifies(&[text], code))
 }
 
-/// Returns the `N` bytes at `at`. The caller has checked the length.
-fn field<const N: usize>(packet: &[u8], at: usize) -> [u8; N] {
-    *packet[at..].first_chunk().expect("offsets lie within the base packet")
+/// Returns the `N` bytes at `offset`. The caller has checked the length.
+fn field<const N: usize>(packet: &[u8], offset: usize) -> [u8; N] {
+    *packet[offset..].first_chunk().expect("offsets lie within the base packet")
 }
 
-fn put(packet: &mut [u8], at: usize, bytes: &[u8]) {
-    packet[at..at + bytes.len()].copy_from_slice(bytes);
+fn put(packet: &mut [u8], offset: usize, bytes: &[u8]) {
+    packet[offset..offset + bytes.len()].copy_from_slice(bytes);
 }

@@ -20,12 +20,12 @@ impl<K: Eq + Hash, V> RecentMap<K, V> {
     }
 
     /// Returns the value of the key; inserts a new value if the key is missing.
-    pub(super) fn entry(&mut self, key: K, new: impl FnOnce() -> V) -> &mut V {
-        let old = self.old.remove(&key);
+    pub(super) fn entry(&mut self, key: K, new_value: impl FnOnce() -> V) -> &mut V {
+        let old_value = self.old.remove(&key);
         if self.young.len() >= self.generation_size && !self.young.contains_key(&key) {
             self.old = std::mem::take(&mut self.young);
         }
-        self.young.entry(key).or_insert_with(|| old.unwrap_or_else(new))
+        self.young.entry(key).or_insert_with(|| old_value.unwrap_or_else(new_value))
     }
 
     /// Returns the value of the key, if there is one.

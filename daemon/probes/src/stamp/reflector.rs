@@ -77,8 +77,8 @@ pub struct SessionId {
 #[derive(Debug, Default)]
 struct Session {
     /// Number of the next reply.
-    next: u32,
-    last: Option<LastReply>,
+    next_sequence: u32,
+    last_reply: Option<LastReply>,
 }
 
 /// The latest reply of a session, and its departure by the wall clock and by the free-running clock.
@@ -97,6 +97,7 @@ pub struct PreparedReply {
     mode: Mode,
     has_intact_tlvs: bool,
     received_raw: RawTime,
+    /// Number of the session's previous reply, and its departure by the free-running clock.
     previous: Option<(u32, RawTime)>,
 }
 
@@ -138,8 +139,8 @@ impl ReflectorState {
     /// Turns a request into its answer, in place. [`complete`](Self::complete) stamps it.
     ///
     /// # Errors
-    /// The reason why it gets no answer. The rate of a source is only used by requests that would be answered, so that
-    /// a sender without the key cannot use up the rate of another.
+    /// The reason why the request gets no answer. Only requests that would be answered use up the rate of their source, so
+    /// that a sender without the key cannot use up the rate of another sender.
     pub fn prepare(&mut self, packet: &mut [u8], arrival: &Arrival) -> Result<PreparedReply, Refusal> {
         if arrival.source.port() == 0 {
             return Err(Refusal::NoPort);
@@ -160,18 +161,18 @@ impl ReflectorState {
         let id = SessionId { source: arrival.source, ssid: request.ssid, is_peer };
         let session =
             self.sessions.as_mut().map(|sessions| &*sessions.table(&id).entry(id, Session::default));
-        let (next, previous) =
-            (session.map(|session| session.next), session.and_then(|session| session.last));
+        let (next_sequence, previous) =
+            (session.map(|session| session.next_sequence), session.and_then(|session| session.last_reply));
         // The answer is in the format that the sender uses.
         let format = request.estimate.format();
         let tlvs = &mut packet[mode.base_bytes()..];
-        let intact = tlv::are_intact(self.key_for(mode), request.sequence, tlvs);
+        let are_tlvs_intact = tlv::are_intact(self.key_for(mode), request.sequence, tlvs);
         let follow_up =
-            previous.map(|left| FollowUp { sequence: left.sequence, timestamp: format.encode(left.wall) });
-        answer_tlvs(tlvs, intact, follow_up);
+            previous.map(|reply| FollowUp { sequence: reply.sequence, timestamp: format.encode(reply.wall) });
+        answer_tlvs(tlvs, are_tlvs_intact, follow_up);
 
         let reply = Reply {
-            sequence: next.unwrap_or(request.sequence),
+            sequence: next_sequence.unwrap_or(request.sequence),
             // Set by `complete`, right before the reply is sent.
             timestamp: 0,
             estimate: ErrorEstimate::new(format, uncertainty::PEERNET_ENDS),
@@ -180,8 +181,16 @@ impl ReflectorState {
             // Zero means unknown: the hop limit of the request is not read.
             ttl: 0,
         };
-        let (previous, received_raw) = (previous.map(|left| (left.sequence, left.raw)), arrival.received_raw);
-        Ok(PreparedReply { reply, session: id, mode, has_intact_tlvs: intact, received_raw, previous })
+        let (previous, received_raw) =
+            (previous.map(|reply| (reply.sequence, reply.raw)), arrival.received_raw);
+        Ok(PreparedReply {
+            reply,
+            session: id,
+            mode,
+            has_intact_tlvs: are_tlvs_intact,
+            received_raw,
+            previous,
+        })
     }
 
     /// Returns the mode of a request. If no key is mandatory, the form of the request decides: a request with a valid code of
@@ -241,32 +250,33 @@ impl ReflectorState {
     pub fn record_sent(&mut self, answer: &PreparedReply, stamp: Stamp) {
         if let Some(sessions) = &mut self.sessions {
             let session = sessions.table(&answer.session).entry(answer.session, Session::default);
-            session.next = answer.sequence().wrapping_add(1);
-            session.last = Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
+            session.next_sequence = answer.sequence().wrapping_add(1);
+            session.last_reply =
+                Some(LastReply { sequence: answer.sequence(), wall: stamp.wall, raw: stamp.raw });
         }
     }
 
-    /// Handles the kernel's stamp of a reply's departure. `left_raw` is the derived time of the free-running clock,
-    /// which is not later than the true one. Times outside the range from the program's stamp to the longest wait of a
-    /// packet are ignored.
+    /// Handles the kernel's stamp of a reply's departure. `departure_raw` is the derived time of the free-running
+    /// clock, which is not later than the true one. A time is ignored if it is before the program's stamp or more than
+    /// four seconds after it.
     pub fn record_departure(
         &mut self,
         session: &SessionId,
         sequence: u32,
-        left: WallTime,
-        left_raw: RawTime,
+        departure: WallTime,
+        departure_raw: RawTime,
     ) {
         let last = self
             .sessions
             .as_mut()
-            .and_then(|sessions| sessions.table(session).get_mut(session)?.last.as_mut());
+            .and_then(|sessions| sessions.table(session).get_mut(session)?.last_reply.as_mut());
         if let Some(last) = last.filter(|last| last.sequence == sequence) {
-            let is_possible = |after: Span| (Span::ZERO..=MAX_ANSWER_DURATION).contains(&after);
-            if is_possible(left - last.wall) {
-                last.wall = left;
+            let is_possible = |delay: Span| (Span::ZERO..=MAX_ANSWER_DURATION).contains(&delay);
+            if is_possible(departure - last.wall) {
+                last.wall = departure;
             }
-            if is_possible(left_raw - last.raw) {
-                last.raw = left_raw;
+            if is_possible(departure_raw - last.raw) {
+                last.raw = departure_raw;
             }
         }
     }
@@ -274,8 +284,8 @@ impl ReflectorState {
 
 /// Returns whether a packet is a reply.
 ///
-/// A reply has the time of arrival of its request at a certain place, close to its own departure by the same clock. A
-/// request has zeros there, or the padding of TWAMP-light, which looks like a reply once in 2²⁹ packets if it is
+/// A reply contains the time at which its request arrived. This time is close to the reply's own departure by the same
+/// clock. A request has zeros at this offset, or the padding of TWAMP-light, which looks like a reply once in 2²⁹ packets if it is
 /// random.
 ///
 /// A forged source address can direct the answers of one reflector to another reflector, or to an echo service. The packets
@@ -297,9 +307,9 @@ fn has_authentication_code(packet: &[u8]) -> bool {
 
 /// Sets the flags of the TLVs and fills in the requested values. TLVs that are not intact are returned unchanged except
 /// for their flags.
-fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
-    let mut at = 0;
-    while let Some(header) = tlv::header_at(tlvs, at) {
+fn answer_tlvs(tlvs: &mut [u8], are_intact: bool, previous: Option<FollowUp>) {
+    let mut offset = 0;
+    while let Some(header) = tlv::header_at(tlvs, offset) {
         let length = header.value.len();
         let (is_known, is_well_formed) = match header.kind {
             tlv::EXTRA_PADDING => (true, true),
@@ -314,18 +324,18 @@ fn answer_tlvs(tlvs: &mut [u8], intact: bool, previous: Option<FollowUp>) {
         if !is_well_formed || header.overruns {
             flags |= tlv::MALFORMED;
         }
-        if !intact {
+        if !are_intact {
             flags |= tlv::NOT_INTACT;
         }
         tlvs[header.offset] = flags;
-        if header.kind == tlv::FOLLOW_UP && intact {
+        if header.kind == tlv::FOLLOW_UP && are_intact {
             let value = &mut tlvs[header.value.clone()];
             value.fill(0);
             if let (true, Some(previous)) = (is_well_formed, previous) {
                 value.copy_from_slice(&previous.to_value());
             }
         }
-        at = header.end();
+        offset = header.end();
     }
 }
 

@@ -17,8 +17,8 @@ const NONCE_BYTES: usize = 16;
 #[derive(Debug)]
 pub(super) struct RequestPacket {
     bytes: Vec<u8>,
-    /// Position of the random octets.
-    nonce: Option<Range<usize>>,
+    /// Position of the random octets, if requests carry them.
+    nonce_range: Option<Range<usize>>,
 }
 
 impl RequestPacket {
@@ -29,7 +29,7 @@ impl RequestPacket {
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
-        let nonce = (config.with_nonce && config.key.is_some()).then(|| {
+        let nonce_range = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
             bytes.len() - NONCE_BYTES..bytes.len()
         });
@@ -39,14 +39,14 @@ impl RequestPacket {
         if config.padding_bytes > 0 {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &vec![0; usize::from(config.padding_bytes)]);
         }
-        Self { bytes, nonce }
+        Self { bytes, nonce_range }
     }
 
-    /// Writes and seals the TLVs of request `sequence`, so that this is done before its departure is stamped. Returns
-    /// the octets if requests carry them.
+    /// Writes and authenticates the TLVs of request `sequence`. This is done before the departure is stamped. Returns the
+    /// octets if requests carry them.
     pub(super) fn prepare(&mut self, key: Option<&Key>, sequence: u32, octets: Nonce) -> Option<Nonce> {
-        let nonce = self.nonce.clone().map(|place| {
-            self.bytes[place].copy_from_slice(&octets);
+        let nonce = self.nonce_range.clone().map(|range| {
+            self.bytes[range].copy_from_slice(&octets);
             octets
         });
         if let Some(key) = key {
@@ -56,7 +56,7 @@ impl RequestPacket {
         nonce
     }
 
-    /// Writes and seals the fields of a request. Returns the packet.
+    /// Writes and authenticates the fields of a request. Returns the packet.
     pub(super) fn finish(&mut self, key: Option<&Key>, request: &Request) -> &[u8] {
         request.write(Mode::for_key(key), &mut self.bytes);
         if let Some(key) = key {

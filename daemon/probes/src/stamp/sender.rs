@@ -54,6 +54,7 @@ pub struct SenderState {
     next_sequence: u32,
     packet: RequestPacket,
     timeout: Span,
+    /// Probes that are not older than the timeout, oldest first.
     pending: VecDeque<PendingProbe>,
     /// Requests that were lost recently, whose answers are late. At most [`MAX_PENDING`].
     lost: VecDeque<Departure>,
@@ -131,7 +132,7 @@ struct TlvValues {
     origin: Option<Origin>,
     raw: Option<RawStamps>,
     nonce: Option<Nonce>,
-    /// Reason why all of them are ignored, if the TLVs were altered.
+    /// Reason why all TLVs are ignored, if they were altered.
     alteration: Option<&'static str>,
 }
 
@@ -172,14 +173,14 @@ impl SenderState {
         self.request_with(clock, rand::random())
     }
 
-    /// Returns the next request with the given octets, if requests carry octets. They must be secret until the request
+    /// Returns the next request with the given octets, if requests carry octets. The octets must be secret until the request
     /// is sent.
     pub fn request_with(&mut self, clock: &dyn Clock, octets: Nonce) -> (Departure, &[u8]) {
         let key = self.key.as_ref();
         let nonce = self.packet.prepare(key, self.next_sequence, octets);
         let ahead = clock.wall_ahead();
-        // Read before the stamp, while the epoch at the return is read after its stamp. If both are equal, the clock
-        // was not interrupted in between.
+        // Read before the stamp of the request. The epoch of the reply's arrival is read after the stamp of the arrival.
+        // If both epochs are equal, the clock was not interrupted in between.
         let epoch = clock.epoch();
         let sent = clock.stamp();
         // NTP's format, because a stamp is returned exactly in it.
@@ -206,18 +207,18 @@ impl SenderState {
     }
 
     /// Handles the kernel's stamp of a request's departure; `ahead` is the difference of the clocks that was read
-    /// afterwards. A time outside the range from the program's stamp to the longest wait of a packet is ignored.
+    /// afterwards. The stamp is ignored if it is before the program's stamp or more than one second after it.
     pub fn record_departure(&mut self, sequence: u32, stamp: WallTime, ahead: Interval) {
         if self.ignores_kernel_stamps {
             return;
         }
-        if let Some(pending) = find_probe(&mut self.pending, sequence) {
-            let Departure { sent, ahead: before, .. } = pending.departure;
-            let stamp = KernelStamp::from_comparisons(stamp, before, ahead);
-            let after = stamp.earliest - sent.raw;
-            pending.kernel_departure =
-                (Span::ZERO..=MAX_DEPARTURE_DELAY).contains(&after).then_some(stamp.earliest);
-            pending.is_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
+        if let Some(probe) = find_probe(&mut self.pending, sequence) {
+            let Departure { sent, ahead: ahead_before, .. } = probe.departure;
+            let stamp = KernelStamp::from_comparisons(stamp, ahead_before, ahead);
+            let delay = stamp.earliest - sent.raw;
+            probe.kernel_departure =
+                (Span::ZERO..=MAX_DEPARTURE_DELAY).contains(&delay).then_some(stamp.earliest);
+            probe.is_too_early = stamp.is_steady && stamp.latest < sent.raw - ORDER_TOLERANCE;
         }
     }
 
@@ -230,39 +231,39 @@ impl SenderState {
     /// Ignores the kernel's stamps from now on.
     pub fn ignore_kernel_stamps(&mut self) {
         self.ignores_kernel_stamps = true;
-        for pending in &mut self.pending {
-            (pending.kernel_departure, pending.is_too_early) = (None, false);
+        for probe in &mut self.pending {
+            (probe.kernel_departure, probe.is_too_early) = (None, false);
         }
     }
 
     /// Drops probes that are older than the timeout. Returns how many of them were not answered.
     pub fn expire(&mut self, now: MonoTime) -> usize {
-        let old = self.pending.iter().take_while(|pending| now - pending.departure.sent.mono >= self.timeout);
-        let old = old.count();
-        self.drop_oldest(old)
+        let expired = self.pending.iter().take_while(|probe| now - probe.departure.sent.mono >= self.timeout);
+        let count = expired.count();
+        self.drop_oldest(count)
     }
 
     /// Drops the `count` oldest probes. Returns how many of them were not answered.
     fn drop_oldest(&mut self, count: usize) -> usize {
-        let unanswered = self.pending.drain(..count).filter(|pending| pending.answer.is_none());
-        let before = self.lost.len();
-        self.lost.extend(unanswered.map(|pending| pending.departure));
-        let lost = self.lost.len() - before;
+        let unanswered = self.pending.drain(..count).filter(|probe| probe.answer.is_none());
+        let lost_before = self.lost.len();
+        self.lost.extend(unanswered.map(|probe| probe.departure));
+        let lost = self.lost.len() - lost_before;
         self.lost.drain(..self.lost.len().saturating_sub(MAX_PENDING));
         lost
     }
 
     /// Returns the time at which the next probe will be lost if it is not answered.
     pub fn deadline(&self) -> Option<MonoTime> {
-        let waiting = self.pending.iter().find(|pending| pending.answer.is_none())?;
+        let waiting = self.pending.iter().find(|probe| probe.answer.is_none())?;
         Some(waiting.departure.sent.mono + self.timeout)
     }
 
     /// Handles a packet from the target. [`expire`](Self::expire) must be called before.
     ///
     /// # Errors
-    /// The reason why it is not an answer.
-    pub fn receive(&mut self, packet: &[u8], returned: &ReplyArrival) -> Result<ReplyResult, &'static str> {
+    /// The reason why the packet is not an answer.
+    pub fn receive(&mut self, packet: &[u8], arrival: &ReplyArrival) -> Result<ReplyResult, &'static str> {
         let mode = Mode::for_key(self.key.as_ref());
         let reply = Reply::parse(mode, packet).ok_or("shorter than a reply")?;
         if self.key.as_ref().is_some_and(|key| !packet::is_authentic(key, packet)) {
@@ -276,73 +277,74 @@ impl SenderState {
         match (self.instance, tlv_values.origin) {
             (Some(expected), Some(origin)) if origin.instance != expected => return Err(WRONG_PROCESS),
             (Some(_), None) => {
-                let found = if self.key.is_some() { NO_ORIGIN } else { NOT_PEERNET };
-                return Err(tlv_values.alteration.unwrap_or(found));
+                let reason = if self.key.is_some() { NO_ORIGIN } else { NOT_PEERNET };
+                return Err(tlv_values.alteration.unwrap_or(reason));
             }
             _ => {}
         }
-        let reflector_times = self.reflector_times(&reply, &tlv_values, returned.read.wall)?;
-        let Some(pending) = find_probe(&mut self.pending, reply.request.sequence) else {
-            let late = self
+        let reflector_times = self.reflector_times(&reply, &tlv_values, arrival.read.wall)?;
+        let Some(probe) = find_probe(&mut self.pending, reply.request.sequence) else {
+            let lost_index = self
                 .lost
                 .iter()
                 .position(|lost| lost.sequence == reply.request.sequence)
                 .ok_or(NO_SUCH_PROBE)?;
-            check_answer(&self.lost[late], &reply, &tlv_values)?;
-            self.lost.remove(late);
+            check_answer(&self.lost[lost_index], &reply, &tlv_values)?;
+            self.lost.remove(lost_index);
             return Err(LATE);
         };
-        check_answer(&pending.departure, &reply, &tlv_values)?;
+        check_answer(&probe.departure, &reply, &tlv_values)?;
         // A second reply must not replace the first answer.
-        if pending.answer.is_some() {
+        if probe.answer.is_some() {
             return Err("a second answer to the same probe");
         }
         // The edge's stamps can be compared only if its epoch did not change in between.
-        let Departure { sent, ahead, epoch, .. } = pending.departure;
-        if epoch != returned.epoch {
-            pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
+        let Departure { sent, ahead, epoch, .. } = probe.departure;
+        if epoch != arrival.epoch {
+            probe.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: None });
             return Ok(ReplyResult { refined: None, answered: None });
         }
-        let kernel = returned.kernel.map(|stamp| KernelStamp::from_comparisons(stamp, ahead, returned.ahead));
+        let kernel_stamp =
+            arrival.kernel.map(|stamp| KernelStamp::from_comparisons(stamp, ahead, arrival.ahead));
         let is_of_another_clock = |kernel: KernelStamp| {
             kernel.is_steady
-                && (kernel.earliest > returned.read.raw + ORDER_TOLERANCE
+                && (kernel.earliest > arrival.read.raw + ORDER_TOLERANCE
                     || kernel.latest < sent.raw - ORDER_TOLERANCE)
         };
-        if pending.is_too_early || kernel.is_some_and(is_of_another_clock) {
+        if probe.is_too_early || kernel_stamp.is_some_and(is_of_another_clock) {
             self.ignore_kernel_stamps();
         }
-        let kernel = kernel.filter(|_| !self.ignores_kernel_stamps);
-        let pending = find_probe(&mut self.pending, reply.request.sequence).ok_or(NO_SUCH_PROBE)?;
+        let kernel_stamp = kernel_stamp.filter(|_| !self.ignores_kernel_stamps);
+        let probe = find_probe(&mut self.pending, reply.request.sequence).ok_or(NO_SUCH_PROBE)?;
         // The program's readings always hold; the kernel's stamps may narrow the bounds.
         let exchange = Exchange {
-            sent: pending.kernel_departure.map_or(sent.raw, |departure| departure.max(sent.raw)),
+            sent: probe.kernel_departure.map_or(sent.raw, |departure| departure.max(sent.raw)),
             received: reflector_times.received,
             replied: reflector_times.replied,
-            returned: kernel.map_or(returned.read.raw, |kernel| kernel.latest.min(returned.read.raw)),
+            returned: kernel_stamp.map_or(arrival.read.raw, |kernel| kernel.latest.min(arrival.read.raw)),
             uncertainty: if tlv_values.origin.is_some() {
                 uncertainty::PEERNET_ENDS
             } else {
                 uncertainty::OTHER_IMPLEMENTATION
             },
         };
-        let answered = ExchangeObservation {
+        let observation = ExchangeObservation {
             exchange,
             cloud_elapsed: None,
-            edge_epoch: returned.epoch,
+            edge_epoch: arrival.epoch,
             cloud_epoch: reflector_times.epoch,
         };
-        pending.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(answered) });
+        probe.answer = Some(AnsweredProbe { sequence: reply.sequence, observation: Some(observation) });
         let refined = reflector_times.previous.and_then(|(sequence, departure)| {
             refine_departure(
                 &mut self.pending,
                 reply.request.sequence,
                 sequence,
                 departure,
-                answered.cloud_epoch,
+                observation.cloud_epoch,
             )
         });
-        Ok(ReplyResult { refined, answered: Some(answered) })
+        Ok(ReplyResult { refined, answered: Some(observation) })
     }
 
     /// Returns the times of the requested clock in a reply.
@@ -414,23 +416,25 @@ fn find_probe(pending: &mut VecDeque<PendingProbe>, sequence: u32) -> Option<&mu
     pending.get_mut(sequence.wrapping_sub(first) as usize)
 }
 
-/// Replaces the departure of the reply with the number `sequence` if `departure` is later, and returns the exchange.
+/// Replaces the departure of the reply with the number `sequence` if `departure` is later, and returns the exchange. The
+/// reply to the request `current_sequence`, which reports the departure, is not considered.
 // A later stamp of a departure is closer to the true one. It was made between the readings of the two replies' epochs,
 // so that both epochs must be equal.
 fn refine_departure(
     pending: &mut VecDeque<PendingProbe>,
-    now: u32,
+    current_sequence: u32,
     sequence: u32,
     departure: RawTime,
     epoch: Option<u32>,
 ) -> Option<ExchangeObservation> {
-    let earlier = pending.iter_mut().rev().filter(|pending| pending.departure.sequence != now);
-    let answered = earlier
-        .filter_map(|pending| pending.answer.as_mut())
-        .find(|answered| answered.sequence == sequence)?;
-    let observation = answered.observation.as_mut()?;
-    let later = departure - observation.exchange.replied;
-    if later <= Span::ZERO || later > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
+    let earlier_probes =
+        pending.iter_mut().rev().filter(|probe| probe.departure.sequence != current_sequence);
+    let answered_probe = earlier_probes
+        .filter_map(|probe| probe.answer.as_mut())
+        .find(|answered_probe| answered_probe.sequence == sequence)?;
+    let observation = answered_probe.observation.as_mut()?;
+    let delay = departure - observation.exchange.replied;
+    if delay <= Span::ZERO || delay > MAX_DEPARTURE_DELAY || observation.cloud_epoch != epoch {
         return None;
     }
     observation.exchange.replied = departure;

@@ -34,7 +34,7 @@ impl Format {
         ((seconds & 0xFFFF_FFFF).unsigned_abs() << 32) | fraction
     }
 
-    /// Decodes a stamp. Of all eras it selects the era that brings the stamp nearest to `near`, within 68 years: NTP's first era ends in
+    /// Decodes a stamp. The era is chosen so that the result is nearest to `near`, within 68 years: NTP's first era ends in
     /// 2036, PTP's in 2106. `None` if the bits are not a valid time.
     pub fn decode(self, bits: u64, near: WallTime) -> Option<WallTime> {
         let fraction = (bits & 0xFFFF_FFFF) as i64;

@@ -33,15 +33,15 @@ const RAW_MARK: [u8; 4] = *b"PRAW";
 /// Header of a TLV, and its position among the bytes of all TLVs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlvHeader {
-    /// Offset of its first byte, the flags.
+    /// Offset of the TLV's first byte, the flags.
     pub offset: usize,
     /// Flags.
     pub flags: u8,
     /// Type.
     pub kind: u8,
-    /// Range of its value; cut at the end of the packet if it claims more.
+    /// Range of the value. It ends at the end of the packet if the TLV claims to be longer.
     pub value: Range<usize>,
-    /// `true` if it claims to be longer than the packet.
+    /// `true` if the TLV claims to be longer than the packet.
     pub overruns: bool,
 }
 
@@ -52,21 +52,21 @@ impl TlvHeader {
     }
 }
 
-/// Returns the TLV that starts at `at`. `None` if no TLV can start there: fewer than four bytes remain, the previous
-/// one overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
-pub fn header_at(tlvs: &[u8], at: usize) -> Option<TlvHeader> {
-    let [flags, kind, high, low] = *tlvs.get(at..)?.first_chunk::<HEADER_BYTES>()?;
+/// Returns the TLV that starts at `offset`. `None` if no TLV can start there: fewer than four bytes remain, the previous
+/// TLV overran, or the type is the reserved type 0, which is the padding of TWAMP-light (RFC 8762, section 4.6).
+pub fn header_at(tlvs: &[u8], offset: usize) -> Option<TlvHeader> {
+    let [flags, kind, high, low] = *tlvs.get(offset..)?.first_chunk::<HEADER_BYTES>()?;
     if kind == 0 {
         return None;
     }
-    let start = at + HEADER_BYTES;
+    let start = offset + HEADER_BYTES;
     let end = start + usize::from(u16::from_be_bytes([high, low]));
-    Some(TlvHeader { offset: at, flags, kind, value: start..end.min(tlvs.len()), overruns: end > tlvs.len() })
+    Some(TlvHeader { offset, flags, kind, value: start..end.min(tlvs.len()), overruns: end > tlvs.len() })
 }
 
 /// Returns the TLVs after a base packet, in order.
 pub fn headers(tlvs: &[u8]) -> impl Iterator<Item = TlvHeader> + '_ {
-    std::iter::successors(header_at(tlvs, 0), |last| header_at(tlvs, last.end()))
+    std::iter::successors(header_at(tlvs, 0), |header| header_at(tlvs, header.end()))
 }
 
 /// Appends a TLV with the flags of a sender.
@@ -162,29 +162,30 @@ impl RawStamps {
 
     /// Returns the wire form of the value.
     pub fn to_value(self) -> [u8; Self::BYTES] {
-        let (sequence, left) = self.previous.unwrap_or_default();
+        let (sequence, departure) = self.previous.unwrap_or_default();
         let mut value = [0; Self::BYTES];
         value[..4].copy_from_slice(&RAW_MARK);
         value[4..8].copy_from_slice(&self.epoch.to_be_bytes());
         value[8..16].copy_from_slice(&self.received.nanos().to_be_bytes());
         value[16..24].copy_from_slice(&self.replied.nanos().to_be_bytes());
         value[24..28].copy_from_slice(&sequence.to_be_bytes());
-        value[28..].copy_from_slice(&left.nanos().to_be_bytes());
+        value[28..].copy_from_slice(&departure.nanos().to_be_bytes());
         value
     }
 
     /// Reads a value. `None` if another program uses the type.
     pub fn from_value(value: &[u8]) -> Option<Self> {
         let value: &[u8; Self::BYTES] = value.try_into().ok()?;
-        let raw = |at: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[at..].first_chunk()?)));
-        let number = |at: usize| Some(u32::from_be_bytes(*value[at..].first_chunk()?));
+        let raw =
+            |offset: usize| Some(RawTime::from_nanos(i64::from_be_bytes(*value[offset..].first_chunk()?)));
+        let number = |offset: usize| Some(u32::from_be_bytes(*value[offset..].first_chunk()?));
         let previous = (number(24)?, raw(28)?);
         let stamps = Self {
             epoch: number(4)?,
             received: raw(8)?,
             replied: raw(16)?,
             // A reflector that remembers no earlier reply leaves zero.
-            previous: Some(previous).filter(|(_, left)| *left != RawTime::default()),
+            previous: Some(previous).filter(|(_, departure)| *departure != RawTime::default()),
         };
         value.starts_with(&RAW_MARK).then_some(stamps)
     }

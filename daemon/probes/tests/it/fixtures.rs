@@ -22,7 +22,7 @@ fn file(mode: &str, name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/fixtures/wire/probe/{name}.{mode}.bin"))
 }
 
-/// Requests and replies of two probes. The second reply reports when the first one really left.
+/// Requests and replies of two probes. The second reply reports when the first reply really left.
 struct Conversation {
     requests: [Vec<u8>; 2],
     replies: [Vec<u8>; 2],
@@ -34,8 +34,8 @@ impl Conversation {
     /// Returns the packets with the names of their files.
     fn files(&self) -> impl Iterator<Item = (&'static str, &[u8])> {
         let pairs = Self::NAMES.into_iter().zip(self.requests.iter().zip(&self.replies));
-        pairs.flat_map(|((request, reply), (asked, answered))| {
-            [(request, asked.as_slice()), (reply, answered.as_slice())]
+        pairs.flat_map(|((request, reply), (request_packet, reply_packet))| {
+            [(request, request_packet.as_slice()), (reply, reply_packet.as_slice())]
         })
     }
 
@@ -80,8 +80,8 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
 
         // The reflector's free-running clock shows the same time as the edge's.
         let elapsed = edge.raw() - ManualClock::FIRST_RAW;
-        let began = edge.wall() + Span::from_seconds(3) - elapsed;
-        let cloud = ManualClock::new(began, ClockIdentity::new("fixture", "cloud"));
+        let start = edge.wall() + Span::from_seconds(3) - elapsed;
+        let cloud = ManualClock::new(start, ClockIdentity::new("fixture", "cloud"));
         cloud.advance(elapsed);
         let mut packet = stored.map_or(&conversation, |stored| stored).requests[number].clone();
         let (received, received_raw) = (cloud.wall(), cloud.raw());
@@ -90,15 +90,15 @@ fn exchange(mode: &Mode, stored: Option<&Conversation>) -> (Conversation, Vec<Re
         cloud.advance(REFLECTOR_DELAY);
         let stamp = reflector.complete(&answer, &mut packet, &cloud);
         reflector.record_sent(&answer, stamp);
-        let left = stamp + Span::from_micros(5);
-        reflector.record_departure(&answer.session(), answer.sequence(), left.wall, left.raw);
+        let departure = stamp + Span::from_micros(5);
+        reflector.record_departure(&answer.session(), answer.sequence(), departure.wall, departure.raw);
         conversation.replies[number] = packet;
 
         edge.advance(REFLECTOR_DELAY + ONE_WAY_DELAY);
         let (ahead, epoch) = (edge.wall_ahead(), edge.epoch());
-        let returned = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
+        let arrival = ReplyArrival { kernel: None, read: edge.stamp(), ahead, epoch };
         let reply = &stored.map_or(&conversation, |stored| stored).replies[number];
-        reply_results.push(sender.receive(reply, &returned).expect("the reply is taken"));
+        reply_results.push(sender.receive(reply, &arrival).expect("the reply is taken"));
         edge.advance(Span::from_millis(200));
     }
     (conversation, reply_results)
@@ -109,7 +109,7 @@ struct Mode {
     name: &'static str,
     with_key: bool,
     clocks: RelatedClocks,
-    /// `true` if octets tie an answer to its request. They are random in other code, and fixed here.
+    /// `true` if octets tie an answer to its request. The octets are random in the program, and fixed in this test.
     with_nonce: bool,
 }
 
@@ -119,7 +119,7 @@ impl Mode {
     }
 }
 
-/// The first two are those of releases before 0.3.0.
+/// The first two modes are the modes of releases before 0.3.0.
 const MODES: [Mode; 5] = [
     Mode::new("open", false, RelatedClocks::RawToWall),
     Mode::new("authenticated", true, RelatedClocks::RawToWall),
@@ -147,28 +147,32 @@ fn stored_request_gets_stored_reply() {
     for kind in MODES {
         let mode = kind.name;
         let stored = Conversation::read(mode);
-        let (today, reply_results) = exchange(&kind, Some(&stored));
-        for ((name, packet), (_, before)) in today.files().zip(stored.files()) {
-            assert!(packet == before, "{name}.{mode}: the bytes changed: {packet:02x?}, were {before:02x?}");
+        let (current, reply_results) = exchange(&kind, Some(&stored));
+        for ((name, packet), (_, stored_packet)) in current.files().zip(stored.files()) {
+            assert!(
+                packet == stored_packet,
+                "{name}.{mode}: the bytes changed: {packet:02x?}, were {stored_packet:02x?}"
+            );
         }
         let [first, second] = reply_results[..] else { panic!("two probes are answered: {reply_results:?}") };
-        let answered = [first, second].map(|result| result.answered.expect("the clock was not set").exchange);
-        for exchange in answered {
+        let exchanges =
+            [first, second].map(|result| result.answered.expect("the clock was not set").exchange);
+        for exchange in exchanges {
             assert_eq!(
                 exchange.returned - exchange.sent,
                 ONE_WAY_DELAY + REFLECTOR_DELAY + ONE_WAY_DELAY,
                 "{mode}"
             );
             let start = WallTime::from_unix_nanos(1_800_000_000_123_456_789);
-            let began = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
+            let wall_ahead_at_start = Span::from_nanos(start.unix_nanos() - ManualClock::FIRST_RAW.nanos());
             let ahead = match kind.clocks {
                 RelatedClocks::Raw => Span::ZERO,
-                _ => began + Span::from_seconds(3),
+                _ => wall_ahead_at_start + Span::from_seconds(3),
             };
             assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY + ahead, "{mode}");
         }
-        // The second reply reports when the first one really left.
+        // The second reply reports when the first reply really left.
         let refined = second.refined.expect("the first exchange is refined").exchange;
-        assert_eq!(refined.replied - answered[0].replied, Span::from_micros(5), "{mode}");
+        assert_eq!(refined.replied - exchanges[0].replied, Span::from_micros(5), "{mode}");
     }
 }

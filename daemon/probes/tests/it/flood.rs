@@ -34,18 +34,19 @@ async fn peers_are_answered_while_forged_sources_flood() {
     let mut probing = RunningProber::start(config, 20.0, system_clock("edge"));
     let (mut answered, mut sent) = (0, 0);
     while answered < 40 {
-        for some in sockets.chunks(100) {
-            for socket in some {
+        for burst in sockets.chunks(100) {
+            for socket in burst {
                 socket.send_to(&[0; 44], running.address).await.expect("sent");
                 sent += 1;
             }
-            // The socket's buffer holds about 250 packets. Further ones would be lost before the reflector can choose.
+            // The socket's buffer holds about 250 packets. Further packets would be lost before the reflector can
+            // choose.
             let all_are_read = async {
                 while probes_read(&running) < sent {
                     tokio::task::yield_now().await;
                 }
             };
-            tokio::time::timeout(PATIENCE, all_are_read).await.expect("all are looked at");
+            tokio::time::timeout(PATIENCE, all_are_read).await.expect("all probes are read");
         }
         while let Ok(result) = probing.results.try_recv() {
             assert_ne!(result, ProbeResult::Lost, "after {answered} answers and {sent} forged probes");
@@ -54,8 +55,8 @@ async fn peers_are_answered_while_forged_sources_flood() {
     }
     let seconds = (clock.mono() - started_at).seconds();
     let counts = running.counters.read();
-    let most = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
-    assert!((counts.answered as f64) <= most, "{} in {seconds} s: {counts:?}", counts.answered);
+    let max_answers = 200.0 * (1.0 + seconds) + f64::from(answered) + 1.0;
+    assert!((counts.answered as f64) <= max_answers, "{} in {seconds} s: {counts:?}", counts.answered);
     assert!(counts.refused(Refusal::TooMany) > 0, "{counts:?}");
     probing.stop().await;
     running.stop().await;

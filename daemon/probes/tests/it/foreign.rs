@@ -16,14 +16,14 @@ use crate::support::{
 
 fn stamp_suite() -> Command {
     let program = std::env::var_os("PEERNET_STAMP_SUITE").unwrap_or_else(|| "stamp-suite".into());
-    let found = Command::new(&program).arg("--version").output();
+    let output = Command::new(&program).arg("--version").output();
     assert!(
-        found.is_ok_and(|output| output.status.success()),
+        output.is_ok_and(|output| output.status.success()),
         "{} does not run: deploy/install-tools.sh test installs it, PEERNET_STAMP_SUITE names another place",
         program.display()
     );
     let mut command = Command::new(program);
-    // Removed, because stamp-suite would read its key from it.
+    // The variable is removed, because stamp-suite would read its key from it.
     command.env_remove("STAMP_HMAC_KEY").env("RUST_LOG", "warn").stdin(Stdio::null());
     command
 }
@@ -58,7 +58,7 @@ struct ForeignProcess(Child);
 
 impl Drop for ForeignProcess {
     fn drop(&mut self) {
-        // Fails if it has already exited.
+        // Killing fails if the process has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -72,7 +72,7 @@ async fn run_foreign_sender(
     key: Option<&SharedKey>,
     stamps: StampSource,
     clock_format: &str,
-    more: &[&str],
+    more_arguments: &[&str],
 ) -> Value {
     let config = ReflectorConfig { key: key.map(SharedKey::read_key), stamps, ..reflector_config() };
     let running = RunningReflector::start(config, system_clock("cloud"));
@@ -81,7 +81,7 @@ async fn run_foreign_sender(
         .args(["--remote-addr", "127.0.0.1", "--remote-port", &running.address.port().to_string()])
         .args(["--count", "20", "--send-delay", "10", "--timeout", "10", "--ssid", "4242"])
         .args(["--clock-source", clock_format, "--follow-up-telemetry", "--output-format", "json"])
-        .args(more);
+        .args(more_arguments);
     if let Some(key) = key {
         key.add_arguments(&mut command);
     }
@@ -98,23 +98,26 @@ async fn run_foreign_sender(
     serde_json::from_str(summary).expect("JSON")
 }
 
-/// Checks their sender's summary of twenty probes over one clock.
+/// Checks the summary of the foreign sender after twenty probes over one clock.
 fn assert_accepted(summary: &Value) {
-    let measured = "/measurements";
+    let measurements = "/measurements";
     assert_eq!(number(summary, "/packets_received"), 20.0, "{summary}");
-    assert_eq!(number(summary, &format!("{measured}/tlv_validation/rejected_replies")), 0.0, "{summary}");
+    assert_eq!(number(summary, &format!("{measurements}/tlv_validation/rejected_replies")), 0.0, "{summary}");
     for flag in ["malformed", "integrity_failed"] {
-        assert_eq!(number(summary, &format!("{measured}/tlv_validation/flags/{flag}")), 0.0, "{summary}");
+        assert_eq!(number(summary, &format!("{measurements}/tlv_validation/flags/{flag}")), 0.0, "{summary}");
     }
     // With one clock, both directions take time, and no more than the round trip.
     let round_trip = number(summary, "/max_rtt_ms");
-    for way in ["forward", "reverse"] {
-        let least = number(summary, &format!("/owd/{way}_min_ms"));
-        let most = number(summary, &format!("/owd/{way}_max_ms"));
-        assert!(least >= 0.0 && most <= round_trip, "{way}: {least} to {most} of {round_trip} ms");
+    for direction in ["forward", "reverse"] {
+        let min_ms = number(summary, &format!("/owd/{direction}_min_ms"));
+        let max_ms = number(summary, &format!("/owd/{direction}_max_ms"));
+        assert!(
+            min_ms >= 0.0 && max_ms <= round_trip,
+            "{direction}: {min_ms} to {max_ms} of {round_trip} ms"
+        );
     }
-    assert_eq!(number(summary, &format!("{measured}/follow_up/matched")), 19.0, "{summary}");
-    assert!(number(summary, &format!("{measured}/follow_up/reverse_delay/min_ms")) >= 0.0, "{summary}");
+    assert_eq!(number(summary, &format!("{measurements}/follow_up/matched")), 19.0, "{summary}");
+    assert!(number(summary, &format!("{measurements}/follow_up/reverse_delay/min_ms")) >= 0.0, "{summary}");
 }
 
 #[tokio::test]
@@ -135,20 +138,24 @@ async fn foreign_authenticated_sender_accepts_our_replies() {
 
 #[tokio::test]
 async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
-    let more = ["--direct-measurement", "--location", "--extra-padding", "200"];
-    let summary = run_foreign_sender(None, StampSource::Kernel, "NTP", &more).await;
+    let more_arguments = ["--direct-measurement", "--location", "--extra-padding", "200"];
+    let summary = run_foreign_sender(None, StampSource::Kernel, "NTP", &more_arguments).await;
     assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
 }
 
-async fn probe_foreign_reflector(address: &str, key: Option<&SharedKey>, more: &[&str]) -> Vec<ProbeResult> {
+async fn probe_foreign_reflector(
+    address: &str,
+    key: Option<&SharedKey>,
+    more_arguments: &[&str],
+) -> Vec<ProbeResult> {
     // A port outside the range from which the system assigns ports, on an address that only this test uses.
     let target = std::net::SocketAddr::new(address.parse().expect("an address"), 18_620);
     assert!(target.ip().is_loopback());
     let mut command = stamp_suite();
     command
         .args(["--is-reflector", "--local-addr", address, "--local-port", &target.port().to_string()])
-        .args(more)
+        .args(more_arguments)
         .stdout(Stdio::null());
     if let Some(key) = key {
         key.add_arguments(&mut command);
@@ -179,7 +186,8 @@ fn assert_one_clock(observation: &ExchangeObservation) {
     );
 }
 
-/// Checks that nothing is refused or lost. Their follow-up may repeat the program's stamp; then nothing is refined.
+/// Checks that no probe is refused or lost. The follow-up of the foreign reflector may repeat the program's stamp. Then
+/// no probe is refined.
 fn assert_nothing_lost(results: &[ProbeResult]) {
     for result in results {
         match result {

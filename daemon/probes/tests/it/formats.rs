@@ -13,29 +13,30 @@ use crate::support::key;
 
 const SECOND: i64 = 1_000_000_000;
 
-fn at(seconds: i64, nanos: i64) -> WallTime {
+fn time_at(seconds: i64, nanos: i64) -> WallTime {
     WallTime::from_unix_nanos(seconds * SECOND + nanos)
 }
 
 #[test]
 fn timestamps_have_the_standard_layout() {
     // 1970 in NTP's time, RFC 5905 figure 4.
-    assert_eq!(Format::Ntp.encode(at(0, 0)), 2_208_988_800 << 32);
-    assert_eq!(Format::Ntp.encode(at(0, SECOND / 2)), (2_208_988_800 << 32) | 1 << 31);
-    assert_eq!(Format::Ptp.encode(at(5, 7)), (5 << 32) | 7);
-    assert_eq!(Format::Ptp.decode((5 << 32) | 1_000_000_000, at(0, 0)), None, "no clock shows this");
+    assert_eq!(Format::Ntp.encode(time_at(0, 0)), 2_208_988_800 << 32);
+    assert_eq!(Format::Ntp.encode(time_at(0, SECOND / 2)), (2_208_988_800 << 32) | 1 << 31);
+    assert_eq!(Format::Ptp.encode(time_at(5, 7)), (5 << 32) | 7);
+    assert_eq!(Format::Ptp.decode((5 << 32) | 1_000_000_000, time_at(0, 0)), None, "no clock shows this");
 }
 
 #[test]
 fn ntp_timestamps_are_exact_around_2036_rollover() {
     // NTP's second era begins on 2036-02-07 at 06:28:16 UTC.
     let rollover = 2_085_978_496;
-    assert_eq!(Format::Ntp.encode(at(rollover, 0)), 0);
-    assert_eq!(Format::Ntp.encode(at(rollover - 1, 0)) >> 32, u64::from(u32::MAX));
-    for (near, stamp) in
+    assert_eq!(Format::Ntp.encode(time_at(rollover, 0)), 0);
+    assert_eq!(Format::Ntp.encode(time_at(rollover - 1, 0)) >> 32, u64::from(u32::MAX));
+    for (reference_seconds, stamp) in
         [(-1, 1), (1, -1), (0, 0), (-86_400 * 365 * 60, 86_400 * 365 * 7), (SECOND, SECOND + 5)]
     {
-        let (near, stamp) = (at(rollover + near, 0), at(rollover + stamp, 123_456_789));
+        let (near, stamp) =
+            (time_at(rollover + reference_seconds, 0), time_at(rollover + stamp, 123_456_789));
         assert_eq!(Format::Ntp.decode(Format::Ntp.encode(stamp), near), Some(stamp), "near {near:?}");
     }
 }
@@ -52,9 +53,13 @@ fn error_estimate_has_format_and_valid_multiplier() {
 
 proptest! {
     #[test]
-    fn encoded_timestamp_decodes_to_same_value(seconds in -1_000_000_000i64..4_000_000_000, nanos in 0..SECOND, away in -2_000_000_000i64..2_000_000_000) {
-        let time = at(seconds, nanos);
-        let near = at(seconds + away, 0);
+    fn encoded_timestamp_decodes_to_same_value(
+        seconds in -1_000_000_000i64..4_000_000_000,
+        nanos in 0..SECOND,
+        distance in -2_000_000_000i64..2_000_000_000,
+    ) {
+        let time = time_at(seconds, nanos);
+        let near = time_at(seconds + distance, 0);
         for format in [Format::Ntp, Format::Ptp] {
             prop_assert_eq!(format.decode(format.encode(time), near), Some(time));
         }
@@ -77,13 +82,17 @@ proptest! {
     }
 
     #[test]
-    fn encoded_packets_decode_to_same_values(sequence: u32, timestamp: u64, bits: u16, ssid: u16, received: u64, number: u32, left: u64, own: u16, ttl: u8) {
+    fn encoded_packets_decode_to_same_values(
+        sequence: u32, timestamp: u64, bits: u16, ssid: u16,
+        received: u64, number: u32, replied: u64, reply_bits: u16, ttl: u8,
+    ) {
         for mode in [Mode::Unauthenticated, Mode::Authenticated] {
             let request = Request { sequence, timestamp, estimate: ErrorEstimate::from_bits(bits), ssid };
             let mut packet = vec![0xAA; mode.base_bytes()];
             request.write(mode, &mut packet);
             prop_assert_eq!(Request::parse(mode, &packet), Some(request));
-            let reply = Reply { sequence: number, timestamp: left, estimate: ErrorEstimate::from_bits(own), received, request, ttl };
+            let estimate = ErrorEstimate::from_bits(reply_bits);
+            let reply = Reply { sequence: number, timestamp: replied, estimate, received, request, ttl };
             reply.write(mode, &mut packet);
             prop_assert_eq!(Reply::parse(mode, &packet), Some(reply));
             prop_assert_eq!(Reply::parse(mode, &packet[..mode.base_bytes() - 1]), None);
@@ -155,10 +164,10 @@ fn altered_base_packet_is_refused() {
     packet::authenticate(&key(7), &mut packet);
     assert!(packet::is_authentic(&key(7), &packet));
     assert!(!packet::is_authentic(&key(8), &packet));
-    for at in 0..packet.len() {
-        packet[at] ^= 0x10;
-        assert!(!packet::is_authentic(&key(7), &packet), "byte {at}");
-        packet[at] ^= 0x10;
+    for index in 0..packet.len() {
+        packet[index] ^= 0x10;
+        assert!(!packet::is_authentic(&key(7), &packet), "byte {index}");
+        packet[index] ^= 0x10;
     }
     assert!(!packet::is_authentic(&key(7), &packet[..111]));
 }
@@ -182,26 +191,26 @@ fn key_is_read_from_private_file_only() {
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).expect("own file");
         Key::read(&path)
     };
-    let good = "07".repeat(32) + "\n";
-    let read = write(&good, 0o600).expect("a key");
-    assert_eq!(read.code(&[b"x"]), key(7).code(&[b"x"]));
-    assert!(write(&good.to_uppercase(), 0o400).is_ok());
+    let valid_text = "07".repeat(32) + "\n";
+    let parsed_key = write(&valid_text, 0o600).expect("a key");
+    assert_eq!(parsed_key.code(&[b"x"]), key(7).code(&[b"x"]));
+    assert!(write(&valid_text.to_uppercase(), 0o400).is_ok());
 
-    let error = write(&good, 0o640).expect_err("open to others");
+    let error = write(&valid_text, 0o640).expect_err("open to others");
     assert!(
         matches!(error, KeyError::OpenToOthers { .. }) && error.to_string().contains("chmod 0600"),
         "{error}"
     );
-    let long = "07".repeat(4_000);
-    for (text, what) in [
+    let too_long_text = "07".repeat(4_000);
+    for (text, problem) in [
         ("07", "too short"),
         ("zz", "not hexadecimal"),
         ("077", "odd number"),
         ("", "too short"),
-        (&long, "too long"),
+        (&too_long_text, "too long"),
     ] {
-        let error = write(text, 0o600).expect_err(what).to_string();
-        assert!(error.contains(what) && error.contains("openssl rand -hex 32"), "{error}");
+        let error = write(text, 0o600).expect_err(problem).to_string();
+        assert!(error.contains(problem) && error.contains("openssl rand -hex 32"), "{error}");
     }
     std::fs::remove_file(&path).expect("removed");
     let error = Key::read(&path).expect_err("gone");

@@ -11,47 +11,59 @@ fn address(text: &str) -> IpAddr {
     text.parse().expect("an address")
 }
 
-fn forged(number: u32) -> IpAddr {
+fn forged_address(number: u32) -> IpAddr {
     Ipv4Addr::from(0x0B00_0000 + number).into()
 }
 
-fn admitted(limiter: &mut Limiter, address: IpAddr, now: MonoTime, requests: usize) -> usize {
+fn admitted_count(limiter: &mut Limiter, address: IpAddr, now: MonoTime, requests: usize) -> usize {
     (0..requests).filter(|_| limiter.admit(address, now).is_ok()).count()
 }
 
 #[test]
 fn source_is_limited_after_burst_of_one_second() {
     let mut limiter = Limiter::new(20);
-    let (one, start) = (address("10.0.0.1"), MonoTime::from_nanos(5));
-    assert_eq!(admitted(&mut limiter, one, start, 100), 20);
-    let mut later = start;
-    let mut sum = 0;
+    let (source, start) = (address("10.0.0.1"), MonoTime::from_nanos(5));
+    assert_eq!(admitted_count(&mut limiter, source, start, 100), 20);
+    let mut now = start;
+    let mut total_admitted = 0;
     for _ in 0..100 {
-        later = later + Span::from_millis(100);
-        sum += admitted(&mut limiter, one, later, 50);
+        now = now + Span::from_millis(100);
+        total_admitted += admitted_count(&mut limiter, source, now, 50);
     }
-    assert_eq!(sum, 200, "ten seconds at twenty a second");
-    assert_eq!(admitted(&mut limiter, one, later + Span::from_seconds(3600), 100), 20, "no more is saved up");
+    assert_eq!(total_admitted, 200, "ten seconds at twenty a second");
+    assert_eq!(
+        admitted_count(&mut limiter, source, now + Span::from_seconds(3600), 100),
+        20,
+        "no more is saved up"
+    );
 }
 
 #[test]
 fn ipv6_network_counts_as_one_source() {
     let mut limiter = Limiter::new(5);
     let now = MonoTime::from_nanos(0);
-    assert_eq!(admitted(&mut limiter, address("10.0.0.1"), now, 9), 5);
-    assert_eq!(admitted(&mut limiter, address("::ffff:10.0.0.1"), now, 9), 0, "the same in other clothes");
-    assert_eq!(admitted(&mut limiter, address("10.0.0.2"), now, 9), 5);
-    assert_eq!(admitted(&mut limiter, address("2001:db8::1"), now, 9), 5);
-    assert_eq!(admitted(&mut limiter, address("2001:db8::ffff:1"), now, 9), 0, "one network, one source");
-    assert_eq!(admitted(&mut limiter, address("2001:db8:0:1::1"), now, 9), 5);
+    assert_eq!(admitted_count(&mut limiter, address("10.0.0.1"), now, 9), 5);
+    assert_eq!(
+        admitted_count(&mut limiter, address("::ffff:10.0.0.1"), now, 9),
+        0,
+        "the same address in another form"
+    );
+    assert_eq!(admitted_count(&mut limiter, address("10.0.0.2"), now, 9), 5);
+    assert_eq!(admitted_count(&mut limiter, address("2001:db8::1"), now, 9), 5);
+    assert_eq!(
+        admitted_count(&mut limiter, address("2001:db8::ffff:1"), now, 9),
+        0,
+        "one network, one source"
+    );
+    assert_eq!(admitted_count(&mut limiter, address("2001:db8:0:1::1"), now, 9), 5);
 }
 
 #[test]
 fn forged_sources_share_one_rate() {
     let mut limiter = Limiter::new(5);
     let now = MonoTime::from_nanos(0);
-    let answered = (0..100_000).filter(|number| limiter.admit(forged(*number), now).is_ok()).count();
-    assert_eq!(answered, 50, "ten times the rate of one");
+    let answered = (0..100_000).filter(|number| limiter.admit(forged_address(*number), now).is_ok()).count();
+    assert_eq!(answered, 50, "ten times the rate of one source");
     assert_eq!(limiter.admit(address("10.9.9.9"), now), Err(Refusal::TooMany));
 }
 
@@ -61,7 +73,7 @@ fn reopened_sessions_do_not_refill_the_bucket() {
     let (peer, now) = (address("10.0.0.1"), MonoTime::from_nanos(0));
     for _ in 0..3 {
         limiter.set_peers(&[peer]);
-        admitted(&mut limiter, peer, now, 9);
+        admitted_count(&mut limiter, peer, now, 9);
         assert_eq!(limiter.admit(peer, now), Err(Refusal::TooOften));
         limiter.set_peers(&[]);
         assert_eq!(limiter.admit(peer, now), Err(Refusal::TooOften));
@@ -82,7 +94,7 @@ proptest! {
         let mut now = MonoTime::from_nanos(0);
         for (source, count) in flood {
             for number in 0..count {
-                let _ = limiter.admit(forged(source + number as u32), now);
+                let _ = limiter.admit(forged_address(source + number as u32), now);
             }
             prop_assert_eq!(limiter.admit(peer, now), Ok(()));
             now = now + interval;
@@ -103,11 +115,11 @@ proptest! {
             now = now + Span::from_nanos(pause);
             // Sessions are opened and closed in between.
             if source == 0 {
-                let peers = [forged(0)];
+                let peers = [forged_address(0)];
                 limiter.set_peers(&peers[..usize::from(is_peer)]);
             }
-            let has_session = limiter.is_peer(forged(source));
-            if limiter.admit(forged(source), now).is_ok() {
+            let has_session = limiter.is_peer(forged_address(source));
+            if limiter.admit(forged_address(source), now).is_ok() {
                 replies.push((source, has_session, now));
             }
         }
@@ -116,7 +128,8 @@ proptest! {
             let count = replies.iter().filter(|reply| reply.0 == source).count();
             prop_assert!(count as f64 <= f64::from(rate) * (1.0 + seconds) + 1.0, "{source}: {count}");
         }
-        let others = replies.iter().filter(|reply| !reply.1).count();
-        prop_assert!(others as f64 <= f64::from(rate * 10) * (1.0 + seconds) + 1.0, "{others}");
+        let sessionless_replies = replies.iter().filter(|reply| !reply.1).count();
+        let max_replies = f64::from(rate * 10) * (1.0 + seconds) + 1.0;
+        prop_assert!(sessionless_replies as f64 <= max_replies, "{sessionless_replies}");
     }
 }

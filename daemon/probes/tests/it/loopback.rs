@@ -84,27 +84,30 @@ async fn kernel_stamps_are_used_and_refine_reply_time() {
     let prober = Prober::open(prober_config(running.address), system_clock("edge")).expect("a socket");
     assert_eq!(prober.stamp_source_name(), "kernel, send and receive");
     drop(prober);
-    for (stateful, words) in [(true, "kernel, send and receive"), (false, "kernel, receive only")] {
+    for (stateful, expected_name) in [(true, "kernel, send and receive"), (false, "kernel, receive only")] {
         let config = ReflectorConfig { stateful, ..reflector_config() };
         let reflector = Reflector::bind(config, system_clock("cloud")).expect("a free port");
-        assert_eq!(reflector.stamp_source_name(), words);
+        assert_eq!(reflector.stamp_source_name(), expected_name);
     }
     let mut probing = RunningProber::start(prober_config(running.address), 200.0, system_clock("edge"));
-    let mut known = Vec::new();
+    let mut observations = Vec::new();
     for _ in 0..20 {
-        let (better, before) = probing.until(refined).await;
-        known.extend(before.iter().filter_map(answered));
-        let first = known
+        let (refined_observation, earlier_results) = probing.until(refined).await;
+        observations.extend(earlier_results.iter().filter_map(answered));
+        let first = observations
             .iter()
-            .find(|known| known.exchange.sent == better.exchange.sent)
+            .find(|observation| observation.exchange.sent == refined_observation.exchange.sent)
             .expect("answered before it was refined");
-        assert!(better.exchange.replied > first.exchange.replied);
-        let as_before = ExchangeObservation {
-            exchange: peernet_clock::Exchange { replied: first.exchange.replied, ..better.exchange },
-            ..better
+        assert!(refined_observation.exchange.replied > first.exchange.replied);
+        let unrefined_observation = ExchangeObservation {
+            exchange: peernet_clock::Exchange {
+                replied: first.exchange.replied,
+                ..refined_observation.exchange
+            },
+            ..refined_observation
         };
-        assert_eq!(&as_before, first, "nothing else is different");
-        assert!(contains_zero(&better), "{better:?}");
+        assert_eq!(&unrefined_observation, first, "nothing else is different");
+        assert!(contains_zero(&refined_observation), "{refined_observation:?}");
     }
     probing.stop().await;
     running.stop().await;
@@ -144,10 +147,11 @@ async fn bounds_contain_offset_of_shifted_clock() {
 
 /// Returns a wall clock that is set a thousand times, by large steps and by steps as small as the gain of a kernel's
 /// stamp.
-fn repeatedly_set_clock(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
+fn repeatedly_set_clock(name: &str, interval: Span, step_sizes: [Span; 2]) -> SharedClock {
     let truth = system_clock(name);
-    let at = |number: i64| Span::from_nanos(every.nanos() * number);
-    let steps = (1..=1000).map(|number| ClockFaultStep::wall_step(at(number), by[number as usize % 2]));
+    let step_time = |number: i64| Span::from_nanos(interval.nanos() * number);
+    let steps = (1..=1000)
+        .map(|number| ClockFaultStep::wall_step(step_time(number), step_sizes[number as usize % 2]));
     let description =
         ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: steps.collect(), since: truth.wall() };
     std::sync::Arc::new(FaultyClock::new(truth, ClockIdentity::new("test", name), description))
@@ -155,11 +159,11 @@ fn repeatedly_set_clock(name: &str, every: Span, by: [Span; 2]) -> SharedClock {
 
 #[tokio::test]
 async fn setting_wall_clocks_changes_no_exchange() {
-    let (much, little) = (Span::from_millis(20), Span::from_micros(15));
+    let (large_step, small_step) = (Span::from_millis(20), Span::from_micros(15));
     for direction in [1, -1] {
-        let by = [much, little].map(|by| Span::from_nanos(direction * by.nanos()));
-        let cloud = repeatedly_set_clock("cloud", Span::from_millis(7), by);
-        let edge = repeatedly_set_clock("edge", Span::from_millis(5), by);
+        let step_sizes = [large_step, small_step].map(|size| Span::from_nanos(direction * size.nanos()));
+        let cloud = repeatedly_set_clock("cloud", Span::from_millis(7), step_sizes);
+        let edge = repeatedly_set_clock("edge", Span::from_millis(5), step_sizes);
         let running = RunningReflector::start(reflector_config(), cloud.clone());
         let mut probing = RunningProber::start(prober_config(running.address), 500.0, edge.clone());
         let (mut answers, mut corrections) = (0, 0);
@@ -205,14 +209,14 @@ async fn padded_probes_over_ipv6_and_ipv4_are_answered() {
 async fn prober_without_the_key_gets_no_reply() {
     let config = ReflectorConfig { key: Some(key(7)), ..reflector_config() };
     let running = RunningReflector::start(config, system_clock("cloud"));
-    for wrong in [Some(key(8)), None] {
+    for other_key in [Some(key(8)), None] {
         let mut config = prober_config(running.address);
         // Without the TLV for raw stamps, an open request is shorter than an authenticated one.
-        (config.key, config.clocks) = (wrong, RelatedClocks::RawToWall);
+        (config.key, config.clocks) = (other_key, RelatedClocks::RawToWall);
         config.timeout = Duration::from_millis(50);
         let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
-        let (_, before) = probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
-        assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
+        let (_, earlier_results) = probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
+        assert!(earlier_results.iter().all(|result| *result == ProbeResult::Sent), "{earlier_results:?}");
         probing.stop().await;
     }
     let counts = running.counters.read();
@@ -234,7 +238,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
         socket.send_to(&request, running.address).await.expect("sent");
     }
     let counters = running.counters.clone();
-    let all = async {
+    let all_requests_counted = async {
         loop {
             let counts = counters.read();
             if counts.answered + counts.refused(Refusal::TooOften) == 200 {
@@ -243,9 +247,14 @@ async fn source_above_its_rate_is_answered_at_limit() {
             tokio::task::yield_now().await;
         }
     };
-    let counts = tokio::time::timeout(crate::support::PATIENCE, all).await.expect("all are looked at");
-    let most = 5.0 + 5.0 * (clock.mono() - started_at).seconds();
-    assert!(counts.answered >= 5 && counts.answered as f64 <= most + 1.0, "{counts:?}, most {most}");
+    let counts = tokio::time::timeout(crate::support::PATIENCE, all_requests_counted)
+        .await
+        .expect("all requests are read");
+    let max_answers = 5.0 + 5.0 * (clock.mono() - started_at).seconds();
+    assert!(
+        counts.answered >= 5 && counts.answered as f64 <= max_answers + 1.0,
+        "{counts:?}, most {max_answers}"
+    );
     running.stop().await;
 }
 
@@ -253,8 +262,8 @@ async fn source_above_its_rate_is_answered_at_limit() {
 async fn rate_can_be_changed_and_zero_pauses() {
     let running = RunningReflector::start(reflector_config(), system_clock("cloud"));
     let mut probing = RunningProber::start(prober_config(running.address), 0.0, system_clock("edge"));
-    let quiet = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
-    assert!(quiet.is_err(), "nothing is sent while paused: {quiet:?}");
+    let result = tokio::time::timeout(Duration::from_millis(200), probing.results.recv()).await;
+    assert!(result.is_err(), "nothing is sent while paused: {result:?}");
     // From one probe in a quarter of an hour to one hundred per second: the test only ends in time if the rate applies
     // at once.
     probing.rate_hz.send(0.001).expect("it listens");
@@ -272,15 +281,15 @@ async fn rate_can_be_changed_and_zero_pauses() {
 
 #[tokio::test]
 async fn prober_without_reflector_loses_probes_and_continues() {
-    let silent = UdpSocket::bind(loopback()).await.expect("a socket");
-    let mut config = prober_config(silent.local_addr().expect("bound"));
+    let silent_socket = UdpSocket::bind(loopback()).await.expect("a socket");
+    let mut config = prober_config(silent_socket.local_addr().expect("bound"));
     config.timeout = Duration::from_millis(20);
     let mut probing = RunningProber::start(config.clone(), 100.0, system_clock("edge"));
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
-    // No program has the port now, and the system reports it.
-    drop(silent);
+    // No program has the port now, and the system reports that.
+    drop(silent_socket);
     for _ in 0..3 {
         probing.until(|result| (*result == ProbeResult::Lost).then_some(())).await;
     }
@@ -294,15 +303,15 @@ async fn prober_without_reflector_loses_probes_and_continues() {
     running.stop().await;
 }
 
-/// The system's clock as seen by a program to which a false time is shown, of which the kernel knows nothing, as under
-/// libfaketime.
+/// The system's clock as a program under libfaketime sees it: the program is shown a false time, and the kernel does
+/// not know of the shift.
 #[derive(Debug)]
-struct ShownClock {
+struct ShiftedClock {
     system: SystemClock,
     ahead: Span,
 }
 
-impl Clock for ShownClock {
+impl Clock for ShiftedClock {
     fn wall(&self) -> WallTime {
         self.system.wall() + self.ahead
     }
@@ -320,27 +329,27 @@ impl Clock for ShownClock {
     }
 }
 
-fn shown_clock(ahead: Span) -> SharedClock {
-    std::sync::Arc::new(ShownClock { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
+fn shifted_clock(ahead: Span) -> SharedClock {
+    std::sync::Arc::new(ShiftedClock { system: SystemClock::new(ClockIdentity::new("test", "shown")), ahead })
 }
 
 #[tokio::test]
 async fn bounds_hold_with_shifted_program_clock() {
-    // A small difference, with which the kernel's departure stamps look plausible, and a large one.
-    let (little, much) = (Span::from_millis(900), Span::from_seconds(3600));
+    // With the small shift, the kernel's departure stamps look plausible. With the large shift they do not.
+    let (small_shift, large_shift) = (Span::from_millis(900), Span::from_seconds(3600));
     for (edge, cloud) in [
-        (-little, Span::ZERO),
-        (much, Span::ZERO),
-        (Span::ZERO, -little),
-        (Span::ZERO, much),
-        (-little, much),
+        (-small_shift, Span::ZERO),
+        (large_shift, Span::ZERO),
+        (Span::ZERO, -small_shift),
+        (Span::ZERO, large_shift),
+        (-small_shift, large_shift),
     ] {
         for clocks in [RelatedClocks::Raw, RelatedClocks::RawToWall] {
-            let running = RunningReflector::start(reflector_config(), shown_clock(cloud));
+            let running = RunningReflector::start(reflector_config(), shifted_clock(cloud));
             let mut config = prober_config(running.address);
             (config.instance, config.clocks) = (Some(INSTANCE), clocks);
-            let mut probing = RunningProber::start(config, 200.0, shown_clock(edge));
-            let holds = |observation: &ExchangeObservation| {
+            let mut probing = RunningProber::start(config, 200.0, shifted_clock(edge));
+            let assert_bounds_hold = |observation: &ExchangeObservation| {
                 let bounds = observation.exchange.bounds();
                 let offset = match clocks {
                     RelatedClocks::Raw => Interval::exactly(Span::ZERO),
@@ -349,11 +358,11 @@ async fn bounds_hold_with_shifted_program_clock() {
                 assert!(bounds.intersection(offset).is_some(), "{clocks}: {offset:?} and {bounds:?}");
             };
             for _ in 0..30 {
-                holds(&probing.until(answered).await.0);
+                assert_bounds_hold(&probing.until(answered).await.0);
             }
             for result in probing.stop().await {
                 if let ProbeResult::Refined(observation) = result {
-                    holds(&observation);
+                    assert_bounds_hold(&observation);
                 }
             }
             running.stop().await;
@@ -364,10 +373,12 @@ async fn bounds_hold_with_shifted_program_clock() {
 #[tokio::test]
 async fn stamp_source_is_known_before_first_probe() {
     let target = loopback();
-    for (ahead, words) in [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")] {
-        let mut prober = Prober::open(prober_config(target), shown_clock(ahead)).expect("a socket");
+    for (ahead, expected_name) in
+        [(Span::ZERO, "kernel, send and receive"), (Span::from_millis(50), "program")]
+    {
+        let mut prober = Prober::open(prober_config(target), shifted_clock(ahead)).expect("a socket");
         prober.check_stamps().await;
-        assert_eq!(prober.stamp_source_name(), words, "{ahead}");
+        assert_eq!(prober.stamp_source_name(), expected_name, "{ahead}");
     }
 }
 
@@ -377,10 +388,10 @@ async fn reply_of_unexpected_process_is_refused() {
     let config = peernet_probes::ProberConfig { instance: Some(7), ..prober_config(running.address) };
     let mut probing = RunningProber::start(config, 100.0, system_clock("edge"));
     let refusal =
-        |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
-    let (why, before) = probing.until(refusal).await;
-    assert_eq!(why, "the probes are answered by another process than the one that serves the data");
-    assert!(before.iter().all(|result| *result == ProbeResult::Sent), "{before:?}");
+        |result: &ProbeResult| if let ProbeResult::Refused(reason) = result { Some(*reason) } else { None };
+    let (reason, earlier_results) = probing.until(refusal).await;
+    assert_eq!(reason, "the probes are answered by another process than the one that serves the data");
+    assert!(earlier_results.iter().all(|result| *result == ProbeResult::Sent), "{earlier_results:?}");
     probing.stop().await;
     running.stop().await;
 }
@@ -388,14 +399,14 @@ async fn reply_of_unexpected_process_is_refused() {
 #[tokio::test]
 async fn reply_from_another_address_is_refused() {
     let target = UdpSocket::bind(loopback()).await.expect("a socket");
-    let other = UdpSocket::bind(loopback()).await.expect("a socket");
+    let other_socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let mut probing =
         RunningProber::start(prober_config(target.local_addr().expect("bound")), 1.0, system_clock("edge"));
     let mut packet = [0; 2048];
     let (bytes, prober) = target.recv_from(&mut packet).await.expect("a probe");
-    other.send_to(&packet[..bytes], prober).await.expect("sent");
+    other_socket.send_to(&packet[..bytes], prober).await.expect("sent");
     let refusal =
-        |result: &ProbeResult| if let ProbeResult::Refused(why) = result { Some(*why) } else { None };
+        |result: &ProbeResult| if let ProbeResult::Refused(reason) = result { Some(*reason) } else { None };
     assert_eq!(probing.until(refusal).await.0, "not from the target");
     target.send_to(&packet[..bytes], prober).await.expect("sent");
     assert_eq!(probing.until(refusal).await.0, "without the stamps of the reflector's free-running clock");
@@ -406,31 +417,33 @@ async fn reply_from_another_address_is_refused() {
 
 #[tokio::test]
 async fn prober_ends_when_receiver_is_dropped() {
-    let silent = UdpSocket::bind(loopback()).await.expect("a socket");
-    let config = prober_config(silent.local_addr().expect("bound"));
+    let silent_socket = UdpSocket::bind(loopback()).await.expect("a socket");
+    let config = prober_config(silent_socket.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
     // The rate stays at zero, so that there is no result through which the prober could notice.
     let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
-    let (tell, results) = tokio::sync::mpsc::channel(1);
-    let task = tokio::spawn(prober.run(rate_hz, tell, CancellationToken::new()));
+    let (result_sender, results) = tokio::sync::mpsc::channel(1);
+    let task = tokio::spawn(prober.run(rate_hz, result_sender, CancellationToken::new()));
     drop(results);
     tokio::time::timeout(crate::support::PATIENCE, task).await.expect("it ends").expect("no panic");
 }
 
 #[tokio::test]
 async fn bind_errors_contain_advice() {
-    let taken = Reflector::bind(reflector_config(), system_clock("cloud")).expect("a free port");
-    let again = ReflectorConfig { listen: taken.address(), ..reflector_config() };
-    let error = Reflector::bind(again, system_clock("cloud")).expect_err("taken");
+    let first_reflector = Reflector::bind(reflector_config(), system_clock("cloud")).expect("a free port");
+    let same_port = ReflectorConfig { listen: first_reflector.address(), ..reflector_config() };
+    let error = Reflector::bind(same_port, system_clock("cloud")).expect_err("taken");
     assert!(matches!(error, BindError::InUse(_)) && error.to_string().contains("another port"), "{error}");
 
-    let nowhere = "192.0.2.1:8620".parse().expect("an address");
-    let error =
-        Reflector::bind(ReflectorConfig { listen: nowhere, ..reflector_config() }, system_clock("cloud"))
-            .expect_err("a documentation address is nobody's");
+    let foreign_address = "192.0.2.1:8620".parse().expect("an address");
+    let error = Reflector::bind(
+        ReflectorConfig { listen: foreign_address, ..reflector_config() },
+        system_clock("cloud"),
+    )
+    .expect_err("a documentation address is nobody's");
     assert!(matches!(error, BindError::NoSuchAddress(_)), "{error}");
 
-    let privileged = "127.0.0.1:862".parse().expect("an address");
-    let error = BindError::NotPermitted(privileged).to_string();
+    let privileged_address = "127.0.0.1:862".parse().expect("an address");
+    let error = BindError::NotPermitted(privileged_address).to_string();
     assert!(error.contains("grant CAP_NET_BIND_SERVICE or use port 8620"), "{error}");
 }

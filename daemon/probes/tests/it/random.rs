@@ -16,13 +16,13 @@ proptest! {
     /// Bytes of the length of a packet, with TLVs of plausible types and lengths.
     #[test]
     fn damaged_packets_are_read_without_panic(
-        how: u8,
+        options: u8,
         base in proptest::collection::vec(any::<u8>(), 112),
         tlvs in proptest::collection::vec((any::<u8>(), prop_oneof![Just(1u8), Just(7), Just(8), Just(252), any::<u8>()], 0u16..40, 0usize..40), 0..8),
-        cut in 0usize..100,
+        cut_bytes in 0usize..100,
     ) {
-        let mut data = vec![how];
-        data.extend(if how & 1 == 0 { &base[..44] } else { &base[..] });
+        let mut data = vec![options];
+        data.extend(if options & 1 == 0 { &base[..44] } else { &base[..] });
         for (flags, kind, length, bytes) in tlvs {
             data.extend([flags, kind]);
             data.extend(length.to_be_bytes());
@@ -30,7 +30,7 @@ proptest! {
             let bytes = if bytes < 30 { usize::from(length) } else { bytes };
             data.extend(vec![flags; bytes]);
         }
-        data.truncate(data.len().saturating_sub(cut.saturating_sub(50)));
+        data.truncate(data.len().saturating_sub(cut_bytes.saturating_sub(50)));
         any_packet(&data);
     }
 }
@@ -39,10 +39,10 @@ proptest! {
 fn fuzz_corpus_passes() {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus/packet");
     let entries = std::fs::read_dir(&corpus).expect("fuzz/corpus/packet is part of the checkout");
-    let mut seen = 0;
+    let mut file_count = 0;
     for entry in entries {
         any_packet(&std::fs::read(entry.expect("readable").path()).expect("readable"));
-        seen += 1;
+        file_count += 1;
     }
-    assert!(seen >= 10, "only {seen} files in {}", corpus.display());
+    assert!(file_count >= 10, "only {file_count} files in {}", corpus.display());
 }

@@ -64,20 +64,20 @@ fn reply_contains_both_stamps_and_the_request() {
     for format in [Format::Ntp, Format::Ptp] {
         let clock = clock();
         let mut reflector = ReflectorState::new(None, INSTANCE, 100, false);
-        let asked = Request {
+        let request_fields = Request {
             sequence: 77,
             timestamp: format.encode(NOW - Span::from_seconds(3)),
             estimate: ErrorEstimate::new(format, Span::from_millis(1)),
             ssid: 513,
         };
         let mut packet = vec![0; 44];
-        asked.write(Mode::Unauthenticated, &mut packet);
+        request_fields.write(Mode::Unauthenticated, &mut packet);
         let prepared = reflector.prepare(&mut packet, &arrival(&clock)).expect("answered");
         clock.advance(Span::from_micros(30));
         reflector.complete(&prepared, &mut packet, &clock);
         let reply = Reply::parse(Mode::Unauthenticated, &packet).expect("long enough");
-        assert_eq!((reply.request, reply.sequence, packet.len()), (asked, 77, 44));
-        assert_eq!(reply.estimate.format(), format, "in the format that was asked in");
+        assert_eq!((reply.request, reply.sequence, packet.len()), (request_fields, 77, 44));
+        assert_eq!(reply.estimate.format(), format, "in the format of the request");
         assert_eq!(format.decode(reply.received, NOW), Some(NOW));
         assert_eq!(format.decode(reply.timestamp, NOW), Some(NOW + Span::from_micros(30)));
     }
@@ -104,28 +104,31 @@ fn replies_are_numbered_per_session() {
 fn follow_up_contains_departure_of_previous_reply() {
     let clock = clock();
     let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
-    let room: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
+    let empty_follow_up: (u8, &[u8]) = (tlv::FOLLOW_UP, &[0; FollowUp::BYTES]);
     let follow_up = |packet: &[u8]| match &tlvs_of(packet, 44)[..] {
         [(tlv::FOLLOW_UP, 0, value)] => FollowUp::from_value(value),
         other => panic!("{other:?}"),
     };
-    let mut first = request(None, 5, 1, &[room]);
-    let answered = answer(&mut reflector, &clock, &mut first).expect("answered");
-    assert_eq!(follow_up(&first), None, "there was none before");
+    let mut first_packet = request(None, 5, 1, &[empty_follow_up]);
+    let prepared = answer(&mut reflector, &clock, &mut first_packet).expect("answered");
+    assert_eq!(follow_up(&first_packet), None, "there was none before");
     // Ignored: a stamp before the program's, one that is absurdly late, and one of another reply.
-    let (session, left) = (answered.session(), NOW + Span::from_micros(17));
-    let mut departed = |sequence, after| {
+    let (session, departure) = (prepared.session(), NOW + Span::from_micros(17));
+    let mut record_departure = |sequence, after| {
         reflector.record_departure(&session, sequence, NOW + after, ManualClock::FIRST_RAW + after);
     };
-    departed(answered.sequence(), Span::from_micros(17));
-    departed(answered.sequence(), -Span::from_nanos(1));
-    departed(answered.sequence(), Span::from_seconds(10));
-    departed(answered.sequence() + 1, Span::from_micros(20));
+    record_departure(prepared.sequence(), Span::from_micros(17));
+    record_departure(prepared.sequence(), -Span::from_nanos(1));
+    record_departure(prepared.sequence(), Span::from_seconds(10));
+    record_departure(prepared.sequence() + 1, Span::from_micros(20));
 
     clock.advance(Span::from_millis(1));
-    let mut second = request(None, 6, 1, &[room]);
-    answer(&mut reflector, &clock, &mut second).expect("answered");
-    assert_eq!(follow_up(&second), Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(left) }));
+    let mut second_packet = request(None, 6, 1, &[empty_follow_up]);
+    answer(&mut reflector, &clock, &mut second_packet).expect("answered");
+    assert_eq!(
+        follow_up(&second_packet),
+        Some(FollowUp { sequence: 0, timestamp: Format::Ntp.encode(departure) })
+    );
 
     let mut stateless = ReflectorState::new(None, INSTANCE, 100, false);
     for _ in 0..2 {
@@ -183,12 +186,12 @@ fn reply_returns_tlvs_flagged_in_order() {
 #[test]
 fn unauthenticated_tlvs_are_returned_without_effect() {
     let (clock, key) = (clock(), key(7));
-    let room: &[u8] = &[0; FollowUp::BYTES];
+    let empty_follow_up: &[u8] = &[0; FollowUp::BYTES];
     let code: &[u8] = &[0; 16];
     let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 100, true);
-    let mut flags = |tlvs: &[(u8, &[u8])], touch: bool| {
+    let mut flags = |tlvs: &[(u8, &[u8])], alter: bool| {
         let mut packet = request(Some(&key), 1, 1, tlvs);
-        if touch {
+        if alter {
             *packet.last_mut().expect("not empty") ^= 1;
         }
         answer(&mut reflector, &clock, &mut packet).expect("the base packet is authentic");
@@ -197,88 +200,120 @@ fn unauthenticated_tlvs_are_returned_without_effect() {
         let flags: Vec<u8> = tlvs_of(&packet, 112).iter().map(|(_, flags, _)| *flags).collect();
         (flags, tlv::are_intact(Some(&key), sequence, &packet[112..]))
     };
-    let bad = tlv::NOT_INTACT;
-    assert_eq!(flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)], false), (vec![0, 0], true));
-    assert_eq!(flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)], true).0, [bad, bad], "touched");
-    assert_eq!(flags(&[(tlv::FOLLOW_UP, room)], false).0, [bad], "without a code");
-    assert_eq!(flags(&[(tlv::EXTRA_PADDING, room)], false).0, [0], "padding alone needs none");
-    assert_eq!(flags(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, room)], false).0, [bad, bad], "not at the end");
+    let not_intact = tlv::NOT_INTACT;
+    assert_eq!(flags(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)], false), (vec![0, 0], true));
     assert_eq!(
-        flags(&[(tlv::FOLLOW_UP, room), (tlv::HMAC, code), (tlv::EXTRA_PADDING, room)], false).0,
+        flags(&[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)], true).0,
+        [not_intact, not_intact],
+        "touched"
+    );
+    assert_eq!(flags(&[(tlv::FOLLOW_UP, empty_follow_up)], false).0, [not_intact], "without a code");
+    assert_eq!(flags(&[(tlv::EXTRA_PADDING, empty_follow_up)], false).0, [0], "padding alone needs none");
+    assert_eq!(
+        flags(&[(tlv::HMAC, code), (tlv::FOLLOW_UP, empty_follow_up)], false).0,
+        [not_intact, not_intact],
+        "not at the end"
+    );
+    assert_eq!(
+        flags(
+            &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code), (tlv::EXTRA_PADDING, empty_follow_up)],
+            false
+        )
+        .0,
         [0; 3]
     );
 
     let mut keyless = ReflectorState::new(None, INSTANCE, 100, true);
-    let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
+    let mut packet = request(None, 1, 1, &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)]);
     answer(&mut keyless, &clock, &mut packet).expect("answered");
-    assert!(tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == bad), "nobody here can verify it");
+    assert!(
+        tlvs_of(&packet, 44).iter().all(|(_, flags, _)| *flags == not_intact),
+        "a reflector without a key cannot verify the code"
+    );
 }
 
 #[test]
 fn unauthenticated_request_is_refused_without_using_rate() {
     let (clock, key) = (clock(), key(7));
     let mut reflector = ReflectorState::new(Some(key.clone()), INSTANCE, 3, true);
-    let good = request(Some(&key), 1, 1, &[]);
-    for at in [0, 20, 60, 111] {
-        let mut packet = good.clone();
-        packet[at] ^= 1;
+    let valid_request = request(Some(&key), 1, 1, &[]);
+    for index in [0, 20, 60, 111] {
+        let mut packet = valid_request.clone();
+        packet[index] ^= 1;
         assert_eq!(
             answer(&mut reflector, &clock, &mut packet).expect_err("touched"),
             Refusal::Unauthenticated
         );
     }
-    let mut open = request(None, 1, 1, &[(tlv::EXTRA_PADDING, &[0; 100])]);
-    assert_eq!(answer(&mut reflector, &clock, &mut open).expect_err("open"), Refusal::Unauthenticated);
-    let answers = (0..9).filter(|_| answer(&mut reflector, &clock, &mut good.clone()).is_ok()).count();
+    let mut open_request = request(None, 1, 1, &[(tlv::EXTRA_PADDING, &[0; 100])]);
+    assert_eq!(
+        answer(&mut reflector, &clock, &mut open_request).expect_err("open"),
+        Refusal::Unauthenticated
+    );
+    let answers =
+        (0..9).filter(|_| answer(&mut reflector, &clock, &mut valid_request.clone()).is_ok()).count();
     assert_eq!(answers, 3, "its whole share is left");
 }
 
 #[test]
 fn session_key_applies_to_authenticated_requests_only() {
     let (clock, ours, theirs) = (clock(), &key(7), &key(8));
-    let keyed = || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
-    let mut reflector = keyed();
-    let (room, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
-    let sealed_by = |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, room), (tlv::HMAC, code)]);
+    let reflector_with_session_key =
+        || ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(key(7)));
+    let mut reflector = reflector_with_session_key();
+    let (empty_follow_up, code): (&[u8], &[u8]) = (&[0; FollowUp::BYTES], &[0; 16]);
+    let request_with_key =
+        |key: &Key| request(Some(key), 1, 1, &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::HMAC, code)]);
 
-    let asked = sealed_by(ours);
-    let mut packet = asked.clone();
+    let request_packet = request_with_key(ours);
+    let mut packet = request_packet.clone();
     answer(&mut reflector, &clock, &mut packet).expect("a peer with a session");
     assert!(packet::is_authentic(ours, &packet) && tlv::are_intact(Some(ours), 0, &packet[112..]));
-    assert_eq!(packet.len(), asked.len());
+    assert_eq!(packet.len(), request_packet.len());
     // Neither this reflector nor that of another process answers the answer.
-    let mut other = ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
-    for reflector in [&mut reflector, &mut other] {
-        let back = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
-        assert!(matches!(back, Err(Refusal::Reply | Refusal::Unauthenticated)), "{back:?}");
+    let mut other_reflector =
+        ReflectorState::new(None, INSTANCE, 100, true).with_session_key(Some(theirs.clone()));
+    for reflector in [&mut reflector, &mut other_reflector] {
+        let result = answer(reflector, &clock, &mut packet.clone()).map(|_| ());
+        assert!(matches!(result, Err(Refusal::Reply | Refusal::Unauthenticated)), "{result:?}");
     }
 
-    let mut stale = sealed_by(theirs);
-    let refused = answer(&mut reflector, &clock, &mut stale).expect_err("of another process");
-    assert_eq!(refused, Refusal::Unauthenticated);
-    let mut touched = sealed_by(ours);
-    touched[20] ^= 1;
-    assert_eq!(answer(&mut reflector, &clock, &mut touched).expect_err("touched"), Refusal::Unauthenticated);
+    let mut stale_request = request_with_key(theirs);
+    let result = answer(&mut reflector, &clock, &mut stale_request).expect_err("of another process");
+    assert_eq!(result, Refusal::Unauthenticated);
+    let mut altered_request = request_with_key(ours);
+    altered_request[20] ^= 1;
+    assert_eq!(
+        answer(&mut reflector, &clock, &mut altered_request).expect_err("touched"),
+        Refusal::Unauthenticated
+    );
 
     // Requests without a key, of any length, are answered as without a session key.
     let padding: &[u8] = &[0; 300];
-    for tlvs in [&[][..], &[(tlv::FOLLOW_UP, room)], &[(tlv::FOLLOW_UP, room), (tlv::EXTRA_PADDING, padding)]]
-    {
-        let mut reflectors = [keyed(), ReflectorState::new(None, INSTANCE, 100, true)];
-        let [with, without] = reflectors.each_mut().map(|reflector| {
+    for tlvs in [
+        &[][..],
+        &[(tlv::FOLLOW_UP, empty_follow_up)],
+        &[(tlv::FOLLOW_UP, empty_follow_up), (tlv::EXTRA_PADDING, padding)],
+    ] {
+        let mut reflectors = [reflector_with_session_key(), ReflectorState::new(None, INSTANCE, 100, true)];
+        let [answer_with_session_key, answer_without_session_key] = reflectors.each_mut().map(|reflector| {
             let mut packet = request(None, 1, 1, tlvs);
             answer(reflector, &clock, &mut packet).expect("answered");
             packet
         });
-        assert_eq!(with, without);
+        assert_eq!(answer_with_session_key, answer_without_session_key);
     }
     // A mandatory key takes precedence.
-    let mut strict =
+    let mut reflector_with_mandatory_key =
         ReflectorState::new(Some(theirs.clone()), INSTANCE, 100, true).with_session_key(Some(ours.clone()));
-    let mut packet = sealed_by(ours);
-    assert_eq!(answer(&mut strict, &clock, &mut packet).expect_err("another"), Refusal::Unauthenticated);
-    let refused = answer(&mut strict, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
-    assert_eq!(refused, Refusal::Short);
+    let mut packet = request_with_key(ours);
+    assert_eq!(
+        answer(&mut reflector_with_mandatory_key, &clock, &mut packet).expect_err("another"),
+        Refusal::Unauthenticated
+    );
+    let result =
+        answer(&mut reflector_with_mandatory_key, &clock, &mut request(None, 1, 1, &[])).expect_err("open");
+    assert_eq!(result, Refusal::Short);
 }
 
 #[test]
@@ -287,26 +322,30 @@ fn reflectors_do_not_answer_each_other() {
     for format in [Format::Ntp, Format::Ptp] {
         for key in [None, Some(key(7))] {
             let mode = Mode::for_key(key.as_ref());
-            let mut one = ReflectorState::new(key.clone(), INSTANCE, 100, true);
-            let mut other = ReflectorState::new(key.clone(), INSTANCE, 100, false);
+            let mut first_reflector = ReflectorState::new(key.clone(), INSTANCE, 100, true);
+            let mut second_reflector = ReflectorState::new(key.clone(), INSTANCE, 100, false);
             let mut packet = request(key.as_ref(), 1, 1, &[]);
-            let mut asked = Request::parse(mode, &packet).expect("long enough");
-            asked.estimate = ErrorEstimate::new(format, Span::ZERO);
-            asked.write(mode, &mut packet);
+            let mut request_fields = Request::parse(mode, &packet).expect("long enough");
+            request_fields.estimate = ErrorEstimate::new(format, Span::ZERO);
+            request_fields.write(mode, &mut packet);
             if let Some(key) = &key {
                 packet::authenticate(key, &mut packet);
             }
-            answer(&mut one, &clock, &mut packet).expect("a request");
+            answer(&mut first_reflector, &clock, &mut packet).expect("a request");
             // The other host's clock is years away, and its packet took long to arrive.
             clock.advance(Span::from_seconds(7));
             clock.step_wall(Span::from_seconds(86_400 * 3000));
-            assert_eq!(answer(&mut other, &clock, &mut packet).expect_err("a reply"), Refusal::Reply);
+            assert_eq!(
+                answer(&mut second_reflector, &clock, &mut packet).expect_err("a reply"),
+                Refusal::Reply
+            );
         }
     }
     let mut reflector = ReflectorState::new(None, INSTANCE, 100, true);
-    let from_nowhere = Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
-    let refused = reflector.prepare(&mut request(None, 1, 1, &[]), &from_nowhere);
-    assert_eq!(refused.expect_err("port 0"), Refusal::NoPort);
+    let arrival_from_port_0 =
+        Arrival { source: "10.0.0.1:0".parse().expect("an address"), ..arrival(&clock) };
+    let result = reflector.prepare(&mut request(None, 1, 1, &[]), &arrival_from_port_0);
+    assert_eq!(result.expect_err("port 0"), Refusal::NoPort);
 }
 
 #[test]
@@ -323,6 +362,6 @@ fn twamp_light_senders_with_any_padding_are_answered() {
         let reply = Reply::parse(Mode::Unauthenticated, &packet).expect("long enough");
         assert_eq!((reply.request.sequence, Format::Ntp.decode(reply.received, NOW)), (9, Some(NOW)));
     }
-    let refused = answer(&mut reflector, &clock, &mut [0; 43]);
-    assert_eq!(refused.expect_err("too short"), Refusal::Short);
+    let result = answer(&mut reflector, &clock, &mut [0; 43]);
+    assert_eq!(result.expect_err("too short"), Refusal::Short);
 }

@@ -53,7 +53,7 @@ impl Pair {
         }
     }
 
-    /// Returns a pair whose exchanges are of the free-running clocks.
+    /// Returns a pair whose exchanges contain stamps of the free-running clocks.
     fn raw(with_key: bool) -> Self {
         let mut pair = Self::new(0, with_key);
         let key = with_key.then(|| key(7));
@@ -116,7 +116,7 @@ impl Pair {
     }
 
     /// Returns the next answer. The kernel stamped its arrival when the program's clock showed `kernel`.
-    fn stamped(&mut self, kernel: WallTime) -> ExchangeObservation {
+    fn exchange_with_kernel_stamp(&mut self, kernel: WallTime) -> ExchangeObservation {
         let (departure, packet) = self.send();
         self.sender.record_departure(departure.sequence(), self.clock.wall(), self.clock.wall_ahead());
         let reply = self.reflect(packet);
@@ -164,23 +164,23 @@ fn next_reply_refines_departure_of_previous_one() {
         assert_eq!(
             refined.exchange.round_trip(),
             ONE_WAY_DELAY + ONE_WAY_DELAY,
-            "nothing is left but the way"
+            "the delay of the reflector is subtracted"
         );
     }
 }
 
 #[test]
 fn plausible_kernel_departure_stamp_is_used() {
-    for (late, taken) in
+    for (delay, is_used) in
         [(Span::from_micros(9), true), (-Span::from_nanos(1), false), (Span::from_seconds(2), false)]
     {
         let mut pair = Pair::new(0, false);
         let started_at = pair.clock.stamp();
         let (departure, packet) = pair.send();
-        pair.sender.record_departure(departure.sequence(), started_at.wall + late, pair.clock.wall_ahead());
+        pair.sender.record_departure(departure.sequence(), started_at.wall + delay, pair.clock.wall_ahead());
         let reply = pair.reflect(packet);
         let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
-        assert_eq!(answered.exchange.sent, if taken { started_at.raw + late } else { started_at.raw });
+        assert_eq!(answered.exchange.sent, if is_used { started_at.raw + delay } else { started_at.raw });
     }
 }
 
@@ -199,7 +199,7 @@ fn sequence_numbers_wrap_around() {
 #[test]
 fn late_replies_are_lost_and_duplicates_count_once() {
     let mut pair = Pair::new(0, false);
-    let (_, slow) = pair.send();
+    let (_, late_packet) = pair.send();
     let deadline = pair.sender.deadline().expect("it waits");
     assert_eq!(deadline, pair.clock.mono() + TIMEOUT);
     let reply_result = pair.exchange();
@@ -211,10 +211,10 @@ fn late_replies_are_lost_and_duplicates_count_once() {
     assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
 
     pair.clock.advance(TIMEOUT - Span::from_millis(100));
-    assert_eq!(pair.sender.expire(pair.clock.mono()), 1, "one of the two old ones was answered");
+    assert_eq!(pair.sender.expire(pair.clock.mono()), 1, "one of the two old probes was answered");
     assert_eq!(pair.sender.expire(pair.clock.mono()), 0, "counted once");
     assert_eq!(pair.sender.deadline(), None);
-    let reply = pair.reflect(slow);
+    let reply = pair.reflect(late_packet);
     let mut forged = reply.clone();
     let mut fields = Reply::parse(Mode::Unauthenticated, &forged).expect("a reply");
     fields.request.timestamp += 1;
@@ -243,7 +243,7 @@ fn reply_with_wrong_request_fields_is_refused() {
         Err("an answer with another stamp than its probe")
     );
     assert_eq!(forge(|reply| reply.received = 0), Err("an answer without the reflector's stamps"));
-    assert!(forge(|reply| reply.request.ssid = 0).is_ok(), "as reflectors do that know of no identifiers");
+    assert!(forge(|reply| reply.request.ssid = 0).is_ok(), "reflectors without session identifiers write 0");
 }
 
 #[test]
@@ -252,21 +252,21 @@ fn altered_reply_is_refused_and_altered_tlvs_ignored() {
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    for at in [0, 30, 50, 111] {
-        let mut touched = reply.clone();
-        touched[at] ^= 4;
-        assert_eq!(pair.receive_reply(&touched), Err("not authenticated by the key"));
+    for index in [0, 30, 50, 111] {
+        let mut altered_reply = reply.clone();
+        altered_reply[index] ^= 4;
+        assert_eq!(pair.receive_reply(&altered_reply), Err("not authenticated by the key"));
     }
-    let mut touched = reply;
-    *touched.last_mut().expect("not empty") ^= 1;
-    let reply_result = pair.receive_reply(&touched).expect("its base packet is authentic");
+    let mut altered_reply = reply;
+    *altered_reply.last_mut().expect("not empty") ^= 1;
+    let reply_result = pair.receive_reply(&altered_reply).expect("its base packet is authentic");
     assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, None));
     assert_eq!(answered(&reply_result).exchange.uncertainty, uncertainty::OTHER_IMPLEMENTATION);
 }
 
 #[test]
 fn tlvs_of_another_probe_are_refused() {
-    let bound = |ssid| {
+    let pair_with_nonce = |ssid| {
         let mut pair = Pair::raw(true);
         let clocks = RelatedClocks::Raw;
         let (key, instance) = (Some(key(7)), Some(INSTANCE));
@@ -274,35 +274,38 @@ fn tlvs_of_another_probe_are_refused() {
             SenderState::new(SenderConfig { key, instance, with_nonce: true, ssid, clocks, ..config() });
         pair
     };
-    let mut earlier = bound(1);
-    let (_, packet) = earlier.send();
-    let result = earlier.reflect(packet);
-    let mut pair = bound(2);
+    let mut earlier_pair = pair_with_nonce(1);
+    let (_, packet) = earlier_pair.send();
+    let earlier_reply = earlier_pair.reflect(packet);
+    let mut pair = pair_with_nonce(2);
     pair.clock.advance(Span::from_seconds(9));
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
     // Both halves are authentic, each by itself.
-    let spliced = [&reply[..112], &result[112..]].concat();
-    assert_eq!(pair.receive_reply(&spliced), Err("an answer with the random octets of another probe"));
+    let spliced_reply = [&reply[..112], &earlier_reply[112..]].concat();
+    assert_eq!(pair.receive_reply(&spliced_reply), Err("an answer with the random octets of another probe"));
     // The octets are right, but in a place that is not authenticated.
-    let octets = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::EXTRA_PADDING).expect("bound");
-    let mut appended = spliced;
-    tlv::push(&mut appended, tlv::EXTRA_PADDING, &reply[112..][octets.value]);
-    assert_eq!(pair.receive_reply(&appended), Err("an answer with the random octets of another probe"));
-    let exchange = answered(&pair.receive_reply(&reply).expect("the real one")).exchange;
+    let nonce = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::EXTRA_PADDING).expect("bound");
+    let mut reply_with_appended_nonce = spliced_reply;
+    tlv::push(&mut reply_with_appended_nonce, tlv::EXTRA_PADDING, &reply[112..][nonce.value]);
+    assert_eq!(
+        pair.receive_reply(&reply_with_appended_nonce),
+        Err("an answer with the random octets of another probe")
+    );
+    let exchange = answered(&pair.receive_reply(&reply).expect("the reply to this probe")).exchange;
     assert_eq!(exchange.received - exchange.sent, ONE_WAY_DELAY);
 }
 
 #[test]
 fn reply_of_reflector_without_tlvs_is_accepted() {
     let mut pair = Pair::new(0, false);
-    for cut in [false, true] {
+    for is_truncated in [false, true] {
         let (_, packet) = pair.send();
         let mut reply = pair.reflect(packet.clone());
-        if cut {
+        if is_truncated {
             reply.truncate(44);
         } else {
-            // It returns everything unchanged.
+            // The reflector returns the TLVs unchanged.
             reply[44..].copy_from_slice(&packet[44..]);
         }
         let answered = answered(&pair.receive_reply(&reply).expect("an answer"));
@@ -319,7 +322,7 @@ fn clock_step_at_reflector_prevents_refinement() {
     pair.exchange();
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet);
-    // As if the reflector had noticed a step between the two replies.
+    // The epoch changes as if the reflector had noticed a step between the two replies.
     let reply = Pair::with_origin(&reply, |origin| origin.epoch = 1);
     let reply_result = pair.receive_reply(&reply).expect("an answer");
     assert_eq!((reply_result.refined, answered(&reply_result).cloud_epoch), (None, Some(1)));
@@ -363,37 +366,41 @@ fn requests_are_authentic_and_padded_as_configured() {
 #[test]
 fn exchanges_during_a_sleep_are_discarded() {
     let mut pair = Pair::new(0, false);
-    let under_way: Vec<_> = (0..3).map(|_| pair.send().1).collect();
-    let replies: Vec<_> = under_way.into_iter().map(|packet| pair.reflect(packet)).collect();
+    let packets: Vec<_> = (0..3).map(|_| pair.send().1).collect();
+    let replies: Vec<_> = packets.into_iter().map(|packet| pair.reflect(packet)).collect();
     pair.clock.sleep(Span::from_micros(30));
-    // The first reply shows the interruption; the others were in flight during it, too.
+    // The first reply shows the interruption. The other replies were in flight during the interruption, too.
     for reply in replies {
         let reply_result = pair.receive_reply(&reply).expect("an answer");
         assert_eq!(reply_result, ReplyResult { refined: None, answered: None });
         assert_eq!(pair.receive_reply(&reply), Err("a second answer to the same probe"));
     }
-    let after = pair.exchange();
-    assert_eq!(after.refined, None, "of an exchange across the sleep");
-    assert_eq!(answered(&after).edge_epoch, 1);
+    let next_exchange = pair.exchange();
+    assert_eq!(next_exchange.refined, None, "the exchange before was interrupted by the sleep");
+    assert_eq!(answered(&next_exchange).edge_epoch, 1);
     assert_eq!(pair.sender.expire(pair.clock.mono() + TIMEOUT), 0, "all were answered");
 }
 
 #[test]
 fn reply_of_another_process_is_refused() {
-    for (expected, believed) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
+    for (expected, is_accepted) in [(None, true), (Some(INSTANCE), true), (Some(INSTANCE + 1), false)] {
         let mut pair = Pair::new(0, false);
         pair.sender = SenderState::new(SenderConfig { instance: expected, ..config() });
         let (_, packet) = pair.send();
         let reply = pair.reflect(packet);
         let result = pair.receive_reply(&reply);
-        assert_eq!(result.is_ok(), believed, "{expected:?}: {result:?}");
-        if !believed {
+        assert_eq!(result.is_ok(), is_accepted, "{expected:?}: {result:?}");
+        if !is_accepted {
             assert_eq!(
                 result,
                 Err("the probes are answered by another process than the one that serves the data")
             );
-            let real = Pair::with_origin(&reply, |origin| origin.instance = INSTANCE + 1);
-            assert!(pair.receive_reply(&real).is_ok(), "the right one may still answer");
+            let reply_of_expected_process =
+                Pair::with_origin(&reply, |origin| origin.instance = INSTANCE + 1);
+            assert!(
+                pair.receive_reply(&reply_of_expected_process).is_ok(),
+                "the expected process may still answer"
+            );
         }
     }
 }
@@ -428,11 +435,11 @@ fn reply_with_damaged_tlvs_is_refused_with_reason() {
     assert!(error.contains("HMAC of the probe's TLVs does not fit"), "{error}");
     let reply = pair.reflect(packet);
     let code = tlv::headers(&reply[112..]).find(|header| header.kind == tlv::HMAC).expect("authenticated");
-    for at in 112..112 + code.offset {
+    for index in 112..112 + code.offset {
         let mut altered = reply.clone();
-        altered[at] ^= 1;
+        altered[index] ^= 1;
         let error = pair.receive_reply(&altered).expect_err("the reply was altered");
-        assert!(!error.contains("another program"), "octet {at}: {error}");
+        assert!(!error.contains("another program"), "octet {index}: {error}");
     }
     let mut altered = reply.clone();
     *altered.last_mut().expect("not empty") ^= 1;

@@ -26,9 +26,9 @@ pub(crate) fn system_clock(name: &str) -> SharedClock {
 /// Returns the difference wall clock minus free-running clock of a wall clock that is `ahead` of this host's, with a
 /// tolerance for the slewing of a time daemon during a test.
 pub(crate) fn wall_ahead_of_this_host(ahead: Span) -> Interval {
-    let slewed = Span::from_micros(200);
+    let tolerance = Span::from_micros(200);
     let Interval { lo, hi } = system_clock("truth").wall_ahead();
-    Interval { lo: lo + ahead - slewed, hi: hi + ahead + slewed }
+    Interval { lo: lo + ahead - tolerance, hi: hi + ahead + tolerance }
 }
 
 pub(crate) fn loopback() -> SocketAddr {
@@ -100,9 +100,9 @@ impl RunningProber {
     pub(crate) fn start(config: ProberConfig, rate_hz: f64, clock: SharedClock) -> Self {
         let prober = Prober::open(config, clock).expect("a socket");
         let (rate_hz, rate) = watch::channel(rate_hz);
-        let (tell, results) = mpsc::channel(1024);
+        let (result_sender, results) = mpsc::channel(1024);
         let stop = CancellationToken::new();
-        let task = tokio::spawn(prober.run(rate, tell, stop.clone()));
+        let task = tokio::spawn(prober.run(rate, result_sender, stop.clone()));
         Self { rate_hz, results, stop, task }
     }
 
@@ -116,12 +116,12 @@ impl RunningProber {
         &mut self,
         wanted: impl Fn(&ProbeResult) -> Option<T>,
     ) -> (T, Vec<ProbeResult>) {
-        let mut before = Vec::new();
+        let mut earlier_results = Vec::new();
         loop {
             let result = self.next().await;
             match wanted(&result) {
-                Some(found) => return (found, before),
-                None => before.push(result),
+                Some(value) => return (value, earlier_results),
+                None => earlier_results.push(result),
             }
         }
     }
@@ -130,10 +130,10 @@ impl RunningProber {
     pub(crate) async fn stop(mut self) -> Vec<ProbeResult> {
         self.stop.cancel();
         self.task.await.expect("no panic");
-        let mut rest = Vec::new();
+        let mut remaining_results = Vec::new();
         while let Ok(result) = self.results.try_recv() {
-            rest.push(result);
+            remaining_results.push(result);
         }
-        rest
+        remaining_results
     }
 }

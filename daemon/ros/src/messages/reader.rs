@@ -108,6 +108,7 @@ impl Reader {
         self.offset
     }
 
+    /// Skips `count` bytes. Returns the position of the first skipped byte.
     fn advance(&mut self, count: usize) -> Result<usize, DecodeError> {
         let (offset, available) = (self.offset, self.remaining());
         if count > available {
@@ -173,7 +174,7 @@ impl Reader {
     /// Reads a text.
     ///
     /// # Errors
-    /// If it is incomplete, not UTF-8, or has no NUL in CDR.
+    /// If the text is incomplete, not UTF-8, or has no NUL in CDR.
     pub fn take_text(&mut self) -> Result<String, DecodeError> {
         let offset = self.offset;
         let mut bytes = self.take_bytes()?;
@@ -192,9 +193,9 @@ impl Reader {
     /// # Errors
     /// If bytes remain that are not padding.
     pub fn finish(self) -> Result<(), DecodeError> {
-        let allowed = if self.form == WireForm::Cdr { MAX_CDR_PADDING } else { 0 };
+        let max_padding = if self.form == WireForm::Cdr { MAX_CDR_PADDING } else { 0 };
         match self.remaining() {
-            count if count <= allowed => Ok(()),
+            count if count <= max_padding => Ok(()),
             count => Err(DecodeError::TrailingBytes { count }),
         }
     }

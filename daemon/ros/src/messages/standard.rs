@@ -5,7 +5,7 @@ use super::{DecodeError, EncodeError, Field, Message, MessageDefinition, Reader,
 
 /// An instant: `time` in ROS 1, `builtin_interfaces/Time` in ROS 2.
 ///
-/// The clock is the publisher's. ROS does not say which clock that is.
+/// The publisher chooses the clock. ROS does not define which clock that is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Time {
     /// Seconds since the clock's epoch. The range is 0 to 2³² − 1 in ROS 1 and −2³¹ to 2³¹ − 1 in ROS 2.

@@ -66,8 +66,8 @@ impl EncodedMessage {
     pub fn into_bytes(self) -> Bytes {
         match &*self.segments {
             [] => Bytes::new(),
-            [only] => only.clone(),
-            several => several.concat().into(),
+            [segment] => segment.clone(),
+            segments => segments.concat().into(),
         }
     }
 }
@@ -88,7 +88,8 @@ impl From<Vec<u8>> for EncodedMessage {
 #[derive(Debug)]
 pub struct Writer {
     form: WireForm,
-    current: BytesMut,
+    /// Bytes that do not belong to a finished segment yet.
+    current_segment: BytesMut,
     segments: Vec<Bytes>,
     /// Number of bytes written without the encapsulation header, from which alignment is counted.
     position: usize,
@@ -97,11 +98,11 @@ pub struct Writer {
 impl Writer {
     /// Creates a writer. For CDR it writes the encapsulation header.
     pub fn new(form: WireForm) -> Self {
-        let mut current = BytesMut::new();
+        let mut current_segment = BytesMut::new();
         if form == WireForm::Cdr {
-            current.put_slice(&CDR_LITTLE_ENDIAN);
+            current_segment.put_slice(&CDR_LITTLE_ENDIAN);
         }
-        Self { form, current, segments: Vec::new(), position: 0 }
+        Self { form, current_segment, segments: Vec::new(), position: 0 }
     }
 
     /// Returns the wire form.
@@ -114,10 +115,10 @@ impl Writer {
         if self.form == WireForm::Cdr {
             // A number is aligned to its own size, which is a power of two.
             let padding = self.position.wrapping_neg() & (N - 1);
-            self.current.put_bytes(0, padding);
+            self.current_segment.put_bytes(0, padding);
             self.position += padding;
         }
-        self.current.put_slice(&little_endian);
+        self.current_segment.put_slice(&little_endian);
         self.position += N;
     }
 
@@ -126,15 +127,15 @@ impl Writer {
     /// # Errors
     /// If the number has more than 32 bits.
     pub fn put_length(&mut self, length: usize) -> Result<(), EncodeError> {
-        let short = u32::try_from(length).map_err(|_| EncodeError::TooLong { length })?;
-        self.put_number(short.to_le_bytes());
+        let length_u32 = u32::try_from(length).map_err(|_| EncodeError::TooLong { length })?;
+        self.put_number(length_u32.to_le_bytes());
         Ok(())
     }
 
     /// Writes a text.
     ///
     /// # Errors
-    /// If it is too long, or contains a NUL in CDR.
+    /// If the text is too long, or contains a NUL in CDR.
     pub fn put_text(&mut self, text: &str) -> Result<(), EncodeError> {
         match self.form {
             WireForm::Ros1 => self.put_length(text.len())?,
@@ -168,13 +169,13 @@ impl Writer {
     }
 
     fn put_raw(&mut self, bytes: &[u8]) {
-        self.current.put_slice(bytes);
+        self.current_segment.put_slice(bytes);
         self.position += bytes.len();
     }
 
     fn end_segment(&mut self) {
-        if !self.current.is_empty() {
-            self.segments.push(self.current.split().freeze());
+        if !self.current_segment.is_empty() {
+            self.segments.push(self.current_segment.split().freeze());
         }
     }
 

@@ -18,7 +18,7 @@ use super::publisher::PublishedTopic;
 use super::socket::{configure, read_frame};
 use super::tcpros::{ConnectionHeader, FrameBuffer, HandshakeError, HeaderError, MAX_HEADER_BYTES};
 
-/// Delay after a failed `accept`. Without a free descriptor it would fail again at once.
+/// Delay after a failed `accept`. Without a free descriptor the next `accept` would fail at once.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
 /// Reason why a subscriber was not connected.
@@ -49,7 +49,7 @@ pub(super) async fn accept_connections(node: Arc<NodeState>, listener: TcpListen
                 continue;
             }
         };
-        // Closed at once, because a connection that waits for a permit holds a descriptor as well.
+        // The connection is closed at once, because it would hold a descriptor while it waits for a permit.
         let Ok(permit) = Arc::clone(&permits).try_acquire_owned() else {
             acceptor.warn_not_established(peer, "too many connections of ROS subscribers");
             continue;
@@ -70,6 +70,7 @@ struct Acceptor {
 }
 
 impl Acceptor {
+    /// Exchanges headers with a subscriber, and runs the connection until it ends.
     async fn serve(&self, mut stream: TcpStream, peer: SocketAddr) {
         let handshake = tokio::select! {
             handshake = timeout(HANDSHAKE_TIMEOUT, self.exchange_headers(&mut stream)) => handshake,

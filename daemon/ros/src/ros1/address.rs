@@ -93,9 +93,9 @@ async fn address_towards(master: &RpcUri) -> std::io::Result<IpAddr> {
     // Most programs of ROS 1 only support IPv4, and `localhost` has addresses of both kinds.
     addresses.sort_by_key(SocketAddr::is_ipv6);
     for address in addresses {
-        let any: SocketAddr =
+        let unspecified: SocketAddr =
             if address.is_ipv4() { (Ipv4Addr::UNSPECIFIED, 0).into() } else { ([0_u16; 8], 0).into() };
-        let socket = UdpSocket::bind(any).await?;
+        let socket = UdpSocket::bind(unspecified).await?;
         match socket.connect(address).await {
             Ok(()) => return Ok(socket.local_addr()?.ip()),
             Err(error) => last_error = error,

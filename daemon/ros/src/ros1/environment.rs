@@ -105,17 +105,17 @@ impl Environment {
     /// # Errors
     /// If a variable has a value that cannot be used.
     pub fn from_variables(look_up: impl Fn(&str) -> Option<OsString>) -> Result<Self, EnvironmentError> {
-        let text = |variable: &'static str| match look_up(variable).map(OsString::into_string) {
+        let read_variable = |variable: &'static str| match look_up(variable).map(OsString::into_string) {
             Some(Ok(value)) => Ok(Some(value.trim().to_owned()).filter(|value| !value.is_empty())),
             Some(Err(_)) => Err(EnvironmentError::NotUtf8 { variable }),
             None => Ok(None),
         };
-        let master = text("ROS_MASTER_URI")?;
-        let (hostname, address) = (text("ROS_HOSTNAME")?, text("ROS_IP")?);
+        let master = read_variable("ROS_MASTER_URI")?;
+        let (hostname, address) = (read_variable("ROS_HOSTNAME")?, read_variable("ROS_IP")?);
         Ok(Self {
             master: RpcUri::parse(master.as_deref().unwrap_or("http://localhost:11311"))?,
             advertised_host: hostname.or(address),
-            namespace: text("ROS_NAMESPACE")?.unwrap_or_else(|| "/".to_owned()),
+            namespace: read_variable("ROS_NAMESPACE")?.unwrap_or_else(|| "/".to_owned()),
         })
     }
 }
@@ -159,9 +159,9 @@ mod tests {
 
     #[test]
     fn hostname_precedes_address() {
-        let both = [("ROS_IP", "10.0.0.1"), ("ROS_HOSTNAME", "robot")];
-        assert_eq!(environment(&both).unwrap().advertised_host.as_deref(), Some("robot"));
-        assert_eq!(environment(&both[..1]).unwrap().advertised_host.as_deref(), Some("10.0.0.1"));
+        let variables = [("ROS_IP", "10.0.0.1"), ("ROS_HOSTNAME", "robot")];
+        assert_eq!(environment(&variables).unwrap().advertised_host.as_deref(), Some("robot"));
+        assert_eq!(environment(&variables[..1]).unwrap().advertised_host.as_deref(), Some("10.0.0.1"));
     }
 
     #[test]

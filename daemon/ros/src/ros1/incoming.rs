@@ -18,7 +18,7 @@ pub struct ReceivedMessage {
     pub bytes: Bytes,
     /// Publisher of the message.
     pub publisher: Arc<PublisherInfo>,
-    /// Time at which its last byte was read.
+    /// Time at which the last byte of the message was read.
     pub received: Stamp,
     /// Share of the subscriber's [`memory`](crate::ros1::SubscriberOptions::memory) that the message holds.
     pub memory: MessageMemory,
@@ -27,8 +27,8 @@ pub struct ReceivedMessage {
 /// Policy for a message that arrives while the queue is full.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WhenFull {
-    /// Reading pauses, so that the publisher's queue fills and the publisher decides which messages to drop. Nothing is
-    /// lost here.
+    /// Reading pauses, so that the publisher's queue fills and the publisher decides which messages to drop. This
+    /// queue loses no message.
     #[default]
     Wait,
     /// The message is dropped and counted. The publisher does not notice it. Suitable for observers, because a
@@ -79,7 +79,7 @@ impl IncomingQueue {
             match self.try_push(message) {
                 None => return dropped,
                 Some(_) if self.when_full == WhenFull::Drop => return dropped + 1,
-                Some(refused) => message = refused,
+                Some(rejected) => message = rejected,
             }
             if self.when_full == WhenFull::DropOldest {
                 // The owner may have removed a message in the meantime, so there may be space already.
@@ -90,7 +90,7 @@ impl IncomingQueue {
         }
     }
 
-    /// Adds a message. Returns it if the queue is full.
+    /// Adds a message. Returns the message if the queue is full.
     fn try_push(&self, message: ReceivedMessage) -> Option<ReceivedMessage> {
         let mut queue = self.queue();
         let length = message.bytes.len();

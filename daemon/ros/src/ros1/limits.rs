@@ -18,7 +18,7 @@ impl Default for QueueLimits {
 }
 
 impl QueueLimits {
-    /// Returns whether a message fits into a queue with this contents.
+    /// Returns whether a message fits into a queue with these contents.
     pub(super) fn accepts(&self, waiting: usize, waiting_bytes: usize, length: usize) -> bool {
         waiting == 0 || (waiting < self.messages && waiting_bytes.saturating_add(length) <= self.bytes)
     }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 /// A limit on the memory of messages that several subscribers receive.
 pub trait MemoryLimit: fmt::Debug + Send + Sync {
-    /// Reserves `bytes` bytes until the result is dropped. `None` if they exceed the limit.
+    /// Reserves `bytes` bytes until the result is dropped. `None` if these bytes would exceed the limit.
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>>;
 }
 

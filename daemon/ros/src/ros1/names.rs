@@ -44,7 +44,7 @@ pub enum NameError {
 /// Name of a node, by which relative and private names are resolved.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeName {
-    /// Begins with `/`, and only the root ends with it.
+    /// Global name of the namespace. It begins with `/`, and only the root `/` also ends with `/`.
     namespace: String,
     global: Arc<str>,
 }
@@ -105,7 +105,7 @@ fn join(namespace: &str, name: &str) -> Result<String, NameError> {
         return Err(NameError::Character { name: name_text(), character });
     }
     let parts = namespace.split('/').chain(name.split('/')).filter(|part| !part.is_empty());
-    Ok(parts.fold(String::new(), |whole, part| whole + "/" + part))
+    Ok(parts.fold(String::new(), |name, part| name + "/" + part))
 }
 
 #[cfg(test)]

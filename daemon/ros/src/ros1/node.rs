@@ -25,7 +25,7 @@ use super::tcpros::{Publication, Subscription, TopicType};
 /// that is only dropped stays in the master's lists.
 #[derive(Debug)]
 pub struct Node {
-    shared: Arc<NodeState>,
+    state: Arc<NodeState>,
 }
 
 impl Node {
@@ -46,24 +46,24 @@ impl Node {
             (Arc::new(NodeTopics::default()), Arc::new(NodeLifetime::new(name.to_arc())));
         let registrar = Registrar::new(master, address.uri(), Arc::clone(&topics), Arc::clone(&lifetime));
         let registrar = Arc::new(registrar);
-        let shared = Arc::new(NodeState { name, clock, address, topics, registrar, lifetime });
-        let (node, tasks) = (Arc::clone(&shared), shared.lifetime.tasks());
+        let state = Arc::new(NodeState { name, clock, address, topics, registrar, lifetime });
+        let (node, tasks) = (Arc::clone(&state), state.lifetime.tasks());
         let answer = move |call: &_| slave::answer(&node, call);
-        tasks.spawn(rpc::serve(listeners.rpc, answer, shared.lifetime.stop().clone()));
-        tasks.spawn(acceptor::accept_connections(Arc::clone(&shared), listeners.tcpros));
-        let registrar = Arc::clone(&shared.registrar);
+        tasks.spawn(rpc::serve(listeners.rpc, answer, state.lifetime.stop().clone()));
+        tasks.spawn(acceptor::accept_connections(Arc::clone(&state), listeners.tcpros));
+        let registrar = Arc::clone(&state.registrar);
         tasks.spawn(async move { registrar.run().await });
-        Ok(Self { shared })
+        Ok(Self { state })
     }
 
     /// Returns the global name of the node.
     pub fn name(&self) -> &str {
-        self.shared.name.global()
+        self.state.name.global()
     }
 
     /// Returns the URI of the node's XML-RPC server.
     pub fn uri(&self) -> &str {
-        self.shared.address.uri()
+        self.state.address.uri()
     }
 
     /// Returns the global name of a topic.
@@ -71,7 +71,7 @@ impl Node {
     /// # Errors
     /// If the name is not allowed.
     pub fn resolve(&self, topic: &str) -> Result<String, NodeError> {
-        Ok(self.shared.name.resolve(topic)?)
+        Ok(self.state.name.resolve(topic)?)
     }
 
     /// Publishes a topic.
@@ -84,21 +84,21 @@ impl Node {
         kind: TopicType,
         options: PublisherOptions,
     ) -> Result<Publisher, NodeError> {
-        let shared = &self.shared;
-        let topic: Arc<str> = shared.name.resolve(topic)?.into();
-        shared.lifetime.check_open()?;
+        let state = &self.state;
+        let topic: Arc<str> = state.name.resolve(topic)?.into();
+        state.lifetime.check_open()?;
         if kind.is_any() {
             return Err(NodeError::PublishedWildcard { topic: topic.to_string() });
         }
         let registration =
             Registration { role: Role::Publisher, topic: Arc::clone(&topic), kind: Arc::clone(&kind.name) };
-        let (node, is_latching) = (shared.name.to_arc(), options.is_latching);
+        let (node, is_latching) = (state.name.to_arc(), options.is_latching);
         let publication = Publication { node, topic, kind, is_latching };
-        let stop = shared.lifetime.stop().child_token();
+        let stop = state.lifetime.stop().child_token();
         let published = Arc::new(PublishedTopic::new(publication, options.queue, stop));
         // The topic is added before the registration, because the master informs subscribers at once.
-        shared.topics.add_published(Arc::clone(&published))?;
-        let (guard, _) = RegistrationGuard::register(&shared.registrar, registration).await?;
+        state.topics.add_published(Arc::clone(&published))?;
+        let (guard, _) = RegistrationGuard::register(&state.registrar, registration).await?;
         Ok(Publisher { topic: published, guard })
     }
 
@@ -112,17 +112,17 @@ impl Node {
         kind: TopicType,
         options: SubscriberOptions,
     ) -> Result<Subscriber, NodeError> {
-        let shared = &self.shared;
-        let topic: Arc<str> = shared.name.resolve(topic)?.into();
-        shared.lifetime.check_open()?;
+        let state = &self.state;
+        let topic: Arc<str> = state.name.resolve(topic)?.into();
+        state.lifetime.check_open()?;
         let registration =
             Registration { role: Role::Subscriber, topic: Arc::clone(&topic), kind: Arc::clone(&kind.name) };
-        let subscription = Subscription { node: shared.name.to_arc(), topic, kind };
-        let (clock, lifetime) = (Arc::clone(&shared.clock), &shared.lifetime);
+        let subscription = Subscription { node: state.name.to_arc(), topic, kind };
+        let (clock, lifetime) = (Arc::clone(&state.clock), &state.lifetime);
         let subscribed = Arc::new(SubscribedTopic::new(subscription, options, clock, lifetime));
         // The topic is added before the registration, because the master may report new publishers at once.
-        shared.topics.add_subscribed(Arc::clone(&subscribed))?;
-        let (guard, publishers) = RegistrationGuard::register(&shared.registrar, registration).await?;
+        state.topics.add_subscribed(Arc::clone(&subscribed))?;
+        let (guard, publishers) = RegistrationGuard::register(&state.registrar, registration).await?;
         subscribed.add_publishers(&publishers);
         Ok(Subscriber { topic: subscribed, guard })
     }
@@ -132,7 +132,7 @@ impl Node {
     /// # Errors
     /// If the master does not answer.
     pub async fn system_state(&self) -> Result<SystemState, NodeError> {
-        self.shared.registrar.master().system_state().await
+        self.state.registrar.master().system_state().await
     }
 
     /// Returns all topics that the master knows, with the names of their types.
@@ -140,11 +140,11 @@ impl Node {
     /// # Errors
     /// If the master does not answer.
     pub async fn topic_types(&self) -> Result<Vec<(String, String)>, NodeError> {
-        self.shared.registrar.master().topic_types().await
+        self.state.registrar.master().topic_types().await
     }
 
-    /// Returns the nodes of `nodes`, without this node, that are running and publish a topic. The master also lists nodes
-    /// that ended without unregistering. A node with this node's name counts until this node has registered something.
+    /// Returns those of `nodes` that are running and publish a topic, except this node. The master also lists nodes that
+    /// ended without unregistering. A node with this node's name counts until this node has registered something.
     ///
     /// # Errors
     /// If the master does not answer.
@@ -152,7 +152,7 @@ impl Node {
         self.running_nodes("getPublications", topic, nodes).await
     }
 
-    /// Returns the nodes of `nodes`, without this node, that are running and subscribe to a topic, as
+    /// Returns those of `nodes` that are running and subscribe to a topic, except this node, as
     /// [`Node::running_publishers`] does.
     ///
     /// # Errors
@@ -169,8 +169,7 @@ impl Node {
     ) -> Result<Vec<String>, NodeError> {
         let mut running = Vec::new();
         for node in nodes {
-            let uri =
-                self.shared.registrar.master().look_up_node(node).await?.filter(|uri| uri != self.uri());
+            let uri = self.state.registrar.master().look_up_node(node).await?.filter(|uri| uri != self.uri());
             let Some(uri) = uri.and_then(|uri| RpcUri::parse(&uri).ok()) else { continue };
             // An answer alone proves nothing: the port of a node that ended may belong to another node now.
             let answer = rpc::call(&uri, method, vec![self.name().into()]).await;
@@ -184,13 +183,13 @@ impl Node {
     /// Waits until the node has ended by itself. Returns the reason: another node has taken its name, or it was asked
     /// to shut down (`rosnode kill`).
     pub async fn ended(&self) -> NodeError {
-        self.shared.lifetime.stop().cancelled().await;
-        self.shared.lifetime.closed()
+        self.state.lifetime.stop().cancelled().await;
+        self.state.lifetime.closed()
     }
 
     /// Ends the node at once. Its registrations stay with the master.
     pub fn close(&self) {
-        self.shared.lifetime.end("it was closed".to_owned());
+        self.state.lifetime.end("it was closed".to_owned());
     }
 
     /// Ends the node. Waiting messages are written within a second, and all topics are unregistered.
@@ -198,24 +197,24 @@ impl Node {
     /// # Errors
     /// If the topics could not be unregistered. The master then lists the node until `rosnode cleanup` removes it.
     pub async fn shutdown(&self) -> Result<(), NodeError> {
-        let lifetime = &self.shared.lifetime;
+        let lifetime = &self.state.lifetime;
         lifetime.end("it was shut down".to_owned());
         lifetime.wait_for_tasks().await;
         // The tasks end first, because subscribers may disconnect from a publisher that is no longer registered.
-        self.shared.registrar.unregister_all().await
+        self.state.registrar.unregister_all().await
     }
 }
 
 #[cfg(test)]
 impl Node {
-    pub(super) fn shared(&self) -> &NodeState {
-        &self.shared
+    pub(super) fn state(&self) -> &NodeState {
+        &self.state
     }
 }
 
 impl Drop for Node {
     fn drop(&mut self) {
-        self.shared.lifetime.end("it was dropped".to_owned());
+        self.state.lifetime.end("it was dropped".to_owned());
     }
 }
 

@@ -77,15 +77,15 @@ impl Publisher {
     pub fn publish(&self, message: impl Into<EncodedMessage>) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let connections = self.topic.latch_message(&message, prefix);
-        let mut published = PublishOutcome::default();
+        let mut outcome = PublishOutcome::default();
         for connection in connections {
             match connection.offer(&message, prefix, true) {
-                OfferOutcome::Accepted => published.subscribers += 1,
-                OfferOutcome::Full => published.dropped += 1,
+                OfferOutcome::Accepted => outcome.subscribers += 1,
+                OfferOutcome::Full => outcome.dropped += 1,
                 OfferOutcome::Closed => {}
             }
         }
-        Ok(published)
+        Ok(outcome)
     }
 
     /// Publishes a message as [`publish`](Self::publish) does. Returns the outcome for the subscriber of one node.
@@ -96,9 +96,9 @@ impl Publisher {
         let (message, prefix) = self.check_message(message.into())?;
         let mut delivery = Delivery::NotConnected;
         for connection in self.topic.latch_message(&message, prefix) {
-            let offer = connection.offer(&message, prefix, true);
+            let offer_outcome = connection.offer(&message, prefix, true);
             if *connection.subscriber == *node {
-                delivery = match offer {
+                delivery = match offer_outcome {
                     OfferOutcome::Accepted => Delivery::Accepted,
                     OfferOutcome::Full => Delivery::Full,
                     OfferOutcome::Closed => delivery,
@@ -119,11 +119,11 @@ impl Publisher {
     ) -> Result<PublishOutcome, NodeError> {
         let (message, prefix) = self.check_message(message.into())?;
         let connections = self.topic.latch_message(&message, prefix);
-        let mut published = PublishOutcome::default();
+        let mut outcome = PublishOutcome::default();
         for connection in connections {
-            published.subscribers += usize::from(connection.offer_until_accepted(&message, prefix).await);
+            outcome.subscribers += usize::from(connection.offer_until_accepted(&message, prefix).await);
         }
-        Ok(published)
+        Ok(outcome)
     }
 
     /// Waits until `count` subscribers are connected.
@@ -159,7 +159,7 @@ impl Publisher {
         self.guard.check_open()?;
         let length = message.len();
         match u32::try_from(length) {
-            Ok(short) => Ok((message, short.to_le_bytes())),
+            Ok(length_u32) => Ok((message, length_u32.to_le_bytes())),
             Err(_) => Err(NodeError::MessageTooLong { topic: self.topic().to_owned(), length }),
         }
     }
@@ -186,7 +186,8 @@ pub(super) struct PublishedTopic {
 #[derive(Debug, Default)]
 struct TopicState {
     connections: Vec<Arc<OutgoingConnection>>,
-    latched: Option<(EncodedMessage, [u8; 4])>,
+    /// Last message of a latching topic, and its length prefix.
+    latched_message: Option<(EncodedMessage, [u8; 4])>,
     /// Counts of the connections that are gone.
     ended_counts: SendCounts,
 }
@@ -204,7 +205,7 @@ impl PublishedTopic {
     fn latch_message(&self, message: &EncodedMessage, prefix: [u8; 4]) -> Vec<Arc<OutgoingConnection>> {
         let mut state = self.state();
         if self.publication.is_latching {
-            state.latched = Some((message.clone(), prefix));
+            state.latched_message = Some((message.clone(), prefix));
         }
         state.connections.clone()
     }
@@ -243,11 +244,11 @@ impl PublishedTopic {
         };
         {
             let mut state = self.state();
-            if let Some((message, prefix)) = &state.latched {
+            if let Some((message, prefix)) = &state.latched_message {
                 connection.offer(message, *prefix, true);
             }
-            // Before the answer is sent, so that no message is missed that is published after the subscriber has read
-            // it.
+            // The connection is added before the answer is sent. Otherwise the subscriber would miss a message that is
+            // published just after the subscriber has read the answer.
             state.connections.push(Arc::clone(&connection));
         }
         self.connection_added.notify_waiters();

@@ -66,8 +66,9 @@ pub(super) struct PublisherLink {
 
 #[derive(Debug)]
 struct LinkState {
+    /// `true` while the master lists the publisher.
     is_listed: bool,
-    state: PublisherState,
+    publisher_state: PublisherState,
     counts: ReceiveCounts,
     /// Name of the publisher's node, if only messages of another node are accepted.
     unexpected: Option<Arc<str>>,
@@ -77,7 +78,7 @@ impl PublisherLink {
     pub(super) fn new(uri: Arc<str>) -> Self {
         let state = LinkState {
             is_listed: true,
-            state: PublisherState::Connecting,
+            publisher_state: PublisherState::Connecting,
             counts: ReceiveCounts::default(),
             unexpected: None,
         };
@@ -96,7 +97,7 @@ impl PublisherLink {
         let state = self.state();
         PublisherStatus {
             uri: Arc::clone(&self.uri),
-            state: state.state.clone(),
+            state: state.publisher_state.clone(),
             counts: state.counts,
             unexpected: state.unexpected.clone(),
         }
@@ -112,7 +113,7 @@ impl PublisherLink {
     }
 
     fn set_state(&self, topic: &SubscribedTopic, state: PublisherState) {
-        self.state().state = state;
+        self.state().publisher_state = state;
         topic.changed.notify_waiters();
     }
 
@@ -134,7 +135,7 @@ impl PublisherLink {
                 delay = MIN_RETRY_DELAY;
             }
             let reason = error.to_string();
-            // Not logged again while the reason stays the same, because the attempts repeat.
+            // A reason is logged once while it stays the same, because the attempts repeat.
             if reason != last_reason {
                 let (topic, publisher) = (&*topic.subscription.topic, &*self.uri);
                 // When a publisher ends, it closes the connection before the master reports the end, and then refuses the
@@ -183,13 +184,14 @@ impl PublisherLink {
         topic: &SubscribedTopic,
     ) -> Result<(TcpStream, FrameBuffer, Arc<PublisherInfo>), LinkError> {
         let (host, port) = self.request_topic(topic).await?;
-        let connected = timeout(HANDSHAKE_TIMEOUT, TcpStream::connect((host.as_str(), port))).await;
-        let connected = connected.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
-        let stream = connected.map_err(|source| LinkError::Connect { host, port, source })?;
+        let result = timeout(HANDSHAKE_TIMEOUT, TcpStream::connect((host.as_str(), port))).await;
+        let result = result.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
+        let stream = result.map_err(|source| LinkError::Connect { host, port, source })?;
         let handshake = timeout(HANDSHAKE_TIMEOUT, self.exchange_headers(topic, stream)).await;
         handshake.map_err(|_| LinkError::TimedOut { uri: Arc::clone(&self.uri) })?
     }
 
+    /// Asks the publisher's node for the host and port of its TCPROS connections.
     async fn request_topic(&self, topic: &SubscribedTopic) -> Result<(String, u16), LinkError> {
         let uri = RpcUri::parse(&self.uri)
             .map_err(|source| LinkError::Uri { uri: self.uri.to_string(), source })?;
@@ -245,7 +247,7 @@ impl PublisherLink {
                 Ok(None) => return LinkError::Closed,
                 Err(error) => return LinkError::Broken(error),
             };
-            // Stamped before the queue, in which the message may have to wait.
+            // Stamped before the message is queued, because it may have to wait for space in the queue.
             let received = topic.clock.stamp();
             {
                 // In a block, so that the lock is released before the queue is awaited.

@@ -72,10 +72,10 @@ impl Registrar {
         Ok(uris)
     }
 
-    /// Removes a topic from the node, and lets it be unregistered in the background.
+    /// Removes a topic from the node, and unregisters the topic in the background.
     pub(super) fn remove(&self, registration: Registration) {
         self.topics.remove(registration.role, &registration.topic);
-        // This is done even if the registration failed, because the master may know the topic nevertheless.
+        // The topic is unregistered even if its registration failed, because the master may know the topic nevertheless.
         self.registrations().remove(registration);
         self.wake.notify_one();
     }
@@ -139,6 +139,7 @@ impl Registrar {
         self.wake.notify_one();
     }
 
+    /// Makes a call of the master, and classifies the outcome.
     async fn call_master(&self, call: &MasterCall) -> CallOutcome {
         let result = match call {
             MasterCall::LookUpNode => match self.master.look_up_node(self.lifetime.node()).await {

@@ -63,10 +63,14 @@ pub(super) enum Notice {
     NodeReplaced { uri: String },
 }
 
+/// Status of a registration at the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RegistrationStatus {
+    /// The master has the registration.
     Registered,
+    /// The master does not have the registration; it is to be registered again.
     Missing,
+    /// The registration is to be removed.
     Unregistering,
 }
 
@@ -74,7 +78,10 @@ enum RegistrationStatus {
 #[derive(Debug, Default)]
 pub(super) struct Registrations {
     entries: BTreeMap<Registration, RegistrationStatus>,
+    /// `true` after a call that did not reach the master, or that the master refused. Calls are then repeated at the retry
+    /// interval.
     is_unreachable: bool,
+    /// `true` if the master is to be asked whether it still knows the node.
     is_check_due: bool,
 }
 
@@ -94,14 +101,14 @@ impl Registrations {
         self.is_check_due = true;
     }
 
-    /// Returns how long to wait if no call is due, or after a call that did not reach the master.
+    /// Returns the time to wait while no call is due, or after a call that did not reach the master.
     pub(super) fn wait_interval(&self) -> Duration {
         if self.is_unreachable { RETRY_INTERVAL } else { CHECK_INTERVAL }
     }
 
     /// Returns the call that is due now.
     pub(super) fn next_call(&self) -> Option<MasterCall> {
-        let with_status = |wanted| self.entries.iter().find(|(_, status)| **status == wanted);
+        let with_status = |wanted_status| self.entries.iter().find(|(_, status)| **status == wanted_status);
         // After the master was unreachable, another master may run. Therefore it is first asked whether it knows the node.
         if self.is_check_due && !self.entries.is_empty() {
             return Some(MasterCall::LookUpNode);
@@ -116,7 +123,7 @@ impl Registrations {
             .map(|(registration, _)| MasterCall::Register(registration.clone()))
     }
 
-    /// Handles the outcome of a call.
+    /// Handles the outcome of a call. Returns the event that the outcome causes, if any.
     pub(super) fn handle_outcome(&mut self, call: &MasterCall, outcome: CallOutcome) -> Option<Notice> {
         if *call == MasterCall::LookUpNode {
             self.is_check_due = false;

@@ -90,6 +90,7 @@ pub(super) async fn call(uri: &RpcUri, method: &str, params: Vec<Value>) -> Resu
     }
 }
 
+/// Sends a call over a new connection. Returns the body of the answer.
 async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     let stream = TcpStream::connect((uri.host(), uri.port())).await.map_err(RpcError::connection)?;
     stream.set_nodelay(true).map_err(RpcError::connection)?;
@@ -163,6 +164,7 @@ pub(super) async fn serve(
     }
 }
 
+/// Reads a call, and returns the HTTP response with its answer.
 async fn respond(
     request: Request<Incoming>,
     answer: &(dyn Fn(&Call) -> Response + Send + Sync),

@@ -33,7 +33,7 @@ pub(super) enum SlaveCall {
     RequestTopic { topic: String, protocols: Vec<String> },
 }
 
-/// Reason why a call is not one of the API.
+/// Reason why a call is not a valid call of the API.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum CallError {
     UnknownMethod,
@@ -46,7 +46,7 @@ impl SlaveCall {
         let texts = |value: &Value| -> Option<Vec<String>> {
             value.as_array()?.iter().map(|text| text.as_text().map(str::to_owned)).collect()
         };
-        let read = match (call.method.as_str(), call.params.as_slice()) {
+        let slave_call = match (call.method.as_str(), call.params.as_slice()) {
             ("getBusStats", [_]) => Some(Self::BusStats),
             ("getBusInfo", [_]) => Some(Self::BusInfo),
             ("getMasterUri", [_]) => Some(Self::MasterUri),
@@ -73,7 +73,7 @@ impl SlaveCall {
             ) => None,
             _ => return Err(CallError::UnknownMethod),
         };
-        read.ok_or(CallError::InvalidParameters)
+        slave_call.ok_or(CallError::InvalidParameters)
     }
 }
 
@@ -102,6 +102,7 @@ fn success(value: impl Into<Value>) -> Value {
     [SUCCESS.into(), "".into(), value.into()].into()
 }
 
+/// Executes a call. Returns the value of the answer.
 fn execute(node: &NodeState, call: SlaveCall) -> Value {
     match call {
         SlaveCall::BusStats => success(bus_statistics(node)),
@@ -110,22 +111,22 @@ fn execute(node: &NodeState, call: SlaveCall) -> Value {
         SlaveCall::Pid => success(i64::from(std::process::id())),
         SlaveCall::Subscriptions => {
             let topics = node.topics.subscribed();
-            let pair = |topic: &Arc<SubscribedTopic>| {
+            let name_and_type = |topic: &Arc<SubscribedTopic>| {
                 [(&*topic.subscription.topic).into(), (&*topic.subscription.kind.name).into()].into()
             };
-            success(topics.iter().map(pair).collect::<Vec<Value>>())
+            success(topics.iter().map(name_and_type).collect::<Vec<Value>>())
         }
         SlaveCall::Publications => {
             let topics = node.topics.published();
-            let pair = |topic: &Arc<PublishedTopic>| {
+            let name_and_type = |topic: &Arc<PublishedTopic>| {
                 [(&*topic.publication.topic).into(), (&*topic.publication.kind.name).into()].into()
             };
-            success(topics.iter().map(pair).collect::<Vec<Value>>())
+            success(topics.iter().map(name_and_type).collect::<Vec<Value>>())
         }
         // Parameters are not cached here.
         SlaveCall::ParamUpdate => success(0),
         // The call may be meant for a node that ended and whose port this node has now, or the registration of a node
-        // that ended may have reached the master late. Therefore the registrar asks which node has the name.
+        // that ended may have reached the master late. Therefore the registrar asks the master which node has the name.
         SlaveCall::Shutdown { reason, .. } if reason.ends_with(NAME_TAKEN_REASON) => {
             node.registrar.request_check();
             success(0)
@@ -206,18 +207,20 @@ fn bus_statistics(node: &NodeState) -> Value {
 /// description.
 fn bus_info(node: &NodeState) -> Value {
     let mut connections: Vec<Value> = Vec::new();
-    let mut add = |other: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
-        let id = Value::Int(connections.len() as i64 + 1);
-        let connected = Value::Bool(is_connected);
-        let (other, direction, topic) = (other.into(), direction.into(), topic.into());
-        connections
-            .push([id, other, direction, "TCPROS".into(), topic, connected, description.into()].into());
-    };
+    let mut add_connection =
+        |other_end: &str, direction: &str, topic: &str, is_connected: bool, description: String| {
+            let id = Value::Int(connections.len() as i64 + 1);
+            let connected = Value::Bool(is_connected);
+            let (other_end, direction, topic) = (other_end.into(), direction.into(), topic.into());
+            connections.push(
+                [id, other_end, direction, "TCPROS".into(), topic, connected, description.into()].into(),
+            );
+        };
     for topic in node.topics.published() {
         for subscriber in topic.subscribers() {
             let description =
                 format!("TCPROS connection on port {} to [{}]", subscriber.local.port(), subscriber.remote);
-            add(&subscriber.node, "o", &topic.publication.topic, true, description);
+            add_connection(&subscriber.node, "o", &topic.publication.topic, true, description);
         }
     }
     for topic in node.topics.subscribed() {
@@ -231,7 +234,7 @@ fn bus_info(node: &NodeState) -> Value {
                     (true, description)
                 }
             };
-            add(&publisher.uri, "i", &topic.subscription.topic, is_connected, description);
+            add_connection(&publisher.uri, "i", &topic.subscription.topic, is_connected, description);
         }
     }
     connections.into()

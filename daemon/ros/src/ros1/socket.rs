@@ -25,7 +25,7 @@ pub(super) fn configure(stream: &TcpStream) -> io::Result<()> {
     socket.set_tcp_user_timeout(Some(USER_TIMEOUT))
 }
 
-/// Reads until a frame is complete. Returns it with its memory; `None` if the peer has closed the connection between
+/// Reads until a frame is complete. Returns the frame with its memory; `None` if the peer has closed the connection between
 /// two frames.
 ///
 /// The limits of a topic are read again whenever bytes have arrived, because they may change while the next frame is

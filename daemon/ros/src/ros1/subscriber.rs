@@ -145,7 +145,7 @@ impl Subscriber {
     }
 
     /// Returns the publishers that the master lists or that are still connected. A caller that expects a single
-    /// publisher can detect others.
+    /// publisher can thus detect other publishers.
     pub fn publishers(&self) -> Vec<PublisherStatus> {
         self.topic.publishers()
     }
@@ -155,7 +155,8 @@ impl Subscriber {
         self.topic.counts()
     }
 
-    /// Changes the largest message in bytes and the limit that messages share. They apply from the next bytes on.
+    /// Changes the largest message in bytes and the limit that messages share. The new limits
+    /// apply from the next bytes on.
     pub fn set_message_limits(&self, max_message_bytes: usize, memory: Option<Arc<dyn MemoryLimit>>) {
         *self.topic.message_limits() = MessageLimits { max_bytes: max_message_bytes, memory };
     }
@@ -232,6 +233,7 @@ pub(super) struct SubscribedTopic {
 
 #[derive(Debug, Default)]
 struct TopicState {
+    /// Connections to publishers, by the URIs of the publishers' nodes.
     links: BTreeMap<Arc<str>, Arc<PublisherLink>>,
     /// Counts of publishers that are gone.
     ended_counts: ReceiveCounts,
@@ -317,7 +319,8 @@ impl SubscribedTopic {
         self.changed.notify_waiters();
     }
 
-    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether it was removed.
+    /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether the publisher
+    /// was removed.
     pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {

@@ -37,15 +37,15 @@ impl DiscoveredPublisher {
     }
 }
 
-/// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own`.
+/// Returns an address of the host that announces `addresses`, unless it is the host with the addresses `own_addresses`.
 ///
 /// A program only announces addresses of the host that it runs on. Another host may announce some addresses that this
 /// host has as well, such as the address of a bridge of containers, but never only such addresses.
 #[cfg(any(feature = "ros2", test))]
-pub(super) fn other_host(addresses: &[IpAddr], own: &[IpAddr]) -> Option<IpAddr> {
+pub(super) fn other_host(addresses: &[IpAddr], own_addresses: &[IpAddr]) -> Option<IpAddr> {
     let is_of_host =
         |address: &&IpAddr| !address.is_unspecified() && !address.is_multicast() && !address.is_loopback();
-    addresses.iter().filter(is_of_host).find(|address| !own.contains(address)).copied()
+    addresses.iter().filter(is_of_host).find(|address| !own_addresses.contains(address)).copied()
 }
 
 #[cfg(test)]
@@ -57,8 +57,9 @@ mod tests {
         let addresses = |list: &[&str]| -> Vec<IpAddr> {
             list.iter().map(|address| address.parse().expect("an address")).collect()
         };
-        let own = addresses(&["127.0.0.1", "10.0.0.1", "172.17.0.1", "fe80::1"]);
-        let host = |list: &[&str]| other_host(&addresses(list), &own).map(|address| address.to_string());
+        let own_addresses = addresses(&["127.0.0.1", "10.0.0.1", "172.17.0.1", "fe80::1"]);
+        let host =
+            |list: &[&str]| other_host(&addresses(list), &own_addresses).map(|address| address.to_string());
         assert_eq!(host(&["10.0.0.1", "127.0.0.1", "172.17.0.1"]), None);
         assert_eq!(host(&["172.17.0.1", "10.0.0.2"]).as_deref(), Some("10.0.0.2"));
         assert_eq!(host(&["127.0.0.1", "239.255.0.1", "0.0.0.0"]), None);

@@ -23,7 +23,9 @@ pub(super) enum DiscoveryEvent {
 /// State of the domain as one node sees it.
 #[derive(Debug)]
 pub(super) struct DiscoveryState {
-    own: ParticipantId,
+    /// Identity of our participant.
+    own_id: ParticipantId,
+    /// Other participants.
     participants: BTreeSet<ParticipantId>,
     /// DDS names of the topic and of the type of every endpoint in the domain.
     endpoints: BTreeMap<EndpointId, (String, String)>,
@@ -31,20 +33,21 @@ pub(super) struct DiscoveryState {
     nodes: BTreeMap<ParticipantId, Vec<ListedNode>>,
     /// Number of discovered objects that were not remembered because a limit was reached.
     ignored: u64,
+    /// Our endpoints.
     local: BTreeMap<EndpointId, LocalEndpoint>,
     /// Number of events so far.
     changes: watch::Sender<u64>,
     bounds: DiscoveryBounds,
 }
 
-/// Largest numbers of remembered objects. Every host on the network can announce more.
+/// Largest numbers of remembered objects. There are limits because every host on the network can announce objects.
 #[derive(Clone, Copy, Debug)]
 struct DiscoveryBounds {
     /// Other participants.
     participants: usize,
     /// Endpoints of other participants.
     endpoints: usize,
-    /// Nodes and their endpoints in the node list.
+    /// Nodes in the node list, and their endpoints.
     listed: usize,
     /// Matched peers of one endpoint.
     matched: usize,
@@ -63,16 +66,17 @@ struct LocalEndpoint {
     role: EndpointRole,
     /// DDS name of the type.
     type_name: String,
+    /// Table of the peers, which discovery updates.
     peers: watch::Sender<PeerTable>,
 }
 
 impl DiscoveryState {
-    /// Longest name of a topic or type that is remembered. DDS has names of at most 255. Bytes.
+    /// Longest name of a topic or type that is remembered. Names in DDS have at most 255 bytes. Bytes.
     const MAX_NAME_BYTES: usize = 1_024;
 
-    pub(super) fn new(own: ParticipantId) -> Self {
+    pub(super) fn new(own_id: ParticipantId) -> Self {
         Self {
-            own,
+            own_id,
             participants: BTreeSet::new(),
             endpoints: BTreeMap::new(),
             nodes: BTreeMap::new(),
@@ -93,8 +97,8 @@ impl DiscoveryState {
         let nodes = self.nodes.get(&endpoint.participant())?;
         let listed = nodes.iter().find(|node| node.endpoints.contains(&endpoint));
         // An endpoint that is newer than the list belongs to the participant's node if there is only one.
-        let only = || nodes.first().filter(|_| nodes.len() == 1);
-        listed.or_else(only).map(|node| node.name.as_str())
+        let single_node = || nodes.first().filter(|_| nodes.len() == 1);
+        listed.or_else(single_node).map(|node| node.name.as_str())
     }
 
     /// Returns the absolute names of a participant's nodes, if it has listed them.
@@ -103,7 +107,7 @@ impl DiscoveryState {
         nodes.into_iter().flatten().map(|node| node.name.clone()).collect()
     }
 
-    /// Returns a receiver of the number of events, which changes after each event was applied.
+    /// Returns a receiver of the number of events. The number changes after each applied event.
     pub(super) fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
@@ -136,8 +140,8 @@ impl DiscoveryState {
 
     /// Returns the absolute names of the ROS 2 topics of other participants.
     pub(super) fn topics(&self) -> Vec<String> {
-        let others = self.endpoints.iter().filter(|(id, _)| id.participant() != self.own);
-        let names: BTreeSet<&str> = others
+        let remote_endpoints = self.endpoints.iter().filter(|(id, _)| id.participant() != self.own_id);
+        let names: BTreeSet<&str> = remote_endpoints
             .filter_map(|(_, (topic, _))| topic.strip_prefix("rt").filter(|name| name.starts_with('/')))
             .collect();
         names.into_iter().map(str::to_owned).collect()
@@ -145,18 +149,18 @@ impl DiscoveryState {
 
     /// Returns the endpoints that other participants have of a topic, by its DDS name.
     pub(super) fn endpoints_of(&self, dds_topic: &str) -> Vec<DiscoveredEndpoint> {
-        let of_topic = self
+        let topic_endpoints = self
             .endpoints
             .iter()
-            .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own);
-        let found = of_topic.filter_map(|(id, (_, type_name))| {
+            .filter(|(id, (topic, _))| topic == dds_topic && id.participant() != self.own_id);
+        let endpoints = topic_endpoints.filter_map(|(id, (_, type_name))| {
             let node = self.node_of(*id).map(str::to_owned);
             Some(DiscoveredEndpoint { id: *id, role: id.role()?, type_name: ros_type(type_name), node })
         });
-        found.collect()
+        endpoints.collect()
     }
 
-    /// Returns whether a publisher gives the topic of one of our subscriptions another type. This must be checked
+    /// Returns whether a remote endpoint gives the topic of one of our endpoints another type. This must be checked
     /// because `rustdds` matches by the name of the topic alone.
     pub(super) fn has_other_type(&self, local: EndpointId, remote: EndpointId) -> bool {
         self.other_type(local, remote).is_some()
@@ -177,7 +181,7 @@ impl DiscoveryState {
     fn update_state(&mut self, event: DiscoveryEvent) {
         match event {
             DiscoveryEvent::ParticipantDiscovered(id) => {
-                if id == self.own || self.participants.contains(&id) {
+                if id == self.own_id || self.participants.contains(&id) {
                 } else if self.participants.len() < self.bounds.participants {
                     self.participants.insert(id);
                 } else {
@@ -240,7 +244,7 @@ impl DiscoveryState {
 
     /// Replaces the listed nodes of a participant.
     fn replace_nodes(&mut self, ListEntry { participant, nodes }: ListEntry) {
-        if participant == self.own {
+        if participant == self.own_id {
             return;
         }
         // A node takes memory even without endpoints.
@@ -248,7 +252,7 @@ impl DiscoveryState {
             |nodes: &[ListedNode]| nodes.iter().map(|node| 1 + node.endpoints.len()).sum::<usize>().max(1);
         self.nodes.remove(&participant);
         let listed =
-            |all: &BTreeMap<_, Vec<ListedNode>>| all.values().map(|nodes| size(nodes)).sum::<usize>();
+            |lists: &BTreeMap<_, Vec<ListedNode>>| lists.values().map(|nodes| size(nodes)).sum::<usize>();
         if listed(&self.nodes) + size(&nodes) > self.bounds.listed {
             // Lists of participants that discovery does not know may be forged, so they are dropped first.
             self.nodes.retain(|participant, _| self.participants.contains(participant));

@@ -137,7 +137,7 @@ pub enum Ros2Error {
     },
 }
 
-/// Error: no peer was found on a topic. It contains what was tried.
+/// Error: no peer was found on a topic. The fields say what was tried.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", self.describe())]
 pub struct NoPeer {
@@ -171,11 +171,12 @@ impl NoPeer {
              {interfaces}; {participants} other participants were discovered"
         );
         if let Some((node, refusal)) = self.refused.first() {
-            let others = self.refused.len() - 1;
-            let more = if others == 0 { String::new() } else { format!(" (and {others} more)") };
+            let other_count = self.refused.len() - 1;
+            let remark_on_others =
+                if other_count == 0 { String::new() } else { format!(" (and {other_count} more)") };
             let of_node = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
             return format!(
-                "{tried}; a {peer}{of_node} exists, but {refusal}{more}; use the same settings at both ends"
+                "{tried}; a {peer}{of_node} exists, but {refusal}{remark_on_others}; use the same settings at both ends"
             );
         }
         let advice = advise(*domain_id, interfaces, *participants, &self.topics);
@@ -223,22 +224,22 @@ mod tests {
 
     #[test]
     fn missing_peer_error_contains_attempts_and_advice() {
-        let nobody = no_peer().to_string();
+        let error = no_peer().to_string();
         for part in
             ["no publisher of topic /image", "within 5 s", "domain 7", "lo (127.0.0.1)", "ROS_DOMAIN_ID 7"]
         {
-            assert!(nobody.contains(part), "{part}: {nobody}");
+            assert!(error.contains(part), "{part}: {error}");
         }
-        let elsewhere = NoPeer { participants: 1, topics: vec!["/camera".into()], ..no_peer() }.to_string();
-        assert!(elsewhere.contains("discovered topics: /camera"), "{elsewhere}");
+        let error = NoPeer { participants: 1, topics: vec!["/camera".into()], ..no_peer() }.to_string();
+        assert!(error.contains("discovered topics: /camera"), "{error}");
         let refusal = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
         for (node, expected) in
             [(Some("/talker".to_owned()), "publisher of node /talker exists"), (None, "publisher exists")]
         {
             let refused = vec![(node, refusal.clone())];
-            let other = NoPeer { participants: 1, refused, ..no_peer() }.to_string();
+            let error = NoPeer { participants: 1, refused, ..no_peer() }.to_string();
             for part in [expected, "its message type is std_msgs/msg/String"] {
-                assert!(other.contains(part), "{part}: {other}");
+                assert!(error.contains(part), "{part}: {error}");
             }
         }
     }

@@ -20,7 +20,7 @@ pub struct UnknownInterface {
 /// # Errors
 /// The first interface that does not exist.
 pub fn check_interfaces(names: &[String]) -> Result<(), UnknownInterface> {
-    // If the system does not list them, joining a domain will report it.
+    // If the system does not list its interfaces, joining a domain will report it.
     ipv4_interfaces().map_or(Ok(()), |existing| find_interfaces(names, &existing).map(drop))
 }
 
@@ -29,17 +29,18 @@ pub(super) fn find_interfaces(
     names: &[String],
     existing: &[(String, Ipv4Addr)],
 ) -> Result<Vec<(String, Ipv4Addr)>, UnknownInterface> {
-    let mut found: Vec<(String, Ipv4Addr)> = Vec::new();
-    for wanted in names {
-        let is_wanted =
-            |(name, address): &&(String, Ipv4Addr)| name == wanted || address.to_string() == *wanted;
-        let before = found.len();
-        found.extend(existing.iter().filter(is_wanted).cloned());
-        if found.len() == before {
-            return Err(UnknownInterface { name: wanted.clone(), known: existing.to_vec() });
+    let mut chosen: Vec<(String, Ipv4Addr)> = Vec::new();
+    for wanted_name in names {
+        let is_wanted = |(name, address): &&(String, Ipv4Addr)| {
+            name == wanted_name || address.to_string() == *wanted_name
+        };
+        let count_before = chosen.len();
+        chosen.extend(existing.iter().filter(is_wanted).cloned());
+        if chosen.len() == count_before {
+            return Err(UnknownInterface { name: wanted_name.clone(), known: existing.to_vec() });
         }
     }
-    Ok(found)
+    Ok(chosen)
 }
 
 /// Returns the interfaces with an IPv4 address.
@@ -53,8 +54,9 @@ pub(super) fn ipv4_interfaces() -> io::Result<Vec<(String, Ipv4Addr)>> {
 
 /// Returns a text such as `lo (127.0.0.1), eth0 (10.0.0.1)`.
 pub(super) fn format_interfaces(interfaces: &[(String, Ipv4Addr)]) -> String {
-    let words: Vec<String> = interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
-    if words.is_empty() { "none".to_owned() } else { words.join(", ") }
+    let descriptions: Vec<String> =
+        interfaces.iter().map(|(name, address)| format!("{name} ({address})")).collect();
+    if descriptions.is_empty() { "none".to_owned() } else { descriptions.join(", ") }
 }
 
 #[cfg(test)]

@@ -52,7 +52,7 @@ pub fn dds_type(type_name: &str) -> Result<String, Ros2Error> {
     }
 }
 
-/// Returns the ROS 2 name of a DDS type, or the DDS name if the type is not one of ROS 2.
+/// Returns the ROS 2 name of a DDS type, or the DDS name if the type is not a ROS 2 type.
 #[cfg(any(feature = "ros2", test))]
 pub(super) fn ros_type(dds_type: &str) -> String {
     let message = dds_type
@@ -68,7 +68,7 @@ pub(super) fn ros_type(dds_type: &str) -> String {
 ///
 /// # Errors
 ///
-/// [`Ros2Error::InvalidName`] if ROS 2 does not allow one of them.
+/// [`Ros2Error::InvalidName`] if ROS 2 does not allow the name or the namespace.
 pub(super) fn check_node(namespace: &str, name: &str) -> Result<(), Ros2Error> {
     if !is_token(name) {
         return Err(Ros2Error::InvalidName { name: name.to_owned(), kind: "node", example: "peernet" });

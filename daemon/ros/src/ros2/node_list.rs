@@ -25,7 +25,7 @@ const MAX_NAME_BYTES: usize = 512;
 /// Lengths of an identifier: since ROS 2 Iron, and before. Bytes.
 const IDENTIFIER_LENGTHS: [usize; 2] = [16, 24];
 
-/// A node of another participant, as listed by it.
+/// A node of another participant, as that participant lists it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ListedNode {
     /// Absolute name, such as `/robot1/camera`.
@@ -49,7 +49,7 @@ pub(crate) enum NodeListError {
     /// The bytes are not an entry.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// The entry has more elements than any real one.
+    /// The entry has more elements than any real entry.
     #[error("it lists more than {max} {what}")]
     TooMany {
         /// Largest allowed number.
@@ -66,7 +66,7 @@ pub(crate) enum NodeListError {
 }
 
 impl ListEntry {
-    /// Decodes an entry with either length of identifiers.
+    /// Decodes an entry, whichever of the two lengths its identifiers have.
     ///
     /// # Errors
     /// [`NodeListError`].
@@ -156,9 +156,10 @@ impl NodeEntry {
     }
 
     fn put_identifiers(&self, cdr: &mut BytesMut, role: EndpointRole) {
-        let of_role = || self.endpoints.iter().filter(|(other, _)| *other == role);
-        cdr.put_u32_le(u32::try_from(of_role().count()).unwrap_or(u32::MAX));
-        of_role().for_each(|(_, id)| self.put_identifier(cdr, *id));
+        let endpoints_with_role =
+            || self.endpoints.iter().filter(|(endpoint_role, _)| *endpoint_role == role);
+        cdr.put_u32_le(u32::try_from(endpoints_with_role().count()).unwrap_or(u32::MAX));
+        endpoints_with_role().for_each(|(_, id)| self.put_identifier(cdr, *id));
     }
 
     fn put_identifier(&self, cdr: &mut BytesMut, id: EndpointId) {

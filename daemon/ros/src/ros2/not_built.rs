@@ -150,12 +150,12 @@ impl Ros2Publisher {
         match *self {}
     }
 
-    /// Counts everything so far as acknowledged.
+    /// Counts all messages so far as acknowledged.
     pub fn forget_unacknowledged(&self) {
         match *self {}
     }
 
-    /// Waits until all matched reliable subscriptions have everything that was published.
+    /// Waits until all matched reliable subscriptions have all published messages.
     ///
     /// # Errors
     ///

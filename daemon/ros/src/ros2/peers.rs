@@ -56,11 +56,12 @@ pub struct PeerTable {
 impl EndpointId {
     /// Returns the identity of the participant, which all endpoints of a node have in common.
     pub fn participant(self) -> ParticipantId {
-        let [own @ .., _, _, _, _] = self.0;
-        ParticipantId(own)
+        let [participant @ .., _, _, _, _] = self.0;
+        ParticipantId(participant)
     }
 
-    /// Returns the role, which is in the last byte (RTPS 2.5, section 9.3.1.2); `None` if the byte stands for neither role.
+    /// Returns the role, which is in the last byte (RTPS 2.5, section 9.3.1.2); `None` if the byte stands for another
+    /// kind of entity.
     pub fn role(self) -> Option<EndpointRole> {
         match self.0[15] & 0x0f {
             0x02 | 0x03 => Some(EndpointRole::Publisher),
@@ -83,8 +84,9 @@ impl FromStr for ParticipantId {
         if text.len() != 2 * id.len() || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
             return Err(InvalidParticipantId);
         }
-        for (at, byte) in id.iter_mut().enumerate() {
-            *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).map_err(|_| InvalidParticipantId)?;
+        for (index, byte) in id.iter_mut().enumerate() {
+            *byte =
+                u8::from_str_radix(&text[2 * index..2 * index + 2], 16).map_err(|_| InvalidParticipantId)?;
         }
         Ok(Self(id))
     }
@@ -98,7 +100,7 @@ impl fmt::Display for ParticipantId {
 
 #[cfg(any(feature = "ros2", test))]
 impl PeerTable {
-    /// Adds a matched peer. Returns whether it was not matched before.
+    /// Adds a matched peer. Returns whether the table has changed.
     pub(super) fn add(&mut self, id: EndpointId) -> bool {
         let was_refused = self.refused.remove(&id).is_some();
         let is_new = self.matched.insert(id);
@@ -106,7 +108,7 @@ impl PeerTable {
         was_refused || is_new
     }
 
-    /// Removes a peer, matched or refused.
+    /// Removes a peer, whether it is matched or refused.
     pub(super) fn remove(&mut self, id: EndpointId) {
         self.refused.remove(&id);
         self.unmatched_total += u64::from(self.matched.remove(&id));

@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 
 /// Quality of service of one publisher or subscription. The defaults are the default profile of ROS 2.
 ///
-/// A subscription only gets messages of a publisher that offers at least what it requests: reliable or better,
-/// transient-local or better, a deadline that is not longer.
+/// A subscription only gets messages of a publisher that offers at least what the subscription requests:
+/// reliable or better, transient-local or better, a deadline that is not longer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct QosProfile {
     /// Reliability of messages. Default: `reliable`.
     pub reliability: Reliability,
-    /// Number of messages that a publisher keeps for late subscriptions, and a subscription until they are read; at
-    /// least 1. Default: 10.
+    /// Number of messages that a publisher keeps for late subscriptions, or that a subscription keeps until they
+    /// are read; at least 1. Default: 10.
     pub depth: u32,
     /// Durability of messages. Default: `volatile`.
     pub durability: Durability,
@@ -35,7 +35,7 @@ pub enum Reliability {
     BestEffort,
 }
 
-/// Policy for messages from before a subscription.
+/// Policy for messages that were published before a subscription existed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Durability {

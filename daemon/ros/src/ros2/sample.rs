@@ -11,7 +11,7 @@ pub struct ReceivedSample {
     /// The encapsulation header and the message in CDR. Up to three bytes of padding may follow, because DDS sends
     /// multiples of four bytes.
     pub payload: Bytes,
-    /// Time of publishing by the clock of the publisher's host; `None` if it sent no time.
+    /// Time of publishing by the clock of the publisher's host; `None` if the publisher sent no time.
     pub source_time: Option<WallTime>,
     /// Time at which this host had received the whole message, by the operating system's clock.
     pub received_time: WallTime,

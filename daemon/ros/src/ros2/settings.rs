@@ -23,7 +23,7 @@ pub struct Ros2Settings {
     /// Requested size of the kernel's receive and send buffers. Bytes.
     pub socket_buffer_bytes: usize,
     /// Distribution of ROS 2 that the peers use, such as `humble`. The default is `ROS_DISTRO`. Only the node list
-    /// depends on it, because the form of its identifiers changed with Iron.
+    /// depends on the distribution, because the form of its identifiers changed with Iron.
     pub distribution: Option<String>,
 }
 
@@ -41,7 +41,7 @@ impl Default for Ros2Settings {
 }
 
 impl Ros2Settings {
-    /// Highest domain. The UDP ports of higher ones would exceed 65,535.
+    /// Highest domain. The UDP ports of higher domains would exceed 65,535.
     pub const MAX_DOMAIN_ID: u16 = 232;
 
     /// Distributions before Iron, whose identifiers in the node list have 24 bytes instead of 16.
@@ -54,10 +54,10 @@ impl Ros2Settings {
     ///
     /// If a name or domain is not allowed, or a variable has an unsupported value.
     pub fn with_environment(mut self, variable: impl Fn(&str) -> Option<String>) -> Result<Self, Ros2Error> {
-        let set = |name: &str| variable(name).filter(|value| !value.is_empty());
+        let read_variable = |name: &str| variable(name).filter(|value| !value.is_empty());
         check_node(&self.namespace, &self.node_name)?;
         if self.domain_id.is_none() {
-            self.domain_id = match set("ROS_DOMAIN_ID") {
+            self.domain_id = match read_variable("ROS_DOMAIN_ID") {
                 None => Some(0),
                 Some(value) => Some(value.trim().parse().map_err(|_| Ros2Error::InvalidVariable {
                     name: "ROS_DOMAIN_ID",
@@ -69,11 +69,11 @@ impl Ros2Settings {
         if let Some(domain_id) = self.domain_id.filter(|id| *id > Self::MAX_DOMAIN_ID) {
             return Err(Ros2Error::InvalidDomain { domain_id });
         }
-        if self.interfaces.is_empty() && is_localhost_only(&set)? {
+        if self.interfaces.is_empty() && is_localhost_only(&read_variable)? {
             self.interfaces.push("127.0.0.1".to_owned());
         }
         if self.distribution.is_none() {
-            self.distribution = set("ROS_DISTRO");
+            self.distribution = read_variable("ROS_DISTRO");
         }
         Ok(self)
     }
@@ -88,12 +88,12 @@ impl Ros2Settings {
     }
 }
 
-fn is_localhost_only(set: &impl Fn(&str) -> Option<String>) -> Result<bool, Ros2Error> {
+fn is_localhost_only(read_variable: &impl Fn(&str) -> Option<String>) -> Result<bool, Ros2Error> {
     // As in ROS 2, the older variable takes precedence.
-    if set("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1") {
+    if read_variable("ROS_LOCALHOST_ONLY").is_some_and(|value| value == "1") {
         return Ok(true);
     }
-    match set("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
+    match read_variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
         None | Some("SUBNET" | "SYSTEM_DEFAULT") => Ok(false),
         Some("LOCALHOST") => Ok(true),
         // With OFF only static peers are found, which rustdds does not support.
@@ -145,7 +145,7 @@ mod tests {
 
     fn resolve(settings: Ros2Settings, variables: &[(&str, &str)]) -> Result<Ros2Settings, Ros2Error> {
         settings.with_environment(|name| {
-            variables.iter().find(|(other, _)| *other == name).map(|(_, value)| (*value).to_owned())
+            variables.iter().find(|(variable, _)| *variable == name).map(|(_, value)| (*value).to_owned())
         })
     }
 
@@ -157,9 +157,9 @@ mod tests {
         let settings = resolve(Ros2Settings::default(), &all).expect("valid");
         assert_eq!((settings.domain_id, settings.identifier_length()), (Some(7), 24));
         assert_eq!(settings.interfaces, ["127.0.0.1"]);
-        let given =
+        let configured =
             Ros2Settings { domain_id: Some(3), interfaces: vec!["eth0".into()], ..Ros2Settings::default() };
-        let settings = resolve(given, &all).expect("valid");
+        let settings = resolve(configured, &all).expect("valid");
         assert_eq!((settings.domain_id, settings.interfaces), (Some(3), vec!["eth0".to_owned()]));
     }
 

@@ -31,11 +31,11 @@ pub(super) fn runtime() -> Result<&'static Runtime, TopicError> {
 }
 
 /// A ROS 1 node with a master. It unregisters when its last user is gone. The end of the process does not wait for
-/// that, because a sensor may be waiting for a message then.
+/// the unregistration, because a sensor may be waiting for a message then.
 #[derive(Debug)]
 pub(super) struct SharedNode {
     environment: Environment,
-    /// Present until it is dropped.
+    /// Present until the shared node is dropped.
     node: Option<Node>,
 }
 
@@ -62,10 +62,12 @@ pub(super) async fn open_on_ros1<T>(
 ) -> Result<(T, Arc<SharedNode>), TopicError> {
     let mut nodes = ROS1_NODES.lock().await;
     nodes.retain(|node| node.strong_count() > 0);
-    for shared in nodes.iter().filter_map(Weak::upgrade).filter(|shared| shared.environment == *environment) {
-        let Some(node) = &shared.node else { continue };
+    for shared_node in
+        nodes.iter().filter_map(Weak::upgrade).filter(|shared_node| shared_node.environment == *environment)
+    {
+        let Some(node) = &shared_node.node else { continue };
         match open(node).await {
-            Ok(opened) => return Ok((opened, shared)),
+            Ok(endpoint) => return Ok((endpoint, shared_node)),
             Err(
                 NodeError::AlreadyPublished { .. }
                 | NodeError::AlreadySubscribed { .. }
@@ -75,10 +77,10 @@ pub(super) async fn open_on_ros1<T>(
         }
     }
     let node = Node::new(environment, &node_name(), SharedClock::clone(clock)).await?;
-    let opened = open(&node).await?;
-    let shared = Arc::new(SharedNode { environment: environment.clone(), node: Some(node) });
-    nodes.push(Arc::downgrade(&shared));
-    Ok((opened, shared))
+    let endpoint = open(&node).await?;
+    let shared_node = Arc::new(SharedNode { environment: environment.clone(), node: Some(node) });
+    nodes.push(Arc::downgrade(&shared_node));
+    Ok((endpoint, shared_node))
 }
 
 /// Returns the ROS 2 node. It joins the domain of the environment at the first call.
@@ -102,8 +104,8 @@ pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
 /// # Errors
 /// If the environment cannot be used, the domain cannot be joined, or this build has no ROS 2.
 pub async fn shared_ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
-    let joined = runtime()?.spawn(ros2_node()).await;
-    joined.map_err(|error| TopicError::Thread(error.to_string()))?
+    let result = runtime()?.spawn(ros2_node()).await;
+    result.map_err(|error| TopicError::Thread(error.to_string()))?
 }
 
 /// Returns the name of the next ROS 1 node. Names differ, because the master ends an older node of the same name.
@@ -111,7 +113,7 @@ fn node_name() -> String {
     let base = base_name();
     match CREATED_NODES.fetch_add(1, Ordering::Relaxed) {
         0 => base,
-        others => format!("{base}_{}", others + 1),
+        earlier_count => format!("{base}_{}", earlier_count + 1),
     }
 }
 

@@ -46,7 +46,7 @@ pub struct TopicMessage {
 /// Receives the messages of a topic from all its publishers. Its methods block.
 pub struct TopicReader {
     inner: VersionedSubscriber,
-    /// Number of dropped messages that were reported.
+    /// Number of dropped messages that earlier calls have reported.
     reported_drops: u64,
 }
 
@@ -67,8 +67,8 @@ enum VersionedSubscriber {
 }
 
 impl TopicReader {
-    /// Subscribes to a topic. `message_type` is the type of its messages; ROS 1 accepts any type without it. Blocks while the
-    /// subscription is registered.
+    /// Subscribes to a topic. `message_type` is the type of its messages. Without a type, a reader of ROS 1 accepts every
+    /// type. Blocks while the subscription is registered.
     ///
     /// # Errors
     /// If the environment or the name cannot be used, no master answers, the type is missing in ROS 2, or this build
@@ -93,7 +93,7 @@ impl TopicReader {
     ///
     /// # Errors
     /// If no message arrives within `time_limit`: [`TopicError::NoMessage`], or [`NoPeer`](crate::ros2::NoPeer) in ROS 2,
-    /// with the state of the publishers. If the node has ended ([`TopicError::needs_reopening`]).
+    /// with the state of the publishers. Another error if the node has ended ([`TopicError::needs_reopening`]).
     pub fn read(&mut self, time_limit: Duration) -> Result<TopicMessage, TopicError> {
         runtime()?.block_on(self.read_within(time_limit))
     }
@@ -147,7 +147,7 @@ async fn open_ros1(
     clock: &SharedClock,
 ) -> Result<VersionedSubscriber, TopicError> {
     let environment = Environment::from_process()?;
-    // The sum is a wildcard, because publishers know it and messages of unknown types are read as bytes.
+    // The MD5 sum of the type is a wildcard: publishers state it, and messages of unknown types are read as bytes.
     let kind = match message_type {
         Some(message_type) => TopicType { name: message_type.as_str().into(), ..TopicType::any() },
         None => TopicType::any(),
@@ -201,7 +201,7 @@ async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Envir
             Err(error @ NodeError::NoMaster { .. }) => error.to_string(),
             Err(error) => format!("no node publishes it, and the ROS master cannot be asked: {error}"),
         },
-        [only] => format!("its publisher at {} is connected, but publishes nothing", only.uri),
-        several => format!("its {} publishers are connected, but publish nothing", several.len()),
+        [publisher] => format!("its publisher at {} is connected, but publishes nothing", publisher.uri),
+        publishers => format!("its {} publishers are connected, but publish nothing", publishers.len()),
     }
 }

@@ -97,7 +97,7 @@ pub(super) fn list_topics<'a>(topics: impl Iterator<Item = &'a str>) -> String {
         return "it knows no topic at all".to_owned();
     }
     names.sort_unstable();
-    let more = if names.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
+    let ellipsis = if names.len() > MAX_LISTED_TOPICS { ", …" } else { "" };
     names.truncate(MAX_LISTED_TOPICS);
-    format!("it knows {}{more}", names.join(", "))
+    format!("it knows {}{ellipsis}", names.join(", "))
 }

@@ -62,16 +62,16 @@ impl RosVersion {
         configured: Option<Self>,
         variable: impl Fn(&str) -> Option<String>,
     ) -> Result<Self, VersionError> {
-        let set =
+        let read_variable =
             |name| variable(name).map(|value| value.trim().to_owned()).filter(|value| !value.is_empty());
         if let Some(version) = configured {
             return Ok(version);
         }
-        match set("ROS_VERSION").as_deref() {
+        match read_variable("ROS_VERSION").as_deref() {
             Some("1") => Ok(Self::Ros1),
             Some("2") => Ok(Self::Ros2),
             Some(value) => Err(VersionError::Variable { value: value.to_owned() }),
-            None => match set("ROS_DISTRO").as_deref() {
+            None => match read_variable("ROS_DISTRO").as_deref() {
                 Some(name) if ROS1_DISTRIBUTIONS.contains(&name) => Ok(Self::Ros1),
                 Some(_) => Ok(Self::Ros2),
                 None => Err(VersionError::NotGiven),
@@ -116,16 +116,16 @@ mod tests {
         variables: &[(&str, &str)],
     ) -> Result<RosVersion, VersionError> {
         RosVersion::resolve(configured, |name| {
-            variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
+            variables.iter().find(|(variable, _)| *variable == name).map(|(_, value)| (*value).to_owned())
         })
     }
 
     #[test]
     fn configuration_precedes_environment() {
-        let both = [("ROS_VERSION", "1"), ("ROS_DISTRO", "jazzy")];
-        assert_eq!(resolve(Some(RosVersion::Ros2), &both), Ok(RosVersion::Ros2));
-        assert_eq!(resolve(None, &both), Ok(RosVersion::Ros1));
-        assert_eq!(resolve(None, &both[1..]), Ok(RosVersion::Ros2));
+        let variables = [("ROS_VERSION", "1"), ("ROS_DISTRO", "jazzy")];
+        assert_eq!(resolve(Some(RosVersion::Ros2), &variables), Ok(RosVersion::Ros2));
+        assert_eq!(resolve(None, &variables), Ok(RosVersion::Ros1));
+        assert_eq!(resolve(None, &variables[1..]), Ok(RosVersion::Ros2));
         assert_eq!(resolve(None, &[("ROS_VERSION", ""), ("ROS_DISTRO", "noetic")]), Ok(RosVersion::Ros1));
     }
 

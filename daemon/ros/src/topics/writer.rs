@@ -14,7 +14,7 @@ use crate::ros2::{QosProfile, Ros2Node, Ros2Publisher};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct WriteOutcome {
     /// Number of ROS 1 subscribers that do not get the message, because their queues are full. In ROS 2 the publisher
-    /// waits for them instead.
+    /// waits for the subscriptions instead.
     pub dropped: usize,
 }
 
@@ -32,7 +32,7 @@ enum VersionedPublisher {
 }
 
 impl TopicWriter {
-    /// Publishes a topic with messages of the type `M`. Blocks while it is registered.
+    /// Publishes a topic with messages of the type `M`. Blocks while the topic is registered.
     ///
     /// # Errors
     /// If the environment or the name cannot be used, no master answers, or this build has no ROS 2.
@@ -74,8 +74,8 @@ impl TopicWriter {
             VersionedPublisher::Ros1(publisher, _) => {
                 // Bytes that the kernel does not accept at once are sent on the runtime.
                 let _entered = runtime()?.enter();
-                let published = publisher.publish(encode(WireForm::Ros1)?)?;
-                Ok(WriteOutcome { dropped: published.dropped })
+                let outcome = publisher.publish(encode(WireForm::Ros1)?)?;
+                Ok(WriteOutcome { dropped: outcome.dropped })
             }
             VersionedPublisher::Ros2(publisher, _) => {
                 let payload = encode(WireForm::Cdr)?.into_bytes();

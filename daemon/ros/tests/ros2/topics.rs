@@ -10,15 +10,15 @@ use peernet_ros::ros2::{
     Ros2Subscription,
 };
 
-const BYTES: &str = "std_msgs/msg/UInt8MultiArray";
+const BYTES_TYPE: &str = "std_msgs/msg/UInt8MultiArray";
 /// Time limit of every wait, far above what is needed.
 const TIME_LIMIT: Duration = Duration::from_secs(30);
 
 /// Returns settings with a domain that no other test of this process uses.
 fn settings() -> Ros2Settings {
-    static NEXT: AtomicU16 = AtomicU16::new(0);
+    static NEXT_OFFSET: AtomicU16 = AtomicU16::new(0);
     let process_base = u16::try_from(std::process::id() % 10).expect("below 10") * 20;
-    let domain_id = Some(1 + process_base + NEXT.fetch_add(1, Ordering::Relaxed));
+    let domain_id = Some(1 + process_base + NEXT_OFFSET.fetch_add(1, Ordering::Relaxed));
     Ros2Settings { domain_id, interfaces: vec!["127.0.0.1".into()], ..Ros2Settings::default() }
 }
 
@@ -33,8 +33,8 @@ async fn connected_pair(
     topic: &str,
     qos: &QosProfile,
 ) -> (Ros2Publisher, Ros2Subscription) {
-    let publisher = first.create_publisher(topic, BYTES, qos).expect("a publisher");
-    let subscription = second.create_subscription(topic, BYTES, qos).expect("a subscription");
+    let publisher = first.create_publisher(topic, BYTES_TYPE, qos).expect("a publisher");
+    let subscription = second.create_subscription(topic, BYTES_TYPE, qos).expect("a subscription");
     publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     subscription.wait_for_peer(TIME_LIMIT).await.expect("a publisher");
     (publisher, subscription)
@@ -48,7 +48,7 @@ fn payload(size: usize, seed: usize) -> Bytes {
     cdr.freeze()
 }
 
-/// Returns whether the received bytes are those that were sent, apart from the padding of DDS.
+/// Returns whether the received bytes are the sent bytes, apart from the padding of DDS.
 fn is_same(sent: &Bytes, received: &Bytes) -> bool {
     received.starts_with(sent) && received.len() < sent.len() + 4
 }
@@ -102,9 +102,10 @@ async fn burst_of_large_messages_arrives_whole() {
 async fn unread_message_is_counted_as_lost() {
     let nodes = two_nodes().await;
     let writer_qos = QosProfile { depth: 20, ..QosProfile::default() };
-    let publisher = nodes.0.create_publisher("/slow", BYTES, &writer_qos).expect("a publisher");
+    let publisher = nodes.0.create_publisher("/slow", BYTES_TYPE, &writer_qos).expect("a publisher");
     let reader_qos = QosProfile { depth: 1, ..QosProfile::default() };
-    let mut subscription = nodes.1.create_subscription("/slow", BYTES, &reader_qos).expect("a subscription");
+    let mut subscription =
+        nodes.1.create_subscription("/slow", BYTES_TYPE, &reader_qos).expect("a subscription");
     publisher.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
     let publish = |number| publisher.publish(payload(100_000, number), WallTime::from_unix_nanos(1));
     publish(0).await.expect("published");
@@ -123,10 +124,10 @@ async fn unread_message_is_counted_as_lost() {
 async fn late_subscription_gets_kept_transient_local_messages() {
     let nodes = two_nodes().await;
     let qos = QosProfile { durability: Durability::TransientLocal, depth: 3, ..QosProfile::default() };
-    let publisher = nodes.0.create_publisher("/map", BYTES, &qos).expect("a publisher");
+    let publisher = nodes.0.create_publisher("/map", BYTES_TYPE, &qos).expect("a publisher");
     let sent = payload(5_000, 1);
     publisher.publish(sent.clone(), WallTime::from_unix_nanos(1)).await.expect("published");
-    let mut subscription = nodes.1.create_subscription("/map", BYTES, &qos).expect("a subscription");
+    let mut subscription = nodes.1.create_subscription("/map", BYTES_TYPE, &qos).expect("a subscription");
     assert!(is_same(&sent, &receive(&mut subscription).await.payload));
 }
 
@@ -134,18 +135,20 @@ async fn late_subscription_gets_kept_transient_local_messages() {
 async fn incompatible_qos_is_named_at_both_ends() {
     let (first, second) = two_nodes().await;
     let offered = QosProfile { reliability: Reliability::BestEffort, ..QosProfile::default() };
-    let publisher = first.create_publisher("/qos", BYTES, &offered).expect("a publisher");
+    let publisher = first.create_publisher("/qos", BYTES_TYPE, &offered).expect("a publisher");
     let subscription =
-        second.create_subscription("/qos", BYTES, &QosProfile::default()).expect("a subscription");
+        second.create_subscription("/qos", BYTES_TYPE, &QosProfile::default()).expect("a subscription");
     let expected = Refusal::IncompatibleQos {
         policy: "reliability".into(),
         offered: "best-effort".into(),
         requested: "reliable".into(),
     };
     for mut peers in [publisher.peers(), subscription.peers()] {
-        let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
-        let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
-        assert_eq!(refused.values().collect::<Vec<_>>(), [&expected]);
+        let refused_peers =
+            tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
+        let refused_peers =
+            refused_peers.await.expect("in time").expect("the endpoint exists").refused.clone();
+        assert_eq!(refused_peers.values().collect::<Vec<_>>(), [&expected]);
     }
     let error = subscription.wait_for_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
     assert!(
@@ -158,28 +161,29 @@ async fn incompatible_qos_is_named_at_both_ends() {
 async fn messages_of_another_type_are_dropped() {
     let nodes = two_nodes().await;
     let qos = QosProfile::default();
-    let mut subscription = nodes.1.create_subscription("/type", BYTES, &qos).expect("a subscription");
-    let other = nodes.0.create_publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
+    let mut subscription = nodes.1.create_subscription("/type", BYTES_TYPE, &qos).expect("a subscription");
+    let publisher_of_other_type =
+        nodes.0.create_publisher("/type", "std_msgs/msg/String", &qos).expect("a publisher");
     let mut peers = subscription.peers();
-    let refused = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
-    let refused = refused.await.expect("in time").expect("the endpoint exists").refused.clone();
+    let refused_peers = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| !peers.refused.is_empty()));
+    let refused_peers = refused_peers.await.expect("in time").expect("the endpoint exists").refused.clone();
     let expected = Refusal::OtherType { type_name: "std_msgs/msg/String".into() };
-    assert_eq!(refused.get(&other.id()), Some(&expected));
+    assert_eq!(refused_peers.get(&publisher_of_other_type.id()), Some(&expected));
     let error = subscription.wait_for_peer(Duration::from_millis(1)).await.expect_err("no peer").to_string();
     assert!(error.contains("its message type is std_msgs/msg/String"), "{error}");
-    let right = nodes.0.create_publisher("/type", BYTES, &qos).expect("a publisher");
-    right.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
-    other.publish(payload(10, 0), WallTime::from_unix_nanos(1)).await.expect("published");
-    right.publish(payload(10, 1), WallTime::from_unix_nanos(1)).await.expect("published");
-    assert_eq!(receive(&mut subscription).await.writer, right.id());
+    let publisher_of_same_type = nodes.0.create_publisher("/type", BYTES_TYPE, &qos).expect("a publisher");
+    publisher_of_same_type.wait_for_peer(TIME_LIMIT).await.expect("a subscription");
+    publisher_of_other_type.publish(payload(10, 0), WallTime::from_unix_nanos(1)).await.expect("published");
+    publisher_of_same_type.publish(payload(10, 1), WallTime::from_unix_nanos(1)).await.expect("published");
+    assert_eq!(receive(&mut subscription).await.writer, publisher_of_same_type.id());
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn missing_peer_error_names_domain_interface_and_topics() {
     let (first, second) = two_nodes().await;
     let qos = QosProfile::default();
-    let publisher = first.create_publisher("/alone", BYTES, &qos).expect("a publisher");
-    let subscription = second.create_subscription("/elsewhere", BYTES, &qos).expect("a subscription");
+    let publisher = first.create_publisher("/alone", BYTES_TYPE, &qos).expect("a publisher");
+    let subscription = second.create_subscription("/elsewhere", BYTES_TYPE, &qos).expect("a subscription");
     let error = publisher.wait_for_peer(Duration::from_secs(3)).await.expect_err("no peer");
     let Ros2Error::NoPeer(absence) = &error else { panic!("{error}") };
     assert_eq!((absence.participants, absence.topics.as_slice()), (1, &["/elsewhere".to_owned()][..]));
@@ -199,22 +203,23 @@ async fn shutdown_ends_receiving_and_peer_notices() {
     let receiving = tokio::spawn(async move { subscription.receive().await.map(|_| ()) });
     let (first, second) = nodes;
     tokio::time::timeout(TIME_LIMIT, second.shut_down()).await.expect("in time").expect("shut down");
-    let ended = tokio::time::timeout(TIME_LIMIT, receiving).await.expect("in time").expect("no panic");
-    assert!(matches!(ended, Err(Ros2Error::ShutDown { .. })), "{ended:?}");
+    let receive_result =
+        tokio::time::timeout(TIME_LIMIT, receiving).await.expect("in time").expect("no panic");
+    assert!(matches!(receive_result, Err(Ros2Error::ShutDown { .. })), "{receive_result:?}");
     let mut peers = publisher.peers();
-    let gone = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| peers.matched.is_empty()));
-    assert_eq!(gone.await.expect("in time").expect("the endpoint exists").unmatched_total, 1);
+    let peer_loss = tokio::time::timeout(TIME_LIMIT, peers.wait_for(|peers| peers.matched.is_empty()));
+    assert_eq!(peer_loss.await.expect("in time").expect("the endpoint exists").unmatched_total, 1);
     first.shut_down().await.expect("shut down");
-    let late = publisher.publish(payload(1, 1), WallTime::from_unix_nanos(1)).await;
-    assert!(matches!(late, Err(Ros2Error::ShutDown { .. })), "{late:?}");
+    let result = publisher.publish(payload(1, 1), WallTime::from_unix_nanos(1)).await;
+    assert!(matches!(result, Err(Ros2Error::ShutDown { .. })), "{result:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn payload_without_encapsulation_header_is_refused() {
     let node = Ros2Node::new(settings()).await.expect("a node");
-    let publisher = node.create_publisher("/raw", BYTES, &QosProfile::default()).expect("a publisher");
-    let refused = publisher.publish(Bytes::from_static(b"hello"), WallTime::from_unix_nanos(1)).await;
-    assert!(matches!(refused, Err(Ros2Error::NotCdr { .. })), "{refused:?}");
+    let publisher = node.create_publisher("/raw", BYTES_TYPE, &QosProfile::default()).expect("a publisher");
+    let result = publisher.publish(Bytes::from_static(b"hello"), WallTime::from_unix_nanos(1)).await;
+    assert!(matches!(result, Err(Ros2Error::NotCdr { .. })), "{result:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -229,20 +234,24 @@ async fn publishers_of_a_topic_are_found_without_a_subscription() {
     let (first, second) = two_nodes().await;
     let mut changes = second.discovery_changes();
     assert_eq!(second.publishers_of("/found"), []);
-    let publisher = first.create_publisher("/found", BYTES, &QosProfile::default()).expect("a publisher");
-    let _other = first.create_publisher("/other", BYTES, &QosProfile::default()).expect("a publisher");
+    let publisher =
+        first.create_publisher("/found", BYTES_TYPE, &QosProfile::default()).expect("a publisher");
+    let _other = first.create_publisher("/other", BYTES_TYPE, &QosProfile::default()).expect("a publisher");
     let mut wait_for_count = async |count: usize| {
-        let found = async {
+        let count_reached = async {
             while second.publishers_of("/found").len() != count {
                 changes.changed().await.expect("the node is there");
             }
         };
-        tokio::time::timeout(TIME_LIMIT, found).await.expect("in time");
+        tokio::time::timeout(TIME_LIMIT, count_reached).await.expect("in time");
     };
     wait_for_count(1).await;
-    let found = second.publishers_of("/found").remove(0);
-    assert_eq!((found.id, found.type_name.as_str()), (publisher.id(), BYTES));
-    assert_eq!(found.host, None, "it is on this host");
+    let publisher_on_first_node = second.publishers_of("/found").remove(0);
+    assert_eq!(
+        (publisher_on_first_node.id, publisher_on_first_node.type_name.as_str()),
+        (publisher.id(), BYTES_TYPE)
+    );
+    assert_eq!(publisher_on_first_node.host, None, "it is on this host");
     assert!(second.describe_domain().contains("127.0.0.1"), "{}", second.describe_domain());
     drop(publisher);
     wait_for_count(0).await;

@@ -20,8 +20,8 @@ fn start(role: Role, script: &str, timeout_ms: u64) -> Program {
     Program::start(&config, role, "the program of a test", &clock()).expect("sh is there")
 }
 
-/// Timeout that is long enough on a busy machine, milliseconds.
-const PATIENT: u64 = 60_000;
+/// Timeout that is long enough on a busy machine. Milliseconds.
+const LONG_TIMEOUT_MS: u64 = 60_000;
 
 fn echo() -> Sample {
     Sample::from_part(Description::bytes(), Bytes::from_static(b"payload\nwith a line"))
@@ -32,7 +32,7 @@ const ECHO: &str = "while read -r word bytes media shape source; do \
 
 #[test]
 fn shell_echoes_samples() {
-    let mut program = start(Role::Model, ECHO, PATIENT);
+    let mut program = start(Role::Model, ECHO, LONG_TIMEOUT_MS);
     for _ in 0..3 {
         let program_call = program.call(Request::Sample(&echo())).expect("replies");
         assert_eq!(program_call.outcome, ReplyOutcome::Parts(echo().parts));
@@ -43,7 +43,7 @@ fn shell_echoes_samples() {
 
 #[test]
 fn sample_larger_than_pipe_passes_both_ways() {
-    let mut program = start(Role::Model, ECHO, PATIENT);
+    let mut program = start(Role::Model, ECHO, LONG_TIMEOUT_MS);
     let large = Sample::from_part(Description::bytes(), vec![7; 5 << 20].into());
     assert_eq!(
         program.call(Request::Sample(&large)).expect("replies").outcome,
@@ -54,7 +54,7 @@ fn sample_larger_than_pipe_passes_both_ways() {
 #[test]
 fn program_receives_role_and_framing_version() {
     let script = "read -r word; echo \"source $PEERNET_ROLE $PEERNET_EXEC $word\"; echo answer 0; read -r word; echo end";
-    let mut program = start(Role::Sensor, script, PATIENT);
+    let mut program = start(Role::Sensor, script, LONG_TIMEOUT_MS);
     let first = program.call(Request::Next).expect("replies");
     assert_eq!(first.notes.source.as_deref(), Some("sensor 1 next"));
     for _ in 0..3 {
@@ -71,7 +71,7 @@ fn error_reply_is_returned_and_program_continues() {
     let mut program = start(
         Role::Actuator,
         "n=0; while read -r line; do n=$((n+1)); echo \"error number $n\"; done",
-        PATIENT,
+        LONG_TIMEOUT_MS,
     );
     let empty = Sample::from_part(Description::bytes(), Bytes::new());
     for number in 1..3 {
@@ -83,41 +83,41 @@ fn error_reply_is_returned_and_program_continues() {
 #[test]
 fn ended_program_is_restarted() {
     let folder = tempfile::tempdir().expect("a folder");
-    let mark = folder.path().join("mark");
+    let marker = folder.path().join("mark");
     let script = format!(
         "read -r line; if [ -e {0} ]; then echo answer 0; read -r line; fi; touch {0}; echo so long >&2; exit 3",
-        mark.display()
+        marker.display()
     );
-    let mut program = start(Role::Sensor, &script, PATIENT);
+    let mut program = start(Role::Sensor, &script, LONG_TIMEOUT_MS);
     let error = program.call(Request::Next).expect_err("it ended").to_string();
     assert!(
         error.contains("exit status 3") && error.contains("so long") && error.contains("restarted"),
         "{error}"
     );
-    assert!(program.call(Request::Next).is_ok(), "the second one knows what to do");
+    assert!(program.call(Request::Next).is_ok(), "the restarted program answers");
 }
 
-/// Returns a program and a request for each role.
-fn of_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
+/// Calls `ask` with a new program and a request for each role.
+fn for_each_role<T>(script: &str, mut ask: impl FnMut(Program, Request<'_>) -> T) -> [T; 3] {
     let sample = echo();
     let requests = [
         (Role::Sensor, Request::Next),
         (Role::Model, Request::Sample(&sample)),
         (Role::Actuator, Request::Answer { answer: &sample, source: "x" }),
     ];
-    requests.map(|(role, request)| ask(start(role, script, PATIENT), request))
+    requests.map(|(role, request)| ask(start(role, script, LONG_TIMEOUT_MS), request))
 }
 
 /// Returns the error of the first request in each role.
-fn failures(script: &str) -> [String; 3] {
-    of_each_role(script, |mut program, request| {
+fn first_errors(script: &str) -> [String; 3] {
+    for_each_role(script, |mut program, request| {
         program.call(request).expect_err("nothing can come").to_string()
     })
 }
 
 #[test]
 fn closed_output_is_reported() {
-    for error in failures("read -r line; echo enough >&2; exec >&-; sleep 600") {
+    for error in first_errors("read -r line; echo enough >&2; exec >&-; sleep 600") {
         assert!(
             error.contains(
                 "closed its standard output and was killed; last lines of its standard error: enough"
@@ -126,11 +126,11 @@ fn closed_output_is_reported() {
         );
         assert!(!error.contains("SIG"), "{error}");
     }
-    for error in failures("read -r line; exec >&-; cat > /dev/null; exit 3") {
+    for error in first_errors("read -r line; exec >&-; cat > /dev/null; exit 3") {
         assert!(error.contains("closed its standard output and ended with exit status 3"), "{error}");
     }
     // The program had written part of its reply.
-    for error in failures("read -r line; printf 'value x'; exit 3") {
+    for error in first_errors("read -r line; printf 'value x'; exit 3") {
         assert!(error.contains("the process ended with exit status 3"), "{error}");
     }
 }
@@ -140,18 +140,18 @@ fn single_program_end_is_visible_through_shell() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("program");
     let line = format!("{} --flag \"a word\"", program.display());
-    for (script, part) in [
+    for (script, expected_part) in [
         ("read -r line; exec >&-; sleep 600", "closed its standard output and was killed"),
         ("read -r line; kill -SEGV $$", "ended with signal 11 (SIGSEGV)"),
     ] {
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("can be written");
         std::fs::set_permissions(&program, PermissionsExt::from_mode(0o755)).expect("can be set");
-        for error in failures(&line) {
-            assert!(error.contains(part), "{error}");
+        for error in first_errors(&line) {
+            assert!(error.contains(expected_part), "{error}");
         }
-        let several = format!("{line}; exit $?");
-        if part.contains("signal") {
-            for error in failures(&several) {
+        let compound_line = format!("{line}; exit $?");
+        if expected_part.contains("signal") {
+            for error in first_errors(&compound_line) {
                 assert!(error.contains("exit status 139 (from a shell: signal 11, SIGSEGV)"), "{error}");
             }
         }
@@ -162,7 +162,7 @@ fn single_program_end_is_visible_through_shell() {
 fn slow_program_error_contains_its_last_lines() {
     let script = "echo 'out of paper' >&2; read -r line; \
                   case $PEERNET_ROLE in actuator) echo done;; *) echo answer 0;; esac; sleep 600";
-    let errors = of_each_role(script, |mut program, request| {
+    let errors = for_each_role(script, |mut program, request| {
         program.call(request).expect("the first is answered");
         program.timeout = Span::from_millis(100);
         program.call(request).expect_err("it sleeps").to_string()
@@ -177,7 +177,8 @@ fn slow_program_error_contains_its_last_lines() {
 
 #[test]
 fn prompt_without_line_end_is_shown_immediately() {
-    let mut program = start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", PATIENT);
+    let mut program =
+        start(Role::Sensor, "read -r line; printf 'answer 0\\nReady> '; sleep 600", LONG_TIMEOUT_MS);
     program.call(Request::Next).expect("replies");
     let error = program.call(Request::Next).expect_err("it was not asked").to_string();
     assert!(error.contains("it wrote \"Ready> \" without a request"), "{error}");
@@ -187,28 +188,34 @@ fn prompt_without_line_end_is_shown_immediately() {
 fn control_characters_of_program_are_replaced_or_escaped() {
     let script =
         "read -r line; printf 'error \\033[31mred\\n'; read -r line; printf '\\033[31mred\\n' >&2; exit 3";
-    let mut program = start(Role::Sensor, script, PATIENT);
-    for (what, shown) in [("says", " [31mred"), ("ended", r"\u{1b}[31mred")] {
+    let mut program = start(Role::Sensor, script, LONG_TIMEOUT_MS);
+    for (expected_word, expected_text) in [("says", " [31mred"), ("ended", r"\u{1b}[31mred")] {
         let error = program.call(Request::Next).expect_err("an error").to_string();
-        assert!(error.contains(what) && error.contains(shown) && !error.contains('\x1b'), "{error:?}");
+        assert!(
+            error.contains(expected_word) && error.contains(expected_text) && !error.contains('\x1b'),
+            "{error:?}"
+        );
     }
 }
 
 #[test]
 fn error_quotes_output_outside_of_framing() {
-    let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", PATIENT);
+    let mut program = start(Role::Model, "read -r line; echo Loading model...; cat", LONG_TIMEOUT_MS);
     let error = program.call(Request::Sample(&echo())).expect_err("garbage").to_string();
     assert!(error.contains("Loading model...") && error.contains("standard error"), "{error}");
-    let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", PATIENT);
+    let mut program = start(Role::Model, "head -c 100000 /dev/zero | tr '\\0' x; cat", LONG_TIMEOUT_MS);
     let error = program.call(Request::Sample(&echo())).expect_err("an endless line");
     let text = error.to_string();
     assert!(text.contains("bytes") || text.contains("without a request"), "{text}");
 }
 
 #[test]
-fn extra_reply_does_not_shift_later_ones() {
-    let mut program =
-        start(Role::Sensor, "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done", PATIENT);
+fn extra_reply_is_reported_at_next_call() {
+    let mut program = start(
+        Role::Sensor,
+        "while read -r line; do printf 'answer 1\\naanswer 1\\nb'; done",
+        LONG_TIMEOUT_MS,
+    );
     assert!(program.call(Request::Next).is_ok());
     let error = program.call(Request::Next).expect_err("one too many");
     assert!(matches!(error, ProgramCallError::UnsolicitedOutput(_)), "{error}");
@@ -216,7 +223,7 @@ fn extra_reply_does_not_shift_later_ones() {
 
 #[test]
 fn huge_length_is_refused_before_allocation() {
-    let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", PATIENT);
+    let mut program = start(Role::Sensor, "read -r line; echo answer 99999999999999; cat", LONG_TIMEOUT_MS);
     let error = program.call(Request::Next).expect_err("too large").to_string();
     assert!(error.contains("99999999999999") && error.contains("at most"), "{error}");
 }
@@ -227,10 +234,10 @@ fn hanging_program_is_killed_and_restarts_are_delayed() {
     let error = program.call(Request::Next).expect_err("it hangs");
     assert!(matches!(error, ProgramCallError::TooSlow { .. }), "{error}");
     let mut errors = (0..6).map(|_| program.call(Request::Next).expect_err("it hangs"));
-    let pausing = errors
+    let delay_error = errors
         .find(|error| matches!(error, ProgramCallError::RestartDelayed { .. }))
         .expect("it is left alone");
-    assert!(pausing.to_string().contains("no complete reply within 50ms"), "{pausing}");
+    assert!(delay_error.to_string().contains("no complete reply within 50ms"), "{delay_error}");
 }
 
 #[test]

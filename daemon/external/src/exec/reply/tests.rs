@@ -7,15 +7,15 @@ use super::*;
 use crate::exec::{MAX_LINE_BYTES, Request};
 
 /// Feeds the whole output of a program; returns `None` if the output ends before the reply is complete.
-fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
-    let mut from = Cursor::new(written);
+fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, FramingError> {
+    let mut output = Cursor::new(output_bytes);
     let mut assembler = ReplyAssembler::new(role);
     let mut next = ReplyInput::Line;
     loop {
         next = match next {
             ReplyInput::Line => {
                 let mut line = Vec::new();
-                from.read_until(b'\n', &mut line).expect("memory can be read");
+                output.read_until(b'\n', &mut line).expect("memory can be read");
                 if line.pop() != Some(b'\n') {
                     return Ok(None);
                 }
@@ -23,20 +23,20 @@ fn feed(role: Role, written: &[u8]) -> Result<Option<(Reply, usize)>, FramingErr
             }
             ReplyInput::Bytes(count) => {
                 let mut bytes = Vec::new();
-                from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
+                output.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
                 if bytes.len() as u64 != count {
                     return Ok(None);
                 }
                 assembler.push_bytes(bytes.into())
             }
-            ReplyInput::Reply(reply) => return Ok(Some((reply, from.position() as usize))),
+            ReplyInput::Reply(reply) => return Ok(Some((reply, output.position() as usize))),
         }
     }
 }
 
 fn reply(role: Role, written: &str) -> Reply {
-    let (reply, used) = feed(role, written.as_bytes()).expect("is well formed").expect("is whole");
-    assert_eq!(used, written.len(), "nothing is left over");
+    let (reply, used_bytes) = feed(role, written.as_bytes()).expect("is well formed").expect("is whole");
+    assert_eq!(used_bytes, written.len(), "nothing is left over");
     reply
 }
 
@@ -70,7 +70,7 @@ fn reply_has_parts_with_their_shapes() {
 }
 
 #[test]
-fn notes_before_the_reply_are_returned() {
+fn notes_before_the_answer_are_returned() {
     let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warm-up 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
     let notes = reply(Role::Sensor, written).notes;
     let expected = ReplyNotes {
@@ -129,15 +129,18 @@ fn lines_and_parts_are_bounded() {
         feed(Role::Model, "part 0\n".repeat(MAX_PARTS + 1).as_bytes()),
         Err(FramingError::TooManyParts)
     );
-    let long = format!("answer {MAX_BYTES}\n");
+    let longest_header = format!("answer {MAX_BYTES}\n");
     assert_eq!(
-        ReplyAssembler::new(Role::Model).push_line(long.trim_end().as_bytes()),
+        ReplyAssembler::new(Role::Model).push_line(longest_header.trim_end().as_bytes()),
         Ok(ReplyInput::Bytes(MAX_BYTES))
     );
     let mut assembler = ReplyAssembler::new(Role::Model);
     assembler.push_line(b"part 1").expect("is small");
     assembler.push_bytes(Bytes::from_static(b"x"));
-    assert_eq!(assembler.push_line(long.trim_end().as_bytes()), Err(FramingError::TooLarge(MAX_BYTES + 1)));
+    assert_eq!(
+        assembler.push_line(longest_header.trim_end().as_bytes()),
+        Err(FramingError::TooLarge(MAX_BYTES + 1))
+    );
 }
 
 proptest! {
@@ -154,8 +157,8 @@ proptest! {
         words in prop::collection::vec("(answer|part|stage|value|error|end|done|version|sequence|label) ?[0-9a-z.:x/-]{0,12} ?[0-9a-z.:x/-]{0,8}\n", 0..20),
     ) {
         for role in [Role::Sensor, Role::Model, Role::Actuator] {
-            if let Ok(Some((_, used))) = feed(role, words.concat().as_bytes()) {
-                prop_assert!(used <= words.concat().len());
+            if let Ok(Some((_, used_bytes))) = feed(role, words.concat().as_bytes()) {
+                prop_assert!(used_bytes <= words.concat().len());
             }
         }
     }
@@ -184,19 +187,19 @@ proptest! {
 
 /// Parses a request after removing the source at the end of each header.
 fn feed_without_source(written: &[u8]) -> (Vec<Part>, usize) {
-    let mut from = Cursor::new(written);
+    let mut output = Cursor::new(written);
     let mut assembler = ReplyAssembler::new(Role::Model);
     loop {
         let mut line = Vec::new();
-        from.read_until(b'\n', &mut line).expect("memory can be read");
+        output.read_until(b'\n', &mut line).expect("memory can be read");
         let line = line.strip_suffix(b" -\n").expect("the source is empty");
         let Ok(ReplyInput::Bytes(count)) = assembler.push_line(line) else { panic!("announces bytes") };
         let mut bytes = Vec::new();
-        from.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
+        output.by_ref().take(count).read_to_end(&mut bytes).expect("memory can be read");
         if let ReplyInput::Reply(Reply { outcome: ReplyOutcome::Parts(parts), .. }) =
             assembler.push_bytes(bytes.into())
         {
-            return (parts, from.position() as usize);
+            return (parts, output.position() as usize);
         }
     }
 }

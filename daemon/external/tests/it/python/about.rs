@@ -8,14 +8,14 @@ use super::Module;
 /// Returns the files of a fact as paths below a folder, after checking their hashes.
 fn files(facts: &[(String, String)], folder: &Path) -> Vec<String> {
     let folder = folder.canonicalize().expect("is there");
-    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let file = |libraries_fact: &str| {
-        let (path, hash) = libraries_fact.split_once(" SHA-256 ").expect("has one");
+    let (_, files_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let file = |file_fact: &str| {
+        let (path, hash) = file_fact.split_once(" SHA-256 ").expect("has one");
         let bytes = fs::read(path).expect("is there");
         assert_eq!(hash, peernet_external::sha256(bytes.as_slice()).expect("is read"));
         Path::new(path).strip_prefix(&folder).expect("is the user's own").display().to_string()
     };
-    libraries_fact.split(", ").map(file).collect()
+    files_fact.split(", ").map(file).collect()
 }
 
 fn libraries(facts: &[(String, String)]) -> Vec<&str> {
@@ -54,16 +54,16 @@ class Own:
 ";
     let module = Module::new(source, "own::Own");
     let folder = module.folder.path();
-    let never = "raise SystemExit('nobody is to run this')\n";
+    let failing_source = "raise SystemExit('nobody is to run this')\n";
     for (file, text) in [
         ("rig/__init__.py", ""),
         // A cycle of imports, and a broken file that is imported by a function that is never called.
         ("rig/lens.py", "from . import glass\ndef never():\n    from .broken import pieces\n"),
         ("rig/glass.py", "import rig.lens as whole\n"),
         ("rig/broken.py", "def (\n"),
-        ("rig/unused.py", never),
-        ("later/steps.py", &format!("import unseen\n{never}")),
-        ("unseen.py", never),
+        ("rig/unused.py", failing_source),
+        ("later/steps.py", &format!("import unseen\n{failing_source}")),
+        ("unseen.py", failing_source),
     ] {
         let path = folder.join(file);
         fs::create_dir_all(path.parent().expect("is below the folder")).expect("writable");
@@ -147,9 +147,9 @@ class Own:
     let folder = module.folder.path().canonicalize().expect("is there");
     let bytes = fs::read(folder.join("gear.egg")).expect("was made");
     let hash = peernet_external::sha256(bytes.as_slice()).expect("is read");
-    let (_, libraries_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
-    let parts: Vec<&str> = libraries_fact.split(", ").collect();
-    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{libraries_fact}");
+    let (_, files_fact) = facts.iter().find(|(name, _)| name == "Model files").expect("they are told");
+    let parts: Vec<&str> = files_fact.split(", ").collect();
+    assert!(parts.len() == 2 && parts[0].contains("/own.py SHA-256 "), "{files_fact}");
     assert_eq!(parts[1], format!("{}/gear.egg SHA-256 {hash}", folder.display()));
 }
 
@@ -163,13 +163,13 @@ fn at_most_64_files_are_reported_and_rest_is_mentioned() {
     }
     let facts = module.model().description().facts("Model");
     assert_eq!(files(&facts, module.folder.path()).len(), 64);
-    let (name, libraries_fact) = facts.last().expect("there are some");
-    assert!(name == "Model imports" && libraries_fact.contains("incomplete"), "{facts:?}");
+    let (name, imports_fact) = facts.last().expect("there are some");
+    assert!(name == "Model imports" && imports_fact.contains("incomplete"), "{facts:?}");
 }
 
 #[test]
 fn object_with_misleading_attributes_is_described() {
-    for own in [
+    for statement in [
         "__file__ = None",
         "del __file__",
         "__file__ = 'a' * (2 << 20)",
@@ -181,15 +181,14 @@ fn object_with_misleading_attributes_is_described() {
         "__path__ = 7",
         "sys.path.append(None)",
     ] {
-        let source = format!("import sys, types\n{own}\nclass Own:\n    def infer(self, x): return x\n");
+        let source =
+            format!("import sys, types\n{statement}\nclass Own:\n    def infer(self, x): return x\n");
         let module = Module::new(&source, "own::Own");
         let facts = module.model().description().facts("Model");
         assert_eq!(facts[0].0, "Model");
         assert!(
-            facts
-                .iter()
-                .all(|(_, libraries_fact)| !libraries_fact.contains('\x1b') && libraries_fact.len() < 9000),
-            "{own}: {facts:?}"
+            facts.iter().all(|(_, fact)| !fact.contains('\x1b') && fact.len() < 9000),
+            "{statement}: {facts:?}"
         );
     }
 }

@@ -47,42 +47,42 @@ class Own:
         return str(os.getpid())
 ";
 
-fn number(model: &mut PythonObject) -> i32 {
+fn process_id(model: &mut PythonObject) -> i32 {
     let answer = value(model, &[bytes(b"on")]);
     String::from_utf8(answer[0].bytes.to_vec()).expect("a number").parse().expect("a number")
 }
 
-fn kill(number: i32) {
-    kill_process(Pid::from_raw(number).expect("not 0"), Signal::KILL).expect("it runs");
+fn kill(process_id: i32) {
+    kill_process(Pid::from_raw(process_id).expect("not 0"), Signal::KILL).expect("it runs");
 }
 
 #[test]
 fn killed_process_is_reported_and_restarted() {
     let module = Module::new(MODEL, "own::Own");
-    let (mut model, mut other) = (module.model(), module.model());
-    let first = number(&mut model);
+    let (mut model, mut other_model) = (module.model(), module.model());
+    let first_id = process_id(&mut model);
     let waits = module.folder.path().join("waits");
     mknodat(CWD, &waits, FileType::Fifo, Mode::RWXU, 0).expect("a pipe");
     let killer = thread::spawn(move || {
         fs::read(waits).expect("it opens it as well");
-        kill(first);
+        kill(first_id);
     });
     let message = failure(&mut model, &[bytes(b"wait")]);
     killer.join().expect("it was there to be killed");
     assert!(message.contains("signal 9 (SIGKILL") && message.contains("it is restarted"), "{message}");
 
     // Two processes die at once, between calls.
-    let numbers = [number(&mut model), number(&mut other)];
-    assert_ne!(numbers[0], first);
-    numbers.into_iter().for_each(kill);
-    for model in [&mut model, &mut other] {
+    let process_ids = [process_id(&mut model), process_id(&mut other_model)];
+    assert_ne!(process_ids[0], first_id);
+    process_ids.into_iter().for_each(kill);
+    for model in [&mut model, &mut other_model] {
         assert!(failure(model, &[bytes(b"on")]).contains("signal 9 (SIGKILL"));
-        assert!(!numbers.contains(&number(model)));
+        assert!(!process_ids.contains(&process_id(model)));
     }
 }
 
 #[test]
-fn process_end_is_reported_others_fail_one_call() {
+fn process_end_is_reported_and_exception_fails_call() {
     let module = Module::new(MODEL, "own::Own");
     let mut model = module.model();
     for (input, parts) in [
@@ -90,20 +90,20 @@ fn process_end_is_reported_others_fail_one_call() {
         (b"interrupt", ["SIGINT", "KeyboardInterrupt"]),
         (b"spoil", ["sent an invalid message", "garbage"]),
     ] {
-        let before = number(&mut model);
+        let id_before = process_id(&mut model);
         let message = failure(&mut model, &[bytes(input)]);
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
-        assert_ne!(number(&mut model), before);
+        assert_ne!(process_id(&mut model), id_before);
     }
-    let before = number(&mut model);
+    let id_before = process_id(&mut model);
     for (input, part) in [(&b"unusual"[..], "Unusual: but caught"), (b"half", r"half \udcff a character")] {
         let message = failure(&mut model, &[bytes(input)]);
         assert!(message.contains(part) && message.contains("in infer"), "{message}");
     }
     for input in [&b"child"[..], b"speak"] {
-        assert_eq!(value(&mut model, &[bytes(input)])[0].bytes, before.to_string());
+        assert_eq!(value(&mut model, &[bytes(input)])[0].bytes, id_before.to_string());
     }
-    assert_eq!(number(&mut model), before);
+    assert_eq!(process_id(&mut model), id_before);
 }
 
 #[test]
@@ -142,8 +142,8 @@ class Own:
     let mut model = module.model();
     assert!(failure(&mut model, &[bytes(b"exit")]).contains("exit status 4"));
     assert!(failure(&mut model, &[bytes(b"on")]).contains("the camera is in use"));
-    let resting = failure(&mut model, &[bytes(b"on")]);
-    assert!(resting.contains("failed repeatedly") && resting.contains("the camera is in use"), "{resting}");
+    let message = failure(&mut model, &[bytes(b"on")]);
+    assert!(message.contains("failed repeatedly") && message.contains("the camera is in use"), "{message}");
 }
 
 #[test]
@@ -163,19 +163,19 @@ class Own:
     assert!(failure(&mut model, &[bytes(b"much")]).contains("MemoryError"));
     let message = failure(&mut model, &[bytes(b"answer")]);
     assert!(message.contains("not enough memory for a value of 100663296 bytes"), "{message}");
-    let more = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
-    assert_eq!(value(&mut model, &[more])[0].bytes, "3145728", "the same memory is used on");
-    let much = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
-    let message = failure(&mut model, &[much, bytes(b"and a part in the pipe")]);
+    let large_part = Part { description: Description::bytes(), bytes: vec![7; 3 << 20].into() };
+    assert_eq!(value(&mut model, &[large_part])[0].bytes, "3145728", "the same memory is used on");
+    let oversized_part = Part { description: Description::bytes(), bytes: vec![7; 128 << 20].into() };
+    let message = failure(&mut model, &[oversized_part, bytes(b"and a part in the pipe")]);
     assert!(!message.contains("process"), "it is alive: {message}");
     assert_eq!(value(&mut model, &[bytes(b"four")])[0].bytes, "4");
 }
 
 #[test]
 fn dead_processes_leave_no_children() {
-    let this = std::env::current_exe().expect("a test has a file");
-    let test = "python::deaths::counts_what_is_left";
-    let output = Command::new(this).args(["--exact", test, "--ignored", "--nocapture"]).output();
+    let test_program = std::env::current_exe().expect("a test has a file");
+    let test = "python::deaths::children_after_repeated_deaths";
+    let output = Command::new(test_program).args(["--exact", test, "--ignored", "--nocapture"]).output();
     let output = output.expect("it starts");
     let message =
         String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
@@ -184,31 +184,31 @@ fn dead_processes_leave_no_children() {
 
 #[test]
 #[ignore = "in a process of its own, whose files and threads are nobody else's: the test above starts it"]
-fn counts_what_is_left() {
+fn children_after_repeated_deaths() {
     let count = |folder: &str| fs::read_dir(folder).expect("is Linux").count();
     let module = Module::new(MODEL, "own::Own");
     let mut model = module.model();
     let die = |model: &mut PythonObject| {
-        let own = number(model);
+        let first_id = process_id(model);
         failure(model, &[bytes(b"early")]);
-        kill(number(model));
+        kill(process_id(model));
         failure(model, &[bytes(b"on")]);
-        assert!(number(model) != own && !Path::new(&format!("/proc/{own}")).exists());
+        assert!(process_id(model) != first_id && !Path::new(&format!("/proc/{first_id}")).exists());
     };
     die(&mut model);
-    let before = (count("/proc/self/fd"), children());
+    let counts_before = (count("/proc/self/fd"), children());
     for _ in 0..5 {
         die(&mut model);
     }
     // The thread that reads the standard error of the last process may need a moment on a busy machine, and does not
     // report its end.
-    let now = || (count("/proc/self/fd"), children());
+    let counts = || (count("/proc/self/fd"), children());
     for _ in 0..600 {
-        if now() != before {
+        if counts() != counts_before {
             thread::sleep(Duration::from_millis(100));
         }
     }
-    assert_eq!(now(), before, "files and processes");
+    assert_eq!(counts(), counts_before, "files and processes");
     drop(model);
     assert_eq!(children(), 0);
 }
@@ -216,6 +216,7 @@ fn counts_what_is_left() {
 /// Returns the number of child processes of this process, including zombies.
 fn children() -> usize {
     let threads = fs::read_dir("/proc/self/task").expect("is Linux");
-    let of_thread = |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();
-    threads.flatten().map(|task| of_thread(task).split_whitespace().count()).sum()
+    let thread_children =
+        |task: fs::DirEntry| fs::read_to_string(task.path().join("children")).unwrap_or_default();
+    threads.flatten().map(|task| thread_children(task).split_whitespace().count()).sum()
 }

@@ -38,9 +38,9 @@ fn module() -> Module {
 #[test]
 fn exception_fails_one_call_with_user_traceback() {
     let mut model = module().model();
-    let called = model.call(&[bytes(b"raise")]);
-    assert_eq!(called.times.steps.iter().map(|step| step.0).collect::<Vec<_>>(), [Step::Infer]);
-    let message = called.result.expect_err("it raised").to_string();
+    let model_call = model.call(&[bytes(b"raise")]);
+    assert_eq!(model_call.times.steps.iter().map(|step| step.0).collect::<Vec<_>>(), [Step::Infer]);
+    let message = model_call.result.expect_err("it raised").to_string();
     assert!(message.starts_with("ValueError: wrong: b'raise'\nTraceback"), "{message}");
     assert!(message.contains("own.py\", line") && message.contains("in deeper"), "{message}");
     assert!(!message.contains("<peernet>"), "our own frames help nobody: {message}");
@@ -133,18 +133,18 @@ fn dead_process_is_reported_and_restarted() {
 fn restart_delay_grows_after_repeated_deaths() {
     let module = module();
     let mut model = module.model();
-    let mut rested = 0;
+    let mut delay_count = 0;
     for _ in 0..6 {
         match model.call(&[bytes(b"exit")]).result.expect_err("it dies") {
             PythonError::RestartDelayed { left, last, .. } => {
                 assert!(last.contains("exit status 3"), "{last}");
                 std::thread::sleep(left.to_duration());
-                rested += 1;
+                delay_count += 1;
             }
             error => assert!(matches!(error, PythonError::Died { .. }), "{error}"),
         }
     }
-    assert!(rested >= 2, "it rested {rested} times");
+    assert!(delay_count >= 2, "it rested {delay_count} times");
 }
 
 #[test]

@@ -19,7 +19,7 @@ fn invalid_parts_fail_one_call() {
         description: Description { media: MediaType::Tensor, shape: shape.to_vec(), element },
         bytes: b"12345678"[..].into(),
     };
-    let mut all = vec![
+    let mut invalid_parts = vec![
         part(MediaType::Json, b"{"),
         part(MediaType::Text, b"\xff\xfe"),
         part(MediaType::Png, b"no picture"),
@@ -35,11 +35,11 @@ fn invalid_parts_fail_one_call() {
         Part { description: pixels.clone(), bytes: b"12"[..].into() },
     ];
     pixels.shape = vec![1];
-    all.push(Part { description: pixels, bytes: b"12"[..].into() });
-    for hostile in all {
-        let message = failure(&mut model, &[hostile.clone(), bytes(b"and more")]);
-        assert!(!message.contains("process"), "it is alive: {hostile:?}: {message}");
-        assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {hostile:?}: {message}");
+    invalid_parts.push(Part { description: pixels, bytes: b"12"[..].into() });
+    for invalid_part in invalid_parts {
+        let message = failure(&mut model, &[invalid_part.clone(), bytes(b"and more")]);
+        assert!(!message.contains("process"), "it is alive: {invalid_part:?}: {message}");
+        assert_eq!(value(&mut model, &[bytes(b"on")])[0].bytes, "on", "after {invalid_part:?}: {message}");
     }
     assert!(!module.folder.path().join("hacked").exists());
     // An array without a type is returned as its bytes.

@@ -26,15 +26,16 @@ fn clock() -> SharedClock {
 /// Returns a Python interpreter with numpy and PIL, which these tests need.
 fn python() -> PathBuf {
     static FOUND: OnceLock<PathBuf> = OnceLock::new();
-    let has_both = |python: &PathBuf| {
+    let has_packages = |python: &PathBuf| {
         let run = Command::new(python).args(["-c", "import numpy, PIL"]).output();
         run.is_ok_and(|output| output.status.success())
     };
     let find = || {
-        let named = std::env::var_os("PEERNET_PYTHON").map(PathBuf::from);
-        let all = named.into_iter().chain(["python3".into(), "/usr/bin/python3".into()]);
-        all.into_iter()
-            .find(has_both)
+        let configured = std::env::var_os("PEERNET_PYTHON").map(PathBuf::from);
+        let candidates = configured.into_iter().chain(["python3".into(), "/usr/bin/python3".into()]);
+        candidates
+            .into_iter()
+            .find(has_packages)
             .expect("python3-numpy and python3-pil are installed: deploy/install-tools.sh")
     };
     FOUND.get_or_init(find).clone()
@@ -78,11 +79,13 @@ fn bytes(content: &'static [u8]) -> Part {
     Part { description: Description::bytes(), bytes: content.into() }
 }
 
+/// Returns the result of a call that must succeed.
 fn value(object: &mut PythonObject, parts: &[Part]) -> Vec<Part> {
     let result = object.call(parts).result.unwrap_or_else(|error| panic!("{error}"));
     result.expect("it is not over")
 }
 
+/// Returns the error of a call that must fail.
 fn failure(object: &mut PythonObject, parts: &[Part]) -> String {
     object.call(parts).result.expect_err("it fails").to_string()
 }

@@ -24,7 +24,7 @@ fn message(object: &str, role: Role) -> String {
 }
 
 #[test]
-fn start_error_names_what_was_tried() {
+fn start_error_names_missing_part() {
     for (object, role, parts) in [
         ("nowhere::Model", Role::Model, &["no Python module nowhere", "nowhere.py", "folder"][..]),
         ("own::Nothing", Role::Model, &["own has no Nothing", "Model", "instance"]),
@@ -46,12 +46,12 @@ fn start_error_names_what_was_tried() {
 #[test]
 fn classes_instances_and_modules_are_used() {
     for object in ["own::Model", "own::instance"] {
-        let found = Module::new(SOURCE, object).model();
-        assert!(found.description().object.ends_with(object), "{}", found.description().object);
-        assert!(found.description().python.starts_with("3."));
+        let model = Module::new(SOURCE, object).model();
+        assert!(model.description().object.ends_with(object), "{}", model.description().object);
+        assert!(model.description().python.starts_with("3."));
     }
-    let found = Module::new("def infer(x): return x", "own").model();
-    assert_eq!(found.description().object, "module own");
+    let model = Module::new("def infer(x): return x", "own").model();
+    assert_eq!(model.description().object, "module own");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Table of values: the form in which each arrives at a model, or the reason that it is refused.
+//! Table of values, with the form in which each value arrives at a model, or the reason why it is refused.
 
 use peernet_external::python::{PythonError, PythonObject};
 
@@ -42,7 +42,7 @@ class Model:
 ";
 
 /// Passes each value from the sensor to the model; an expected text that begins with `!` is part of a refusal.
-fn carried(table: &[(&str, &str)], pickle: bool) {
+fn assert_transfers(table: &[(&str, &str)], pickle: bool) {
     let mut module = Module::new(SOURCE, "own::Sensor");
     module.config.pickle = pickle;
     let expressions: Vec<_> = table.iter().map(|(expression, _)| *expression).collect();
@@ -50,11 +50,11 @@ fn carried(table: &[(&str, &str)], pickle: bool) {
     let mut sensor = module.sensor();
     module.config.object = "own::Model".to_owned();
     let mut model = module.model();
-    let mut wrong = Vec::new();
+    let mut mismatches = Vec::new();
     for (expression, expected) in table {
-        let found = carry(&mut sensor, &mut model);
-        let fits = match (&found, expected.strip_prefix('!')) {
-            (Ok(found), None) => found == expected,
+        let result = transfer(&mut sensor, &mut model);
+        let fits = match (&result, expected.strip_prefix('!')) {
+            (Ok(result), None) => result == expected,
             (Err(error), Some(part)) => {
                 let text = error.to_string();
                 text.contains(part) && !text.contains("process")
@@ -62,14 +62,14 @@ fn carried(table: &[(&str, &str)], pickle: bool) {
             _ => false,
         };
         if !fits {
-            wrong.push(format!("{expression}\n    is     {found:?}\n    not    {expected}"));
+            mismatches.push(format!("{expression}\n    is     {result:?}\n    not    {expected}"));
         }
     }
     assert!(sensor.call(&[]).result.expect("the first process is still there").is_none());
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(mismatches.is_empty(), "{}", mismatches.join("\n"));
 }
 
-fn carry(sensor: &mut PythonObject, model: &mut PythonObject) -> Result<String, PythonError> {
+fn transfer(sensor: &mut PythonObject, model: &mut PythonObject) -> Result<String, PythonError> {
     let parts = sensor.call(&[]).result?.expect("there is one more");
     let answer = model.call(&parts).result?.expect("a model is never over");
     Ok(String::from_utf8(answer[0].bytes.to_vec()).expect("a description is text"))
@@ -77,7 +77,7 @@ fn carry(sensor: &mut PythonObject, model: &mut PythonObject) -> Result<String, 
 
 #[test]
 fn bytes_text_numbers_and_containers_are_transferred() {
-    carried(
+    assert_transfers(
         &[
             ("b''", "bytes b''"),
             ("bytearray(b'x')", "bytes b'x'"),
@@ -127,28 +127,28 @@ fn bytes_text_numbers_and_containers_are_transferred() {
 #[test]
 fn arrays_and_numpy_scalars_are_transferred() {
     let mut table: Vec<(String, String)> = Vec::new();
-    for own in ["?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16"] {
+    for type_code in ["?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16"] {
         for order in ["<", ">"] {
-            let name = match own {
+            let name = match type_code {
                 "?" => "|b1".to_owned(),
-                "i1" | "u1" => format!("|{own}"),
+                "i1" | "u1" => format!("|{type_code}"),
                 wide => format!("<{wide}"),
             };
-            let values = match own {
+            let values = match type_code {
                 "?" => "[[False, True]]",
                 "f2" | "f4" | "f8" => "[[0.0, 1.0]]",
                 "c8" | "c16" => "[[0j, (1+0j)]]",
                 _ => "[[0, 1]]",
             };
             table.push((
-                format!("numpy.arange(2).astype('{order}{own}').reshape(1, 2)"),
+                format!("numpy.arange(2).astype('{order}{type_code}').reshape(1, 2)"),
                 format!("{name} (1, 2) {values}"),
             ));
         }
     }
     let table: Vec<(&str, &str)> = table.iter().map(|(from, to)| (from.as_str(), to.as_str())).collect();
-    carried(&table, false);
-    carried(
+    assert_transfers(&table, false);
+    assert_transfers(
         &[
             ("numpy.array(5, '>f8')", "<f8 () 5.0"),
             ("numpy.zeros((3, 0, 2), 'c8')", "<c8 (3, 0, 2) [[], [], []]"),
@@ -183,7 +183,7 @@ fn arrays_and_numpy_scalars_are_transferred() {
 
 #[test]
 fn pictures_of_every_mode_are_transferred() {
-    carried(
+    assert_transfers(
         &[
             ("PIL.Image.new('1', (2, 1), 1)", "L (2, 1) ffff"),
             ("PIL.Image.new('L', (2, 1), 7)", "L (2, 1) 0707"),
@@ -209,7 +209,7 @@ fn pictures_of_every_mode_are_transferred() {
 
 #[test]
 fn pickle_returns_equal_objects() {
-    carried(
+    assert_transfers(
         &[
             ("Local()", "Local [1, array([0, 1, 2]), b'raw']"),
             ("{1, 2}", "set {1, 2}"),

@@ -22,7 +22,7 @@ class Number:
 fn payloads_of_any_size_cross_unchanged() {
     let mut model = Module::new(ECHO, "own::Own").model();
     for length in [0, 1, 65_527, 65_536, 1_200_000, 9_000_001] {
-        let content: Vec<u8> = (0..length).map(|at: u32| (at ^ (at >> 8)) as u8).collect();
+        let content: Vec<u8> = (0..length).map(|index: u32| (index ^ (index >> 8)) as u8).collect();
         let part = Part { description: Description::bytes(), bytes: content.into() };
         assert_eq!(value(&mut model, std::slice::from_ref(&part)), [part], "{length} bytes");
     }
@@ -53,17 +53,17 @@ class Own:
         return [self.kept[0], self.kept[0]]
 ";
     let mut model = Module::new(source, "own::Own").model();
-    let part = |fill: u8| Part {
+    let part = |byte: u8| Part {
         description: Description {
             media: MediaType::Tensor,
             shape: vec![50_000],
             element: Some(ElementType::U8),
         },
-        bytes: vec![fill; 50_000].into(),
+        bytes: vec![byte; 50_000].into(),
     };
-    for fill in 1..4 {
-        let answer = value(&mut model, &[part(fill)]);
-        assert!(answer.iter().all(|one| *one == part(1)), "call {fill}");
+    for byte in 1..4 {
+        let answer = value(&mut model, &[part(byte)]);
+        assert!(answer.iter().all(|returned| *returned == part(1)), "call {byte}");
     }
 }
 
@@ -85,7 +85,7 @@ fn stages_lie_within_call_and_remainder_is_overhead() {
 }
 
 #[test]
-fn pictures_are_decoded_in_the_sensors_own_time() {
+fn picture_decoding_counts_as_sensor_time() {
     let source = "
 import time, PIL.Image
 def slow():
@@ -101,9 +101,9 @@ class Named:
     def sample(self): return {'left': slow(), 'right': slow()}
 ";
     for (object, seconds) in [("own::One", 0.1), ("own::Two", 0.2), ("own::Named", 0.2)] {
-        let called = Module::new(source, object).sensor().call(&[]);
-        called.result.expect("pictures cross");
-        let (_, from, to) = called.times.steps[0];
+        let sensor_call = Module::new(source, object).sensor().call(&[]);
+        sensor_call.result.expect("pictures cross");
+        let (_, from, to) = sensor_call.times.steps[0];
         assert!((to - from).seconds() >= seconds, "{object}: {:?}", to - from);
     }
 }
@@ -112,10 +112,10 @@ class Named:
 fn process_ends_with_its_object() {
     let mut sensor = Module::new(ECHO, "own::Number").sensor();
     let number = String::from_utf8(value(&mut sensor, &[])[0].bytes.to_vec()).expect("a number");
-    let there = || Path::new("/proc").join(&number).exists();
-    assert!(there());
+    let exists = || Path::new("/proc").join(&number).exists();
+    assert!(exists());
     drop(sensor);
-    assert!(!there(), "it was waited for");
+    assert!(!exists(), "it was waited for");
 }
 
 #[test]

@@ -13,7 +13,7 @@ class Own:
     def sample(self): return next(self.values)
 ";
 
-fn yielded(values: &str, pickle: bool) -> Vec<Part> {
+fn sensor_value(values: &str, pickle: bool) -> Vec<Part> {
     let mut module = Module::new(&format!("{SENSOR}\nVALUES = [{values}]"), "own::Own");
     module.config.pickle = pickle;
     let mut sensor = module.sensor();
@@ -22,8 +22,8 @@ fn yielded(values: &str, pickle: bool) -> Vec<Part> {
     parts
 }
 
-fn only(values: &str) -> (Description, Vec<u8>) {
-    let mut parts = yielded(values, false);
+fn single_part(values: &str) -> (Description, Vec<u8>) {
+    let mut parts = sensor_value(values, false);
     assert_eq!(parts.len(), 1, "{values} is one part");
     let part = parts.remove(0);
     (part.description, part.bytes.to_vec())
@@ -47,7 +47,7 @@ fn plain_values_keep_their_kind() {
         ),
         ("['one', 'two']", MediaType::Json, br#"["one","two"]"#),
     ] {
-        let (description, bytes) = only(python);
+        let (description, bytes) = single_part(python);
         assert_eq!((description, &bytes[..]), (Description::unshaped(media), content), "{python}");
     }
 }
@@ -68,7 +68,7 @@ fn arrays_come_with_their_type_and_shape() {
         ("numpy.zeros((0, 4), 'f2')", vec![0, 4], ElementType::F16, &[]),
         ("PIL.Image.new('I;16', (2, 1), 7)", vec![1, 2], ElementType::U16, &[7, 0, 7, 0]),
     ] {
-        let (description, bytes) = only(python);
+        let (description, bytes) = single_part(python);
         assert_eq!(
             description,
             Description { media: MediaType::Tensor, shape, element: Some(element) },
@@ -81,23 +81,23 @@ fn arrays_come_with_their_type_and_shape() {
 
 #[test]
 fn pictures_come_as_pixels() {
-    let (description, bytes) = only("PIL.Image.new('RGB', (2, 1), (1, 2, 3))");
+    let (description, bytes) = single_part("PIL.Image.new('RGB', (2, 1), (1, 2, 3))");
     assert_eq!((description, bytes), (Description::pixels(PixelFormat::Rgb8, 2, 1), vec![1, 2, 3, 1, 2, 3]));
-    let (description, bytes) = only("PIL.Image.new('L', (1, 2), 9)");
+    let (description, bytes) = single_part("PIL.Image.new('L', (1, 2), 9)");
     assert_eq!((description, bytes), (Description::pixels(PixelFormat::Grey8, 1, 2), vec![9, 9]));
-    let (description, bytes) = only("PIL.Image.new('RGBA', (1, 1), (1, 2, 3, 255))");
+    let (description, bytes) = single_part("PIL.Image.new('RGBA', (1, 1), (1, 2, 3, 255))");
     assert_eq!((description, bytes), (Description::pixels(PixelFormat::Rgb8, 1, 1), vec![1, 2, 3]));
 }
 
 #[test]
-fn several_arrays_are_several_parts() {
-    let parts = yielded("(numpy.zeros(3, 'u1'), b'xy', 'depth')", false);
+fn each_value_of_tuple_is_one_part() {
+    let parts = sensor_value("(numpy.zeros(3, 'u1'), b'xy', 'depth')", false);
     let media: Vec<_> = parts.iter().map(|part| part.description.media.clone()).collect();
     assert_eq!(media, [MediaType::Tensor, MediaType::Bytes, MediaType::Text]);
 }
 
 #[test]
-fn value_of_one_object_reaches_another() {
+fn value_is_unchanged_from_sensor_to_model() {
     let source = "
 import numpy
 VALUE = {'image': numpy.arange(6, dtype='f4').reshape(2, 3), 'pose': (1.0, float('inf')), 3: [b'raw', None, 'text']}
@@ -121,7 +121,7 @@ class Model:
 }
 
 #[test]
-fn model_gets_values_as_it_was_configured() {
+fn configured_form_of_pictures_reaches_model() {
     let kind = "
 class Own:
     def infer(self, x): return '%s.%s' % (type(x).__module__, type(x).__qualname__) + str(getattr(x, 'size', ''))
@@ -170,16 +170,16 @@ class Model:
         module.config.pickle = pickle;
         module
     };
-    let unsaid = failure(&mut module("own::Sensor", false).sensor(), &[]);
-    assert!(unsaid.contains("own.State") && unsaid.contains("pickle = true"), "{unsaid}");
+    let message = failure(&mut module("own::Sensor", false).sensor(), &[]);
+    assert!(message.contains("own.State") && message.contains("pickle = true"), "{message}");
 
     let parts = value(&mut module("own::Sensor", true).sensor(), &[]);
     assert_eq!(parts[0].description.media, MediaType::Other(PICKLE.to_owned()));
     assert_eq!(parts.len(), 2, "the array goes beside the pickle, not through it");
     assert_eq!(value(&mut module("own::Model", true).model(), &parts)[0].bytes, "7");
 
-    let mut cautious = module("own::Model", false).model();
-    let refused = failure(&mut cautious, &parts);
-    assert!(refused.contains("not unpickled") && refused.contains("pickle = true"), "{refused}");
-    assert_eq!(cautious.call(&parts).times.steps.len(), 0, "the model did not see it");
+    let mut model = module("own::Model", false).model();
+    let message = failure(&mut model, &parts);
+    assert!(message.contains("not unpickled") && message.contains("pickle = true"), "{message}");
+    assert_eq!(model.call(&parts).times.steps.len(), 0, "the model did not see it");
 }

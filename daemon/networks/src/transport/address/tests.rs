@@ -39,21 +39,21 @@ fn invalid_addresses_are_refused_with_the_reason() {
 }
 
 #[test]
-fn form_of_the_written_scheme_is_proposed() {
+fn error_proposes_form_of_given_scheme() {
     let advice = |text: &str| {
-        let words = text.parse::<Address>().expect_err(text).to_string();
-        words.split_once("; write ").expect("it says what to write").1.to_owned()
+        let message = text.parse::<Address>().expect_err(text).to_string();
+        message.split_once("; write ").expect("it says what to write").1.to_owned()
     };
     assert_eq!(advice("tcp://10.0.0.2"), "tcp://host:port, IPv6 hosts in brackets");
     assert_eq!(advice("udp://10.0.0.2"), "udp://host:port, IPv6 hosts in brackets");
     assert_eq!(advice("ros2://x/name"), "ros2://domain/name");
     for text in ["10.0.0.2:5551", "pgm://10.0.0.2:5551"] {
-        let all = advice(text);
-        assert!(all.contains("tcp://host:port") && all.contains("ros1://host:port/name"), "{all}");
+        let forms = advice(text);
+        assert!(forms.contains("tcp://host:port") && forms.contains("ros1://host:port/name"), "{forms}");
     }
     for text in ["tcp://10.0.0.2", "10.0.0.2:5551", "ros1://a:b/name", "udp://10.0.0.2"] {
-        let words = InvalidEventStreamAddress(text.parse::<Address>().expect_err(text)).to_string();
-        assert!(words.ends_with("; write tcp://host:port, IPv6 hosts in brackets"), "{words}");
+        let message = InvalidEventStreamAddress(text.parse::<Address>().expect_err(text)).to_string();
+        assert!(message.ends_with("; write tcp://host:port, IPv6 hosts in brackets"), "{message}");
     }
 }
 

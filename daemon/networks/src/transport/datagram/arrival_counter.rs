@@ -57,9 +57,9 @@ pub(crate) struct ArrivalCounter {
     datagrams: u64,
     totals: ArrivalTotals,
     /// Numbers below this one are known to have been sent.
-    next: u64,
+    next_number: u64,
     /// One bit for each remembered number, at the number modulo [`REMEMBERED_NUMBERS`].
-    present: Vec<u64>,
+    arrival_bits: Vec<u64>,
     /// Numbers below this one have been counted: they have arrived or are lost.
     counted_below: u64,
     /// Numbers below this one were sent before `pending_since`. Those that are missing after [`LOSS_DELAY`] count as lost.
@@ -67,7 +67,7 @@ pub(crate) struct ArrivalCounter {
     pending_since: MonoTime,
     /// Number of arrived numbers from `counted_below` to `pending_below`, and from `pending_below` on.
     arrived: (u64, u64),
-    gaps: GapCheck,
+    gap_check: GapCheck,
 }
 
 impl ArrivalCounter {
@@ -75,13 +75,13 @@ impl ArrivalCounter {
         Self {
             datagrams: 0,
             totals: ArrivalTotals::default(),
-            next: 0,
-            present: vec![0; (REMEMBERED_NUMBERS / 64) as usize],
+            next_number: 0,
+            arrival_bits: vec![0; (REMEMBERED_NUMBERS / 64) as usize],
             counted_below: 0,
             pending_below: 0,
             pending_since: now,
             arrived: (0, 0),
-            gaps: GapCheck::new(now),
+            gap_check: GapCheck::new(now),
         }
     }
 
@@ -91,14 +91,14 @@ impl ArrivalCounter {
         self.datagrams += 1;
         let distance = self.distance_to(number);
         if distance >= 0 {
-            let number = self.next + distance.unsigned_abs();
+            let number = self.next_number + distance.unsigned_abs();
             if self.is_plausible(NextNumber { number, has_arrived: true }, now) {
                 self.record_next_arrival(number);
             }
             return;
         }
-        let Some(number) = self.next.checked_add_signed(distance) else { return };
-        if self.next - number > REMEMBERED_NUMBERS {
+        let Some(number) = self.next_number.checked_add_signed(distance) else { return };
+        if self.next_number - number > REMEMBERED_NUMBERS {
             return;
         }
         if !self.set_arrived(number) {
@@ -116,17 +116,18 @@ impl ArrivalCounter {
     /// Notes that the other end has sent all numbers below `next`, of which only the lower half is known.
     pub(crate) fn note_sent(&mut self, next: u32, now: MonoTime) {
         self.count_losses(now);
-        let number = self.next + self.distance_to(next).max(0).unsigned_abs();
+        let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
         if self.is_plausible(NextNumber { number, has_arrived: false }, now) {
-            self.advance(number.saturating_sub(self.next));
+            self.advance(number.saturating_sub(self.next_number));
         }
     }
 
-    /// Returns whether a number is plausible. If it confirms an earlier number beyond a gap, which was not counted yet,
-    /// the datagram of that number is counted now.
-    fn is_plausible(&mut self, found: NextNumber, now: MonoTime) -> bool {
-        let Some(confirmed) = self.gaps.check(self.next, found, now) else { return false };
-        let held_back = confirmed.filter(|held| held.has_arrived && held.number < found.number);
+    /// Returns whether a number is plausible. If it confirms an earlier number beyond a gap, the datagram with that
+    /// earlier number was held back and is counted now.
+    fn is_plausible(&mut self, candidate: NextNumber, now: MonoTime) -> bool {
+        let Some(confirmed) = self.gap_check.check(self.next_number, candidate, now) else { return false };
+        let held_back =
+            confirmed.filter(|next_number| next_number.has_arrived && next_number.number < candidate.number);
         if let Some(held_back) = held_back {
             self.record_next_arrival(held_back.number);
         }
@@ -135,18 +136,18 @@ impl ArrivalCounter {
 
     /// Counts a datagram whose number is not below the next one.
     fn record_next_arrival(&mut self, number: u64) {
-        self.advance(number + 1 - self.next);
+        self.advance(number + 1 - self.next_number);
         self.set_arrived(number);
         self.arrived.1 += 1;
     }
 
     /// Notes that `count` more numbers were sent, of which none has arrived.
     fn advance(&mut self, count: u64) {
-        self.next += count;
+        self.next_number += count;
         // A larger jump reuses all bits, which need to be cleared only once.
-        for number in self.next - count.min(REMEMBERED_NUMBERS)..self.next {
+        for number in self.next_number - count.min(REMEMBERED_NUMBERS)..self.next_number {
             let (word, bit) = bit_position(number);
-            self.present[word] &= !bit;
+            self.arrival_bits[word] &= !bit;
         }
     }
 
@@ -172,14 +173,14 @@ impl ArrivalCounter {
     /// Returns the distance from the next number to `number`; negative for lower numbers. Its absolute value is at most
     /// half of the 32-bit range.
     fn distance_to(&self, number: u32) -> i64 {
-        i64::from(number.wrapping_sub(self.next as u32) as i32)
+        i64::from(number.wrapping_sub(self.next_number as u32) as i32)
     }
 
     /// Notes that a remembered number arrived. Returns whether it had not arrived before.
     fn set_arrived(&mut self, number: u64) -> bool {
         let (word, bit) = bit_position(number);
-        let is_new = self.present[word] & bit == 0;
-        self.present[word] |= bit;
+        let is_new = self.arrival_bits[word] & bit == 0;
+        self.arrival_bits[word] |= bit;
         is_new
     }
 
@@ -188,17 +189,17 @@ impl ArrivalCounter {
         if now - self.pending_since < LOSS_DELAY {
             return;
         }
-        let (before, after) = self.arrived;
-        self.totals.lost += (self.pending_below - self.counted_below).saturating_sub(before);
-        (self.counted_below, self.pending_below) = (self.pending_below, self.next);
-        (self.arrived, self.pending_since) = ((after, 0), now);
+        let (arrived_pending, arrived_later) = self.arrived;
+        self.totals.lost += (self.pending_below - self.counted_below).saturating_sub(arrived_pending);
+        (self.counted_below, self.pending_below) = (self.pending_below, self.next_number);
+        (self.arrived, self.pending_since) = ((arrived_later, 0), now);
     }
 }
 
 /// Returns the word and the bit of a remembered number.
 const fn bit_position(number: u64) -> (usize, u64) {
-    let at = number % REMEMBERED_NUMBERS;
-    ((at / 64) as usize, 1 << (at % 64))
+    let index = number % REMEMBERED_NUMBERS;
+    ((index / 64) as usize, 1 << (index % 64))
 }
 
 #[cfg(test)]
@@ -277,7 +278,7 @@ mod tests {
         for (day, number) in numbers.into_iter().enumerate() {
             counter.record_arrival(number, at(day as i64 * 86_400_000));
         }
-        assert_eq!(counter.next, (1 << 32) + 3);
+        assert_eq!(counter.next_number, (1 << 32) + 3);
         let reordered = |counter: &ArrivalCounter| counter.totals.reordered;
         assert_eq!(reordered(&counter), 0);
         counter.record_arrival(1, at(0));
@@ -339,13 +340,13 @@ mod tests {
         #[test]
         fn any_numbers_are_counted_without_panic(numbers in proptest::collection::vec((any::<u32>(), any::<bool>()), 0..60)) {
             let mut counter = ArrivalCounter::new(at(0));
-            let mut before = counter.totals(at(0));
+            let mut earlier_totals = counter.totals(at(0));
             for (now, (number, arrives)) in numbers.into_iter().enumerate() {
                 let now = at(now as i64 * 300);
                 if arrives { counter.record_arrival(number, now) } else { counter.note_sent(number, now) }
                 let totals = counter.totals(now);
-                prop_assert_eq!(totals.max(before), totals);
-                before = totals;
+                prop_assert_eq!(totals.max(earlier_totals), totals);
+                earlier_totals = totals;
             }
         }
     }

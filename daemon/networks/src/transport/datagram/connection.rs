@@ -2,8 +2,7 @@
 //!
 //! An end sends a ping if nothing arrived for the heartbeat interval. It pings sooner while messages that it sent are not
 //! settled (delivered or counted as lost), because the answer says which of them never arrived. If nothing arrives for
-//! the heartbeat timeout, the
-//! connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
+//! the heartbeat timeout, the connection ends. A connection is closed by a goodbye that is repeated until it is confirmed.
 
 mod control_queue;
 mod heartbeat_history;
@@ -83,7 +82,7 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// Creates a connection that the handshake has opened. `terms` are the other end's.
+    /// Creates a connection that the handshake has opened. `terms` are the terms of the other end.
     pub(crate) fn new(
         writer: PacketWriter,
         terms: Terms,
@@ -170,8 +169,8 @@ impl Connection {
             }
             Packet::Pong { heartbeat, .. } => {
                 self.receive_heartbeat(&heartbeat, now);
-                let asked = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
-                self.measurement.record_pong(MonoTime::default() + asked, now);
+                let ping_sent_at = Span::from_nanos(i64::try_from(heartbeat.time).unwrap_or(0));
+                self.measurement.record_pong(MonoTime::default() + ping_sent_at, now);
             }
             Packet::Bye { next, .. } => self.receive_bye(next, now),
             Packet::ByeAck { .. } => self.shutdown.confirm(),
@@ -203,8 +202,8 @@ impl Connection {
         if !self.heartbeats.record_if_new(heartbeat) {
             return;
         }
-        let settled = self.sending.receive_settled(heartbeat.settled);
-        if self.report_false_claim(settled).is_none() {
+        let settled_claim = self.sending.receive_settled(heartbeat.settled);
+        if self.report_false_claim(settled_claim).is_none() {
             if self.heartbeats.record_contradiction() {
                 self.send_bye();
                 self.end(CONTRADICTION_REASON);
@@ -212,16 +211,16 @@ impl Connection {
             return;
         }
         self.heartbeats.record_agreement();
-        // Each of these checks its own fields, so that one altered field does not hide what the others report.
-        let reported = self.measurement.receive_report(
+        // The two calls below check different fields, so that an altered field of one does not hide the report of the other.
+        let totals_claim = self.measurement.receive_report(
             heartbeat.number,
             heartbeat.arrivals,
             self.sending.datagrams(),
             now,
         );
-        self.report_false_claim(reported);
-        let expected = self.receiving.note_sent(heartbeat.next, heartbeat.time, now);
-        self.report_false_claim(expected);
+        self.report_false_claim(totals_claim);
+        let sent_claim = self.receiving.note_sent(heartbeat.next, heartbeat.time, now);
+        self.report_false_claim(sent_claim);
     }
 
     /// Reports a false claim as invalid data. A false claim has no other effect.
@@ -236,8 +235,8 @@ impl Connection {
 
     fn receive_bye(&mut self, next: u64, now: MonoTime) {
         let count = self.shutdown.receive_bye();
-        let expected = self.receiving.note_sent(next, count.into(), now);
-        self.report_false_claim(expected);
+        let sent_claim = self.receiving.note_sent(next, count.into(), now);
+        self.report_false_claim(sent_claim);
         // The other end closes the connection soon, so its unfinished messages will never be completed.
         if self.shutdown.must_give_up_messages() {
             self.receiving.give_up_all();
@@ -310,7 +309,7 @@ impl Connection {
             let heartbeat = self.make_heartbeat(time, now);
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
-        if self.bye_at().is_some_and(|at| at <= now) {
+        if self.bye_at().is_some_and(|bye_time| bye_time <= now) {
             self.shutdown.send_bye(now);
             self.send_bye();
         }
@@ -320,16 +319,16 @@ impl Connection {
         self.timer.ping_at(self.sending.unsettled_since())
     }
 
-    /// Returns the time of the next goodbye. All messages are sent before the first one.
+    /// Returns the time of the next goodbye. All messages are sent before the first goodbye.
     fn bye_at(&self) -> Option<MonoTime> {
         self.shutdown.bye_at().filter(|_| self.sending.is_empty())
     }
 
     /// Returns the latest time for the next call of [`tick`](Self::tick).
     pub(crate) fn next_timer(&self, now: MonoTime) -> MonoTime {
-        let next = self.ping_at().min(self.timer.expires_at());
-        let others = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
-        others.into_iter().flatten().fold(next, MonoTime::min)
+        let earliest_time = self.ping_at().min(self.timer.expires_at());
+        let other_timers = [self.bye_at(), self.sending.opens_at(), self.receiving.next_timer(now, TICK)];
+        other_timers.into_iter().flatten().fold(earliest_time, MonoTime::min)
     }
 
     /// Removes and returns the next event.

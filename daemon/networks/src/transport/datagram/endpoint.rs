@@ -159,8 +159,8 @@ impl Endpoint {
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
             tracing::debug!(%source, "refused a connection: the largest number of connections is open");
-            let refused = Packet::Reset { id: nonce, reason: ResetReason::Full };
-            return self.answers.push(route, &refused);
+            let refusal = Packet::Reset { id: nonce, reason: ResetReason::Full };
+            return self.answers.push(route, &refusal);
         }
         let id = existing.unwrap_or_else(|| self.key.connection(self.table.opened_count() + 1));
         let connect = || {
@@ -214,9 +214,9 @@ impl Endpoint {
             entry.local = reply_route.from;
         } else if let Packet::PathResponse { token, .. } = packet {
             let to = reply_address(reply_route.to, entry.reply_port);
-            let is_token = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
+            let is_token_of = |period: MonoTime| token == first_u64(&self.key.cookie(to, id, period));
             // The token may have been made in the previous period.
-            if is_token(now) || is_token(now - Span::from_seconds(10)) {
+            if is_token_of(now) || is_token_of(now - Span::from_seconds(10)) {
                 self.table.relocate(id, reply_route.to, reply_route.from);
                 self.arrivals.push(Arrival::Moved(ConnectionId(id), reply_route.to), None);
             }
@@ -306,7 +306,7 @@ impl Endpoint {
 
     /// Notes that the connection has a session.
     pub(crate) fn admit(&mut self, id: ConnectionId) {
-        let (limits, budget) = self.budgets.admitted();
+        let (limits, budget) = self.budgets.admitted_limits();
         if let Some(entry) = self.table.get_mut(id.0) {
             entry.admission = Admission::Admitted;
             entry.connection.set_reassembly(limits, budget);
@@ -340,8 +340,8 @@ impl Endpoint {
     /// Schedules the next timer call of a connection. Called after each change.
     fn schedule(&mut self, id: u64, now: MonoTime) {
         if let Some(entry) = self.table.get(id) {
-            let at = entry.next_timer(self.limits.hello_timeout, now);
-            self.timers.schedule(id, at.max(now + MIN_TIMER_INTERVAL));
+            let timer_time = entry.next_timer(self.limits.hello_timeout, now);
+            self.timers.schedule(id, timer_time.max(now + MIN_TIMER_INTERVAL));
         }
     }
 

@@ -1,7 +1,7 @@
 //! Claims of packets that cannot be true.
 
-/// A claim of a packet that cannot be true, or that a single packet cannot prove: the packet was altered or forged on
-/// the way.
+/// A claim of a packet that cannot be true, or that a single packet cannot prove: the packet may have been altered or
+/// forged on the way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum FalseClaim {
     /// The packet reports on messages that this end has not sent.

@@ -5,7 +5,7 @@ use peernet_clock::MonoTime;
 
 use crate::transport::Frames;
 
-/// Largest number of frames that a message may claim.
+/// Largest number of frames of a message.
 const MAX_FRAMES: usize = 1_024;
 
 /// Error: a message cannot be sent in fragments.
@@ -49,7 +49,7 @@ impl OutgoingMessage {
     /// Prepares a message.
     ///
     /// # Errors
-    /// If it has too many frames or bytes.
+    /// If the message has too many frames or bytes.
     pub(crate) fn new(
         frames: Frames,
         sequence: u64,
@@ -57,13 +57,13 @@ impl OutgoingMessage {
         deadline: Option<MonoTime>,
     ) -> Result<Self, UnsendableMessage> {
         let count = u16::try_from(frames.len()).ok().filter(|count| usize::from(*count) <= MAX_FRAMES);
-        let mut table = count.ok_or(UnsendableMessage::TooManyFrames)?.to_be_bytes().to_vec();
+        let mut header = count.ok_or(UnsendableMessage::TooManyFrames)?.to_be_bytes().to_vec();
         for frame in &frames {
             let length = u32::try_from(frame.len()).map_err(|_| UnsendableMessage::TooLong)?;
-            table.extend(length.to_be_bytes());
+            header.extend(length.to_be_bytes());
         }
         let mut remaining_frames = Vec::with_capacity(frames.len() + 1);
-        remaining_frames.push(Bytes::from(table));
+        remaining_frames.push(Bytes::from(header));
         remaining_frames.extend(frames);
         let bytes: u64 = remaining_frames.iter().map(|part| part.len() as u64).sum();
         let total = u32::try_from(bytes).map_err(|_| UnsendableMessage::TooLong)?;
@@ -102,14 +102,14 @@ impl OutgoingMessage {
             part.advance(count);
             missing -= count;
             if part.is_empty() {
-                // Frees the memory of frames that were sent, before the whole message has been sent.
+                // The memory of a sent frame is freed before the whole message has been sent.
                 *part = Bytes::new();
                 self.first_unused += 1;
             }
         }
-        let taken = max_bytes - missing as u16;
-        self.offset += u32::from(taken);
-        (offset, taken)
+        let fragment_bytes = max_bytes - missing as u16;
+        self.offset += u32::from(fragment_bytes);
+        (offset, fragment_bytes)
     }
 }
 
@@ -150,9 +150,9 @@ mod tests {
             let mut message = OutgoingMessage::new(frames.clone(), 0, 0, None).expect("small");
             let (mut joined, mut fragments) = (Vec::new(), 0);
             while !message.is_done() {
-                let (offset, taken) = message.take(stride, &mut joined);
-                prop_assert_eq!(offset as usize + usize::from(taken), joined.len());
-                prop_assert!(taken == stride || message.is_done());
+                let (offset, fragment_bytes) = message.take(stride, &mut joined);
+                prop_assert_eq!(offset as usize + usize::from(fragment_bytes), joined.len());
+                prop_assert!(fragment_bytes == stride || message.is_done());
                 fragments += 1;
             }
             prop_assert_eq!(fragments, fragment_count(message.total, stride));

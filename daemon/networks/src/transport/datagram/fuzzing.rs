@@ -21,8 +21,8 @@ struct Port {
     endpoint: Endpoint,
     connection: u64,
     now: MonoTime,
-    known: SocketAddr,
-    stranger: SocketAddr,
+    peer_address: SocketAddr,
+    stranger_address: SocketAddr,
 }
 
 /// Runs a script of steps against a port.
@@ -39,9 +39,9 @@ struct Port {
 pub fn any_datagrams(script: &[u8]) {
     let Some(mut port) = Port::open() else { panic!("the handshake opens a connection") };
     let mut rest = script;
-    while let [step_kind, length, after @ ..] = rest {
-        let (bytes, later) = after.split_at(usize::from(*length).min(after.len()));
-        rest = later;
+    while let [step_kind, length, step_and_rest @ ..] = rest {
+        let (bytes, later_steps) = step_and_rest.split_at(usize::from(*length).min(step_and_rest.len()));
+        rest = later_steps;
         port.step(*step_kind, bytes);
     }
 }
@@ -66,19 +66,20 @@ impl Port {
             hello_timeout: Span::from_seconds(5),
             terms: TERMS,
         };
-        let known = SocketAddr::from(([192, 0, 2, 1], 1));
+        let peer_address = SocketAddr::from(([192, 0, 2, 1], 1));
         let mut port = Self {
             endpoint: Endpoint::new([7; 32], PREFIX, limits),
             connection: 0,
             now: MonoTime::default(),
-            known,
-            stranger: SocketAddr::from(([198, 51, 100, 1], 2)),
+            peer_address,
+            stranger_address: SocketAddr::from(([198, 51, 100, 1], 2)),
         };
-        let answer = port.send_packet(known, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
+        let answer = port.send_packet(peer_address, &Packet::Hello { version: 1, nonce: 3, reply_port: 0 });
         let Ok(Packet::Cookie { nonce, cookie }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
-        let answer = port.send_packet(known, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
+        let answer =
+            port.send_packet(peer_address, &Packet::Open { nonce, cookie, reply_port: 0, terms: TERMS });
         let Ok(Packet::Opened { connection, .. }) = Packet::read(Role::Edge, answer.get(2..)?) else {
             return None;
         };
@@ -96,26 +97,26 @@ impl Port {
     /// Delivers a datagram with this body. Returns all bytes that are sent back to its source.
     fn deliver(&mut self, from: SocketAddr, body: &[u8]) -> Vec<u8> {
         self.endpoint.receive(from, None, body, self.now);
-        let (mut back, mut out) = (Vec::new(), Vec::new());
+        let (mut response, mut out) = (Vec::new(), Vec::new());
         // The loop ends, because the control packets of a connection are bounded and its messages stop at the window.
         while let Some((route, _)) = self.endpoint.fill(&mut out, 4, self.now) {
             if route.to == from {
-                back.extend_from_slice(&out);
+                response.extend_from_slice(&out);
             }
             out.clear();
         }
         while let Some(delivery) = self.endpoint.next_arrival() {
-            assert!(!matches!(delivery.arrival, Arrival::Moved(_, to) if to == self.stranger));
+            assert!(!matches!(delivery.arrival, Arrival::Moved(_, to) if to == self.stranger_address));
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");
         assert!(self.endpoint.reserved_bytes() <= MAX_UNFINISHED + 16 * 1024 * 1024);
-        back
+        response
     }
 
     fn step(&mut self, step_kind: u8, bytes: &[u8]) {
-        let from = if step_kind & 0x80 == 0 { self.known } else { self.stranger };
-        let number = |at: usize| u64::from(bytes.get(at).copied().unwrap_or_default());
+        let from = if step_kind & 0x80 == 0 { self.peer_address } else { self.stranger_address };
+        let number = |index: usize| u64::from(bytes.get(index).copied().unwrap_or_default());
         let connection = self.connection;
         let fragment = Fragment {
             sequence: number(0),
@@ -181,9 +182,14 @@ impl Port {
 
     /// Delivers a datagram with this body and checks that a stranger gets no more bytes back than it sent.
     fn check(&mut self, from: SocketAddr, body: &[u8]) {
-        let back = self.deliver(from, body);
-        if from == self.stranger {
-            assert!(back.len() <= PREFIX.len() + body.len(), "{} bytes for {}", back.len(), body.len());
+        let response = self.deliver(from, body);
+        if from == self.stranger_address {
+            assert!(
+                response.len() <= PREFIX.len() + body.len(),
+                "{} bytes for {}",
+                response.len(),
+                body.len()
+            );
         }
     }
 }

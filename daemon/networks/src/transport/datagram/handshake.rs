@@ -27,8 +27,8 @@ const RETRY_INTERVAL: Span = Span::from_millis(100);
 /// Largest number of unanswered requests with large datagrams. A small datagram is tried afterwards.
 const MAX_LARGE_ATTEMPTS: u32 = 3;
 
-/// Largest number of unanswered requests with small datagrams and the same cookie. They take five seconds, less than a
-/// cookie is accepted.
+/// Largest number of unanswered requests with small datagrams and the same cookie. They take about five seconds, which is
+/// less than the lifetime of a cookie.
 const MAX_ATTEMPTS: u32 = 8;
 
 /// The secret with which a cloud makes cookies and connection numbers.
@@ -58,7 +58,7 @@ impl CookieKey {
         nonce: u64,
         now: MonoTime,
     ) -> bool {
-        [period(now), period(now) - 1].iter().any(|at| self.cookie_at(address, nonce, *at) == *cookie)
+        [period(now), period(now) - 1].iter().any(|period| self.cookie_at(address, nonce, *period) == *cookie)
     }
 
     /// Returns an unpredictable number for a connection.
@@ -130,7 +130,7 @@ pub(crate) struct DialState {
     attempts: u32,
     next_attempt: MonoTime,
     /// Length of datagrams that the path does not carry.
-    too_long: Option<u16>,
+    too_long_bytes: Option<u16>,
 }
 
 impl DialState {
@@ -145,7 +145,7 @@ impl DialState {
             is_second_cookie: false,
             attempts: 0,
             next_attempt: now,
-            too_long: None,
+            too_long_bytes: None,
         }
     }
 
@@ -178,7 +178,7 @@ impl DialState {
         if bytes <= SAFE_DATAGRAM_BYTES {
             return Err(PathTooSmall { bytes });
         }
-        self.too_long = Some(bytes);
+        self.too_long_bytes = Some(bytes);
         (self.terms.datagram, self.attempts, self.next_attempt) = (SAFE_DATAGRAM_BYTES, 0, now);
         Ok(())
     }
@@ -186,14 +186,14 @@ impl DialState {
     /// Returns the remark that the path carries only shorter datagrams, with advice. `None` if it carries datagrams of
     /// the configured length.
     pub(crate) fn remark(&self) -> Option<String> {
-        let bytes = self.too_long?;
+        let bytes = self.too_long_bytes?;
         Some(format!(
             "the path carries no datagrams of the configured {bytes} bytes: continuing with {SAFE_DATAGRAM_BYTES} bytes; set datagram_bytes \
              lower, or the MTU of every link on the path higher"
         ))
     }
 
-    /// Appends a packet if one is due. Returns whether it did.
+    /// Appends a packet if one is due. Returns whether a packet was appended.
     ///
     /// # Errors
     /// If the cloud answers short packets only.
@@ -218,8 +218,8 @@ impl DialState {
                 let start = out.len();
                 Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
                 // As long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed here.
-                let longest = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
-                out.resize(out.len().max(longest), 0);
+                let padded_end = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
+                out.resize(out.len().max(padded_end), 0);
             }
         }
         self.next_attempt = now + Span::from_nanos(RETRY_INTERVAL.nanos() << self.attempts.min(3));

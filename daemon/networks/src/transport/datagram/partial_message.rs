@@ -1,4 +1,4 @@
-//! A message of which some fragments have arrived. Its memory grows with them.
+//! A message of which some fragments have arrived. Its memory grows with the fragments that arrive.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,8 +26,8 @@ pub(super) struct PartialMessage {
     reserved: Reservation,
 }
 
-/// Largest memory of a message as a multiple of its length, in whatever order its fragments arrive. Holds for fragments
-/// of a usual length.
+/// Largest memory of a message as a multiple of its length, in whatever order its fragments arrive. Does not
+/// include [`FRAGMENT_OVERHEAD`], which is small compared to a fragment of a usual length.
 // Up to twice the bytes before the gap are reserved, and the bytes beyond it are stored separately.
 pub(super) const PEAK_MEMORY_FACTOR: u64 = 2;
 
@@ -66,14 +66,14 @@ impl PartialMessage {
         bytes: &[u8],
         budget: &Arc<MemoryBudget>,
     ) -> Result<AddOutcome, BudgetExhausted> {
-        let arrived = self.contiguous.len();
-        if (offset as usize) < arrived || self.beyond_gap.contains_key(&offset) {
+        let contiguous_length = self.contiguous.len();
+        if (offset as usize) < contiguous_length || self.beyond_gap.contains_key(&offset) {
             return Ok(AddOutcome::Duplicate);
         }
-        if offset as usize > arrived {
-            let cost = self.beyond_gap_bytes + bytes.len() as u64 + FRAGMENT_OVERHEAD;
-            self.reserved.resize(budget, self.contiguous.capacity() as u64 + cost)?;
-            self.beyond_gap_bytes = cost;
+        if offset as usize > contiguous_length {
+            let beyond_gap_bytes = self.beyond_gap_bytes + bytes.len() as u64 + FRAGMENT_OVERHEAD;
+            self.reserved.resize(budget, self.contiguous.capacity() as u64 + beyond_gap_bytes)?;
+            self.beyond_gap_bytes = beyond_gap_bytes;
             self.beyond_gap.insert(offset, bytes.into());
             return Ok(AddOutcome::New);
         }
@@ -161,9 +161,9 @@ mod tests {
                 }
                 prop_assert!(budget.reserved_bytes() <= 2 * arrived + count * FRAGMENT_OVERHEAD);
             }
-            let (whole, reserved) = message.into_bytes();
-            prop_assert_eq!(&whole[..], &bytes[..]);
-            drop(reserved);
+            let (message_bytes, reservation) = message.into_bytes();
+            prop_assert_eq!(&message_bytes[..], &bytes[..]);
+            drop(reservation);
             prop_assert_eq!(budget.reserved_bytes(), 0);
         }
     }

@@ -18,8 +18,8 @@ use crate::transport::memory::{BudgetExhausted, MemoryBudget, Reservation};
 /// Largest number of message numbers whose state is stored.
 pub(crate) const MAX_SPAN: u64 = 1_024;
 
-/// Largest distance of a fragment's message above the messages that are known to have been sent, if it needs more than
-/// [`MAX_SPAN`] states.
+/// A message that does not fit into [`MAX_SPAN`] states is accepted only if its number is less than this distance above
+/// the messages that are known to have been sent.
 const MAX_AHEAD: u64 = 64;
 
 /// Limits of unfinished messages.
@@ -72,20 +72,27 @@ pub(crate) struct LostMessage {
 pub(crate) struct Reassembly {
     limits: ReassemblyLimits,
     budget: Arc<MemoryBudget>,
+    /// Number below which all messages are settled.
     floor: u64,
     /// Messages below this number are known to have been sent completely, because their sender sends one message after the
     /// other. Only these messages count as lost if no fragment of them arrives.
     sent_below: u64,
     /// States of the numbers from the floor on. The first number is not settled.
     slots: VecDeque<Slot>,
-    unfinished: usize,
+    /// Number of unfinished messages among the slots.
+    unfinished_count: usize,
+    /// Messages that were lost since the last call of [`take_lost`](Self::take_lost).
     lost: Vec<LostMessage>,
 }
 
+/// State of one message number.
 #[derive(Debug)]
 enum Slot {
+    /// No fragment has arrived. The number has been known since this time.
     Missing { since: MonoTime },
+    /// A part of the message has arrived.
     Unfinished(Box<UnfinishedMessage>),
+    /// The message was delivered or counted as lost.
     Settled,
 }
 
@@ -95,9 +102,12 @@ struct UnfinishedMessage {
     checksum: u32,
     stride: u16,
     message: PartialMessage,
-    received: u32,
-    count: u32,
+    /// Number of fragments that have arrived.
+    received_fragments: u32,
+    /// Number of fragments of the message.
+    total_fragments: u32,
     deadline: Option<MonoTime>,
+    /// Time at which the last new fragment arrived.
     progress_at: MonoTime,
     /// Time at which it was known that the whole message had been sent.
     sent_at: Option<MonoTime>,
@@ -111,7 +121,7 @@ impl Reassembly {
             floor: 0,
             sent_below: 0,
             slots: VecDeque::new(),
-            unfinished: 0,
+            unfinished_count: 0,
             lost: Vec::new(),
         }
     }
@@ -129,7 +139,7 @@ impl Reassembly {
 
     /// Returns whether all messages that are known to have been sent are settled.
     pub(crate) const fn is_settled(&self) -> bool {
-        self.floor >= self.sent_below && self.unfinished == 0
+        self.floor >= self.sent_below && self.unfinished_count == 0
     }
 
     /// Removes and returns the messages that were lost since the last call.
@@ -148,15 +158,15 @@ impl Reassembly {
             return ReassemblyOutcome::TooFarAhead;
         }
         self.extend(fragment.sequence.saturating_add(1), now);
-        let at = (fragment.sequence - self.floor) as usize;
-        let received = match self.slots.get_mut(at) {
+        let index = (fragment.sequence - self.floor) as usize;
+        let outcome = match self.slots.get_mut(index) {
             None | Some(Slot::Settled) => Ok(ReassemblyOutcome::Duplicate),
             Some(Slot::Unfinished(unfinished)) => unfinished.add(fragment, &self.budget, now),
             Some(Slot::Missing { .. }) => self.start_message(fragment, now),
         };
-        match received {
+        match outcome {
             Ok(ReassemblyOutcome::Stored) => self.deliver_if_complete(fragment.sequence),
-            Ok(received) => received,
+            Ok(outcome) => outcome,
             Err(BudgetExhausted) => {
                 self.give_up_slot(fragment.sequence);
                 ReassemblyOutcome::Stored
@@ -170,50 +180,51 @@ impl Reassembly {
         fragment: &Fragment<'_>,
         now: MonoTime,
     ) -> Result<ReassemblyOutcome, BudgetExhausted> {
-        let count = fragment_count(fragment.total, fragment.stride);
+        let total_fragments = fragment_count(fragment.total, fragment.stride);
         let mut unfinished = UnfinishedMessage {
             tag: fragment.tag,
             checksum: fragment.checksum,
             stride: fragment.stride,
             message: PartialMessage::new(fragment.total, &self.budget),
-            received: 0,
-            count,
+            received_fragments: 0,
+            total_fragments,
             deadline: (fragment.lifetime_ms > 0)
                 .then(|| now + Span::from_millis(fragment.lifetime_ms.into())),
             progress_at: now,
             sent_at: (fragment.sequence < self.sent_below).then_some(now),
         };
         // A message that is too long counts as lost, like one without memory, so that its sender is informed.
-        let added = if fragment.total > self.limits.max_message_bytes {
-            unfinished.received = 1;
+        let outcome = if fragment.total > self.limits.max_message_bytes {
+            unfinished.received_fragments = 1;
             Err(BudgetExhausted)
         } else {
             unfinished.add(fragment, &self.budget, now)
         };
         // A message of one fragment is complete at once and does not count as unfinished.
-        if count > 1 && self.unfinished >= self.limits.max_unfinished_messages {
+        if total_fragments > 1 && self.unfinished_count >= self.limits.max_unfinished_messages {
             self.give_up_oldest();
         }
         // Giving up the oldest message may have moved the floor.
-        let at = (fragment.sequence - self.floor) as usize;
-        if let Some(slot) = self.slots.get_mut(at) {
+        let index = (fragment.sequence - self.floor) as usize;
+        if let Some(slot) = self.slots.get_mut(index) {
             *slot = Slot::Unfinished(Box::new(unfinished));
-            self.unfinished += 1;
+            self.unfinished_count += 1;
         }
-        added
+        outcome
     }
 
     /// Delivers the message of a number if it is complete.
     fn deliver_if_complete(&mut self, sequence: u64) -> ReassemblyOutcome {
-        let at = (sequence - self.floor) as usize;
-        let Some(slot) = self.slots.get_mut(at) else { return ReassemblyOutcome::Stored };
-        if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received == unfinished.count) {
+        let index = (sequence - self.floor) as usize;
+        let Some(slot) = self.slots.get_mut(index) else { return ReassemblyOutcome::Stored };
+        if !matches!(slot, Slot::Unfinished(unfinished) if unfinished.received_fragments == unfinished.total_fragments)
+        {
             return ReassemblyOutcome::Stored;
         }
         let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled) else {
             return ReassemblyOutcome::Stored;
         };
-        self.unfinished -= 1;
+        self.unfinished_count -= 1;
         self.advance_floor();
         let lost = unfinished.to_loss(sequence);
         let (bytes, reserved) = unfinished.message.into_bytes();
@@ -227,11 +238,11 @@ impl Reassembly {
     /// Records that the other end has sent all messages below `next`. `since` is the time at which this became known.
     pub(crate) fn note_sent(&mut self, next: u64, since: MonoTime) {
         self.extend(next, since);
-        let first = self.sent_below.max(self.floor);
-        if next <= first {
+        let first_new = self.sent_below.max(self.floor);
+        if next <= first_new {
             return;
         }
-        let newly_sent = (first - self.floor) as usize..(next - self.floor) as usize;
+        let newly_sent = (first_new - self.floor) as usize..(next - self.floor) as usize;
         for slot in self.slots.range_mut(newly_sent) {
             if let Slot::Unfinished(unfinished) = slot {
                 unfinished.sent_at.get_or_insert(since);
@@ -250,7 +261,7 @@ impl Reassembly {
                 // Numbers without any fragment are skipped, so that a sender that leaves out many numbers does not make
                 // this end report each of them.
                 if let Slot::Unfinished(unfinished) = slot {
-                    self.unfinished -= 1;
+                    self.unfinished_count -= 1;
                     self.lost.push(unfinished.to_loss(self.floor));
                 }
                 self.floor += 1;
@@ -258,8 +269,8 @@ impl Reassembly {
             self.floor = self.floor.max(floor);
             self.advance_floor();
         }
-        let known = next.saturating_sub(self.floor) as usize;
-        while self.slots.len() < known {
+        let slot_count = next.saturating_sub(self.floor) as usize;
+        while self.slots.len() < slot_count {
             self.slots.push_back(Slot::Missing { since: now });
         }
     }
@@ -287,9 +298,10 @@ impl Reassembly {
         self.give_up(|sequence, slot| sequence < next || matches!(slot, Slot::Unfinished(_)));
     }
 
+    /// Gives up all messages for which `is_expired` returns `true`.
     fn give_up(&mut self, is_expired: impl Fn(u64, &Slot) -> bool) {
-        for (at, slot) in self.slots.iter_mut().enumerate() {
-            let sequence = self.floor + at as u64;
+        for (index, slot) in self.slots.iter_mut().enumerate() {
+            let sequence = self.floor + index as u64;
             if !is_expired(sequence, slot) {
                 continue;
             }
@@ -298,7 +310,7 @@ impl Reassembly {
                     self.lost.push(LostMessage { sequence, tag: None, received: 0, total: 0 });
                 }
                 Slot::Unfinished(unfinished) => {
-                    self.unfinished -= 1;
+                    self.unfinished_count -= 1;
                     self.lost.push(unfinished.to_loss(sequence));
                 }
                 Slot::Settled => {}
@@ -307,24 +319,25 @@ impl Reassembly {
         self.advance_floor();
     }
 
+    /// Gives up the unfinished message with the lowest number.
     fn give_up_oldest(&mut self) {
         let oldest = self.slots.iter().position(|slot| matches!(slot, Slot::Unfinished(_)));
-        if let Some(at) = oldest
-            && let Slot::Unfinished(unfinished) = std::mem::replace(&mut self.slots[at], Slot::Settled)
+        if let Some(index) = oldest
+            && let Slot::Unfinished(unfinished) = std::mem::replace(&mut self.slots[index], Slot::Settled)
         {
-            self.unfinished -= 1;
-            self.lost.push(unfinished.to_loss(self.floor + at as u64));
+            self.unfinished_count -= 1;
+            self.lost.push(unfinished.to_loss(self.floor + index as u64));
             self.advance_floor();
         }
     }
 
     /// Gives up an unfinished message.
     fn give_up_slot(&mut self, sequence: u64) {
-        let at = (sequence - self.floor) as usize;
-        if let Some(slot) = self.slots.get_mut(at)
+        let index = (sequence - self.floor) as usize;
+        if let Some(slot) = self.slots.get_mut(index)
             && let Slot::Unfinished(unfinished) = std::mem::replace(slot, Slot::Settled)
         {
-            self.unfinished -= 1;
+            self.unfinished_count -= 1;
             self.lost.push(unfinished.to_loss(sequence));
             self.advance_floor();
         }
@@ -343,17 +356,17 @@ impl UnfinishedMessage {
     /// Adds a fragment to its message.
     ///
     /// # Errors
-    /// If it would exceed the budget.
+    /// If the fragment would exceed the budget.
     fn add(
         &mut self,
         fragment: &Fragment<'_>,
         budget: &Arc<MemoryBudget>,
         now: MonoTime,
     ) -> Result<ReassemblyOutcome, BudgetExhausted> {
-        let is_same = (fragment.tag, fragment.checksum, fragment.stride)
+        let is_consistent = (fragment.tag, fragment.checksum, fragment.stride)
             == (self.tag, self.checksum, self.stride)
             && fragment.total == self.message.total();
-        if !is_same {
+        if !is_consistent {
             return Ok(ReassemblyOutcome::Inconsistent);
         }
         // Equal strides and aligned offsets exclude overlaps.
@@ -361,13 +374,18 @@ impl UnfinishedMessage {
         if added == Ok(AddOutcome::Duplicate) {
             return Ok(ReassemblyOutcome::Duplicate);
         }
-        self.received += 1;
+        self.received_fragments += 1;
         self.progress_at = now;
         added.map(|_| ReassemblyOutcome::Stored)
     }
 
     fn to_loss(&self, sequence: u64) -> LostMessage {
-        LostMessage { sequence, tag: Some(self.tag), received: self.received, total: self.count }
+        LostMessage {
+            sequence,
+            tag: Some(self.tag),
+            received: self.received_fragments,
+            total: self.total_fragments,
+        }
     }
 }
 

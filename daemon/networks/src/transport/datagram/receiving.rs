@@ -80,14 +80,14 @@ impl ReceivingHalf {
     /// Handles a fragment that arrived in the datagram with this number.
     pub(crate) fn receive(&mut self, number: u32, fragment: &Fragment<'_>, now: MonoTime) -> FragmentOutcome {
         // All earlier messages have been sent, because a sender sends one message after the other.
-        self.claim(fragment.sequence, number.into(), now);
-        let received = self.reassembly.receive(fragment, now);
-        if !matches!(received, ReassemblyOutcome::TooFarAhead) {
+        self.record_claim(fragment.sequence, number.into(), now);
+        let outcome = self.reassembly.receive(fragment, now);
+        if !matches!(outcome, ReassemblyOutcome::TooFarAhead) {
             let end = fragment.offset + fragment.bytes.len() as u32;
             self.furthest = self.furthest.max((fragment.sequence, end));
             self.unreported_bytes = self.unreported_bytes.saturating_add(fragment.bytes.len() as u32);
         }
-        match received {
+        match outcome {
             ReassemblyOutcome::Message { bytes, reserved } => FragmentOutcome::Message(bytes, reserved),
             ReassemblyOutcome::Stored | ReassemblyOutcome::Duplicate => FragmentOutcome::Nothing,
             ReassemblyOutcome::Inconsistent => {
@@ -116,13 +116,13 @@ impl ReceivingHalf {
     /// # Errors
     /// If the number is too far above the settled messages. The next packet may confirm it.
     pub(crate) fn note_sent(&mut self, next: u64, packet: u64, now: MonoTime) -> Result<(), FalseClaim> {
-        self.claim(next, packet, now);
+        self.record_claim(next, packet, now);
         let limit = self.reassembly.floor().saturating_add(MAX_SPAN);
         if next <= limit { Ok(()) } else { Err(FalseClaim::TooFarAhead) }
     }
 
     /// Notes that a packet claims that all messages below `next` have been sent.
-    fn claim(&mut self, next: u64, packet: u64, now: MonoTime) {
+    fn record_claim(&mut self, next: u64, packet: u64, now: MonoTime) {
         if let Some((confirmed, since)) = self.watermark.claim(next, packet, now) {
             self.reassembly.note_sent(confirmed, since);
         }
@@ -130,16 +130,16 @@ impl ReceivingHalf {
 
     /// Returns the number below which all messages are settled and the other end has confirmed the losses.
     pub(crate) fn settled(&self) -> u64 {
-        let unknown = self.reports.iter().map(|report| report.lost.sequence);
-        unknown.chain([self.reassembly.floor()]).min().unwrap_or_default()
+        let unconfirmed = self.reports.iter().map(|report| report.lost.sequence);
+        unconfirmed.chain([self.reassembly.floor()]).min().unwrap_or_default()
     }
 
     /// Returns whether all messages are settled and the other end has confirmed all losses.
     pub(crate) fn is_settled(&self) -> bool {
         // A goodbye may be the only packet that reports the last messages. Its claim is then never confirmed, so the
-        // unconfirmed one counts here.
-        let is_known = self.watermark.claimed() <= self.reassembly.floor();
-        is_known && self.reassembly.is_settled() && self.reports.is_empty()
+        // unconfirmed claim counts here.
+        let is_claim_settled = self.watermark.claimed() <= self.reassembly.floor();
+        is_claim_settled && self.reassembly.is_settled() && self.reports.is_empty()
     }
 
     /// Gives up all messages that are not settled.
@@ -150,12 +150,12 @@ impl ReceivingHalf {
     /// Starts to report the losses since the last call to the other end. Returns the losses that the layer above can be
     /// informed of at once, because their tag is known.
     pub(crate) fn take_lost(&mut self, now: MonoTime) -> Vec<MessageLoss> {
-        let lost = self.reassembly.take_lost();
-        let mut identified = Vec::new();
-        for lost in lost {
+        let lost_messages = self.reassembly.take_lost();
+        let mut identified_losses = Vec::new();
+        for lost in lost_messages {
             // If no fragment has arrived, the tag is unknown here. The confirmation of the other end contains it.
             if let Some(tag) = lost.tag {
-                identified.push(MessageLoss {
+                identified_losses.push(MessageLoss {
                     tag: decode_tag(tag),
                     received: lost.received,
                     total: lost.total,
@@ -164,17 +164,17 @@ impl ReceivingHalf {
             if self.reports.len() < MAX_LOSS_REPORTS {
                 self.reports.push(LossReport { lost, attempts: 0, next_at: now });
             } else if lost.tag.is_none() {
-                identified.push(MessageLoss { tag: None, received: 0, total: 0 });
+                identified_losses.push(MessageLoss { tag: None, received: 0, total: 0 });
             }
         }
-        identified
+        identified_losses
     }
 
     /// Handles the confirmation of a loss, which contains the tag of the message. Returns the loss for the layer above if
     /// its tag was unknown.
     pub(crate) fn confirm_loss(&mut self, sequence: u64, tag: u64, total: u32) -> Option<MessageLoss> {
-        let at = self.reports.iter().position(|report| report.lost.sequence == sequence)?;
-        let report = self.reports.swap_remove(at);
+        let index = self.reports.iter().position(|report| report.lost.sequence == sequence)?;
+        let report = self.reports.swap_remove(index);
         report.lost.tag.is_none().then(|| MessageLoss { tag: decode_tag(tag), received: 0, total })
     }
 
@@ -208,7 +208,7 @@ impl ReceivingHalf {
 
     /// Returns the time at which a message is to be given up or reported.
     pub(crate) fn next_timer(&self, now: MonoTime, tick: Span) -> Option<MonoTime> {
-        let waiting = (!self.reassembly.is_settled()).then(|| now + tick);
-        self.reports.iter().map(|report| report.next_at).chain(waiting).min()
+        let next_tick = (!self.reassembly.is_settled()).then(|| now + tick);
+        self.reports.iter().map(|report| report.next_at).chain(next_tick).min()
     }
 }

@@ -105,8 +105,8 @@ impl SendingHalf {
 
     /// Returns the message whose part is sent next, and the offset of that part.
     fn send_position(&self) -> (u64, u32) {
-        let waiting = self.queue.front().map(|message| (message.sequence, message.offset));
-        waiting.unwrap_or_else(|| (self.outstanding.next_sequence(), 0))
+        let queued_position = self.queue.front().map(|message| (message.sequence, message.offset));
+        queued_position.unwrap_or_else(|| (self.outstanding.next_sequence(), 0))
     }
 
     /// Returns the number of the first message that has not been sent completely.
@@ -223,7 +223,7 @@ impl SendingHalf {
         Ok(())
     }
 
-    /// Handles the report of a lost message. `lost` is as in
+    /// Handles the report of a lost message. `lost_datagrams` has the meaning as in
     /// [`loses_all_long_datagrams`](Self::loses_all_long_datagrams). Returns the tag and the number of fragments for the
     /// answer, and the loss for the layer above.
     ///
@@ -232,7 +232,7 @@ impl SendingHalf {
     pub(crate) fn receive_loss(
         &mut self,
         (sequence, received): (u64, u32),
-        lost: u64,
+        lost_datagrams: u64,
         now: MonoTime,
     ) -> Result<(u64, u32, Option<MessageLoss>), FalseClaim> {
         let (current, offset) = self.send_position();
@@ -256,7 +256,7 @@ impl SendingHalf {
         }
         let retransmission = message.retransmission.take();
         self.window.record_loss();
-        self.long_losses.record_loss(fragments, received, lost, now);
+        self.long_losses.record_loss(fragments, received, lost_datagrams, now);
         if let Some(frames) = retransmission
             && self.enqueue(frames, 0, None).is_ok()
         {
@@ -266,10 +266,10 @@ impl SendingHalf {
         Ok((tag, fragments, Some(MessageLoss { tag: decode_tag(tag), received, total: fragments })))
     }
 
-    /// Returns whether the longest datagrams no longer arrive. `lost` is the number of lost datagrams that the other end
-    /// has reported; the other end may give up messages for other reasons than lost datagrams.
-    pub(crate) fn loses_all_long_datagrams(&self, lost: u64, now: MonoTime) -> bool {
-        self.long_losses.loses_all(lost, now)
+    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams
+    /// that the other end has reported. It is needed because the other end may give up messages for other reasons.
+    pub(crate) fn loses_all_long_datagrams(&self, lost_datagrams: u64, now: MonoTime) -> bool {
+        self.long_losses.loses_all(lost_datagrams, now)
     }
 
     /// Returns the length of the longest datagrams that are sent.

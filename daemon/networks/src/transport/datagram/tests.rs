@@ -55,12 +55,12 @@ proptest! {
     #[test]
     fn every_message_arrives_or_is_lost_at_both_ends(
         loss in 0_u64..30,
-        doubled in 0_u64..20,
+        duplicated in 0_u64..20,
         reordered in 0_u64..40,
         seed: u64,
     ) {
         const MESSAGES: u64 = 30;
-        let mut network = SimulatedNetwork::new(Impairment { loss, doubled, reordered }, seed);
+        let mut network = SimulatedNetwork::new(Impairment { loss, duplicated, reordered }, seed);
         let id = network.open();
         for tag in 0..MESSAGES {
             network.send(Some(tag), &payload(tag));
@@ -109,7 +109,7 @@ proptest! {
 
     #[test]
     fn messages_without_tag_always_arrive_once(loss in 0_u64..25, seed: u64) {
-        let mut network = SimulatedNetwork::new(Impairment { loss, doubled: 5, reordered: 10 }, seed);
+        let mut network = SimulatedNetwork::new(Impairment { loss, duplicated: 5, reordered: 10 }, seed);
         network.open();
         for n in 0..10 {
             network.send(None, &[n]);
@@ -121,7 +121,8 @@ proptest! {
             _ => None,
         }).collect();
         prop_assert_eq!(arrived.len(), 10);
-        prop_assert_eq!(network.arrivals.iter().filter(|a| matches!(a, Arrival::Message(..))).count(), 10);
+        let is_message = |arrival: &&Arrival| matches!(arrival, Arrival::Message(..));
+        prop_assert_eq!(network.arrivals.iter().filter(is_message).count(), 10);
     }
 }
 
@@ -228,7 +229,7 @@ fn connections_without_session_are_bounded_and_end() {
 }
 
 #[test]
-fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
+fn claimed_lengths_take_no_room_of_other_peers() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
@@ -236,13 +237,13 @@ fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
     let connection = open_from(&mut network.cloud, stranger, 77, &mut now).expect("there is room");
     network.cloud.admit(ConnectionId(connection));
     network.now = now;
-    let claimed = limits().reassembly.max_message_bytes;
+    let claimed_bytes = limits().reassembly.max_message_bytes;
     for sequence in 0..80 {
         let fragment = Fragment {
             sequence,
             tag: 1,
             offset: if sequence % 2 == 0 { 0 } else { 1_000_000 },
-            total: claimed,
+            total: claimed_bytes,
             checksum: 0,
             stride: 1_000,
             lifetime_ms: 0,
@@ -265,7 +266,7 @@ fn claimed_lengths_of_one_peer_leave_room_for_messages_of_others() {
 }
 
 #[test]
-fn message_without_room_is_lost_while_it_still_leaves() {
+fn message_without_room_is_lost_before_fully_sent() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     network.open();
     let stranger = SocketAddr::from(([198, 51, 100, 1], 9));
@@ -307,8 +308,8 @@ fn message_without_room_is_lost_while_it_still_leaves() {
 #[test]
 fn lost_large_datagrams_fall_back_to_small_ones() {
     let mut now = MonoTime::default();
-    let large = Terms { datagram: 8_000, ..TERMS };
-    let mut dialling = DialState::new(1, 0, large, PREFIX.len(), now);
+    let large_terms = Terms { datagram: 8_000, ..TERMS };
+    let mut dialling = DialState::new(1, 0, large_terms, PREFIX.len(), now);
     dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
     let mut lengths = Vec::new();
     for _ in 0..4 {
@@ -318,7 +319,7 @@ fn lost_large_datagrams_fall_back_to_small_ones() {
         lengths.push(out.len());
     }
     assert_eq!(lengths, [8_000, 8_000, 8_000, 1_200]);
-    let begin = now;
+    let started_at = now;
     let error = loop {
         now = dialling.next_timer();
         dialling.receive(&Packet::Cookie { nonce: 1, cookie: [1; 16] }, now);
@@ -326,7 +327,7 @@ fn lost_large_datagrams_fall_back_to_small_ones() {
             break error.to_string();
         }
     };
-    assert!(now - begin < Span::from_seconds(10), "{}", now - begin);
+    assert!(now - started_at < Span::from_seconds(10), "{}", now - started_at);
     assert!(error.contains("none of 1200 bytes") && error.contains("datagram_bytes"), "{error}");
 }
 
@@ -348,11 +349,11 @@ fn connection_ends_when_path_stops_carrying_long_datagrams() {
             }
         }
         network.steps(3_000);
-        let ended = network.events.iter().find_map(|event| match event {
+        let close_reason = network.events.iter().find_map(|event| match event {
             Event::Gone(reason) => Some(reason.as_str()),
             _ => None,
         });
-        let reason = ended.expect("the connection ends");
+        let reason = close_reason.expect("the connection ends");
         assert!(reason.contains("long datagrams") && reason.contains("datagram_bytes"), "{reason}");
         let is_gone = |arrival: &Arrival| matches!(arrival, Arrival::Gone(..));
         assert_eq!(network.arrivals.iter().any(is_gone), !loses_upload, "{:?}", network.arrivals);

@@ -32,15 +32,15 @@ pub(super) struct Channel {
     clock: ConnectionClock,
     state: Mutex<Connection>,
     /// Publisher of companions.
-    info: Box<dyn SessionPublisher>,
+    companion_publisher: Box<dyn SessionPublisher>,
     payload_topic: PayloadTopic,
-    /// Signals that a remark waits.
+    /// Signals that a remark for the layer above is queued.
     has_remark: Notify,
     /// Node and connection of the other end, once they are known.
     peer: OnceLock<RemoteNode>,
 }
 
-/// First payload part of a message and its departure, from the header.
+/// Description of a message's first payload part and time of the message's departure, from the message's header.
 struct PayloadHeader {
     part: Description,
     /// Nanoseconds since the Unix epoch.
@@ -53,7 +53,7 @@ impl Channel {
         id: String,
         settings: &SessionSettings,
         budget: Arc<MemoryBudget>,
-        (info, payload_topic): (Box<dyn SessionPublisher>, String),
+        (companion_publisher, payload_topic): (Box<dyn SessionPublisher>, String),
     ) -> Self {
         let connection =
             Connection::new(id, connection_limits(settings, &*node), budget, MonoTime::default());
@@ -61,7 +61,7 @@ impl Channel {
             node,
             clock: ConnectionClock::start(clock),
             state: Mutex::new(connection),
-            info,
+            companion_publisher,
             payload_topic: PayloadTopic::new(payload_topic, queue_limits(settings)),
             has_remark: Notify::new(),
             peer: OnceLock::new(),
@@ -94,30 +94,31 @@ impl Channel {
 
     /// Publishes a companion without frames for all subscribers.
     pub(super) fn announce(&self, kind: u8) {
-        let info = self.new_companion(kind);
+        let companion = self.new_companion(kind);
         let states_buffer_size = matches!(kind, MessageInfo::HELLO | MessageInfo::WELCOME);
         // The other end has no other way to know the size of these buffers.
         let buffer = self.node.receive_buffer_bytes().filter(|_| states_buffer_size);
         let frame_lengths =
             buffer.map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX)).into_iter().collect();
-        self.publish_for_all(&MessageInfo { frame_lengths, ..info });
+        self.publish_for_all(&MessageInfo { frame_lengths, ..companion });
     }
 
     /// Publishes a goodbye.
     pub(super) fn send_goodbye(&self, reason: &str) {
-        let info = self.new_companion(MessageInfo::GOODBYE);
-        self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..info });
+        let companion = self.new_companion(MessageInfo::GOODBYE);
+        self.publish_for_all(&MessageInfo { reason: reason.to_owned(), ..companion });
     }
 
     fn new_companion(&self, kind: u8) -> MessageInfo {
         self.lock().new_companion(kind, self.clock.wall(), self.now())
     }
 
-    fn publish_for_all(&self, info: &MessageInfo) {
-        let published = info.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
-        if let Err(error) = published.and_then(|message| self.info.publish(message)) {
+    /// Publishes a companion to all subscribers. A failure is only logged.
+    fn publish_for_all(&self, companion: &MessageInfo) {
+        let encoded = companion.encode(self.node.form()).map_err(|error| NodeFailure(error.to_string()));
+        if let Err(error) = encoded.and_then(|message| self.companion_publisher.publish(message)) {
             tracing::debug!(
-                topic = self.info.topic(),
+                topic = self.companion_publisher.topic(),
                 %error,
                 "cannot publish a message about the state of a connection"
             );
@@ -138,44 +139,51 @@ impl Channel {
     /// Publishes a message. Its first payload part is published on the payload topic if its type fits and the topic is
     /// open. Everything else is published on the companions' topic.
     pub(super) fn send(&self, message: &[Bytes], options: SendOptions) -> Result<(), SendFailure> {
-        let gone = |reason: String| SendFailure::Gone(reason);
-        let peer = self.peer.get().ok_or_else(|| gone("the connection is not open".into()))?;
-        let described = message.get(PAYLOAD_FRAME).and_then(|_| describe(message.first()?));
-        let departure = described.as_ref().map_or_else(|| self.clock.wall(), |described| described.departure);
+        let gone_failure = |reason: String| SendFailure::Gone(reason);
+        let peer = self.peer.get().ok_or_else(|| gone_failure("the connection is not open".into()))?;
+        let payload_header = message.get(PAYLOAD_FRAME).and_then(|_| read_payload_header(message.first()?));
+        let departure = payload_header.as_ref().map_or_else(|| self.clock.wall(), |header| header.departure);
         // The lock is held until both messages are published, so that both topics have the messages in the order of their
         // stamps.
         let mut state = self.lock();
         if state.is_closed() {
-            return Err(gone("the connection is closed".into()));
+            return Err(gone_failure("the connection is closed".into()));
         }
-        let mut info = state.new_companion(MessageInfo::DATA, departure, self.now());
-        info.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
-        let has_payload = match (&described, message.get(PAYLOAD_FRAME)) {
-            (Some(described), Some(data)) => {
-                let payload = Payload { header: &info.header, part: &described.part, data };
+        let mut companion = state.new_companion(MessageInfo::DATA, departure, self.now());
+        companion.request = options.tag.unwrap_or(MessageInfo::NO_REQUEST);
+        let has_payload = match (&payload_header, message.get(PAYLOAD_FRAME)) {
+            (Some(payload_header), Some(data)) => {
+                let payload = Payload { header: &companion.header, part: &payload_header.part, data };
                 self.publish_payload(&mut state, &payload, peer)?
             }
             _ => false,
         };
-        if !frames::pack(&mut info, message, has_payload) {
-            return Err(gone("a frame has 4 GiB or more".into()));
+        if !frames::pack(&mut companion, message, has_payload) {
+            return Err(gone_failure("a frame has 4 GiB or more".into()));
         }
         // Each fragment takes the number of the message, and the message gets the next number: numbers are in the order of
         // sending.
         let mut companions = Vec::new();
-        for frames in fragments::split_into_fragments(&mut info.frames, self.node.max_companion_bytes()) {
-            companions.push(MessageInfo { frames, ..state.new_fragment(&mut info) });
+        for frames in fragments::split_into_fragments(&mut companion.frames, self.node.max_companion_bytes())
+        {
+            companions.push(MessageInfo { frames, ..state.new_fragment(&mut companion) });
         }
-        companions.push(info);
+        companions.push(companion);
         let encoded = companions.iter().map(|companion| companion.encode(self.node.form()));
         let encoded: Vec<EncodedMessage> =
-            encoded.collect::<Result<_, _>>().map_err(|error| gone(error.to_string()))?;
-        match self.info.publish_to(&peer.node, &encoded).map_err(|error| gone(error.to_string()))? {
+            encoded.collect::<Result<_, _>>().map_err(|error| gone_failure(error.to_string()))?;
+        match self
+            .companion_publisher
+            .publish_to(&peer.node, &encoded)
+            .map_err(|error| gone_failure(error.to_string()))?
+        {
             Delivery::Accepted => Ok(()),
             Delivery::Full => Err(SendFailure::Full),
-            Delivery::NotConnected => {
-                Err(gone(format!("node {} has left topic {}", peer.node, self.info.topic())))
-            }
+            Delivery::NotConnected => Err(gone_failure(format!(
+                "node {} has left topic {}",
+                peer.node,
+                self.companion_publisher.topic()
+            ))),
         }
     }
 
@@ -191,13 +199,13 @@ impl Channel {
         self.payload_topic.publish(&*self.node, peer, payload, &mut remark)
     }
 
-    /// Queues a remark about the connection for the task that hands it up.
+    /// Queues a remark: a warning about the connection for the layer above. The connection's task hands it on.
     pub(super) fn remark(&self, state: &mut Connection, text: String) {
         state.remark(text);
         self.has_remark.notify_one();
     }
 
-    /// Waits until there is a remark to be handed up.
+    /// Waits until a remark is queued.
     pub(super) async fn wait_for_remark(&self) {
         self.has_remark.notified().await;
     }
@@ -208,7 +216,7 @@ impl Channel {
     }
 
     /// Opens the payload topic. Repeats the attempt while the master is not reachable.
-    pub(super) async fn publish_payload_topic(&self, kind: PayloadType) {
+    pub(super) async fn open_payload_topic(&self, kind: PayloadType) {
         let mut is_reported = false;
         while !self.lock().is_closed() {
             match self.payload_topic.open(&*self.node, kind).await {
@@ -240,7 +248,7 @@ impl Channel {
 }
 
 /// Reads the first payload part and the departure from a message's header.
-fn describe(header: &Bytes) -> Option<PayloadHeader> {
+fn read_payload_header(header: &Bytes) -> Option<PayloadHeader> {
     let (departure, sample) = match Header::decode(header).ok()? {
         Header::Request(request) => (Some(request.departure), request.sample),
         Header::Reply(reply) => match reply.outcome {

@@ -52,13 +52,13 @@ pub(crate) async fn bind(
     ports: NonZeroUsize,
     clock: &SharedClock,
 ) -> Result<BoundPort, BindFailure> {
-    let other = |error: NodeFailure| BindFailure::Other(error.to_string());
+    let bind_failure = |error: NodeFailure| BindFailure::Other(error.to_string());
     let name = address.listener_name().unwrap_or_default();
-    let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(other)?;
+    let node = open_node(address, &cloud_node(name), settings, clock).await.map_err(bind_failure)?;
     let topic = sessions_topic(name);
     if let Err(failure) = node.check_cloud_name(name).await {
         node.end(settings.close_timeout()).await;
-        return Err(other(failure));
+        return Err(bind_failure(failure));
     }
     let options = SubscriberOptions {
         queue: QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES },
@@ -66,19 +66,20 @@ pub(crate) async fn bind(
         max_message_bytes: MAX_HELLO_BYTES,
         ..Default::default()
     };
-    let kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
-    let sessions = node.subscribe(&topic, kind, options).await.map_err(other)?;
-    let refusals = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
+    let sessions_kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
+    let sessions = node.subscribe(&topic, sessions_kind, options).await.map_err(bind_failure)?;
+    let refusals_kind = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
     let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
-    let refusals = node.publish(&refusals_topic(name), refusals, queue).await.map_err(other)?;
+    let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);
     let (deliveries, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
     // At least one, however few descriptors the process may open.
-    let max = (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
+    let max_connections =
+        (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
     let tasks = CloudTasks::default();
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
-        (settings.clone(), max),
+        (settings.clone(), max_connections),
         (refusals, deliveries),
         tasks.clone(),
     );

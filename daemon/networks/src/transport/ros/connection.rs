@@ -1,7 +1,7 @@
 //! State machine of one end of a virtual connection over topics, without I/O.
 //!
-//! A connection has a random identifier, which all its companions carry. It ends with a goodbye, by silence, or with
-//! the peer's topic, whose end its driver reports.
+//! A connection has a random identifier, which all its companions carry. It ends with a goodbye, by silence, or when the
+//! peer leaves a topic, which the connection's task reports.
 
 mod assembly;
 mod confirmation;
@@ -30,7 +30,7 @@ use crate::transport::memory::MemoryBudget;
 pub(super) struct ConnectionLimits {
     /// Largest sum of the lengths of all frames of a message. Bytes.
     pub(super) max_message_bytes: u64,
-    /// `true` if this end must confirm that it receives the payload topic, because the other end cannot know it.
+    /// `true` if this end must confirm that it receives the payload topic, because the other end cannot find that out by itself.
     pub(super) confirms_payloads: bool,
     /// Largest number of messages of which only the companion or only the payload has arrived.
     pub(super) max_incomplete: usize,
@@ -49,7 +49,7 @@ pub(super) struct Connection {
     assembly: MessageAssembly,
     events: EventQueue,
     confirmation: PayloadConfirmation,
-    /// State of the other end, as it reported.
+    /// State of the other end, according to its reports.
     peer: PeerState,
     phase: Phase,
 }
@@ -64,14 +64,14 @@ enum Phase {
     Closed,
 }
 
-/// State of the other end of a connection, as it reported.
+/// State of the other end of a connection, according to its reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct PeerState {
-    /// Largest payload message that it can receive, if limited. Bytes.
+    /// Largest payload message that the other end can receive, if limited. Bytes.
     pub(super) receive_buffer_bytes: Option<u32>,
-    /// `true` if payloads of this connection arrive there. They are then not sent in their companions.
+    /// `true` if payloads of this connection arrive at the other end. They are then not sent in their companions.
     pub(super) is_subscribed: bool,
-    /// `true` if it has said goodbye.
+    /// `true` if the other end has said goodbye.
     pub(super) has_left: bool,
 }
 
@@ -129,7 +129,7 @@ impl Connection {
     }
 
     /// Handles a companion of this connection.
-    pub(super) fn receive_info(&mut self, info: MessageInfo, now: MonoTime) {
+    pub(super) fn receive_companion(&mut self, info: MessageInfo, now: MonoTime) {
         if self.is_closed() {
             return;
         }
@@ -237,7 +237,7 @@ impl Connection {
         }
     }
 
-    /// Reports a condition that slows the connection down or hides it from other programs.
+    /// Adds a remark: a warning about a condition that slows the connection down or hides it from other programs.
     pub(super) fn remark(&mut self, text: String) {
         self.events.push(Event::Remark(text));
     }

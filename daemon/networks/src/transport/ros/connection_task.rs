@@ -18,10 +18,10 @@ use super::second_publishers::SecondPublishers;
 
 /// Receiver of the events of a connection.
 pub(super) trait Sink: Send {
-    /// Form in which events are handed up.
+    /// Form in which events are handed to the layer above.
     type Delivery: Send;
 
-    /// Handles an event. Returns what is handed up, if anything is.
+    /// Handles an event. Returns the delivery for the layer above, if there is one.
     fn handle_event(&mut self, channel: &Channel, event: Event) -> Option<Self::Delivery>;
 
     /// Waits for the next directive of this end.
@@ -41,8 +41,10 @@ pub(super) enum Directive {
 /// The task of one end of a connection.
 pub(super) struct ConnectionTask<S: Sink> {
     pub(super) channel: Arc<Channel>,
-    pub(super) info: Box<dyn SessionSubscriber>,
-    pub(super) payload: Option<Box<dyn SessionSubscriber>>,
+    /// Subscriber of the peer's companions.
+    pub(super) companion_subscriber: Box<dyn SessionSubscriber>,
+    /// Subscriber of the peer's payloads, once it exists.
+    pub(super) payload_subscriber: Option<Box<dyn SessionSubscriber>>,
     pub(super) sink: S,
     pub(super) deliveries: mpsc::Sender<S::Delivery>,
     /// Token that ends the connection with a goodbye.
@@ -51,17 +53,21 @@ pub(super) struct ConnectionTask<S: Sink> {
     pub(super) abort: CancellationToken,
 }
 
+/// What the task handles next.
 enum Step {
-    Info(Result<TopicMessage, NodeFailure>),
+    /// A companion arrived, or its subscription ended.
+    Companion(Result<TopicMessage, NodeFailure>),
+    /// A payload arrived, or its subscription ended.
     Payload(Result<TopicMessage, NodeFailure>),
     Directive(Directive),
     /// The publishers of a topic have changed.
     Publishers,
+    /// Nothing beyond what every iteration of the loop does.
     Other,
 }
 
 impl<S: Sink> ConnectionTask<S> {
-    /// Runs until the connection has ended and all events were handed up.
+    /// Runs until the connection has ended and all events were handed to the layer above.
     pub(super) async fn run(self, goodbye: &str) {
         let channel = Arc::clone(&self.channel);
         self.run_until_end(goodbye).await;
@@ -69,60 +75,64 @@ impl<S: Sink> ConnectionTask<S> {
     }
 
     async fn run_until_end(mut self, goodbye: &str) {
-        let mut queued = VecDeque::new();
-        let mut others = SecondPublishers::default();
-        let mut connected = BTreeSet::new();
+        let mut queued_deliveries = VecDeque::new();
+        let mut second_publishers = SecondPublishers::default();
+        let mut connected_topics = BTreeSet::new();
         let mut is_closing = false;
-        let mut departure = None;
+        let mut left_topic = None;
         loop {
             self.send_due();
-            self.remark_named_publishers(&mut others);
-            self.collect_events(&mut queued);
-            while !queued.is_empty()
+            self.remark_named_publishers(&mut second_publishers);
+            self.collect_events(&mut queued_deliveries);
+            while !queued_deliveries.is_empty()
                 && let Ok(permit) = self.deliveries.try_reserve()
-                && let Some(delivery) = queued.pop_front()
+                && let Some(delivery) = queued_deliveries.pop_front()
             {
                 permit.send(delivery);
             }
-            if self.channel.lock().is_closed() && queued.is_empty() {
+            if self.channel.lock().is_closed() && queued_deliveries.is_empty() {
                 if self.answers_goodbye() && !is_closing {
                     self.channel.send_goodbye("");
                 }
                 return;
             }
             // Created before the publishers are checked, so that no change in between is missed.
-            let info_publishers = self.info.watch();
-            let payload_publishers = self.payload.as_ref().map(|payload| payload.watch());
+            let info_publishers = self.companion_subscriber.watch();
+            let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
                 wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
             // Not reset if the peer returns to the topic, because messages may have been lost in between.
-            departure = departure.or_else(|| {
-                self.disconnected_topic(&mut connected).map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
+            left_topic = left_topic.or_else(|| {
+                self.disconnected_topic(&mut connected_topics)
+                    .map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
             });
-            if let Some((topic, until)) = &departure
+            if let Some((topic, deadline)) = &left_topic
                 && !self.channel.lock().is_closed()
             {
                 // Messages that the peer published before it left may still be queued here, possibly with its goodbye.
-                while let Some(message) = self.info.try_recv() {
-                    self.handle_step(Step::Info(Ok(message)), &mut others);
+                while let Some(message) = self.companion_subscriber.try_recv() {
+                    self.handle_step(Step::Companion(Ok(message)), &mut second_publishers);
                 }
-                while let Some(message) = self.payload.as_mut().and_then(|payload| payload.try_recv()) {
-                    self.handle_step(Step::Payload(Ok(message)), &mut others);
+                while let Some(message) =
+                    self.payload_subscriber.as_mut().and_then(|payload| payload.try_recv())
+                {
+                    self.handle_step(Step::Payload(Ok(message)), &mut second_publishers);
                 }
                 let peer = self.channel.peer().map_or("", |peer| &peer.node).to_owned();
-                if !self.has_connected_topic() || Instant::now() >= *until {
+                if !self.has_connected_topic() || Instant::now() >= *deadline {
                     self.channel.lock().end(format!("node {peer} has left topic {topic}"));
                     continue;
                 }
             }
-            let next = self
+            let next_timer = self
                 .channel
                 .next_timer()
                 .into_iter()
-                .chain(departure.as_ref().map(|(_, until)| *until))
+                .chain(left_topic.as_ref().map(|(_, deadline)| *deadline))
                 .min();
-            let is_idle = queued.is_empty();
-            let Self { channel, info, payload, sink, deliveries, stop, abort } = &mut self;
+            let can_receive = queued_deliveries.is_empty();
+            let Self { channel, companion_subscriber, payload_subscriber, sink, deliveries, stop, abort } =
+                &mut self;
             let step = tokio::select! {
                 biased;
                 () = abort.cancelled() => {
@@ -143,58 +153,64 @@ impl<S: Sink> ConnectionTask<S> {
                     is_closing = true;
                     Step::Other
                 }
-                permit = deliveries.reserve(), if !is_idle => {
+                permit = deliveries.reserve(), if !can_receive => {
                     match permit {
-                        Ok(permit) => if let Some(delivery) = queued.pop_front() {
+                        Ok(permit) => if let Some(delivery) = queued_deliveries.pop_front() {
                             permit.send(delivery);
                         },
                         // Nothing receives the events any more.
-                        Err(_) => queued.clear(),
+                        Err(_) => queued_deliveries.clear(),
                     }
                     Step::Other
                 }
                 // Messages that are not taken stay in the topic's queue, and then with the publisher.
-                message = info.recv(), if is_idle => Step::Info(message),
-                message = receive(payload), if is_idle => Step::Payload(message),
+                message = companion_subscriber.recv(), if can_receive => Step::Companion(message),
+                message = receive(payload_subscriber), if can_receive => Step::Payload(message),
                 directive = sink.next_directive(channel) => Step::Directive(directive),
                 () = channel.wait_for_remark() => Step::Other,
                 kind = channel.wait_for_payload_type() => {
                     let channel = Arc::clone(channel);
-                    tokio::spawn(async move { channel.publish_payload_topic(kind).await });
+                    tokio::spawn(async move { channel.open_payload_topic(kind).await });
                     Step::Other
                 }
                 () = publisher_change => Step::Publishers,
-                () = sleep_until(next.unwrap_or_else(Instant::now)), if next.is_some() => Step::Other,
+                () = sleep_until(next_timer.unwrap_or_else(Instant::now)), if next_timer.is_some() => Step::Other,
             };
-            self.handle_step(step, &mut others);
+            self.handle_step(step, &mut second_publishers);
         }
     }
 
-    fn handle_step(&mut self, step: Step, others: &mut SecondPublishers) {
+    fn handle_step(&mut self, step: Step, second_publishers: &mut SecondPublishers) {
         match step {
-            Step::Info(Ok(message)) => {
-                if self.is_of_peer(&message, self.info.topic(), others) {
-                    self.receive_info(message);
+            Step::Companion(Ok(message)) => {
+                if self.is_of_peer(&message, self.companion_subscriber.topic(), second_publishers) {
+                    self.receive_companion(message);
                 }
             }
             Step::Payload(Ok(message)) => {
-                let topic =
-                    self.payload.as_ref().map_or_else(|| self.info.topic(), |payload| payload.topic());
-                if self.is_of_peer(&message, topic, others) {
+                let topic = self
+                    .payload_subscriber
+                    .as_ref()
+                    .map_or_else(|| self.companion_subscriber.topic(), |payload| payload.topic());
+                if self.is_of_peer(&message, topic, second_publishers) {
                     self.receive_payload(message);
                 }
             }
-            Step::Info(Err(error)) | Step::Payload(Err(error)) => self.channel.lock().end(error.to_string()),
-            Step::Directive(Directive::Admit(payload)) => self.payload = Some(payload),
+            Step::Companion(Err(error)) | Step::Payload(Err(error)) => {
+                self.channel.lock().end(error.to_string())
+            }
+            Step::Directive(Directive::Admit(payload)) => self.payload_subscriber = Some(payload),
             Step::Directive(Directive::Limit(limits)) => {
-                self.info.set_message_limits(limits.max_message_bytes, limits.memory());
+                self.companion_subscriber.set_message_limits(limits.max_message_bytes, limits.memory());
                 self.channel.lock().set_budget(limits.budget);
             }
             Step::Directive(Directive::End(reason)) => self.channel.lock().end(reason),
             Step::Publishers => {
-                for subscriber in [Some(&self.info), self.payload.as_ref()].into_iter().flatten() {
+                for subscriber in
+                    [Some(&self.companion_subscriber), self.payload_subscriber.as_ref()].into_iter().flatten()
+                {
                     for node in subscriber.other_publishers() {
-                        self.remark_second_publisher(&node, subscriber.topic(), others);
+                        self.remark_second_publisher(&node, subscriber.topic(), second_publishers);
                     }
                 }
             }
@@ -207,68 +223,83 @@ impl<S: Sink> ConnectionTask<S> {
         self.channel.node.receive_buffer_bytes().is_some() && self.channel.lock().peer().has_left
     }
 
-    /// Returns whether the last messages of a leaving peer may still be in transfer.
+    /// Returns whether the peer still publishes one of the topics. Its last messages may then still be in transfer.
     fn has_connected_topic(&self) -> bool {
-        let topics = [Some(&self.info), self.payload.as_ref()];
+        let topics = [Some(&self.companion_subscriber), self.payload_subscriber.as_ref()];
         topics.into_iter().flatten().any(|subscriber| is_connected(&**subscriber, &self.channel))
     }
 
     /// Returns a topic on which messages of the peer arrived until now and do not arrive any more.
-    fn disconnected_topic(&self, connected: &mut BTreeSet<String>) -> Option<String> {
+    fn disconnected_topic(&self, connected_topics: &mut BTreeSet<String>) -> Option<String> {
         // Where payloads are confirmed, the publisher of the payload topic may belong to an earlier connection that ends.
         let is_confirmed = self.channel.node.receive_buffer_bytes().is_some();
-        let topics = [Some(&self.info), self.payload.as_ref().filter(|_| !is_confirmed)];
+        let topics =
+            [Some(&self.companion_subscriber), self.payload_subscriber.as_ref().filter(|_| !is_confirmed)];
         topics.into_iter().flatten().find_map(|subscriber| {
             let topic = subscriber.topic();
             if !is_connected(&**subscriber, &self.channel) {
-                // Before the peer's first companion, the publisher that left may be that of an earlier connection of
-                // the same pipeline, which this one replaces.
+                // Before the peer's first companion, the publisher that left may belong to an earlier connection of
+                // the same pipeline, which this connection replaces.
                 if !self.channel.lock().has_received() {
-                    connected.remove(topic);
+                    connected_topics.remove(topic);
                 }
-                return connected.contains(topic).then(|| topic.to_owned());
+                return connected_topics.contains(topic).then(|| topic.to_owned());
             }
-            if !connected.contains(topic) {
-                connected.insert(topic.to_owned());
+            if !connected_topics.contains(topic) {
+                connected_topics.insert(topic.to_owned());
             }
             None
         })
     }
 
     /// Returns whether a message is from the node at the other end. There is one remark on each other node.
-    fn is_of_peer(&self, message: &TopicMessage, topic: &str, others: &mut SecondPublishers) -> bool {
+    fn is_of_peer(
+        &self,
+        message: &TopicMessage,
+        topic: &str,
+        second_publishers: &mut SecondPublishers,
+    ) -> bool {
         let Some(peer) = self.channel.peer() else { return true };
         let node = &message.publisher.node;
         if peer.node == *node {
             return true;
         }
-        self.remark_second_publisher(node, topic, others);
+        self.remark_second_publisher(node, topic, second_publishers);
         false
     }
 
-    fn remark_second_publisher(&self, second: &Arc<str>, topic: &str, others: &mut SecondPublishers) {
+    fn remark_second_publisher(
+        &self,
+        node: &Arc<str>,
+        topic: &str,
+        second_publishers: &mut SecondPublishers,
+    ) {
         let Some(peer) = self.channel.peer() else { return };
-        if let Some(remark) = others.check(second, topic, (&peer.node, &*self.channel.node), Instant::now()) {
+        if let Some(remark) =
+            second_publishers.check(node, topic, (&peer.node, &*self.channel.node), Instant::now())
+        {
             self.channel.lock().remark(remark);
         }
     }
 
-    fn remark_named_publishers(&self, others: &mut SecondPublishers) {
+    /// Adds the remarks on publishers whose names were unknown when they were found.
+    fn remark_named_publishers(&self, second_publishers: &mut SecondPublishers) {
         let Some(peer) = self.channel.peer() else { return };
-        for remark in others.check_unnamed((&peer.node, &*self.channel.node), Instant::now()) {
+        for remark in second_publishers.check_unnamed((&peer.node, &*self.channel.node), Instant::now()) {
             self.channel.lock().remark(remark);
         }
     }
 
+    /// Handles a companion.
     // The memory of the message is released first, because the connection reserves memory for the same bytes.
-    fn receive_info(&self, TopicMessage { bytes, memory, .. }: TopicMessage) {
+    fn receive_companion(&self, TopicMessage { bytes, memory, .. }: TopicMessage) {
         drop(memory);
         let now = self.channel.now();
         let mut state = self.channel.lock();
         match MessageInfo::decode(self.channel.node.form(), bytes) {
             // The companion belongs to an earlier or later connection between the same nodes.
             Ok(info) if info.header.frame_id != state.id() => {}
-            Ok(info) => state.receive_info(info, now),
+            Ok(info) => state.receive_companion(info, now),
             Err(error) => state.report_invalid(format!("cannot decode a companion: {error}")),
         }
     }
@@ -285,18 +316,19 @@ impl<S: Sink> ConnectionTask<S> {
         }
     }
 
+    /// Runs the timers of the connection, and publishes the messages that are due.
     fn send_due(&self) {
         let now = self.channel.now();
         self.channel.lock().tick(now);
         self.channel.send_notices();
     }
 
-    fn collect_events(&mut self, queued: &mut VecDeque<S::Delivery>) {
+    fn collect_events(&mut self, queued_deliveries: &mut VecDeque<S::Delivery>) {
         loop {
             // A separate statement, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
-            queued.extend(self.sink.handle_event(&self.channel, event));
+            queued_deliveries.extend(self.sink.handle_event(&self.channel, event));
         }
     }
 }

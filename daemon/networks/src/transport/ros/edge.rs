@@ -67,27 +67,32 @@ pub(crate) async fn dial(
     let cloud = node.find_cloud(&topics).await?;
     let budget = MemoryBudget::new(settings.max_message_bytes.saturating_mul(MAX_INCOMPLETE_MESSAGES));
     let limits = ReceiveLimits { max_message_bytes: largest_message(settings), budget: Arc::clone(&budget) };
-    let receiving = limits.subscriber_options(settings, &cloud);
-    let opened = open(&topics, &**node, settings, receiving).await?;
+    let subscriber_options = limits.subscriber_options(settings, &cloud);
+    let opened = open_topics(&topics, &**node, settings, subscriber_options).await?;
     let clock = SharedClock::clone(context.clock);
     let sending = (opened.request_info, topics.request.payload);
     let channel = Channel::new((Arc::clone(&node.node), clock), id.clone(), settings, budget, sending);
-    let wire = SessionHello {
+    let hello_message = SessionHello {
         node: node.name().to_owned(),
         host: hello.host.to_string(),
         pipeline,
         ..SessionHello::default()
     };
     let (mut response_info, mut refusals) = (opened.response_info, opened.refusals);
-    exchange_hellos(&channel, (&mut *response_info, &mut *refusals), &*opened.sessions, (&cloud, wire))
-        .await?;
+    exchange_hellos(
+        &channel,
+        (&mut *response_info, &mut *refusals),
+        &*opened.sessions,
+        (&cloud, hello_message),
+    )
+    .await?;
     drop(refusals);
     let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_ARRIVALS));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
     let connection_task = ConnectionTask {
         channel: Arc::clone(&channel),
-        info: response_info,
-        payload: Some(opened.response),
+        companion_subscriber: response_info,
+        payload_subscriber: Some(opened.response),
         sink: EdgeSink,
         deliveries,
         stop: stop.clone(),
@@ -118,11 +123,12 @@ struct OpenTopics {
     refusals: Box<dyn SessionSubscriber>,
 }
 
-async fn open(
+/// Opens the topics of a connection.
+async fn open_topics(
     topics: &EdgeTopics,
     node: &dyn SessionNode,
     settings: &SessionSettings,
-    receiving: SubscriberOptions,
+    subscriber_options: SubscriberOptions,
 ) -> Result<OpenTopics, NodeFailure> {
     let queue = queue_limits(settings);
     let companions = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
@@ -130,9 +136,13 @@ async fn open(
     let sessions = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
     Ok(OpenTopics {
-        response_info: node.subscribe(&topics.response.info, companions.clone(), receiving.clone()).await?,
-        response: node.subscribe(&topics.response.payload, payloads, receiving.clone()).await?,
-        refusals: node.subscribe(&refusals_topic(&topics.cloud), companions.clone(), receiving).await?,
+        response_info: node
+            .subscribe(&topics.response.info, companions.clone(), subscriber_options.clone())
+            .await?,
+        response: node.subscribe(&topics.response.payload, payloads, subscriber_options.clone()).await?,
+        refusals: node
+            .subscribe(&refusals_topic(&topics.cloud), companions.clone(), subscriber_options)
+            .await?,
         request_info: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
     })
@@ -145,19 +155,19 @@ async fn exchange_hellos(
     sessions: &dyn SessionPublisher,
     (cloud, mut hello): (&Arc<str>, SessionHello),
 ) -> Result<(), DialFailure> {
-    let (mut next, mut interval) = (Instant::now(), MIN_HELLO_INTERVAL);
-    let is_from_cloud = |info: &MessageInfo, message: &RemoteNode| {
-        info.header.frame_id == channel.lock().id() && message.node == *cloud
+    let (mut next_hello, mut interval) = (Instant::now(), MIN_HELLO_INTERVAL);
+    let is_from_cloud = |info: &MessageInfo, publisher: &RemoteNode| {
+        info.header.frame_id == channel.lock().id() && publisher.node == *cloud
     };
     loop {
         tokio::select! {
-            () = sleep_until(next) => {
+            () = sleep_until(next_hello) => {
                 channel.announce(MessageInfo::HELLO);
                 hello.header.frame_id = channel.lock().id().to_owned();
                 let message = hello.encode(channel.node.form());
                 let message = message.map_err(|error| DialFailure::Unreachable(error.to_string()))?;
                 sessions.publish(message)?;
-                next = Instant::now() + interval;
+                next_hello = Instant::now() + interval;
                 interval = (interval * 2).min(MAX_HELLO_INTERVAL);
             }
             message = response_info.recv() => {
@@ -167,7 +177,7 @@ async fn exchange_hellos(
                     continue;
                 }
                 let now = channel.now();
-                channel.lock().receive_info(info, now);
+                channel.lock().receive_companion(info, now);
                 let event = channel.lock().next_event();
                 match event {
                     Some(Event::Welcome) => {
@@ -239,7 +249,7 @@ impl Sink for EdgeSink {
 struct RosEdgeSender(Arc<Channel>);
 
 impl EdgeSender for RosEdgeSender {
-    // The deadline is not used: the topics retransmit lost messages, so that nothing is retransmitted here.
+    // The deadline of the options is not used, because the topics retransmit lost messages by themselves.
     fn send(&self, frames: Frames, options: SendOptions) -> Result<(), SendFailure> {
         self.0.send(&frames, options)
     }

@@ -27,13 +27,14 @@ impl FrameFragments {
         budget: &Arc<MemoryBudget>,
         max_bytes: u64,
     ) -> Option<Self> {
-        let begin = || Self {
+        let new_fragments = || Self {
             stamp: fragment.header.stamp,
             received_at: now,
             bytes: BytesMut::new(),
             reserved: Reservation::empty(budget),
         };
-        let mut fragments = fragments.filter(|fragments| fragments.belong_to(fragment)).unwrap_or_else(begin);
+        let mut fragments =
+            fragments.filter(|fragments| fragments.belong_to(fragment)).unwrap_or_else(new_fragments);
         let length = (fragments.bytes.len() + fragment.frames.len()) as u64;
         if length > max_bytes || fragments.reserved.resize(budget, length).is_err() {
             return None;
@@ -53,7 +54,7 @@ impl FrameFragments {
         self.stamp == info.header.stamp
     }
 
-    /// Returns all frames of the message. `last` has the remaining bytes.
+    /// Returns all frames of the message. `last` are the frames of the last companion, which have the remaining bytes.
     pub(super) fn join(mut self, last: &Bytes) -> Bytes {
         self.bytes.extend_from_slice(last);
         self.bytes.freeze()

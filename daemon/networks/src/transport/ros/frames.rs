@@ -14,10 +14,11 @@ pub(super) const PAYLOAD_FRAME: usize = 2;
 pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) -> bool {
     let length = |frame: &Bytes| u32::try_from(frame.len()).ok();
     let Some(lengths) = frames.iter().map(length).collect::<Option<Vec<u32>>>() else { return false };
-    let companion_frames = frames.iter().enumerate().filter(|(at, _)| !(has_payload && *at == PAYLOAD_FRAME));
+    let companion_frames =
+        frames.iter().enumerate().filter(|(index, _)| !(has_payload && *index == PAYLOAD_FRAME));
     let companion_frames: Vec<&Bytes> = companion_frames.map(|(_, frame)| frame).collect();
     info.frames = match companion_frames[..] {
-        [only] => only.clone(),
+        [single_frame] => single_frame.clone(),
         _ => {
             let mut joined = BytesMut::with_capacity(companion_frames.iter().map(|frame| frame.len()).sum());
             companion_frames.iter().for_each(|frame| joined.extend_from_slice(frame));
@@ -65,16 +66,16 @@ pub(super) fn check_lengths(info: &MessageInfo, max_bytes: u64) -> Result<(), Fr
 /// Returns the frames of a checked companion and its payload.
 pub(super) fn unpack(info: &MessageInfo, payload: Option<&Bytes>) -> Result<Frames, FramesError> {
     let mut rest = info.frames.clone();
-    let frame = |(at, length): (usize, &u32)| {
+    let take_frame = |(index, length): (usize, &u32)| {
         let length = usize::try_from(*length).map_err(|_| FramesError::Lengths)?;
-        match payload.filter(|_| at == PAYLOAD_FRAME) {
+        match payload.filter(|_| index == PAYLOAD_FRAME) {
             Some(payload) if payload.len() == length => Ok(payload.clone()),
             Some(_) => Err(FramesError::Lengths),
             None if length <= rest.len() => Ok(rest.split_to(length)),
             None => Err(FramesError::Lengths),
         }
     };
-    info.frame_lengths.iter().enumerate().map(frame).collect()
+    info.frame_lengths.iter().enumerate().map(take_frame).collect()
 }
 
 #[cfg(test)]

@@ -58,7 +58,7 @@ impl From<EnvironmentError> for NodeFailure {
 pub(super) struct RemoteNode {
     /// Name of the node, which it also states when it asks for a connection.
     pub(super) node: Arc<str>,
-    /// Address of this end of the path to it.
+    /// Address of this end of the path to the node.
     pub(super) local: SocketAddr,
     /// Address of the other node's host.
     pub(super) remote: SocketAddr,
@@ -125,8 +125,8 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     fn check_cloud_name<'a>(&'a self, cloud: &'a str) -> BoxFuture<'a, Result<(), NodeFailure>>;
 
     /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
-    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that they need
-    /// not confirm it.
+    /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that
+    /// those nodes need not confirm it.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
     /// Returns the largest number of bytes of frames in one companion.
@@ -139,6 +139,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
     /// do about it.
     fn caveat(&self) -> Option<&str>;
 
+    /// Publishes a topic.
     fn publish<'a>(
         &'a self,
         topic: &'a str,

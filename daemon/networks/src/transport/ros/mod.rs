@@ -15,7 +15,7 @@
 //!
 //! - A cloud accepts messages only from the node that asked for the connection. The names of topics are derived from
 //!   the pipeline's name, so that no edge can make a cloud publish on other topics.
-//! - Before a session, a companion may have 64 KiB, and the cloud does not subscribe to the payload topic.
+//! - Before a session, a companion may have at most 64 KiB, and the cloud does not subscribe to the payload topic.
 //! - TCPROS and reliable topics of ROS 2 retransmit lost messages, so that nothing is retransmitted here.
 //! - The two topics of a direction have no common order, but each is in order. A later message on one topic therefore
 //!   proves that the partner of an earlier message is lost. If no later message arrives, a deadline ends the wait. A
@@ -54,7 +54,7 @@ use crate::Address;
 
 /// Form of addresses: host and port of the master, and the name of the cloud.
 pub(crate) const ADDRESS_FORM: AddressForm =
-    AddressForm::Named { port: 11311, name: "peernet", in_domain: "ros2", find: version::find };
+    AddressForm::Named { port: 11311, name: "peernet", domain_scheme: "ros2", find: version::find };
 
 /// Does nothing, because the system chooses the ports.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {

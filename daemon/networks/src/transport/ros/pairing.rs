@@ -79,9 +79,9 @@ impl Pairing {
     ) -> Option<Pair> {
         self.give_up_unmatched(stamp, half.is_info(), lost);
         match self.pending.remove(&stamp) {
-            Some(other) if other.half.is_info() != half.is_info() => {
-                let reserved = [other.reserved, reserved];
-                match (other.half, half) {
+            Some(waiting) if waiting.half.is_info() != half.is_info() => {
+                let reserved = [waiting.reserved, reserved];
+                match (waiting.half, half) {
                     (MessageHalf::Info(info), MessageHalf::Payload(payload))
                     | (MessageHalf::Payload(payload), MessageHalf::Info(info)) => {
                         return Some(Pair { info, payload, reserved });
@@ -91,7 +91,7 @@ impl Pairing {
             }
             // Two halves of the same kind have the same stamp. Which one is right is unknown; the newer one replaces the
             // older.
-            Some(other) => lost.push(other.half.loss()),
+            Some(waiting) => lost.push(waiting.half.loss()),
             None => {}
         }
         self.pending.insert(stamp, PendingHalf { half, deadline: now + self.timeout, reserved });
@@ -110,8 +110,9 @@ impl Pairing {
 
     /// Gives up the earlier halves that wait for a partner on the topic on which a message with this stamp arrived.
     fn give_up_unmatched(&mut self, stamp: i64, is_info: bool, lost: &mut Vec<MessageLoss>) {
-        let is_unmatched =
-            |at: &i64, pending: &mut PendingHalf| *at < stamp && pending.half.is_info() != is_info;
+        let is_unmatched = |pending_stamp: &i64, pending: &mut PendingHalf| {
+            *pending_stamp < stamp && pending.half.is_info() != is_info
+        };
         lost.extend(self.pending.extract_if(.., is_unmatched).map(|(_, pending)| pending.half.loss()));
     }
 

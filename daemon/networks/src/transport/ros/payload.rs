@@ -97,16 +97,16 @@ pub(super) fn decode(
     type_name: &str,
     message: Bytes,
 ) -> Result<(String, i64, Bytes), PayloadError> {
-    let payload_type = PayloadType::ALL.into_iter().find(|known| known.name() == type_name);
-    let with_key = |header: Header, data| (header.frame_id, header.stamp.as_nanos(), data);
+    let payload_type = PayloadType::ALL.into_iter().find(|candidate| candidate.name() == type_name);
+    let with_connection_and_stamp = |header: Header, data| (header.frame_id, header.stamp.as_nanos(), data);
     match payload_type.ok_or_else(|| PayloadError::OtherType(type_name.to_owned()))? {
         PayloadType::Image => {
             let image = Image::decode(form, message)?;
-            Ok(with_key(image.header, image.data))
+            Ok(with_connection_and_stamp(image.header, image.data))
         }
         PayloadType::CompressedImage => {
             let image = CompressedImage::decode(form, message)?;
-            Ok(with_key(image.header, image.data))
+            Ok(with_connection_and_stamp(image.header, image.data))
         }
         PayloadType::Bytes => {
             let array = UInt8MultiArray::decode(form, message)?;

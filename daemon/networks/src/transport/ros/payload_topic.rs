@@ -17,8 +17,8 @@ use crate::transport::SendFailure;
 /// Interval between attempts to open a topic while the master is not reachable.
 pub(super) const MASTER_RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Payload topic of one end of a connection. The first payload determines its type and makes the connection's task open
-/// it. A payload that cannot be sent on it is sent in the companion of its message.
+/// Payload topic of one end of a connection. The first payload determines the topic's type and makes the connection's
+/// task open the topic. A payload that cannot be sent on the topic is sent in the companion of its message.
 ///
 /// In ROS 2 a payload is also sent in its companion until the other end has confirmed that payloads of this connection
 /// arrive on the topic. Messages then also arrive if types or QoS do not fit, or if the topic has a publisher of an
@@ -48,7 +48,9 @@ enum TopicPhase {
     Unused,
     /// The topic is to be opened with this type.
     Requested(PayloadType),
+    /// The connection's task opens the topic.
     Opening,
+    /// The topic is open with this type.
     Open(PayloadType, Box<dyn SessionPublisher>),
 }
 
@@ -90,8 +92,8 @@ impl PayloadTopic {
         let kind = PayloadType::from_part(part, data.len());
         let mut state = self.state();
         let TopicState { phase, has_remarked_refusal, has_remarked_size } = &mut *state;
-        let (opened, publisher) = match phase {
-            TopicPhase::Open(opened, publisher) => (opened, publisher),
+        let (topic_type, publisher) = match phase {
+            TopicPhase::Open(topic_type, publisher) => (topic_type, publisher),
             TopicPhase::Unused => {
                 *phase = TopicPhase::Requested(kind);
                 self.requested.notify_one();
@@ -101,7 +103,7 @@ impl PayloadTopic {
             TopicPhase::Requested(_) | TopicPhase::Opening => return Ok(false),
         };
         // A topic has one type, so payloads of other types are sent in their companions.
-        if *opened != kind {
+        if *topic_type != kind {
             return Ok(false);
         }
         let max_bytes = max_payload_bytes(node, peer_state);

@@ -55,11 +55,11 @@ impl Ros1Node {
         };
         let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.pipeline_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
-            let others: Vec<String> =
+            let other_publishers: Vec<String> =
                 state.publishers_of(topic).iter().filter(is_of_other_program).cloned().collect();
-            if let Some(other) = self.node.running_publishers(topic, &others).await?.first() {
+            if let Some(publisher) = self.node.running_publishers(topic, &other_publishers).await?.first() {
                 return Err(NodeFailure(format!(
-                    "node {other} publishes topic {topic} already; stop it, give the pipeline another name, or set \
+                    "node {publisher} publishes topic {topic} already; stop it, give the pipeline another name, or set \
                      ROS_NAMESPACE to a namespace of this robot"
                 )));
             }
@@ -68,8 +68,9 @@ impl Ros1Node {
         let expected = MessageInfo::DEFINITION.name;
         for topic in [&topics.request.info, &topics.response.info] {
             let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
-            let other = types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
-            if let Some((_, kind)) = other.filter(|_| is_used) {
+            let other_type =
+                types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");
+            if let Some((_, kind)) = other_type.filter(|_| is_used) {
                 return Err(NodeFailure(format!(
                     "topic {topic} has the message type {kind} and would need {expected}; give the pipeline another name, \
                      or set ROS_NAMESPACE to a namespace of this robot"
@@ -79,12 +80,13 @@ impl Ros1Node {
         Ok(cloud.into())
     }
 
-    /// Returns a running node, other than this one, that serves a name. Nodes that only observe the topic do not count.
-    /// If another node has this node's name, the master knows only the newer one.
+    /// Returns a running node, other than this node, that serves a name. Nodes that only observe the topic do not
+    /// count.
+    /// If another node has this node's name, the master knows only the newer node.
     async fn find_other_cloud(&self, cloud: &str) -> Result<Option<String>, NodeError> {
         let state = self.node.system_state().await?;
-        let own = base_name(self.node.name());
-        let is_cloud = |other: &&String| base_name(other) == own;
+        let own_base_name = base_name(self.node.name());
+        let is_cloud = |node: &&String| base_name(node) == own_base_name;
         let sessions = sessions_topic(cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
         Ok(self.node.running_subscribers(&sessions, &clouds).await?.pop())
@@ -116,8 +118,8 @@ impl SessionNode for Ros1Node {
         let check = async move {
             match self.find_other_cloud(cloud).await? {
                 None => Ok(()),
-                Some(taken) => Err(NodeFailure(format!(
-                    "node {taken} serves the name {cloud} at this ROS master already; stop it, or end the address with \
+                Some(other_cloud) => Err(NodeFailure(format!(
+                    "node {other_cloud} serves the name {cloud} at this ROS master already; stop it, or end the address with \
                      another name"
                 ))),
             }

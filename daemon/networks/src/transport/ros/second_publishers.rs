@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::interface::SessionNode;
 use super::names::strip_connection_id;
 
-/// Time within which the name of a node becomes known after its topics.
+/// Time for which the name of a node is awaited after the node's topics were discovered.
 const NAME_DISCOVERY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Largest number of second publishers that are remarked on.
@@ -25,8 +25,8 @@ pub(super) struct SecondPublishers {
 }
 
 impl SecondPublishers {
-    /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark
-    /// about it, once.
+    /// Notes that the node `second` publishes a topic of the connection between `node` and `peer`. Returns a remark about
+    /// `second` at most once.
     pub(super) fn check(
         &mut self,
         second: &Arc<str>,
@@ -87,19 +87,19 @@ mod tests {
 
     #[test]
     fn node_is_remarked_once_when_its_name_is_known_or_late() {
-        let (mut node, mut others, begin) =
+        let (mut node, mut second_publishers, start) =
             (TestNode::default(), SecondPublishers::default(), Instant::now());
         for id in ["named", "unnamed"] {
-            assert_eq!(others.check(&id.into(), TOPIC, ("peer", &node), begin), None);
+            assert_eq!(second_publishers.check(&id.into(), TOPIC, ("peer", &node), start), None);
         }
         node.set_readable_name("named", "/viewer");
-        let remarks = others.check_unnamed(("peer", &node), begin);
+        let remarks = second_publishers.check_unnamed(("peer", &node), start);
         assert!(matches!(&remarks[..], [remark] if remark.contains("messages of named")), "{remarks:?}");
-        let remarks = others.check_unnamed(("peer", &node), begin + NAME_DISCOVERY_TIMEOUT);
+        let remarks = second_publishers.check_unnamed(("peer", &node), start + NAME_DISCOVERY_TIMEOUT);
         assert!(matches!(&remarks[..], [remark] if remark.contains("messages of unnamed")), "{remarks:?}");
         for id in ["named", "unnamed"] {
             assert_eq!(
-                others.check(&id.into(), TOPIC, ("peer", &node), begin + NAME_DISCOVERY_TIMEOUT),
+                second_publishers.check(&id.into(), TOPIC, ("peer", &node), start + NAME_DISCOVERY_TIMEOUT),
                 None
             );
         }
@@ -107,21 +107,24 @@ mod tests {
 
     #[test]
     fn earlier_connection_of_pipeline_is_not_remarked() {
-        let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
+        let (mut node, mut second_publishers) = (TestNode::default(), SecondPublishers::default());
         node.set_readable_name("peer", "/peernet_jetson_line_1a2b3c4d");
         node.set_readable_name("earlier", "/peernet_jetson_line_00000000");
         node.set_readable_name("other", "/peernet_orin_line_00000000");
-        let mut check = |id: &str| others.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
+        let mut check =
+            |id: &str| second_publishers.check(&id.into(), TOPIC, ("peer", &node), Instant::now());
         assert_eq!(check("earlier"), None);
         assert!(check("other").is_some());
     }
 
     #[test]
     fn number_of_remarks_is_bounded() {
-        let (mut node, mut others) = (TestNode::default(), SecondPublishers::default());
+        let (mut node, mut second_publishers) = (TestNode::default(), SecondPublishers::default());
         let ids: Vec<String> = (0..=MAX_SECOND_PUBLISHERS).map(|number| format!("n{number}")).collect();
         ids.iter().for_each(|id| node.set_readable_name(id, "/viewer"));
-        let check = |id: &String| others.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now());
+        let check = |id: &String| {
+            second_publishers.check(&id.as_str().into(), TOPIC, ("peer", &node), Instant::now())
+        };
         assert_eq!(ids.iter().filter_map(check).count(), MAX_SECOND_PUBLISHERS);
     }
 }

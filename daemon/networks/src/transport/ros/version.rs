@@ -33,15 +33,16 @@ fn find_with(
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
 }
 
-/// Returns the requested version; ROS 1 if nothing says which.
+/// Returns the requested version; ROS 1 if neither the configuration nor the environment states one.
 fn requested_version(
-    given: Option<u64>,
+    requested: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
 ) -> Result<RosVersion, ListenerLookupError> {
     // A number that does not fit into a byte is not a version.
-    let given = given.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
-    let given = given.transpose().map_err(|error| ListenerLookupError(format!("ros_version: {error}")))?;
-    match RosVersion::resolve(given, variable) {
+    let requested = requested.map(|number| RosVersion::try_from(u8::try_from(number).unwrap_or(u8::MAX)));
+    let requested =
+        requested.transpose().map_err(|error| ListenerLookupError(format!("ros_version: {error}")))?;
+    match RosVersion::resolve(requested, variable) {
         Err(VersionError::NotGiven) => Ok(RosVersion::Ros1),
         other => other.map_err(|error| ListenerLookupError(error.to_string())),
     }
@@ -51,7 +52,7 @@ fn requested_version(
 mod tests {
     use super::*;
 
-    fn found(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, ListenerLookupError> {
+    fn address(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, ListenerLookupError> {
         find_with("jetson-orin", version, |name| {
             variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         })
@@ -62,23 +63,23 @@ mod tests {
         let (noetic, jazzy) = (("ROS_DISTRO", "noetic"), ("ROS_DISTRO", "jazzy"));
         let ros1 = Ok("ros1://localhost:11311/jetson_orin".to_owned());
         for (version, variables) in [(Some(1), &[jazzy][..]), (None, &[noetic]), (None, &[])] {
-            assert_eq!(found(version, variables), ros1);
+            assert_eq!(address(version, variables), ros1);
         }
         let master = ("ROS_MASTER_URI", "http://[::1]:7");
-        assert_eq!(found(None, &[master]), Ok("ros1://[::1]:7/jetson_orin".to_owned()));
+        assert_eq!(address(None, &[master]), Ok("ros1://[::1]:7/jetson_orin".to_owned()));
         let domain = ("ROS_DOMAIN_ID", "7");
-        assert_eq!(found(Some(2), &[noetic]), Ok("ros2://0/jetson_orin".to_owned()));
-        assert_eq!(found(None, &[("ROS_VERSION", "2"), domain]), Ok("ros2://7/jetson_orin".to_owned()));
-        assert_eq!(found(None, &[jazzy, domain]), Ok("ros2://7/jetson_orin".to_owned()));
+        assert_eq!(address(Some(2), &[noetic]), Ok("ros2://0/jetson_orin".to_owned()));
+        assert_eq!(address(None, &[("ROS_VERSION", "2"), domain]), Ok("ros2://7/jetson_orin".to_owned()));
+        assert_eq!(address(None, &[jazzy, domain]), Ok("ros2://7/jetson_orin".to_owned()));
     }
 
     #[test]
     fn unusable_settings_are_named() {
         for number in [3, 300] {
-            let error = found(Some(number), &[]).expect_err("no such version").to_string();
+            let error = address(Some(number), &[]).expect_err("no such version").to_string();
             assert!(error.contains("ros_version"), "{error}");
         }
-        let error = found(Some(2), &[("ROS_DOMAIN_ID", "x")]).expect_err("no domain").to_string();
+        let error = address(Some(2), &[("ROS_DOMAIN_ID", "x")]).expect_err("no domain").to_string();
         assert!(error.contains("ROS_DOMAIN_ID"), "{error}");
     }
 }

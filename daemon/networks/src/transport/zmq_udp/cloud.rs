@@ -40,8 +40,9 @@ pub(crate) async fn bind(
 ) -> Result<BoundPort, BindFailure> {
     let resolved = tokio::net::lookup_host(address.authority()).await;
     let resolved = resolved.map_err(|error| BindFailure::Other(error.to_string()))?.next();
-    let at = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
-    let socket = UdpPort::bind(at, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
+    let local_address = resolved.ok_or_else(|| BindFailure::Other("the name has no address".into()))?;
+    let socket =
+        UdpPort::bind(local_address, socket_bytes(settings)).map_err(|error| bind_failure(&error))?;
     let bound = socket.address();
     let caveat = socket.caveat().map(str::to_owned);
     let limits = EndpointLimits {

@@ -32,12 +32,17 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     /// An arrival for the layer above.
     type Delivery: Send + 'static;
 
+    /// Handles the body of a datagram. `local` is the address of this machine at which it arrived.
     fn receive(&mut self, source: SocketAddr, local: Option<IpAddr>, body: &[u8], now: MonoTime);
     /// Handles the report of the system that no socket is bound to the destination port.
     fn handle_port_unreachable(&mut self);
+    /// Runs the timers that have expired at `now`.
     fn tick(&mut self, now: MonoTime);
+    /// Returns the latest time for the next call of [`tick`](Self::tick); `None` if no timer runs.
     fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
+    /// Appends datagrams that may be sent now. Returns their route; `None` if there are none.
     fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)>;
+    /// Removes and returns the next arrival for the layer above.
     fn next_delivery(&mut self) -> Option<Self::Delivery>;
     /// Starts to say goodbye.
     fn close(&mut self, now: MonoTime);
@@ -64,6 +69,7 @@ pub(super) struct Port<M> {
 #[derive(Debug)]
 struct State<M> {
     machine: M,
+    /// Datagrams that are being sent.
     out: Vec<u8>,
     /// Route of the datagrams in `out` that the socket has not accepted.
     blocked: Option<(Route, Batch)>,
@@ -105,15 +111,15 @@ impl<M: Machine> Port<M> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Calls `act` with the machine, then sends the datagrams that the machine may send.
-    pub(super) fn with_machine<T>(&self, act: impl FnOnce(&mut M, MonoTime) -> T) -> T {
+    /// Calls `action` with the machine, then sends the datagrams that the machine may send.
+    pub(super) fn with_machine<T>(&self, action: impl FnOnce(&mut M, MonoTime) -> T) -> T {
         let mut state = self.lock();
         let now = self.time(Instant::now());
-        let result = act(&mut state.machine, now);
+        let result = action(&mut state.machine, now);
         self.flush(&mut state);
         // The task sends the rest and reports the end. An unnecessary wake-up would cost more than the message.
-        let next = state.machine.next_timer(now);
-        if state.blocked.is_some() || next.is_none_or(|next| next < state.asleep_until) {
+        let next_timer = state.machine.next_timer(now);
+        if state.blocked.is_some() || next_timer.is_none_or(|time| time < state.asleep_until) {
             self.wake.notify_one();
         }
         result
@@ -142,15 +148,15 @@ impl<M: Machine> Port<M> {
                     filled
                 }
             };
-            let mut sent = self.socket.try_send(route, out, batch);
+            let mut result = self.socket.try_send(route, out, batch);
             // The source address may not belong to this machine any more; the system then chooses another one.
-            if let Err(error) = &sent
+            if let Err(error) = &result
                 && route.from.is_some()
                 && !matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::ConnectionRefused)
             {
-                sent = self.socket.try_send(Route { from: None, ..route }, out, batch);
+                result = self.socket.try_send(Route { from: None, ..route }, out, batch);
             }
-            match sent {
+            match result {
                 Ok(()) => {}
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     *blocked = Some((route, batch));
@@ -167,45 +173,46 @@ impl<M: Machine> Port<M> {
         }
     }
 
+    /// Serves the socket until the machine is finished or the task is aborted.
     async fn run(self: Arc<Self>, arrivals: mpsc::Sender<M::Delivery>) {
         let mut buffers = ReceiveBuffers::new();
-        let mut queued = VecDeque::new();
+        let mut queued_deliveries = VecDeque::new();
         loop {
-            let (next, is_blocked, is_over) = {
+            let (next_wake_up, is_blocked, is_finished) = {
                 let mut state = self.lock();
                 let now = self.time(Instant::now());
                 state.machine.tick(now);
                 self.flush(&mut state);
                 while let Some(delivery) = state.machine.next_delivery() {
-                    queued.push_back(delivery);
+                    queued_deliveries.push_back(delivery);
                 }
                 let now = self.time(Instant::now());
                 // At least the resolution of the runtime's timers, at most an hour.
-                let next = state
+                let next_timer = state
                     .machine
                     .next_timer(now)
                     .unwrap_or(now + MAX_SLEEP)
                     .clamp(now + MIN_SLEEP, now + MAX_SLEEP);
-                state.asleep_until = next;
+                state.asleep_until = next_timer;
                 (
-                    self.start + (next - MonoTime::default()).to_duration(),
+                    self.start + (next_timer - MonoTime::default()).to_duration(),
                     state.blocked.is_some(),
                     state.machine.is_finished(),
                 )
             };
-            while !queued.is_empty()
+            while !queued_deliveries.is_empty()
                 && let Ok(permit) = arrivals.try_reserve()
-                && let Some(delivery) = queued.pop_front()
+                && let Some(delivery) = queued_deliveries.pop_front()
             {
                 permit.send(delivery);
             }
-            if is_over && queued.is_empty() {
+            if is_finished && queued_deliveries.is_empty() {
                 break;
             }
             tokio::select! {
                 () = self.abort.cancelled() => break,
                 // While arrivals are queued, datagrams stay in the kernel, which drops them when its buffer is full.
-                result = self.socket.readable(), if queued.is_empty() && !is_over => {
+                result = self.socket.readable(), if queued_deliveries.is_empty() && !is_finished => {
                     if let Err(error) = result {
                         tracing::debug!(%error, "a UDP socket reported an error");
                         if error.kind() == io::ErrorKind::ConnectionRefused {
@@ -215,15 +222,15 @@ impl<M: Machine> Port<M> {
                     self.receive_datagrams(&mut buffers);
                 }
                 _ = self.socket.writable(), if is_blocked => {}
-                permit = arrivals.reserve(), if !queued.is_empty() => match permit {
-                    Ok(permit) => if let Some(delivery) = queued.pop_front() {
+                permit = arrivals.reserve(), if !queued_deliveries.is_empty() => match permit {
+                    Ok(permit) => if let Some(delivery) = queued_deliveries.pop_front() {
                         permit.send(delivery);
                     },
                     // Nothing receives the arrivals any more.
-                    Err(_) => queued.clear(),
+                    Err(_) => queued_deliveries.clear(),
                 },
                 () = self.wake.notified() => {}
-                () = sleep_until(next) => {}
+                () = sleep_until(next_wake_up) => {}
             }
         }
         let mut state = self.lock();
@@ -234,6 +241,7 @@ impl<M: Machine> Port<M> {
         self.ended.cancel();
     }
 
+    /// Receives the datagrams that have arrived.
     fn receive_datagrams(&self, buffers: &mut ReceiveBuffers) {
         let mut state = self.lock();
         for _ in 0..READS_PER_ITERATION {

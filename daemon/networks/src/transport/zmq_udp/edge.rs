@@ -48,8 +48,8 @@ pub(crate) async fn dial(
     socket.report_errors().map_err(|error| unreachable_failure(&error))?;
     let start = Instant::now();
     let (id, terms, remark) = open(&socket, peer, local_terms(settings, &socket), start).await?;
-    let largest = u64::from(reassembly_limits(settings).max_message_bytes);
-    let budget = MemoryBudget::new(largest.saturating_mul(UNFINISHED_MESSAGES));
+    let largest_message_bytes = u64::from(reassembly_limits(settings).max_message_bytes);
+    let budget = MemoryBudget::new(largest_message_bytes.saturating_mul(UNFINISHED_MESSAGES));
     let now = time_since(start, Instant::now());
     let connection = Connection::new(
         PacketWriter::new(Role::Edge, id, PREFIX),
@@ -70,8 +70,8 @@ fn unreachable_failure(error: &io::Error) -> DialFailure {
     DialFailure::Unreachable(error.to_string().to_lowercase())
 }
 
-/// Runs the handshake until the cloud has opened a connection. Returns its number, its terms, and a remark if the path
-/// is worse than configured.
+/// Runs the handshake until the cloud has opened a connection. Returns the number of the connection, the cloud's
+/// terms, and a remark if the path is worse than configured.
 async fn open(
     socket: &UdpPort,
     peer: SocketAddr,
@@ -79,15 +79,15 @@ async fn open(
     start: Instant,
 ) -> Result<(u64, Terms, Option<String>), DialFailure> {
     let (nonce, _) = uuid::Uuid::new_v4().as_u64_pair();
-    let mut dialling = DialState::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
+    let mut dial_state = DialState::new(nonce, 0, terms, PREFIX.len(), time_since(start, Instant::now()));
     let mut buffers = ReceiveBuffers::new();
     let (route, mut out) = (Route { to: peer, from: None }, Vec::new());
     loop {
         let now = time_since(start, Instant::now());
         out.clear();
         out.extend_from_slice(PREFIX);
-        let too_small = |error: PathTooSmall| DialFailure::Unreachable(error.to_string());
-        if dialling.fill(&mut out, now).map_err(too_small)? {
+        let path_failure = |error: PathTooSmall| DialFailure::Unreachable(error.to_string());
+        if dial_state.fill(&mut out, now).map_err(path_failure)? {
             let batch = Batch { segment: out.len(), count: 1 };
             match socket.try_send(route, &out, batch) {
                 // The handshake repeats a packet that does not arrive.
@@ -95,23 +95,23 @@ async fn open(
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 // The datagram is longer than the MTU of the interface.
                 Err(error) if error.raw_os_error() == Some(Errno::EMSGSIZE as i32) => {
-                    dialling.shorten(now).map_err(too_small)?;
+                    dial_state.shorten(now).map_err(path_failure)?;
                 }
                 Err(error) => return Err(unreachable_failure(&error)),
             }
         }
-        let next = start + Duration::from_nanos(u64::try_from(dialling.next_timer().nanos()).unwrap_or(0));
+        let next = start + Duration::from_nanos(u64::try_from(dial_state.next_timer().nanos()).unwrap_or(0));
         tokio::select! {
             result = socket.readable() => result.map_err(|error| unreachable_failure(&error))?,
             () = sleep_until(next) => continue,
         }
-        let mut answer = None;
+        let mut outcome = None;
         let received = socket.try_receive(&mut buffers, |source, _, datagram| {
             if source.ip() != peer.ip() {
                 return;
             }
             if let Some(Ok(packet)) = radio::body(datagram).map(|body| Packet::read(Role::Edge, body)) {
-                answer = answer.or(dialling.receive(&packet, time_since(start, Instant::now())));
+                outcome = outcome.or(dial_state.receive(&packet, time_since(start, Instant::now())));
             }
         });
         match received {
@@ -119,9 +119,9 @@ async fn open(
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             Err(error) => return Err(unreachable_failure(&error)),
         }
-        match answer {
+        match outcome {
             Some(HandshakeOutcome::Opened { connection, terms }) => {
-                return Ok((connection, terms, dialling.remark()));
+                return Ok((connection, terms, dial_state.remark()));
             }
             Some(HandshakeOutcome::Refused) => {
                 return Err(DialFailure::Refused(
@@ -139,8 +139,9 @@ struct EdgeEnd {
     peer: SocketAddr,
     id: u64,
     connection: Connection,
-    /// Remark on the opening, until it is handed up.
+    /// Remark on the opening, until it is handed to the layer above.
     remark: Option<String>,
+    /// Descriptions of invalid packets, for the layer above.
     invalid_packets: VecDeque<String>,
     /// Token that proves that a sender who repeats it receives what is sent to its address.
     token: u64,
@@ -152,7 +153,7 @@ struct EdgeEnd {
 /// Shortest interval between two tokens to other addresses.
 const PATH_CHECK_INTERVAL: Span = Span::from_millis(100);
 
-/// Largest number of descriptions of invalid packets that wait to be handed up.
+/// Largest number of descriptions of invalid packets that wait for the layer above.
 const MAX_INVALID_PACKETS: usize = 64;
 
 impl Machine for EdgeEnd {
@@ -201,10 +202,10 @@ impl Machine for EdgeEnd {
     fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)> {
         if let Some((to, _, must_send @ true)) = &mut self.path_check {
             *must_send = false;
-            let begin = out.len();
+            let start = out.len();
             out.extend_from_slice(PREFIX);
             Packet::PathChallenge { connection: self.id, token: self.token }.write(Role::Edge, out);
-            return Some((Route { to: *to, from: None }, Batch { segment: out.len() - begin, count: 1 }));
+            return Some((Route { to: *to, from: None }, Batch { segment: out.len() - start, count: 1 }));
         }
         let batch = self.connection.fill(out, max_datagrams, now)?;
         Some((Route { to: self.peer, from: None }, batch))

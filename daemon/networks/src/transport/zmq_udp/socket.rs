@@ -79,13 +79,14 @@ impl UdpPort {
         let address = socket.local_addr()?;
         let buffers =
             [("net.core.rmem_max", receive_buffer), ("net.core.wmem_max", options.send_buffer_size()?)];
-        let capped = buffers.into_iter().filter(|(_, got)| got / 2 < buffer_bytes);
+        let capped_buffers =
+            buffers.into_iter().filter(|(_, granted_bytes)| granted_bytes / 2 < buffer_bytes);
         let commands: Vec<String> =
-            capped.map(|(key, _)| format!("sysctl -w {key}={buffer_bytes}")).collect();
+            capped_buffers.map(|(key, _)| format!("sysctl -w {key}={buffer_bytes}")).collect();
         let caveat = (!commands.is_empty()).then(|| {
-            let got = receive_buffer / 2;
+            let granted_bytes = receive_buffer / 2;
             format!(
-                "the system caps the buffers of UDP sockets at {got} of {buffer_bytes} bytes, which slows large samples \
+                "the system caps the buffers of UDP sockets at {granted_bytes} of {buffer_bytes} bytes, which slows large samples \
                  down; run `{}`, or set socket_buffer_bytes lower",
                 commands.join(" && ")
             )
@@ -106,7 +107,8 @@ impl UdpPort {
         self.address
     }
 
-    /// Returns a warning about the system's limit on socket buffers, and what to do about it. `None` if it is high enough.
+    /// Returns a warning about the system's limit on socket buffers, and what to do about it. `None` if the limit
+    /// is high enough.
     pub(super) fn caveat(&self) -> Option<&str> {
         self.caveat.as_deref()
     }
@@ -137,7 +139,7 @@ impl UdpPort {
         self.socket.try_io(Interest::WRITABLE, || self.state.try_send((&self.socket).into(), &transmit))
     }
 
-    /// Receives the datagrams that have arrived and calls `each` for every one, with its source and the address of this
+    /// Receives the datagrams that have arrived and calls `handle_datagram` for every one, with its source and the address of this
     /// machine at which it arrived. Never waits.
     ///
     /// # Errors
@@ -145,7 +147,7 @@ impl UdpPort {
     pub(super) fn try_receive(
         &self,
         buffers: &mut ReceiveBuffers,
-        mut each: impl FnMut(SocketAddr, Option<IpAddr>, &[u8]),
+        mut handle_datagram: impl FnMut(SocketAddr, Option<IpAddr>, &[u8]),
     ) -> io::Result<()> {
         let mut meta = [RecvMeta::default(); BUFFERS];
         let count = self.socket.try_io(Interest::READABLE, || {
@@ -156,11 +158,11 @@ impl UdpPort {
         })?;
         for (meta, buffer) in meta.iter().zip(buffers.0.chunks_exact(BUFFER_BYTES)).take(count) {
             if meta.len == 0 {
-                each(meta.addr, meta.dst_ip, &[]);
+                handle_datagram(meta.addr, meta.dst_ip, &[]);
             }
             // The kernel joins datagrams of one sender, all but the last of equal length.
             for datagram in buffer[..meta.len].chunks(meta.stride.max(1)) {
-                each(meta.addr, meta.dst_ip, datagram);
+                handle_datagram(meta.addr, meta.dst_ip, datagram);
             }
         }
         Ok(())

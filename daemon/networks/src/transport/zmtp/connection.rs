@@ -24,9 +24,13 @@ const MAX_SLICES: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub(super) enum Phase {
+    /// The ZMTP handshake has not ended.
     Handshake,
+    /// The connection has no session and has not asked for one.
     Unadmitted,
+    /// The connection has asked for a session and waits for the decision.
     Greeted,
+    /// The connection has a session.
     Admitted,
     /// The listener closes; queued messages are still sent.
     Closing,
@@ -59,7 +63,9 @@ pub(super) struct Codec {
     pub(super) zmtp: Connection,
     /// End of each queued message in the stream of all bytes ever queued.
     ends: VecDeque<u64>,
+    /// Number of bytes that the kernel has accepted.
     written: u64,
+    /// Memory of the queued bytes.
     reserved: Reservation,
     budget: Arc<MemoryBudget>,
 }
@@ -116,19 +122,20 @@ impl ZmtpConnection {
         PHASES[usize::from(self.phase.load(Ordering::Acquire))]
     }
 
-    /// Changes the phase. The last two phases are final, and only an unadmitted connection becomes greeted.
-    pub(super) fn advance(&self, to: Phase) {
-        let allowed = |from: u8| {
+    /// Changes the phase if the change is allowed. The last two phases are final, and only an unadmitted connection becomes
+    /// greeted.
+    pub(super) fn advance(&self, new_phase: Phase) {
+        let next_phase = |from: u8| {
             let from = PHASES[usize::from(from)];
-            let is_allowed = match to {
+            let is_allowed = match new_phase {
                 Phase::Handshake => false,
                 Phase::Greeted => from == Phase::Unadmitted,
-                Phase::Unadmitted | Phase::Admitted => from < Phase::Closing && from != to,
+                Phase::Unadmitted | Phase::Admitted => from < Phase::Closing && from != new_phase,
                 Phase::Closing | Phase::Replaced => from < Phase::Closing,
             };
-            is_allowed.then_some(to as u8)
+            is_allowed.then_some(new_phase as u8)
         };
-        if self.phase.fetch_update(Ordering::AcqRel, Ordering::Acquire, allowed).is_ok() {
+        if self.phase.fetch_update(Ordering::AcqRel, Ordering::Acquire, next_phase).is_ok() {
             self.wake.notify_one();
         }
     }
@@ -136,30 +143,30 @@ impl ZmtpConnection {
     /// Hands a message to the network. Never waits. The message goes to the kernel if nothing is queued before it, else
     /// to the queue, which the connection's task sends.
     pub(super) fn try_send(&self, frames: Frames) -> Result<(), SendFailure> {
-        let gone = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
+        let gone_failure = |reason: &dyn fmt::Display| SendFailure::Gone(reason.to_string());
         if self.phase() >= Phase::Closing {
             return Err(SendFailure::Gone("the connection is being closed".into()));
         }
         let bytes: usize = frames.iter().map(|frame| frame.len()).sum();
         let message = Message::multipart_payloads(frames.into_iter().map(Payload::from_bytes));
         let mut codec = self.codec();
-        let queued = codec.zmtp.pending_transmit_size();
+        let queued_bytes = codec.zmtp.pending_transmit_size();
         // An empty queue accepts every message, whatever its size.
-        if queued > 0
-            && (queued.saturating_add(bytes) > self.max_queued_bytes
+        if queued_bytes > 0
+            && (queued_bytes.saturating_add(bytes) > self.max_queued_bytes
                 || codec.ends.len() >= self.max_queued_messages)
         {
             return Err(SendFailure::Full);
         }
-        if queued > 0 {
-            // Otherwise `write` reserves memory for what the kernel does not take.
-            codec.reserve(queued + bytes).map_err(|_| SendFailure::Full)?;
+        if queued_bytes > 0 {
+            // If nothing is queued, `write` reserves memory for the bytes that the kernel does not accept.
+            codec.reserve(queued_bytes + bytes).map_err(|_| SendFailure::Full)?;
         }
-        codec.zmtp.send_message(&message).map_err(|error| gone(&error))?;
+        codec.zmtp.send_message(&message).map_err(|error| gone_failure(&error))?;
         let end = codec.written + codec.zmtp.pending_transmit_size() as u64;
         codec.ends.push_back(end);
-        if queued > 0 {
-            // The connection's task writes it after the queued messages.
+        if queued_bytes > 0 {
+            // The connection's task writes the message after the queued messages.
             return Ok(());
         }
         match self.write(&mut codec) {
@@ -168,7 +175,7 @@ impl ZmtpConnection {
                 self.wake.notify_one();
                 Ok(())
             }
-            Err(error) => Err(gone(&error)),
+            Err(error) => Err(gone_failure(&error)),
         }
     }
 
@@ -183,8 +190,8 @@ impl ZmtpConnection {
                 Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
                 Ok(written) => written,
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    let queued = codec.zmtp.pending_transmit_size();
-                    codec.reserve(queued)?;
+                    let queued_bytes = codec.zmtp.pending_transmit_size();
+                    codec.reserve(queued_bytes)?;
                     return Ok(false);
                 }
                 Err(error) => return Err(error),
@@ -205,14 +212,14 @@ impl Codec {
         }
     }
 
-    /// Reserves memory for `queued` queued bytes.
-    fn reserve(&mut self, queued: usize) -> io::Result<()> {
+    /// Reserves memory for `queued_bytes` queued bytes.
+    fn reserve(&mut self, queued_bytes: usize) -> io::Result<()> {
         let full = |_| {
             io::Error::new(
                 io::ErrorKind::OutOfMemory,
                 "the memory for messages that peers have not read yet is used up",
             )
         };
-        self.reserved.resize(&self.budget, queued as u64).map_err(full)
+        self.reserved.resize(&self.budget, queued_bytes as u64).map_err(full)
     }
 }

@@ -50,11 +50,13 @@ pub(super) struct Driver {
     input: Input,
     deadlines: Deadlines,
     arrivals: mpsc::Sender<Delivery>,
+    /// Complete messages that were not handed to the listener yet.
     messages: VecDeque<(Message, Reservation)>,
-    /// `true` if a message was handed up.
+    /// `true` if a message was handed to the listener.
     pub(super) has_delivered: bool,
     /// `true` if the handshake succeeded.
     pub(super) is_ready: bool,
+    /// `true` if bytes may wait to be written.
     has_output: bool,
 }
 
@@ -69,8 +71,11 @@ struct Input {
 /// The budgets that all connections of a listener share.
 #[derive(Clone, Debug)]
 pub(super) struct Budgets {
+    /// Memory of unfinished messages of connections without a session.
     pub(super) unadmitted: Arc<MemoryBudget>,
+    /// Memory of unfinished messages of connections with a session.
     pub(super) admitted: Arc<MemoryBudget>,
+    /// Memory of queued bytes that the kernel has not accepted.
     pub(super) output: Arc<MemoryBudget>,
 }
 
@@ -100,7 +105,8 @@ impl Driver {
         }
     }
 
-    /// Runs until the connection ends. All messages that arrived before have then been handed up.
+    /// Runs until the connection ends. All messages that arrived before the end have then been handed to the
+    /// listener.
     pub(super) async fn run(&mut self) -> ConnectionEnd {
         let mut timer = std::pin::pin!(sleep_until(Instant::now()));
         loop {
@@ -116,13 +122,13 @@ impl Driver {
             let must_write_first = self.must_write_first();
             let event = tokio::select! {
                 biased;
-                read = self.input.read(&connection), if !must_write_first => Wake::Read(read),
-                () = connection.wake.notified() => Wake::Notified,
-                result = connection.writer.writable(), if self.has_output => Wake::Writable(result.is_ok()),
-                () = timer.as_mut() => Wake::Timer,
+                read = self.input.read(&connection), if !must_write_first => TaskEvent::Read(read),
+                () = connection.wake.notified() => TaskEvent::Notified,
+                result = connection.writer.writable(), if self.has_output => TaskEvent::Writable(result.is_ok()),
+                () = timer.as_mut() => TaskEvent::Timer,
             };
             match event {
-                Wake::Read(ReadOutcome::Bytes) => {
+                TaskEvent::Read(ReadOutcome::Bytes) => {
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return ConnectionEnd::Rejected(reason, text);
@@ -131,18 +137,18 @@ impl Driver {
                         return ConnectionEnd::Closed;
                     }
                 }
-                Wake::Read(ReadOutcome::End(reason)) => return ConnectionEnd::Peer(reason),
-                Wake::Read(ReadOutcome::Violation((reason, text))) => {
+                TaskEvent::Read(ReadOutcome::End(reason)) => return ConnectionEnd::Peer(reason),
+                TaskEvent::Read(ReadOutcome::Violation((reason, text))) => {
                     // Messages that were complete before the violation are still delivered.
                     if self.decode().is_ok() {
                         self.deliver().await;
                     }
                     return ConnectionEnd::Rejected(reason, text);
                 }
-                Wake::Notified => self.has_output = true,
-                Wake::Writable(true) => {}
-                Wake::Writable(false) => return ConnectionEnd::Peer("the connection was lost".into()),
-                Wake::Timer => {
+                TaskEvent::Notified => self.has_output = true,
+                TaskEvent::Writable(true) => {}
+                TaskEvent::Writable(false) => return ConnectionEnd::Peer("the connection was lost".into()),
+                TaskEvent::Timer => {
                     if let Some(end) = self.check_deadlines() {
                         return end;
                     }
@@ -177,11 +183,12 @@ impl Driver {
         }
     }
 
+    /// Writes queued bytes. Returns the end of the connection if it is broken.
     fn write(&mut self) -> Option<ConnectionEnd> {
-        let written = self.connection.write(&mut self.connection.codec());
-        match written {
-            Ok(is_all) => {
-                self.has_output = !is_all;
+        let result = self.connection.write(&mut self.connection.codec());
+        match result {
+            Ok(is_queue_empty) => {
+                self.has_output = !is_queue_empty;
                 None
             }
             Err(error) => Some(ConnectionEnd::Peer(error.to_string())),
@@ -192,7 +199,7 @@ impl Driver {
     fn decode(&mut self) -> Result<(), Violation> {
         let connection = Arc::clone(&self.connection);
         let mut codec = connection.codec();
-        for Piece { bytes, message } in self.input.pieces.drain(..) {
+        for Piece { bytes, message_memory } in self.input.pieces.drain(..) {
             codec.zmtp.handle_input(bytes).map_err(|error| classify_violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
@@ -204,7 +211,7 @@ impl Driver {
                     self.connection.advance(Phase::Unadmitted);
                 }
             }
-            if let Some(reserved) = message
+            if let Some(reserved) = message_memory
                 && let Some(message) = codec.zmtp.poll_message()
             {
                 self.messages.push_back((message, reserved));
@@ -241,6 +248,7 @@ impl Driver {
         }
     }
 
+    /// Queues a PING, unless it would be useless.
     fn ping(&mut self) {
         let mut codec = self.connection.codec();
         // Peers of ZMTP 3.0 do not know heartbeats, and a queue that is not empty needs no further PING.
@@ -294,7 +302,7 @@ fn classify_violation(error: &omq_proto::Error, is_ready: bool) -> Violation {
 }
 
 /// Event that the task of a connection waited for.
-enum Wake {
+enum TaskEvent {
     Read(ReadOutcome),
     Notified,
     Writable(bool),

@@ -61,7 +61,7 @@ pub(super) type Violation = (Rejection, String);
 pub(super) struct Piece {
     pub(super) bytes: Bytes,
     /// Reservation of a message's memory, if a message ends with these bytes.
-    pub(super) message: Option<Reservation>,
+    pub(super) message_memory: Option<Reservation>,
 }
 
 /// Splits the bytes of one connection into frames.
@@ -80,15 +80,10 @@ pub(super) struct Framer {
 enum State {
     /// Number of missing bytes of the greeting.
     Greeting(usize),
-    Header {
-        bytes: [u8; 9],
-        received: usize,
-    },
-    Body {
-        flags: u8,
-        buffer: Vec<u8>,
-        length: usize,
-    },
+    /// A frame's header, of which `received` bytes have arrived.
+    Header { bytes: [u8; 9], received: usize },
+    /// A frame's body of `length` bytes, as far as it has arrived.
+    Body { flags: u8, buffer: Vec<u8>, length: usize },
 }
 
 const EMPTY_HEADER: State = State::Header { bytes: [0; 9], received: 0 };
@@ -142,7 +137,7 @@ impl Framer {
     /// Handles bytes that were read.
     ///
     /// # Errors
-    /// If they are more than the connection may send at present.
+    /// If the bytes are more than the connection may send at present.
     pub(super) fn receive(
         &mut self,
         mut chunk: &[u8],
@@ -157,15 +152,15 @@ impl Framer {
                     if *missing == 0 {
                         self.state = EMPTY_HEADER;
                     }
-                    out.push(Piece { bytes: Bytes::copy_from_slice(greeting), message: None });
+                    out.push(Piece { bytes: Bytes::copy_from_slice(greeting), message_memory: None });
                     chunk = rest;
                 }
                 // A frame that has arrived whole needs no buffer of its own.
                 State::Header { received: 0, .. } if is_whole_frame(chunk) => {
                     let (flags, length) = self.check_frame(chunk, allowance)?;
                     let (frame, rest) = chunk.split_at(header_length(flags) + length);
-                    let message = self.complete_frame(flags, length, allowance)?;
-                    out.push(Piece { bytes: Bytes::copy_from_slice(frame), message });
+                    let message_memory = self.complete_frame(flags, length, allowance)?;
+                    out.push(Piece { bytes: Bytes::copy_from_slice(frame), message_memory });
                     chunk = rest;
                 }
                 State::Header { bytes, received } => {
@@ -204,7 +199,7 @@ impl Framer {
     ) -> Result<(), Violation> {
         let (flags, length) = self.check_frame(header, allowance)?;
         // The codec checks the flags before memory is reserved.
-        out.push(Piece { bytes: Bytes::copy_from_slice(header), message: None });
+        out.push(Piece { bytes: Bytes::copy_from_slice(header), message_memory: None });
         let initial = match allowance.stage {
             Stage::Admitted => FIRST_BYTES.max(self.largest_frame.min(MAX_FIRST_BYTES)),
             Stage::Handshake | Stage::Unadmitted => FIRST_BYTES_UNADMITTED,
@@ -248,6 +243,7 @@ impl Framer {
         Ok((flags, length))
     }
 
+    /// Returns the frame to the caller once its whole body has arrived.
     fn complete_body(&mut self, allowance: &Allowance, out: &mut Vec<Piece>) -> Result<(), Violation> {
         let State::Body { flags, buffer, length } = &mut self.state else { return Ok(()) };
         if buffer.len() < *length {
@@ -256,8 +252,8 @@ impl Framer {
         let (flags, bytes) = (*flags, Bytes::from(std::mem::take(buffer)));
         self.largest_frame = self.largest_frame.max(bytes.len());
         self.state = EMPTY_HEADER;
-        let message = self.complete_frame(flags, bytes.len(), allowance)?;
-        out.push(Piece { bytes, message });
+        let message_memory = self.complete_frame(flags, bytes.len(), allowance)?;
+        out.push(Piece { bytes, message_memory });
         Ok(())
     }
 
@@ -282,9 +278,9 @@ impl Framer {
 
 /// Returns the length that a frame announces. At least its header must have arrived.
 fn frame_length(frame: &[u8]) -> usize {
-    let long = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
-    let claimed = long(&frame[1..header_length(frame[0])]);
-    usize::try_from(claimed).unwrap_or(usize::MAX)
+    let big_endian = |bytes: &[u8]| bytes.iter().fold(0, |length, byte| length << 8 | u64::from(*byte));
+    let announced = big_endian(&frame[1..header_length(frame[0])]);
+    usize::try_from(announced).unwrap_or(usize::MAX)
 }
 
 /// Returns whether the first frame of a chunk is complete.

@@ -39,13 +39,13 @@ const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(100);
 pub struct ZmtpListener {
     address: SocketAddr,
     arrivals: mpsc::Receiver<Delivery>,
-    shared: Arc<ListenerState>,
+    state: Arc<ListenerState>,
 }
 
 /// The sending end of a listening port. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct ZmtpSender {
-    shared: Arc<ListenerState>,
+    state: Arc<ListenerState>,
 }
 
 #[derive(Debug)]
@@ -80,7 +80,7 @@ impl ZmtpListener {
             admitted: MemoryBudget::new(limits.unfinished_budget()),
             output: MemoryBudget::new(limits.unfinished_budget().saturating_mul(4)),
         };
-        let shared = Arc::new(ListenerState {
+        let state = Arc::new(ListenerState {
             table: ConnectionTable::new(limits.clone()),
             limits,
             budgets,
@@ -90,8 +90,8 @@ impl ZmtpListener {
             close_deadline: Mutex::new(None),
         });
         let (sender, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
-        shared.tasks.spawn(accept_connections(listener, Arc::clone(&shared), sender));
-        Ok(Self { address, arrivals, shared })
+        state.tasks.spawn(accept_connections(listener, Arc::clone(&state), sender));
+        Ok(Self { address, arrivals, state })
     }
 
     /// Returns the address of the port, with the actual port number.
@@ -101,12 +101,12 @@ impl ZmtpListener {
 
     /// Returns the sending end.
     pub fn sender(&self) -> ZmtpSender {
-        ZmtpSender { shared: Arc::clone(&self.shared) }
+        ZmtpSender { state: Arc::clone(&self.state) }
     }
 
     /// Returns the counts of rejected connections by reason.
     pub fn rejections(&self) -> Arc<RejectionCounts> {
-        Arc::clone(&self.shared.rejections)
+        Arc::clone(&self.state.rejections)
     }
 
     /// Waits for the next arrival. `None` means that the port is closed. Cancel safe: dropping the future loses
@@ -118,18 +118,18 @@ impl ZmtpListener {
     /// Closes the port and all connections after all messages have been sent, or after `linger`.
     pub async fn close(mut self, linger: Duration) {
         let deadline = Instant::now() + linger;
-        *self.shared.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
+        *self.state.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
         // Unblocks the tasks that wait because the queue is full, so that they can close.
         self.arrivals.close();
         while self.arrivals.try_recv().is_ok() {}
-        self.shared.close();
-        self.shared.tasks.wait().await;
+        self.state.close();
+        self.state.tasks.wait().await;
     }
 }
 
 impl Drop for ZmtpListener {
     fn drop(&mut self) {
-        self.shared.close();
+        self.state.close();
     }
 }
 
@@ -139,28 +139,28 @@ impl ZmtpSender {
     /// # Errors
     /// If the peer reads too slowly, or its connection is gone.
     pub fn try_send(&self, connection: ConnectionId, frames: Frames) -> Result<(), SendFailure> {
-        let connection = self.shared.table.get(connection);
+        let connection = self.state.table.get(connection);
         connection.ok_or_else(|| SendFailure::Gone("the peer is gone".into()))?.try_send(frames)
     }
 
-    /// Returns the addresses of both ends of a connection; `None` if it is over.
+    /// Returns the addresses of both ends of a connection; `None` if the connection is over.
     pub(crate) fn addresses(&self, connection: ConnectionId) -> Option<ConnectionAddresses> {
-        self.shared.table.get(connection)?.addresses()
+        self.state.table.get(connection)?.addresses()
     }
 
-    /// Notes that the connection has sent a hello that is being decided. Its deadline is met.
+    /// Notes that the connection has sent a hello that is being decided. The hello timeout does not apply meanwhile.
     pub fn greet(&self, connection: ConnectionId) {
-        self.shared.table.greet(connection);
+        self.state.table.greet(connection);
     }
 
     /// Notes that the connection's hello was accepted. It may send large messages.
     pub fn admit(&self, connection: ConnectionId) {
-        self.shared.table.admit(connection);
+        self.state.table.admit(connection);
     }
 
     /// Notes that the connection is not admitted any more. A new hello must arrive in time.
     pub fn demote(&self, connection: ConnectionId) {
-        self.shared.table.demote(connection);
+        self.state.table.demote(connection);
     }
 }
 
@@ -179,8 +179,8 @@ impl ListenerState {
 }
 
 async fn listen(authority: &str) -> io::Result<TcpListener> {
-    let mut found = tokio::net::lookup_host(authority).await?;
-    let address = found
+    let mut addresses = tokio::net::lookup_host(authority).await?;
+    let address = addresses
         .next()
         .ok_or_else(|| io::Error::new(io::ErrorKind::AddrNotAvailable, "the name has no address"))?;
     let socket = Socket::new(Domain::for_address(address), Type::STREAM, None)?;
@@ -200,47 +200,47 @@ fn bind_failure(error: &io::Error) -> BindFailure {
     }
 }
 
+/// Accepts connections until the listener stops.
 async fn accept_connections(
     listener: TcpListener,
-    shared: Arc<ListenerState>,
+    state: Arc<ListenerState>,
     arrivals: mpsc::Sender<Delivery>,
 ) {
-    let permits = Arc::new(Semaphore::new(shared.limits.max_connections + MAX_CLOSING_SOCKETS));
-    while let Some(accepted) = shared.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
+    let permits = Arc::new(Semaphore::new(state.limits.max_connections + MAX_CLOSING_SOCKETS));
+    while let Some(accepted) = state.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
         let (stream, address, permit) = match accepted {
             Ok(accepted) => accepted,
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
-                shared.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
+                state.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
                 tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;
             }
         };
-        if let Err(error) = set_socket_options(&stream, &shared.limits) {
+        if let Err(error) = set_socket_options(&stream, &state.limits) {
             tracing::debug!(%error, %address, "cannot set the options of an accepted socket; the connection is dropped");
             continue;
         }
         let (reader, writer) = stream.into_split();
-        let make = |id| {
-            let output = &shared.budgets.output;
-            Arc::new(ZmtpConnection::new(id, address, writer, permit, &shared.limits, output))
+        let new_connection = |id| {
+            let output = &state.budgets.output;
+            Arc::new(ZmtpConnection::new(id, address, writer, permit, &state.limits, output))
         };
-        match shared.table.insert(AddressGroup::from_address(address), make) {
+        match state.table.insert(AddressGroup::from_address(address), new_connection) {
             Ok(InsertedConnection { connection, replaced }) => {
-                for other in replaced {
-                    other.advance(Phase::Replaced);
+                for replaced_connection in replaced {
+                    replaced_connection.advance(Phase::Replaced);
                 }
                 // Closing may have gone through all connections just before this one was added.
-                if shared.stop.is_cancelled() {
+                if state.stop.is_cancelled() {
                     connection.advance(Phase::Closing);
                 }
-                let driver =
-                    Driver::new(connection, reader, &shared.limits, &shared.budgets, arrivals.clone());
-                shared.tasks.spawn(serve_connection(driver, Arc::clone(&shared), arrivals.clone()));
+                let driver = Driver::new(connection, reader, &state.limits, &state.budgets, arrivals.clone());
+                state.tasks.spawn(serve_connection(driver, Arc::clone(&state), arrivals.clone()));
             }
             Err(reason) => {
                 let text = "the largest number of connections is open, and all of them are admitted";
-                shared.rejections.record(reason, Some(address), text);
+                state.rejections.record(reason, Some(address), text);
             }
         }
     }
@@ -268,7 +268,8 @@ fn set_socket_options(stream: &TcpStream, limits: &ListenerLimits) -> io::Result
     SockRef::from(stream).set_tcp_user_timeout(Some(limits.heartbeat_timeout))
 }
 
-async fn serve_connection(mut driver: Driver, shared: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
+/// Runs a connection until it ends, and reports the end.
+async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
     let end = driver.run().await;
     let connection = &driver.connection;
     let (id, address) = (connection.id, connection.address);
@@ -276,22 +277,22 @@ async fn serve_connection(mut driver: Driver, shared: Arc<ListenerState>, arriva
     let reason = match end {
         ConnectionEnd::Peer(reason) => {
             if !is_ready {
-                shared.rejections.record(Rejection::Handshake, Some(address), &reason);
+                state.rejections.record(Rejection::Handshake, Some(address), &reason);
             }
             reason
         }
         ConnectionEnd::Rejected(rejection, text) => {
-            shared.rejections.record(rejection, Some(address), &text);
+            state.rejections.record(rejection, Some(address), &text);
             text
         }
         ConnectionEnd::Closed => {
-            driver.finish(shared.close_deadline()).await;
+            driver.finish(state.close_deadline()).await;
             "the connection was closed here".into()
         }
     };
-    // Removed before the end is reported, because the socket closes with the last reference, and nothing can be sent
-    // afterwards.
-    shared.table.remove(id);
+    // The connection is removed before its end is reported: the socket closes with the last reference, and nothing can
+    // be sent afterwards.
+    state.table.remove(id);
     drop(driver);
     let arrival = match (has_delivered, is_ready) {
         (true, _) => Arrival::Gone(id, reason),

@@ -92,18 +92,18 @@ impl RejectionCounts {
         let count = self.counts[reason as usize].fetch_add(1, Ordering::Relaxed) + 1;
         let now = Instant::now();
         let mut logged = self.logged.lock().unwrap_or_else(PoisonError::into_inner);
-        let last = &mut logged[reason as usize];
-        if last.is_some_and(|(at, _)| now - at < LOG_INTERVAL) {
+        let last_line = &mut logged[reason as usize];
+        if last_line.is_some_and(|(logged_at, _)| now - logged_at < LOG_INTERVAL) {
             return;
         }
-        let since_last = count - last.map_or(0, |(_, count)| count);
-        *last = Some((now, count));
+        let since_last_line = count - last_line.map_or(0, |(_, count)| count);
+        *last_line = Some((now, count));
         drop(logged);
         let from = from.map_or_else(|| "an unknown address".to_owned(), |from| from.to_string());
         tracing::warn!(
             from,
             reason = reason.name(),
-            connections = since_last,
+            connections = since_last_line,
             "closed a connection at {}: {detail}; further connections with the same reason are counted and logged once a minute",
             self.port
         );

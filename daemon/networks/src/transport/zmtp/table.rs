@@ -18,9 +18,11 @@ pub(super) struct ConnectionTable {
 #[derive(Debug, Default)]
 struct Entries {
     last_id: u64,
+    /// All open connections by id.
     open: HashMap<ConnectionId, Arc<ZmtpConnection>>,
     /// Connections that are not admitted, oldest first, because ids increase.
     unadmitted: BTreeSet<ConnectionId>,
+    /// Number of connections of each address.
     groups: HashMap<AddressGroup, ConnectionCount>,
 }
 
@@ -56,7 +58,7 @@ impl ConnectionTable {
     pub(super) fn insert(
         &self,
         group: AddressGroup,
-        make: impl FnOnce(ConnectionId) -> Arc<ZmtpConnection>,
+        new_connection: impl FnOnce(ConnectionId) -> Arc<ZmtpConnection>,
     ) -> Result<InsertedConnection, Rejection> {
         let mut entries = self.entries();
         let mut replaced = Vec::new();
@@ -77,7 +79,7 @@ impl ConnectionTable {
         }
         entries.last_id += 1;
         let id = ConnectionId(entries.last_id);
-        let connection = make(id);
+        let connection = new_connection(id);
         entries.open.insert(id, Arc::clone(&connection));
         entries.unadmitted.insert(id);
         let count = entries.groups.entry(group).or_default();
@@ -86,7 +88,7 @@ impl ConnectionTable {
         Ok(InsertedConnection { connection, replaced })
     }
 
-    /// Notes that the hello of a connection is being decided. Its deadline is met.
+    /// Notes that the hello of a connection is being decided. The hello timeout does not apply meanwhile.
     pub(super) fn greet(&self, id: ConnectionId) {
         if let Some(connection) = self.get(id) {
             connection.advance(Phase::Greeted);

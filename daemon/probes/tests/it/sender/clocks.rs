@@ -4,20 +4,30 @@ use super::*;
 
 #[test]
 fn kernel_stamps_of_another_clock_are_distrusted() {
-    let (much, little) = (Span::from_millis(1), Span::from_nanos(900));
-    let there_and_back = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
-    for (early, sound) in [(-much, false), (-little, true), (little, true), (there_and_back + much, false)] {
+    let (large_shift, small_shift) = (Span::from_millis(1), Span::from_nanos(900));
+    let round_trip = ONE_WAY_DELAY + ONE_WAY_DELAY + Span::from_micros(55);
+    for (shift, is_trusted) in
+        [(-large_shift, false), (-small_shift, true), (small_shift, true), (round_trip + large_shift, false)]
+    {
         let mut pair = Pair::new(0, false);
-        let back = pair.clock.stamp() + there_and_back;
-        let got = pair.stamped(back.wall - early).exchange.returned;
+        let returned_at = pair.clock.stamp() + round_trip;
+        let returned_stamp = pair.exchange_with_kernel_stamp(returned_at.wall - shift).exchange.returned;
         // Whatever the kernel's stamp is, the packet had arrived when the program read its clock.
-        let earlier = early.max(Span::ZERO);
-        assert_eq!(got, if sound { back.raw - earlier } else { back.raw }, "{early}");
-        assert_eq!(pair.sender.ignores_kernel_stamps(), !sound, "{early}");
-        let (started_at, back) = (pair.clock.raw(), pair.clock.stamp() + there_and_back);
-        let next = pair.stamped(back.wall - little);
-        assert_eq!(next.exchange.returned, if sound { back.raw - little } else { back.raw }, "{early}");
-        assert_eq!(next.exchange.sent, started_at, "{early}");
+        let applied_shift = shift.max(Span::ZERO);
+        assert_eq!(
+            returned_stamp,
+            if is_trusted { returned_at.raw - applied_shift } else { returned_at.raw },
+            "{shift}"
+        );
+        assert_eq!(pair.sender.ignores_kernel_stamps(), !is_trusted, "{shift}");
+        let (started_at, returned_at) = (pair.clock.raw(), pair.clock.stamp() + round_trip);
+        let next_exchange = pair.exchange_with_kernel_stamp(returned_at.wall - small_shift);
+        assert_eq!(
+            next_exchange.exchange.returned,
+            if is_trusted { returned_at.raw - small_shift } else { returned_at.raw },
+            "{shift}"
+        );
+        assert_eq!(next_exchange.exchange.sent, started_at, "{shift}");
     }
 }
 
@@ -25,8 +35,8 @@ fn kernel_stamps_of_another_clock_are_distrusted() {
 fn kernel_departure_before_ours_is_distrusted() {
     let mut pair = Pair::new(0, false);
     let (departure, packet) = pair.send();
-    let early = pair.clock.wall() - Span::from_micros(300);
-    pair.sender.record_departure(departure.sequence(), early, pair.clock.wall_ahead());
+    let departure_before_ours = pair.clock.wall() - Span::from_micros(300);
+    pair.sender.record_departure(departure.sequence(), departure_before_ours, pair.clock.wall_ahead());
     let reply = pair.reflect(packet);
     pair.receive_reply(&reply).expect("an answer");
     assert!(pair.sender.ignores_kernel_stamps());
@@ -34,16 +44,16 @@ fn kernel_departure_before_ours_is_distrusted() {
 
 #[test]
 fn setting_wall_clock_causes_no_distrust_of_kernel() {
-    for by in [Span::from_seconds(3), -Span::from_seconds(3)] {
+    for step in [Span::from_seconds(3), -Span::from_seconds(3)] {
         let mut pair = Pair::raw(false);
         let started_at = pair.clock.raw();
         let (departure, packet) = pair.send();
-        // It really leaves slightly later; then the clock is set, and only then is the kernel's stamp read.
+        // The probe really leaves slightly later. Then the clock is set, and only then is the kernel's stamp read.
         let departed_at = pair.clock.wall() + Span::from_micros(9);
         let reply = pair.reflect(packet);
         let kernel = pair.clock.wall();
-        let arrived = pair.clock.raw();
-        pair.clock.step_wall(by);
+        let arrival_raw = pair.clock.raw();
+        pair.clock.step_wall(step);
         pair.sender.record_departure(departure.sequence(), departed_at, pair.clock.wall_ahead());
         pair.clock.advance(Span::from_micros(20));
         let returned = pair.returned(Some(kernel));
@@ -53,7 +63,7 @@ fn setting_wall_clock_causes_no_distrust_of_kernel() {
             started_at <= exchange.sent && exchange.sent <= started_at + Span::from_micros(9),
             "{exchange:?}"
         );
-        assert!(arrived <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
+        assert!(arrival_raw <= exchange.returned && exchange.returned <= pair.clock.raw(), "{exchange:?}");
         assert!(exchange.bounds().contains(Span::ZERO), "{exchange:?}");
         assert!(!pair.sender.ignores_kernel_stamps());
     }
@@ -84,20 +94,20 @@ fn raw_exchange_is_of_both_free_running_clocks() {
 }
 
 #[test]
-fn reply_without_raw_stamps_is_refused_where_they_are_asked_for() {
+fn reply_without_requested_raw_stamps_is_refused() {
     let mut pair = Pair::raw(false);
     let (_, packet) = pair.send();
     let reply = pair.reflect(packet.clone());
     let header =
         tlv::headers(&reply[44..]).find(|header| header.kind == tlv::RAW_STAMPS).expect("we ask for it");
     // Answers of a release that does not know the type, and of one that leaves it empty.
-    let mut unknown = reply.clone();
-    unknown[44 + header.offset] = tlv::UNRECOGNISED;
-    let mut empty = reply.clone();
-    empty[44..][header.value].copy_from_slice(&RawStamps::default().to_value());
-    for touched in [unknown, empty, reply[..44].to_vec()] {
+    let mut reply_with_unrecognised_tlv = reply.clone();
+    reply_with_unrecognised_tlv[44 + header.offset] = tlv::UNRECOGNISED;
+    let mut reply_with_empty_tlv = reply.clone();
+    reply_with_empty_tlv[44..][header.value].copy_from_slice(&RawStamps::default().to_value());
+    for incomplete_reply in [reply_with_unrecognised_tlv, reply_with_empty_tlv, reply[..44].to_vec()] {
         assert_eq!(
-            pair.receive_reply(&touched),
+            pair.receive_reply(&incomplete_reply),
             Err("without the stamps of the reflector's free-running clock")
         );
     }

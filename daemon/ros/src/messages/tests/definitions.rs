@@ -8,7 +8,7 @@ use crate::messages::{
 };
 
 /// Returns the MD5 sum of a definition. The text has constants first and then fields, each in order. In place of the
-/// name of another message type it has that type's sum, without the brackets of an array.
+/// name of another message type, the text has the sum of that type, without the brackets of an array.
 fn md5_sum(definition: &MessageDefinition) -> String {
     let (constants, fields): (Vec<&str>, Vec<&str>) =
         definition.text.lines().partition(|line| line.contains('='));
@@ -29,7 +29,7 @@ fn md5_sum(definition: &MessageDefinition) -> String {
 
 #[test]
 fn md5_sums_match_the_definitions() {
-    let all = [
+    let definitions = [
         &Header::DEFINITION,
         StringMessage::DEFINITION,
         Image::DEFINITION,
@@ -40,7 +40,7 @@ fn md5_sums_match_the_definitions() {
         SessionHello::DEFINITION,
         MessageInfo::DEFINITION,
     ];
-    for definition in all {
+    for definition in definitions {
         assert_eq!(definition.md5, md5_sum(definition), "{}", definition.name);
         for dependency in definition.dependencies {
             assert_eq!(dependency.md5, md5_sum(dependency), "{}", dependency.name);

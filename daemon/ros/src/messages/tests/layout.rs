@@ -31,10 +31,10 @@ fn cdr_message_is_aligned_and_has_nuls() {
 #[test]
 fn big_endian_cdr_is_read() {
     let bytes = b"\0\0\0\0\0\0\0\x01\0\0\0\x02\0\0\0\x04cam\0\0\0\0\x05jpeg\0\0\0\0\0\0\0\x02\xff\xd8\0\0";
-    let read = CompressedImage::decode(WireForm::Cdr, Bytes::from_static(bytes)).unwrap();
+    let decoded = CompressedImage::decode(WireForm::Cdr, Bytes::from_static(bytes)).unwrap();
     let mut expected = picture();
     expected.header.seq = 0;
-    assert_eq!(read, expected);
+    assert_eq!(decoded, expected);
 }
 
 #[test]
@@ -43,22 +43,25 @@ fn long_data_is_not_copied() {
     let image = CompressedImage { data: data.clone(), ..picture() };
     let encoded = image.encode(WireForm::Ros1).unwrap();
     assert_eq!(encoded.segments().last().unwrap().as_ptr(), data.as_ptr());
-    let whole = encoded.into_bytes();
-    let read = CompressedImage::decode(WireForm::Ros1, whole.clone()).unwrap();
-    assert_eq!(read.data.as_ptr(), whole[whole.len() - 100_000..].as_ptr());
+    let message_bytes = encoded.into_bytes();
+    let decoded = CompressedImage::decode(WireForm::Ros1, message_bytes.clone()).unwrap();
+    assert_eq!(decoded.data.as_ptr(), message_bytes[message_bytes.len() - 100_000..].as_ptr());
 }
 
 #[test]
 fn empty_cdr_text_may_have_length_zero() {
-    let read = StringMessage::decode(WireForm::Cdr, Bytes::from_static(b"\0\x01\0\0\0\0\0\0")).unwrap();
-    assert_eq!(read.data, "");
+    let decoded = StringMessage::decode(WireForm::Cdr, Bytes::from_static(b"\0\x01\0\0\0\0\0\0")).unwrap();
+    assert_eq!(decoded.data, "");
 }
 
 #[test]
 fn values_outside_the_wire_form_are_refused() {
-    let early = Header { stamp: Time { sec: -1, nanosec: 0 }, ..Header::default() };
-    assert_eq!(early.encode(WireForm::Ros1).unwrap_err(), EncodeError::TimeOutOfRange { seconds: -1 });
-    assert!(early.encode(WireForm::Cdr).is_ok());
+    let header_before_1970 = Header { stamp: Time { sec: -1, nanosec: 0 }, ..Header::default() };
+    assert_eq!(
+        header_before_1970.encode(WireForm::Ros1).unwrap_err(),
+        EncodeError::TimeOutOfRange { seconds: -1 }
+    );
+    assert!(header_before_1970.encode(WireForm::Cdr).is_ok());
     let text = StringMessage { data: "a\0b".into() };
     assert_eq!(text.encode(WireForm::Cdr).unwrap_err(), EncodeError::NulInText { text: "a\0b".into() });
     assert!(text.encode(WireForm::Ros1).is_ok());

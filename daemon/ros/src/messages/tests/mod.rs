@@ -15,7 +15,7 @@ prop_compose! {
     }
 }
 
-/// Returns bytes of lengths around the limit from which on they are not copied.
+/// Returns short byte strings, and byte strings with lengths around the limit from which on bytes are not copied.
 fn byte_strings() -> impl Strategy<Value = bytes::Bytes> {
     prop_oneof![0_usize..40, 4090_usize..4100]
         .prop_flat_map(|length| proptest::collection::vec(any::<u8>(), length))
@@ -36,12 +36,12 @@ prop_compose! {
     }
 }
 
-fn finite() -> impl Strategy<Value = f64> {
+fn finite_numbers() -> impl Strategy<Value = f64> {
     -1e9..1e9
 }
 
 prop_compose! {
-    fn vectors()(x in finite(), y in finite(), z in finite()) -> Vector3 {
+    fn vectors()(x in finite_numbers(), y in finite_numbers(), z in finite_numbers()) -> Vector3 {
         Vector3 { x, y, z }
     }
 }
@@ -50,8 +50,8 @@ prop_compose! {
     fn imus()(
         header in headers(),
         vector in vectors(),
-        w in finite(),
-        covariance in proptest::array::uniform9(finite()),
+        w in finite_numbers(),
+        covariance in proptest::array::uniform9(finite_numbers()),
         angular_velocity in vectors(),
         linear_acceleration in vectors(),
     ) -> Imu {

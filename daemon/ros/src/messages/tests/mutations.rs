@@ -1,4 +1,4 @@
-//! Tests with damaged messages: they are refused or read as other messages without further effects.
+//! Tests with damaged messages. A damaged message is refused or read as another message, without further effects.
 
 use bytes::Bytes;
 use proptest::prelude::*;
@@ -26,10 +26,10 @@ fn decode_all(form: WireForm, bytes: &Bytes) {
 }
 
 fn mutate(mut bytes: Vec<u8>, changes: &[(Index, u8)], length: Option<Index>) -> Bytes {
-    for (at, value) in changes {
+    for (index, value) in changes {
         if !bytes.is_empty() {
-            let at = at.index(bytes.len());
-            bytes[at] = *value;
+            let index = index.index(bytes.len());
+            bytes[index] = *value;
         }
     }
     if let Some(length) = length {
@@ -42,7 +42,7 @@ fn forms() -> impl Strategy<Value = WireForm> {
     prop_oneof![Just(WireForm::Ros1), Just(WireForm::Cdr)]
 }
 
-fn encoded() -> impl Strategy<Value = (WireForm, Vec<u8>)> {
+fn encoded_messages() -> impl Strategy<Value = (WireForm, Vec<u8>)> {
     fn bytes<M: Message>(message: &M, form: WireForm) -> (WireForm, Vec<u8>) {
         (form, message.encode(form).unwrap().into_bytes().into())
     }
@@ -62,7 +62,7 @@ proptest! {
 
     #[test]
     fn damaged_messages_are_read_without_panic(
-        (form, bytes) in encoded(),
+        (form, bytes) in encoded_messages(),
         changes in proptest::collection::vec((any::<Index>(), any::<u8>()), 0..6),
         length: Option<Index>,
     ) {

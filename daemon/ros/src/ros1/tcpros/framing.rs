@@ -14,8 +14,8 @@ const PREFIX_BYTES: usize = 4;
 /// Size of the read buffer while no long frame is expected. Bytes.
 const READ_BYTES: usize = 64 * 1024;
 
-/// Largest buffer for a frame, as a multiple of the bytes that have arrived. The part that is not written yet takes no
-/// memory, and each growth of the buffer may copy it.
+/// Largest buffer for a frame, as a multiple of the bytes that have arrived. The multiple is large, because the unwritten
+/// part of a buffer takes no memory, while each growth may copy the buffer.
 const MAX_GROWTH: usize = 16;
 
 /// Error: a frame cannot be received.
@@ -73,26 +73,26 @@ impl FrameBuffer {
     /// If there is no memory for more of a long frame. The connection must then be closed.
     pub fn input(&mut self) -> Result<Limit<&mut BytesMut>, FrameError> {
         let length = self.frame_length().unwrap_or(0).min(self.limits.max_bytes);
-        let (arrived, frame) = (self.bytes.len(), PREFIX_BYTES + length);
-        let missing = frame.saturating_sub(arrived).max(1);
-        if self.bytes.capacity() - arrived < missing.min(READ_BYTES) {
+        let (arrived_bytes, frame_bytes) = (self.bytes.len(), PREFIX_BYTES + length);
+        let missing = frame_bytes.saturating_sub(arrived_bytes).max(1);
+        if self.bytes.capacity() - arrived_bytes < missing.min(READ_BYTES) {
             // The buffer of a long frame has no space for the next frame, so that the two do not share memory.
-            let growth = (arrived * MAX_GROWTH).max(READ_BYTES);
+            let growth = (arrived_bytes * MAX_GROWTH).max(READ_BYTES);
             self.bytes.reserve(missing.clamp(READ_BYTES, growth));
         }
-        let mut room = self.bytes.capacity() - arrived;
-        if frame > READ_BYTES {
+        let mut room = self.bytes.capacity() - arrived_bytes;
+        if frame_bytes > READ_BYTES {
             // At most twice the bytes that have arrived, so that a claimed length takes no memory from others.
-            let allowed = frame.min((2 * arrived).max(READ_BYTES));
-            if !self.memory.grow(allowed, self.limits.memory.as_ref()) {
+            let max_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
+            if !self.memory.grow(max_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });
             }
-            room = room.min(allowed - arrived);
+            room = room.min(max_bytes - arrived_bytes);
         }
         Ok((&mut self.bytes).limit(room))
     }
 
-    /// Returns the next frame without its length, and its memory, if it is complete.
+    /// Returns the next frame without its length, and its memory, if the frame is complete.
     ///
     /// # Errors
     /// If the next frame is longer than allowed, or there is no memory for it. The connection must then be closed.

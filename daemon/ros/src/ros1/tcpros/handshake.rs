@@ -42,11 +42,10 @@ impl TopicType {
         &*self.md5 == ANY
     }
 
-    /// Returns whether messages of both types are the same. The sum decides; if it is `*`, the name does.
+    /// Returns whether both types match: their sums are equal or one of them is `*`, and their names are equal or one of
+    /// them is `*`.
     fn matches(&self, name: &str, md5: &str) -> bool {
-        let is_same = |local_type: &str, peer_type: &str| {
-            local_type == peer_type || local_type == ANY || peer_type == ANY
-        };
+        let is_same = |local: &str, peer: &str| local == peer || local == ANY || peer == ANY;
         is_same(&self.md5, md5) && is_same(&self.name, name)
     }
 
@@ -111,8 +110,8 @@ impl Publication {
     /// Returns the header that answers the subscriber's header, and the subscriber's name.
     ///
     /// # Errors
-    /// If the subscriber requests another topic or type. The caller must send it [`ConnectionHeader::error`] with the text of
-    /// the error.
+    /// If the subscriber requests another topic or type. The caller must send the subscriber
+    /// [`ConnectionHeader::error`] with the text of the error.
     pub fn answer(&self, request: &ConnectionHeader) -> Result<(ConnectionHeader, Arc<str>), HandshakeError> {
         let topic = request.require("topic")?;
         let md5 = request.require("md5sum")?;

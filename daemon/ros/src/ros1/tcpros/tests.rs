@@ -20,7 +20,7 @@ fn subscription(kind: TopicType) -> Subscription {
 }
 
 /// Returns a header after encoding and decoding it.
-fn sent(header: &ConnectionHeader) -> ConnectionHeader {
+fn encode_and_decode(header: &ConnectionHeader) -> ConnectionHeader {
     ConnectionHeader::decode(&header.encode()[4..]).unwrap()
 }
 
@@ -29,10 +29,10 @@ fn equal_types_connect() {
     let publication = publication(TopicType::from_message::<CompressedImage>());
     for kind in [TopicType::from_message::<CompressedImage>(), TopicType::any()] {
         let subscription = subscription(kind);
-        let (answer, subscriber) = publication.answer(&sent(&subscription.request())).unwrap();
+        let (answer, subscriber) = publication.answer(&encode_and_decode(&subscription.request())).unwrap();
         assert_eq!(&*subscriber, "/sub");
         assert_eq!(answer.get("latching"), Some("1"));
-        let (publisher, kind) = subscription.accept(&sent(&answer)).unwrap();
+        let (publisher, kind) = subscription.accept(&encode_and_decode(&answer)).unwrap();
         assert_eq!((&*publisher, &*kind.name), ("/pub", "sensor_msgs/CompressedImage"));
         assert!(kind.definition.contains("MSG: std_msgs/Header"));
     }
@@ -42,14 +42,15 @@ fn equal_types_connect() {
 fn type_mismatch_names_both_types() {
     let publication = publication(TopicType::from_message::<CompressedImage>());
     let subscription = subscription(TopicType::from_message::<StringMessage>());
-    let error = publication.answer(&sent(&subscription.request())).unwrap_err();
+    let error = publication.answer(&encode_and_decode(&subscription.request())).unwrap_err();
     assert_eq!(
         error.to_string(),
         "topic /t has two message types: sensor_msgs/CompressedImage (md5sum 8f7a12909da2c9d3332d540a0977563f) here, \
          std_msgs/String (md5sum 992ce8a1687cec8c8bd883ec73ca41d1) at node /sub; \
          both must use the same definition of the type"
     );
-    let refusal = subscription.accept(&sent(&ConnectionHeader::error(&error.to_string()))).unwrap_err();
+    let refusal =
+        subscription.accept(&encode_and_decode(&ConnectionHeader::error(&error.to_string()))).unwrap_err();
     assert!(matches!(refusal, HandshakeError::Refused { reason, .. } if reason == error.to_string()));
 }
 
@@ -78,19 +79,22 @@ fn malformed_headers_are_refused() {
 
 #[test]
 fn value_keeps_later_separators() {
-    let header = sent(&ConnectionHeader::from_fields([("message_definition", "uint8 A=1\n")]));
+    let header = encode_and_decode(&ConnectionHeader::from_fields([("message_definition", "uint8 A=1\n")]));
     assert_eq!(header.get("message_definition"), Some("uint8 A=1\n"));
 }
 
 #[test]
 fn too_long_definition_is_omitted() {
-    let long = "x".repeat(MAX_HEADER_BYTES);
-    let header = sent(&ConnectionHeader::from_fields([("message_definition", &*long), ("topic", "/t")]));
+    let long_definition = "x".repeat(MAX_HEADER_BYTES);
+    let header = encode_and_decode(&ConnectionHeader::from_fields([
+        ("message_definition", &*long_definition),
+        ("topic", "/t"),
+    ]));
     assert_eq!(header, ConnectionHeader::from_fields([("topic", "/t")]));
 }
 
 #[test]
-fn claimed_length_reserves_little() {
+fn claimed_length_reserves_memory_gradually() {
     let mut buffer = FrameBuffer::new(64 * 1024 * 1024);
     buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
     assert!(buffer.next_frame().unwrap().is_none());
@@ -109,46 +113,46 @@ fn too_long_frame_is_refused() {
 #[test]
 fn frames_reserve_memory_for_arrived_bytes_only() {
     let limit = TestLimit::new(1_000_000);
-    let new = || {
+    let new_buffer = || {
         let mut buffer = FrameBuffer::new(0);
         buffer.set_limits(&MessageLimits { max_bytes: 64 * 1024 * 1024, memory: limit.option() });
         buffer
     };
-    // All claim long frames and send few bytes.
-    let mut claiming: Vec<FrameBuffer> = (0..8).map(|_| new()).collect();
-    for buffer in &mut claiming {
+    // These connections claim long frames and send few bytes.
+    let mut claiming_buffers: Vec<FrameBuffer> = (0..8).map(|_| new_buffer()).collect();
+    for buffer in &mut claiming_buffers {
         buffer.input().unwrap().put_slice(&50_000_000_u32.to_le_bytes());
         assert!(buffer.next_frame().unwrap().is_none());
         assert!(buffer.input().is_ok());
     }
-    let claimed = limit.taken();
-    assert!(claimed <= 8 * 64 * 1024, "{claimed} bytes");
-    let mut other = new();
-    other.input().unwrap().put_slice(&200_000_u32.to_le_bytes());
+    let reserved_by_claims = limit.reserved();
+    assert!(reserved_by_claims <= 8 * 64 * 1024, "{reserved_by_claims} bytes");
+    let mut honest_buffer = new_buffer();
+    honest_buffer.input().unwrap().put_slice(&200_000_u32.to_le_bytes());
     let (frame, memory) = loop {
-        if let Some(frame) = other.next_frame().unwrap() {
+        if let Some(frame) = honest_buffer.next_frame().unwrap() {
             break frame;
         }
-        let mut input = other.input().unwrap();
-        let room = input.remaining_mut();
-        input.put_bytes(7, room.min(60_000));
+        let mut input = honest_buffer.input().unwrap();
+        let capacity = input.remaining_mut();
+        input.put_bytes(7, capacity.min(60_000));
     };
-    assert_eq!((frame.len(), limit.taken()), (200_000, claimed + 200_004));
+    assert_eq!((frame.len(), limit.reserved()), (200_000, reserved_by_claims + 200_004));
     drop(memory);
-    assert_eq!(limit.taken(), claimed);
-    // One of them sends what it claims, until the limit is reached.
-    let refused = loop {
-        match claiming[0].input() {
+    assert_eq!(limit.reserved(), reserved_by_claims);
+    // One of the connections sends the claimed bytes, until the limit is reached.
+    let error = loop {
+        match claiming_buffers[0].input() {
             Ok(mut input) => {
-                let room = input.remaining_mut();
-                input.put_bytes(7, room);
+                let capacity = input.remaining_mut();
+                input.put_bytes(7, capacity);
             }
             Err(error) => break error,
         }
     };
-    assert_eq!(refused, FrameError::NoMemory { length: 50_000_000 });
-    drop(claiming);
-    assert_eq!(limit.taken(), 0);
+    assert_eq!(error, FrameError::NoMemory { length: 50_000_000 });
+    drop(claiming_buffers);
+    assert_eq!(limit.reserved(), 0);
 }
 
 proptest! {
@@ -160,38 +164,38 @@ proptest! {
     #[test]
     fn header_decodes_to_encoded_value(fields in proptest::collection::btree_map("[a-z0-9_]{0,9}", ".{0,30}", 0..9)) {
         let header = ConnectionHeader::from_fields(fields.iter().map(|(name, value)| (&**name, &**value)));
-        prop_assert_eq!(sent(&header), header);
+        prop_assert_eq!(encode_and_decode(&header), header);
     }
 
     #[test]
     fn frames_are_read_from_any_chunks(
         frames in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..300), 0..8),
-        long in 0_usize..200_000,
+        long_frame_bytes in 0_usize..200_000,
         reads in proptest::collection::vec(1_usize..90_000, 1..9),
     ) {
         let mut expected: Vec<Bytes> = frames.into_iter().map(Bytes::from).collect();
-        expected.insert(expected.len() / 2, vec![7; long].into());
+        expected.insert(expected.len() / 2, vec![7; long_frame_bytes].into());
         let mut stream = Vec::new();
         for frame in &expected {
             stream.put_u32_le(u32::try_from(frame.len()).unwrap());
             stream.put_slice(frame);
         }
         let mut buffer = FrameBuffer::new(1_000_000);
-        let mut found = Vec::new();
+        let mut received = Vec::new();
         let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
         while !rest.is_empty() {
             // At most as many bytes as fit, like a socket.
             let mut input = buffer.input().unwrap();
-            let room = input.remaining_mut();
-            prop_assert!(room > 0);
-            let count = rest.len().min(*reads.next().unwrap()).min(room);
+            let capacity = input.remaining_mut();
+            prop_assert!(capacity > 0);
+            let count = rest.len().min(*reads.next().unwrap()).min(capacity);
             input.put_slice(&rest[..count]);
             rest = &rest[count..];
             while let Some((frame, _)) = buffer.next_frame().unwrap() {
-                found.push(frame);
+                received.push(frame);
             }
         }
-        prop_assert_eq!(found, expected);
+        prop_assert_eq!(received, expected);
         prop_assert!(!buffer.has_partial_frame());
     }
 }

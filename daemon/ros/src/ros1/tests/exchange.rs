@@ -106,15 +106,15 @@ async fn several_publishers_are_listed() {
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();
-    let first = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
-    let second = b.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let first_publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let second_publisher = b.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let mut subscriber = b.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
     within(subscriber.wait_for_publishers(2)).await.unwrap();
-    within(first.wait_for_subscribers(1)).await.unwrap();
-    within(second.wait_for_subscribers(1)).await.unwrap();
+    within(first_publisher.wait_for_subscribers(1)).await.unwrap();
+    within(second_publisher.wait_for_subscribers(1)).await.unwrap();
     assert_eq!(b.system_state().await.unwrap().publishers_of("/t"), ["/a", "/b"]);
     assert_eq!(b.topic_types().await.unwrap(), [("/t".to_owned(), "std_msgs/String".to_owned())]);
-    first.publish(text("1")).unwrap();
+    first_publisher.publish(text("1")).unwrap();
     let message = within(subscriber.recv()).await.unwrap();
     assert_eq!(&*message.publisher.node, "/a");
 }
@@ -135,8 +135,8 @@ async fn messages_before_shutdown_are_written() {
             assert_eq!(within(subscriber.recv()).await.unwrap().bytes.len(), 1_000_000);
         }
     };
-    let (ended, ()) = tokio::join!(a.shutdown(), receiver);
-    ended.unwrap();
+    let (shutdown_result, ()) = tokio::join!(a.shutdown(), receiver);
+    shutdown_result.unwrap();
     assert_eq!(publisher.counts().sent, 20);
     assert!(master.publishers("/t").is_empty());
 }

@@ -18,7 +18,7 @@ fn message(length: usize) -> Bytes {
 
 #[tokio::test]
 async fn missing_master_is_named() {
-    // Bound and not listening, so that connections are refused.
+    // The socket is bound and does not listen, so that connections are refused.
     let socket = tokio::net::TcpSocket::new_v4().unwrap();
     socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
     let uri = format!("http://{}", socket.local_addr().unwrap());
@@ -52,8 +52,8 @@ async fn restarted_master_learns_all_topics() {
     assert_eq!(within(subscriber.recv()).await.unwrap().bytes.len(), 6);
     assert_eq!(subscriber.counts().connections, 1);
     let c = node(&master, "c").await;
-    let late = c.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
-    within(late.wait_for_publishers(1)).await.unwrap();
+    let late_subscriber = c.subscribe("t", kind, SubscriberOptions::default()).await.unwrap();
+    within(late_subscriber.wait_for_publishers(1)).await.unwrap();
 }
 
 #[tokio::test]
@@ -88,9 +88,9 @@ async fn type_mismatch_is_refused_with_both_types() {
 
 /// Returns the connection of a subscriber that reads nothing.
 async fn silent_subscriber(publisher_node: &Node, master: &TestMaster) -> TcpStream {
-    let shared = publisher_node.shared();
+    let state = publisher_node.state();
     assert_eq!(master.publishers("/t"), [publisher_node.name()]);
-    let mut stream = TcpStream::connect(("127.0.0.1", shared.address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", state.address.tcpros_port())).await.unwrap();
     let kind = TopicType::any();
     let request = Subscription { node: "/silent".into(), topic: "/t".into(), kind }.request();
     stream.write_all(&request.encode()).await.unwrap();
@@ -191,21 +191,21 @@ async fn unexpected_publisher_is_ignored_with_reason() {
     let master = TestMaster::start().await;
     let (a, b, c) = (node(&master, "a").await, node(&master, "b").await, node(&master, "c").await);
     let kind = TopicType::from_message::<StringMessage>();
-    let foreign = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let foreign_publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let options = SubscriberOptions { publisher: Some("/b".into()), ..SubscriberOptions::default() };
     let mut subscriber = c.subscribe("t", kind.clone(), options).await.unwrap();
-    let expected = b.publish("t", kind, PublisherOptions::default()).await.unwrap();
-    within(expected.wait_for_subscribers(1)).await.unwrap();
+    let expected_publisher = b.publish("t", kind, PublisherOptions::default()).await.unwrap();
+    within(expected_publisher.wait_for_subscribers(1)).await.unwrap();
     for length in 1..=10 {
-        foreign.publish(message(100)).unwrap();
-        within(expected.publish_waiting(message(length))).await.unwrap();
+        foreign_publisher.publish(message(100)).unwrap();
+        within(expected_publisher.publish_waiting(message(length))).await.unwrap();
         assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message(length));
     }
-    let watch = subscriber.publisher_watch();
+    let publisher_watch = subscriber.publisher_watch();
     let reason = within(async {
         loop {
-            let changed = watch.changed();
-            let mut states = watch.publishers().into_iter().map(|publisher| publisher.state);
+            let changed = publisher_watch.changed();
+            let mut states = publisher_watch.publishers().into_iter().map(|publisher| publisher.state);
             if let Some(PublisherState::Failed(reason)) =
                 states.find(|state| matches!(state, PublisherState::Failed(_)))
             {
@@ -241,16 +241,16 @@ async fn subscriber_reconnects_to_a_restarted_publisher() {
 #[tokio::test]
 async fn node_with_taken_name_ends() {
     let master = TestMaster::start().await;
-    let old = node(&master, "a").await;
+    let old_node = node(&master, "a").await;
     let kind = TopicType::from_message::<StringMessage>();
-    let publisher = old.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
-    let new = node(&master, "a").await;
-    let _publisher = new.publish("t", kind, PublisherOptions::default()).await.unwrap();
-    let error = within(old.ended()).await;
+    let publisher = old_node.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
+    let new_node = node(&master, "a").await;
+    let _publisher = new_node.publish("t", kind, PublisherOptions::default()).await.unwrap();
+    let error = within(old_node.ended()).await;
     assert!(error.to_string().contains("has registered with the same name"), "{error}");
     assert!(matches!(publisher.publish(message(1)), Err(NodeError::Closed { .. })));
     // The new node's registration remains.
-    drop((publisher, old));
+    drop((publisher, old_node));
     assert_eq!(master.publishers("/t"), ["/a"]);
 }
 
@@ -273,13 +273,13 @@ async fn topic_is_published_once_and_again_after_its_end() {
 async fn malformed_header_is_answered_with_the_reason() {
     let master = TestMaster::start().await;
     let a = node(&master, "a").await;
-    let mut stream = TcpStream::connect(("127.0.0.1", a.shared().address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", a.state().address.tcpros_port())).await.unwrap();
     stream.write_all(b"\x07\0\0\0\x03\0\0\0abc").await.unwrap();
     let mut answer = Vec::new();
     within(stream.read_to_end(&mut answer)).await.unwrap();
     let header = ConnectionHeader::decode(&answer[4..]).unwrap();
     assert_eq!(header.get("error"), Some("a field of the connection header has no '='"));
-    let mut stream = TcpStream::connect(("127.0.0.1", a.shared().address.tcpros_port())).await.unwrap();
+    let mut stream = TcpStream::connect(("127.0.0.1", a.state().address.tcpros_port())).await.unwrap();
     stream.write_all(&u32::MAX.to_le_bytes()).await.unwrap();
     assert_eq!(within(stream.read_to_end(&mut answer)).await.unwrap(), 0);
 }
@@ -292,7 +292,7 @@ async fn garbage_at_both_ports_leaves_the_node_working() {
     let publisher = a.publish("t", kind.clone(), PublisherOptions::default()).await.unwrap();
     let rpc_port = RpcUri::parse(a.uri()).unwrap().port();
     let long_line = "x".repeat(1_000_000);
-    for port in [rpc_port, a.shared().address.tcpros_port()] {
+    for port in [rpc_port, a.state().address.tcpros_port()] {
         for garbage in [
             "",
             "\0\0\0\0",
@@ -301,7 +301,7 @@ async fn garbage_at_both_ports_leaves_the_node_working() {
             &long_line,
         ] {
             let mut stream = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
-            // The connection may be closed before everything was sent.
+            // The node may close the connection before all bytes are sent.
             let _ = stream.write_all(garbage.as_bytes()).await;
             let _ = stream.shutdown().await;
             let _ = within(stream.read_to_end(&mut Vec::new())).await;

@@ -94,7 +94,7 @@ impl TestMaster {
         self.state().nodes.get(node).cloned()
     }
 
-    /// Waits until a condition holds, which is checked after each call.
+    /// Waits until a condition holds. The condition is checked after each call.
     pub(super) async fn wait_until(&self, condition: impl Fn(&Self) -> bool) {
         let mut changes = self.changes.subscribe();
         while !condition(self) {
@@ -164,20 +164,22 @@ fn answer(state: &mut State, call: &Call) -> Response {
     }
 }
 
-/// Removes a registration with this URI. Returns whether there was one.
+/// Removes a registration with this URI. Returns whether the registration existed.
 fn remove(topics: &mut Topics, topic: &str, node: &str, uri: &str) -> bool {
     match topics.get_mut(topic) {
-        Some(nodes) if nodes.get(node).is_some_and(|known| known == uri) => nodes.remove(node).is_some(),
+        Some(nodes) if nodes.get(node).is_some_and(|registered_uri| registered_uri == uri) => {
+            nodes.remove(node).is_some()
+        }
         _ => false,
     }
 }
 
 /// Stores a node's URI, and ends an older node with its name.
 fn register(state: &mut State, node: &str, uri: &str) {
-    let older = state.nodes.insert(node.to_owned(), uri.to_owned());
-    if let Some(older) = older.filter(|older| older != uri) {
+    let older_uri = state.nodes.insert(node.to_owned(), uri.to_owned());
+    if let Some(older_uri) = older_uri.filter(|older_uri| older_uri != uri) {
         let reason = format!("[{node}] Reason: new node registered with same name");
-        call_node(&older, "shutdown", vec!["/master".into(), reason.into()]);
+        call_node(&older_uri, "shutdown", vec!["/master".into(), reason.into()]);
     }
 }
 

@@ -20,29 +20,29 @@ use crate::ros1::{MemoryLimit, PublisherOptions, RpcUri, SubscriberOptions, Topi
 /// A limit of bytes that messages share.
 #[derive(Clone, Debug)]
 pub(in crate::ros1) struct TestLimit {
-    taken: Arc<AtomicUsize>,
+    reserved: Arc<AtomicUsize>,
     max: usize,
 }
 
 impl TestLimit {
     pub(in crate::ros1) fn new(max: usize) -> Self {
-        Self { taken: Arc::default(), max }
+        Self { reserved: Arc::default(), max }
     }
 
     pub(in crate::ros1) fn option(&self) -> Option<Arc<dyn MemoryLimit>> {
         Some(Arc::new(self.clone()))
     }
 
-    pub(in crate::ros1) fn taken(&self) -> usize {
-        self.taken.load(Relaxed)
+    pub(in crate::ros1) fn reserved(&self) -> usize {
+        self.reserved.load(Relaxed)
     }
 }
 
 impl MemoryLimit for TestLimit {
     fn reserve(&self, bytes: usize) -> Option<Box<dyn Any + Send + Sync>> {
-        let taken = self.taken.fetch_add(bytes, Relaxed) + bytes;
-        let reservation = Reservation(Arc::clone(&self.taken), bytes);
-        (taken <= self.max).then(|| Box::new(reservation) as Box<dyn Any + Send + Sync>)
+        let reserved = self.reserved.fetch_add(bytes, Relaxed) + bytes;
+        let reservation = Reservation(Arc::clone(&self.reserved), bytes);
+        (reserved <= self.max).then(|| Box::new(reservation) as Box<dyn Any + Send + Sync>)
     }
 }
 
@@ -84,8 +84,8 @@ async fn listener() -> TcpListener {
 }
 
 #[tokio::test]
-async fn claimed_lengths_leave_memory_for_messages_of_others() {
-    const CLAIMED: u32 = 50_000_000;
+async fn claimed_lengths_take_no_memory_of_other_publishers() {
+    const CLAIMED_BYTES: u32 = 50_000_000;
     let master = TestMaster::start().await;
     let (a, b) = (node(&master, "a").await, node(&master, "b").await);
     let kind = TopicType::from_message::<StringMessage>();
@@ -93,12 +93,12 @@ async fn claimed_lengths_leave_memory_for_messages_of_others() {
     let options = SubscriberOptions { memory: limit.option(), ..SubscriberOptions::default() };
     let mut subscriber = b.subscribe("t", kind.clone(), options).await.unwrap();
     let stop = CancellationToken::new();
-    let mut claiming = Vec::new();
+    let mut claiming_streams = Vec::new();
     for number in 0..16 {
         let mut stream = foreign_publisher(&master, &format!("/claiming{number}"), &stop).await;
-        within(stream.write_all(&CLAIMED.to_le_bytes())).await.unwrap();
+        within(stream.write_all(&CLAIMED_BYTES.to_le_bytes())).await.unwrap();
         within(stream.write_all(&[0; 10_000])).await.unwrap();
-        claiming.push(stream);
+        claiming_streams.push(stream);
     }
     let publisher = a.publish("t", kind, PublisherOptions::default()).await.unwrap();
     within(subscriber.wait_for_publishers(17)).await.unwrap();
@@ -108,11 +108,11 @@ async fn claimed_lengths_leave_memory_for_messages_of_others() {
         assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
     }
     assert_eq!(subscriber.counts().connections, 17, "nobody was disconnected");
-    // One of them sends what it has claimed, until there is no room and it is disconnected.
-    let [first, ..] = &mut claiming[..] else { unreachable!() };
+    // One of the claiming publishers sends the claimed bytes, until the memory is exhausted and it is disconnected.
+    let [first, ..] = &mut claiming_streams[..] else { unreachable!() };
     within(async { while first.write_all(&[0; 100_000]).await.is_ok() {} }).await;
     within(publisher.publish_waiting(message.clone())).await.unwrap();
     assert_eq!(within(subscriber.recv()).await.unwrap().bytes, message);
-    drop(claiming);
+    drop(claiming_streams);
     stop.cancel();
 }

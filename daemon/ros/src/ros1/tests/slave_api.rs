@@ -89,15 +89,15 @@ async fn node_with_unique_name_ignores_shutdown_call() {
         .publish("t", TopicType::from_message::<StringMessage>(), PublisherOptions::default())
         .await
         .unwrap();
-    // The call is meant for a node that ended and whose port this node has.
+    // The call is meant for another node, which has ended. This node has the port of that node.
     let reason = "[/camera] Reason: new node registered with same name";
     call_method(&a, "shutdown", vec!["/master".into(), reason.into()]).await.unwrap();
 
-    // The registration of a node that has ended makes the master ask this one to end.
-    let ended = node(&master, "a").await;
-    let late = ["/a", "/u", "std_msgs/String", ended.uri()].map(Value::from);
-    ended.shutdown().await.unwrap();
-    within(rpc::call(&RpcUri::parse(&master.uri()).unwrap(), "registerPublisher", late.into()))
+    // The registration of a node that has ended makes the master ask this node to end.
+    let ended_node = node(&master, "a").await;
+    let late_registration = ["/a", "/u", "std_msgs/String", ended_node.uri()].map(Value::from);
+    ended_node.shutdown().await.unwrap();
+    within(rpc::call(&RpcUri::parse(&master.uri()).unwrap(), "registerPublisher", late_registration.into()))
         .await
         .unwrap();
     within(master.wait_until(|master| master.uri_of("/a").as_deref() == Some(a.uri()))).await;

@@ -6,7 +6,8 @@ use thiserror::Error;
 
 use super::{Call, Response, Value};
 
-/// Largest nesting depth of values. ROS needs five: the system state is lists of names in pairs in lists in an answer.
+/// Largest nesting depth of values. ROS needs five: the system state is an answer with lists of pairs of a name and a list of
+/// names.
 const MAX_DEPTH: usize = 16;
 
 /// Largest number of values in a document. The largest answer is the system state of a large robot, a few thousand
@@ -31,7 +32,7 @@ pub enum ParseError {
         /// Name of the entity.
         name: String,
     },
-    /// The text has another element or text than XML-RPC expects there.
+    /// The text contains an element or a text where XML-RPC expects something else.
     #[error("expected {expected} in the XML-RPC message, found {found}")]
     Unexpected {
         /// Expected element or text.
@@ -91,7 +92,7 @@ pub fn parse_response(xml: &[u8]) -> Result<Response, ParseError> {
             Response::Success(value)
         }
         Token::Open(name) if name == "fault" => parse_fault(parser.wrapped_value()?)?,
-        found => return Err(found.unexpected_error("params or fault")),
+        token => return Err(token.unexpected_error("params or fault")),
     };
     parser.close()?;
     parser.end()?;
@@ -118,6 +119,7 @@ fn parse_fault(value: Value) -> Result<Response, ParseError> {
     }
 }
 
+/// A token of the XML.
 #[derive(Debug)]
 enum Token {
     Open(String),
@@ -140,15 +142,17 @@ impl Token {
 
 struct Parser<'a> {
     reader: Reader<&'a [u8]>,
+    /// Number of values that are open.
     depth: usize,
-    values: usize,
+    /// Number of values so far.
+    value_count: usize,
 }
 
 impl<'a> Parser<'a> {
     fn new(xml: &'a str) -> Self {
         let mut reader = Reader::from_str(xml);
         reader.config_mut().expand_empty_elements = true;
-        Self { reader, depth: 0, values: 0 }
+        Self { reader, depth: 0, value_count: 0 }
     }
 
     /// Returns the next token. A text may come in several pieces.
@@ -188,35 +192,35 @@ impl<'a> Parser<'a> {
         match self.next_markup()? {
             Token::Open(name) if name == expected => Ok(true),
             Token::Close => Ok(false),
-            found => Err(found.unexpected_error(expected)),
+            token => Err(token.unexpected_error(expected)),
         }
     }
 
     fn close(&mut self) -> Result<(), ParseError> {
         match self.next_markup()? {
             Token::Close => Ok(()),
-            found => Err(found.unexpected_error("the end of an element")),
+            token => Err(token.unexpected_error("the end of an element")),
         }
     }
 
-    /// Reads the rest of the document: ends of elements, and then the end.
+    /// Reads the ends of the open elements, and then the end of the document.
     fn end(&mut self) -> Result<(), ParseError> {
         loop {
             match self.next_markup()? {
                 Token::Close => {}
                 Token::End => return Ok(()),
-                found => return Err(found.unexpected_error("the end")),
+                token => return Err(token.unexpected_error("the end")),
             }
         }
     }
 
     fn text_until_close(&mut self) -> Result<String, ParseError> {
-        let mut whole = String::new();
+        let mut content = String::new();
         loop {
             match self.next()? {
-                Token::Text(text) => whole.push_str(&text),
-                Token::Close => return Ok(whole),
-                found => return Err(found.unexpected_error("text")),
+                Token::Text(text) => content.push_str(&text),
+                Token::Close => return Ok(content),
+                token => return Err(token.unexpected_error("text")),
             }
         }
     }
@@ -231,15 +235,15 @@ impl<'a> Parser<'a> {
 
     /// Reads a value whose element has begun.
     fn value(&mut self) -> Result<Value, ParseError> {
-        self.values += 1;
+        self.value_count += 1;
         self.depth += 1;
-        if self.values > MAX_VALUES {
+        if self.value_count > MAX_VALUES {
             return Err(ParseError::TooManyValues);
         }
         if self.depth > MAX_DEPTH {
             return Err(ParseError::TooDeep);
         }
-        // A value without a type is a string. If there is a type, only white space may surround it.
+        // A value without a type is a string. If there is a type, only white space may surround the element of the type.
         let mut text = String::new();
         let value = loop {
             match self.next()? {
@@ -250,7 +254,7 @@ impl<'a> Parser<'a> {
                     self.close()?;
                     break value;
                 }
-                found => return Err(found.unexpected_error("the end of the value")),
+                token => return Err(token.unexpected_error("the end of the value")),
             }
         };
         self.depth -= 1;

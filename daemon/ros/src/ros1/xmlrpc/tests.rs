@@ -44,9 +44,9 @@ proptest! {
         changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {
         let mut xml = write_call(&Call { method: "requestTopic".into(), params }).into_bytes();
-        for (at, byte) in changes {
-            let at = at.index(xml.len());
-            xml[at] = byte;
+        for (index, byte) in changes {
+            let index = index.index(xml.len());
+            xml[index] = byte;
         }
         let _ = parse_call(&xml);
         let _ = parse_response(&xml);
@@ -89,11 +89,12 @@ fn document_types_and_entities_are_refused() {
 
 #[test]
 fn depth_and_number_of_values_are_bounded() {
-    let call = |inner: &str| {
-        format!("<methodCall><methodName>m</methodName><params><param>{inner}</param></params></methodCall>")
+    let call = |value: &str| {
+        format!("<methodCall><methodName>m</methodName><params><param>{value}</param></params></methodCall>")
     };
-    let deep = call(&"<value><array><data>".repeat(100_000));
-    assert_eq!(parse_call(deep.as_bytes()).unwrap_err(), ParseError::TooDeep);
-    let many = format!("<value><array><data>{}</data></array></value>", "<value/>".repeat(100_001));
-    assert_eq!(parse_call(call(&many).as_bytes()).unwrap_err(), ParseError::TooManyValues);
+    let deeply_nested_call = call(&"<value><array><data>".repeat(100_000));
+    assert_eq!(parse_call(deeply_nested_call.as_bytes()).unwrap_err(), ParseError::TooDeep);
+    let array_with_many_values =
+        format!("<value><array><data>{}</data></array></value>", "<value/>".repeat(100_001));
+    assert_eq!(parse_call(call(&array_with_many_values).as_bytes()).unwrap_err(), ParseError::TooManyValues);
 }

@@ -90,8 +90,8 @@ pub(super) fn timestamp(time: WallTime) -> Timestamp {
     let nanos = time.unix_nanos().max(0);
     // The two highest values of the seconds are reserved.
     let seconds = u64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(0).min(u64::from(u32::MAX - 1));
-    let rest = u64::try_from(nanos % NANOS_PER_SECOND).unwrap_or(0);
-    Timestamp::from_ticks((seconds << 32) | ((rest << 32) / NANOS_PER_SECOND.unsigned_abs()))
+    let subsecond_nanos = u64::try_from(nanos % NANOS_PER_SECOND).unwrap_or(0);
+    Timestamp::from_ticks((seconds << 32) | ((subsecond_nanos << 32) / NANOS_PER_SECOND.unsigned_abs()))
 }
 
 /// Converts an RTPS timestamp; `None` for the values that mean no time.

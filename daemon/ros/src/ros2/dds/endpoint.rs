@@ -25,11 +25,12 @@ impl Endpoint {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if no peer is found within `time_limit`, [`Ros2Error::ShutDown`] if the node is shut down before.
+    /// [`Ros2Error::NoPeer`] if no peer is found within `time_limit`, [`Ros2Error::ShutDown`] if the node is shut
+    /// down before.
     pub(super) async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         let mut peers = self.peers.clone();
-        let matched = peers.wait_for(|peers| !peers.matched.is_empty());
-        let in_time = tokio::time::timeout(time_limit, matched);
+        let first_match = peers.wait_for(|peers| !peers.matched.is_empty());
+        let in_time = tokio::time::timeout(time_limit, first_match);
         match self.node.closed.run_until_cancelled(in_time).await {
             Some(Ok(Ok(_))) => Ok(()),
             Some(Err(_elapsed)) => Err(Ros2Error::NoPeer(Box::new(self.no_peer_error(time_limit)))),

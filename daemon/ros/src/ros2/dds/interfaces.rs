@@ -23,8 +23,8 @@ impl Interfaces {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::UnknownInterface`] if one does not exist, [`Ros2Error::Interfaces`] if the kernel does not list
-    /// them.
+    /// [`Ros2Error::UnknownInterface`] if an interface does not exist, [`Ros2Error::Interfaces`] if the kernel does not
+    /// list the interfaces.
     pub(super) fn find(names: &[String]) -> Result<Self, Ros2Error> {
         Ok(Self::find_interfaces(names, &ipv4_interfaces().map_err(Ros2Error::Interfaces)?)?)
     }
@@ -48,7 +48,7 @@ impl Interfaces {
 ///
 /// # Errors
 ///
-/// If the kernel does not list them.
+/// If the kernel does not list the interfaces.
 pub(super) fn own_addresses() -> io::Result<Vec<IpAddr>> {
     let address = |interface: InterfaceAddress| {
         let address = interface.address?;
@@ -75,10 +75,10 @@ pub(super) fn check_socket_buffers(requested: usize) -> io::Result<Vec<SocketBuf
         (SocketBufferWarning::RECEIVE_SYSCTL, socket.recv_buffer_size()? / 2),
         ("net.core.wmem_max", socket.send_buffer_size()? / 2),
     ];
-    let is_too_small = |(sysctl, granted): (&'static str, usize)| {
+    let warning_if_too_small = |(sysctl, granted): (&'static str, usize)| {
         (granted < requested).then_some(SocketBufferWarning { sysctl, granted, requested })
     };
-    Ok(granted.into_iter().filter_map(is_too_small).collect())
+    Ok(granted.into_iter().filter_map(warning_if_too_small).collect())
 }
 
 #[cfg(test)]

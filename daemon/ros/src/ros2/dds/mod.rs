@@ -10,7 +10,7 @@
 //!   arrive.
 //! - It does not report which messages were lost. Gaps between the sequence numbers of each publisher are counted.
 //! - It repairs 8 lost fragments of 256 bytes per round of 10 ms. At most 1 MiB is unacknowledged, or half of the
-//!   receive buffer; a warning if the kernel limits the socket buffers.
+//!   receive buffer. There is a warning if the kernel limits the socket buffers.
 //! - It does not know whether the peer has found us as well. On a volatile topic the first messages after a match may
 //!   be lost; sessions repeat their hello and confirm payloads.
 //! - It keeps the cache of a topic, with its last messages, until the participant ends. `depth` is small; a task takes

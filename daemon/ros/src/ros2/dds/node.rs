@@ -39,10 +39,12 @@ pub struct Ros2Node {
     pub(super) entities: Option<DdsEntities>,
 }
 
+/// The objects of `rustdds` that exist until the node is shut down, and the tasks that read from them.
 pub(super) struct DdsEntities {
     pub(super) participant: DomainParticipant,
     publisher: Publisher,
     subscriber: Subscriber,
+    /// Task that applies the events of discovery.
     discovery_task: JoinHandle<()>,
     /// Task that reads the node list.
     node_list_task: JoinHandle<()>,
@@ -52,18 +54,22 @@ pub(super) struct DdsEntities {
 pub(super) struct NodeState {
     pub(super) id: ParticipantId,
     pub(super) domain_id: u16,
+    /// Description of the network interfaces, such as `lo (127.0.0.1)`.
     pub(super) interfaces: String,
+    /// Cancelled when the node is shut down.
     pub(super) closed: CancellationToken,
     discovery: Mutex<DiscoveryState>,
-    node_list: Mutex<NodeList>,
+    node_list: Mutex<NodeListPublisher>,
 }
 
+/// Reader of the node list.
 type ListReader = SimpleDataReader<RawMessage, RawAdapter>;
 
-/// Largest number of participants whose entries of the node list are received and not yet read.
+/// Largest number of entries of the node list that are received and not yet read.
 const MAX_UNREAD_ENTRIES: u32 = 1_024;
 
-struct NodeList {
+/// Publisher of our entry of the node list.
+struct NodeListPublisher {
     writer: DataWriter<RawMessage, RawAdapter>,
     entry: NodeEntry,
 }
@@ -78,21 +84,21 @@ impl Ros2Node {
         let settings = settings.with_environment(|name| std::env::var(name).ok())?;
         let domain_id = settings.domain_id.unwrap_or(0);
         let interfaces = Interfaces::find(&settings.interfaces)?;
-        let failed = |reason: String| Ros2Error::Join {
+        let join_error = |reason: String| Ros2Error::Join {
             domain_id,
             interfaces: interfaces.description.clone(),
             reason,
         };
-        let socket_buffer_warnings =
-            check_socket_buffers(settings.socket_buffer_bytes).map_err(|error| failed(error.to_string()))?;
+        let socket_buffer_warnings = check_socket_buffers(settings.socket_buffer_bytes)
+            .map_err(|error| join_error(error.to_string()))?;
         let builder = participant_builder(&settings, &interfaces);
-        // On a blocking thread, because it waits for threads to start.
+        // The participant is built on a blocking thread, because building waits for threads to start.
         let participant = tokio::task::spawn_blocking(move || builder.build())
             .await
-            .map_err(|error| failed(error.to_string()))?
-            .map_err(|error| failed(error.to_string()))?;
+            .map_err(|error| join_error(error.to_string()))?
+            .map_err(|error| join_error(error.to_string()))?;
         Self::join(settings, interfaces.description.clone(), socket_buffer_warnings, participant)
-            .map_err(|error| failed(error.to_string()))
+            .map_err(|error| join_error(error.to_string()))
     }
 
     fn join(
@@ -104,7 +110,8 @@ impl Ros2Node {
         let qos = |role| qos_policies(role, &QosProfile::default());
         let publisher = participant.create_publisher(&qos(EndpointRole::Publisher))?;
         let subscriber = participant.create_subscriber(&qos(EndpointRole::Subscription))?;
-        let (node_list, entries) = NodeList::new(&settings, &participant, (&publisher, &subscriber))?;
+        let (node_list, entries) =
+            NodeListPublisher::new(&settings, &participant, (&publisher, &subscriber))?;
         let id = endpoint_id(participant.guid()).participant();
         let state = Arc::new(NodeState {
             id,
@@ -133,10 +140,11 @@ impl Ros2Node {
         &self.socket_buffer_warnings
     }
 
-    /// Returns the size of a receive buffer of this host's sockets. Subscriptions with such sockets lose a part of each longer message.
+    /// Returns the size of a receive buffer of this host's sockets. Subscriptions on this host lose parts of messages
+    /// that are longer than this.
     pub fn receive_buffer_bytes(&self) -> usize {
-        let granted = self.socket_buffer_warnings.iter().find(|warning| warning.limits_receive_buffer());
-        granted.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
+        let warning = self.socket_buffer_warnings.iter().find(|warning| warning.limits_receive_buffer());
+        warning.map_or(self.settings.socket_buffer_bytes, |warning| warning.granted)
     }
 
     /// Returns the identity of the node in the domain.
@@ -166,9 +174,9 @@ impl Ros2Node {
         let writer = entities
             .publisher
             .create_datawriter_no_key(&dds_topic, Some(qos_policies(role, qos)))
-            .map_err(|error| names.failed(role, &error))?;
+            .map_err(|error| names.create_error(role, &error))?;
         let id = endpoint_id(writer.guid());
-        // Under the lock of `discovery`, so that no event about the endpoint is handled before it is known.
+        // The lock of `discovery` is held until the endpoint is added, so that no event about it is handled before.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
         self.state.publish_node_list();
@@ -197,9 +205,9 @@ impl Ros2Node {
         let reader = entities
             .subscriber
             .create_simple_datareader_no_key(&dds_topic, Some(qos_policies(role, qos)))
-            .map_err(|error| names.failed(role, &error))?;
+            .map_err(|error| names.create_error(role, &error))?;
         let id = endpoint_id(reader.guid());
-        // Under the lock for the same reason as in `create_publisher`.
+        // The lock is held for the same reason as in `create_publisher`.
         let peers = discovery.add_local(id, role, &names.dds_type);
         drop(discovery);
         self.state.publish_node_list();
@@ -230,7 +238,7 @@ impl Ros2Node {
                 &qos_policies(role, qos),
                 TopicKind::NoKey,
             )
-            .map_err(|error| names.failed(role, &error))?;
+            .map_err(|error| names.create_error(role, &error))?;
         Ok((entities, names, dds_topic))
     }
 
@@ -243,15 +251,15 @@ impl Ros2Node {
     pub async fn shut_down(mut self) -> Result<(), Ros2Error> {
         self.state.closed.cancel();
         let Some(entities) = self.entities.take() else { return Ok(()) };
-        let failed = |reason: String| Ros2Error::Leave { domain_id: self.state.domain_id, reason };
+        let leave_error = |reason: String| Ros2Error::Leave { domain_id: self.state.domain_id, reason };
         for task in [entities.discovery_task, entities.node_list_task] {
-            task.await.map_err(|error| failed(error.to_string()))?;
+            task.await.map_err(|error| leave_error(error.to_string()))?;
         }
         let participant = entities.participant;
-        // On a blocking thread, because it waits for the threads of rustdds to end.
+        // The participant is dropped on a blocking thread, because dropping waits for the threads of rustdds to end.
         tokio::task::spawn_blocking(move || drop(participant))
             .await
-            .map_err(|error| failed(error.to_string()))
+            .map_err(|error| leave_error(error.to_string()))
     }
 }
 
@@ -279,7 +287,7 @@ struct Names {
 }
 
 impl Names {
-    fn failed(&self, role: EndpointRole, error: &rustdds::dds::CreateError) -> Ros2Error {
+    fn create_error(&self, role: EndpointRole, error: &rustdds::dds::CreateError) -> Ros2Error {
         Ros2Error::Create { role, topic: self.topic.clone(), reason: error.to_string() }
     }
 }
@@ -299,7 +307,7 @@ impl NodeState {
         if self.closed.is_cancelled() {
             return;
         }
-        // Locked before the endpoints are read, so that a newer list is never followed by an older list.
+        // The lock is taken before the endpoints are read, so that a newer list is never followed by an older list.
         let mut list = self.node_list.lock().unwrap_or_else(PoisonError::into_inner);
         list.entry.endpoints = self.discovery().local_endpoints();
         let Some(message) = RawMessage::from_payload(list.entry.to_payload()) else { return };
@@ -312,7 +320,7 @@ impl NodeState {
     }
 }
 
-impl NodeList {
+impl NodeListPublisher {
     fn new(
         settings: &Ros2Settings,
         participant: &DomainParticipant,
@@ -376,8 +384,8 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
     }
 }
 
-/// Applies the node list until the node is shut down. Invalid entries are counted, and logged whenever their number has
-/// doubled.
+/// Applies the node list until the node is shut down. Invalid entries are counted. A warning is logged whenever their
+/// number has doubled.
 async fn follow_node_list(reader: ListReader, state: Arc<NodeState>) {
     let mut entries = pin!(reader.as_async_stream());
     let mut dropped = 0_u64;

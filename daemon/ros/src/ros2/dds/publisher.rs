@@ -22,7 +22,7 @@ pub struct Ros2Publisher {
     pub(super) writer: DataWriter<RawMessage, RawAdapter>,
     pub(super) endpoint: Endpoint,
     pub(super) qos: QosProfile,
-    /// Bytes published since everything was acknowledged; approximate if several tasks publish at once.
+    /// Bytes published since all messages were acknowledged; approximate if several tasks publish at once.
     pub(super) unacknowledged_bytes: AtomicUsize,
     /// Largest value of `unacknowledged_bytes`.
     pub(super) max_unacknowledged_bytes: usize,
@@ -53,7 +53,8 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if no subscription is found within `time_limit`; it says what was tried.
+    /// [`Ros2Error::NoPeer`] if no subscription is found within `time_limit`; the error says what was
+    /// tried.
     pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         self.endpoint.wait_for_peer(time_limit).await
     }
@@ -62,8 +63,8 @@ impl Ros2Publisher {
     /// 00`) and is sent without being copied.
     ///
     /// A reliable publisher waits while 1,024 messages (or more, if [`depth`](QosProfile::depth) is larger) are
-    /// unacknowledged, or more bytes than 1 MiB or half of the receive buffer, whichever is less. Subscriptions receive
-    /// `source_time` as the time of publishing.
+    /// unacknowledged. It also waits while the unacknowledged bytes with this message would exceed 1 MiB or half of the
+    /// receive buffer, whichever is less. Subscriptions receive `source_time` as the time of publishing.
     ///
     /// # Errors
     ///
@@ -76,10 +77,10 @@ impl Ros2Publisher {
         let message =
             RawMessage::from_payload(payload).ok_or_else(|| Ros2Error::NotCdr { topic: topic() })?;
         let options = WriteOptionsBuilder::new().source_timestamp(timestamp(source_time)).build();
-        let written = self.write(message, options);
-        // The write of rustdds has a time limit, but is not woken when it is reached.
+        let write = self.write(message, options);
+        // The write of rustdds has a time limit, but the future is not woken when the limit is reached.
         let waited = Duration::from_millis(u64::from(self.qos.max_blocking_ms));
-        let in_time = tokio::time::timeout(waited, written);
+        let in_time = tokio::time::timeout(waited, write);
         match self.endpoint.node.closed.run_until_cancelled(in_time).await {
             None => Err(self.endpoint.shut_down_error()),
             Some(Ok(Ok(identity))) => Ok(i64::from(identity.sequence_number)),
@@ -116,8 +117,8 @@ impl Ros2Publisher {
         }
     }
 
-    /// Counts all messages so far as acknowledged, so that a slow subscription does not stop later messages. The
-    /// messages that it has not received are still kept for it.
+    /// Counts all messages so far as acknowledged, so that a slow subscription does not delay later messages. The
+    /// messages that the subscription has not received are still kept for it.
     pub fn forget_unacknowledged(&self) {
         self.unacknowledged_bytes.store(0, Ordering::Relaxed);
     }
@@ -132,7 +133,7 @@ impl Ros2Publisher {
             > self.max_unacknowledged_bytes
             && self.unacknowledged_bytes.load(Ordering::Relaxed) > 0
         {
-            // Fails only for reasons for which the write fails as well.
+            // The error is ignored: whatever makes the wait fail makes the write below fail as well.
             let _acknowledged = self.writer.async_wait_for_acknowledgments().await;
             self.unacknowledged_bytes.store(0, Ordering::Relaxed);
         }
@@ -141,7 +142,7 @@ impl Ros2Publisher {
         Ok(identity)
     }
 
-    /// Waits until all matched reliable subscriptions have everything that was published.
+    /// Waits until all matched reliable subscriptions have all published messages.
     ///
     /// # Errors
     ///

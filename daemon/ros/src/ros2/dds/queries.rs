@@ -19,14 +19,14 @@ impl Ros2Node {
     pub fn publishers_of(&self, topic: &str) -> Vec<DiscoveredPublisher> {
         let Some(entities) = &self.entities else { return Vec::new() };
         let topic = dds_topic(topic);
-        let own = own_addresses().unwrap_or_else(|error| {
+        let host_addresses = own_addresses().unwrap_or_else(|error| {
             tracing::warn!(%error, "cannot list the addresses of this host; its publishers count as publishers of another host");
             Vec::new()
         });
-        let found = entities.participant.discovered_writers().into_iter();
-        let of_topic = found.filter(|writer| writer.publication_topic_data.topic_name == topic);
+        let writers = entities.participant.discovered_writers().into_iter();
+        let topic_writers = writers.filter(|writer| writer.publication_topic_data.topic_name == topic);
         let mut publishers: Vec<DiscoveredPublisher> =
-            of_topic.map(|writer| discovered_publisher(&writer, &own)).collect();
+            topic_writers.map(|writer| discovered_publisher(&writer, &host_addresses)).collect();
         publishers.sort_by_key(|publisher| publisher.id);
         for publisher in &mut publishers {
             publisher.node = self.node_of(publisher.id);
@@ -52,12 +52,12 @@ impl Ros2Node {
     /// Returns an address of the host of a participant with a publisher; `None` for this host, and for a
     /// participant that is unknown.
     pub fn host_of(&self, participant: ParticipantId) -> Option<IpAddr> {
-        let own = own_addresses().unwrap_or_default();
-        let found = self.entities.as_ref()?.participant.discovered_writers().into_iter();
-        let mut of_participant = found.filter(|writer| {
+        let host_addresses = own_addresses().unwrap_or_default();
+        let writers = self.entities.as_ref()?.participant.discovered_writers().into_iter();
+        let mut participant_writers = writers.filter(|writer| {
             endpoint_id(writer.writer_proxy.remote_writer_guid).participant() == participant
         });
-        of_participant.find_map(|writer| discovered_publisher(&writer, &own).host)
+        participant_writers.find_map(|writer| discovered_publisher(&writer, &host_addresses).host)
     }
 
     /// Returns a receiver of a number that changes with every event of discovery.
@@ -78,7 +78,7 @@ impl Ros2Node {
     }
 }
 
-fn discovered_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> DiscoveredPublisher {
+fn discovered_publisher(writer: &DiscoveredWriterData, host_addresses: &[IpAddr]) -> DiscoveredPublisher {
     let proxy = &writer.writer_proxy;
     // Locators of shared memory, which is on this host, become the unspecified address.
     let addresses: Vec<IpAddr> =
@@ -86,7 +86,7 @@ fn discovered_publisher(writer: &DiscoveredWriterData, own: &[IpAddr]) -> Discov
     DiscoveredPublisher {
         id: endpoint_id(proxy.remote_writer_guid),
         type_name: ros_type(&writer.publication_topic_data.type_name),
-        host: other_host(&addresses, own),
+        host: other_host(&addresses, host_addresses),
         node: None,
     }
 }

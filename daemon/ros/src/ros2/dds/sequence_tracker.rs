@@ -7,6 +7,7 @@ use crate::ros2::{EndpointId, ReceiveCounts};
 /// Sequence numbers of the publishers of a topic, from which gaps are derived.
 #[derive(Debug, Default)]
 pub(super) struct SequenceTracker {
+    /// Highest sequence number of each publisher.
     highest: BTreeMap<EndpointId, i64>,
 }
 
@@ -26,7 +27,7 @@ impl SequenceTracker {
             return 0;
         };
         if sequence <= *highest {
-            // It was counted as lost when a later message arrived.
+            // The message was counted as lost when a later message arrived.
             counts.late += 1;
             counts.lost = counts.lost.saturating_sub(1);
             return 0;

@@ -49,7 +49,8 @@ impl Ros2Subscription {
     ///
     /// # Errors
     ///
-    /// [`Ros2Error::NoPeer`] if no publisher is found within `time_limit`; it says what was tried.
+    /// [`Ros2Error::NoPeer`] if no publisher is found within `time_limit`; the error says what was
+    /// tried.
     pub async fn wait_for_peer(&self, time_limit: Duration) -> Result<(), Ros2Error> {
         self.endpoint.wait_for_peer(time_limit).await
     }

@@ -15,7 +15,7 @@ fn state() -> (DiscoveryState, watch::Receiver<PeerTable>) {
     (state, peers)
 }
 
-fn found(type_name: &str) -> DiscoveryEvent {
+fn discovered_remote(type_name: &str) -> DiscoveryEvent {
     DiscoveryEvent::EndpointDiscovered { id: REMOTE, topic: "rt/chatter".into(), type_name: type_name.into() }
 }
 
@@ -25,7 +25,7 @@ fn peer_is_matched_until_its_participant_is_gone() {
     state.apply(DiscoveryEvent::ParticipantDiscovered(ParticipantId([2; 12])));
     state.apply(DiscoveryEvent::ParticipantDiscovered(ParticipantId([1; 12])));
     assert_eq!(state.participant_count(), 1, "our own participant is not counted");
-    state.apply(found("std_msgs::msg::dds_::String_"));
+    state.apply(discovered_remote("std_msgs::msg::dds_::String_"));
     state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
     assert!(peers.borrow().matched.contains(&REMOTE));
     assert_eq!(state.topics(), ["/chatter"]);
@@ -38,7 +38,7 @@ fn peer_is_matched_until_its_participant_is_gone() {
 #[test]
 fn peer_of_another_type_is_refused() {
     let (mut state, peers) = state();
-    state.apply(found("std_msgs::msg::dds_::Int32_"));
+    state.apply(discovered_remote("std_msgs::msg::dds_::Int32_"));
     state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
     let refusal = Refusal::OtherType { type_name: "std_msgs/msg/Int32".into() };
     assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
@@ -56,14 +56,14 @@ fn peer_with_incompatible_qos_is_refused_with_the_reason() {
         offered: "best-effort".into(),
         requested: "reliable".into(),
     };
-    state.apply(found("std_msgs::msg::dds_::String_"));
+    state.apply(discovered_remote("std_msgs::msg::dds_::String_"));
     state.apply(DiscoveryEvent::Incompatible { local: LOCAL, remote: REMOTE, refusal: refusal.clone() });
     assert_eq!(peers.borrow().refused.get(&REMOTE), Some(&refusal));
     state.apply(DiscoveryEvent::Matched { local: LOCAL, remote: REMOTE });
     assert!(peers.borrow().refused.is_empty() && peers.borrow().matched.contains(&REMOTE));
 }
 
-fn listed(name: &str, endpoints: &[EndpointId]) -> ListedNode {
+fn listed_node(name: &str, endpoints: &[EndpointId]) -> ListedNode {
     ListedNode { name: name.into(), endpoints: endpoints.to_vec() }
 }
 
@@ -71,14 +71,14 @@ fn listed(name: &str, endpoints: &[EndpointId]) -> ListedNode {
 fn endpoint_has_the_name_of_its_node() {
     let (mut state, _) = state();
     let participant = REMOTE.participant();
-    let other = EndpointId([[2; 12].as_slice(), &[9; 4]].concat().try_into().unwrap());
-    let nodes = vec![listed("/camera", &[REMOTE]), listed("/lidar", &[])];
+    let unlisted_endpoint = EndpointId([[2; 12].as_slice(), &[9; 4]].concat().try_into().unwrap());
+    let nodes = vec![listed_node("/camera", &[REMOTE]), listed_node("/lidar", &[])];
     state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
-    assert_eq!((state.node_of(REMOTE), state.node_of(other)), (Some("/camera"), None));
+    assert_eq!((state.node_of(REMOTE), state.node_of(unlisted_endpoint)), (Some("/camera"), None));
     assert_eq!(state.nodes_of(participant), ["/camera", "/lidar"]);
-    let nodes = vec![listed("/camera2", &[REMOTE])];
+    let nodes = vec![listed_node("/camera2", &[REMOTE])];
     state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
-    assert_eq!(state.node_of(other), Some("/camera2"), "the only node of its participant");
+    assert_eq!(state.node_of(unlisted_endpoint), Some("/camera2"), "the only node of its participant");
     state.apply(DiscoveryEvent::ParticipantLost(participant));
     assert_eq!(state.node_of(REMOTE), None);
 }
@@ -86,35 +86,35 @@ fn endpoint_has_the_name_of_its_node() {
 #[test]
 fn forged_node_lists_are_removed_before_real_ones() {
     let (mut state, _) = state();
-    let list = |number: u32, state: &mut DiscoveryState| {
+    let announce_list = |number: u32, state: &mut DiscoveryState| {
         let mut participant = [7; 12];
         participant[..4].copy_from_slice(&number.to_le_bytes());
-        let (participant, nodes) = (ParticipantId(participant), vec![listed("/node", &[REMOTE; 99])]);
+        let (participant, nodes) = (ParticipantId(participant), vec![listed_node("/node", &[REMOTE; 99])]);
         state.apply(DiscoveryEvent::NodesListed(ListEntry { participant, nodes }));
         participant
     };
     for number in 0..2_000 {
-        list(number, &mut state);
+        announce_list(number, &mut state);
     }
-    let real = ParticipantId([2; 12]);
-    state.apply(DiscoveryEvent::ParticipantDiscovered(real));
+    let discovered_participant = ParticipantId([2; 12]);
+    state.apply(DiscoveryEvent::ParticipantDiscovered(discovered_participant));
     state.apply(DiscoveryEvent::NodesListed(ListEntry {
-        participant: real,
-        nodes: vec![listed("/camera", &[REMOTE])],
+        participant: discovered_participant,
+        nodes: vec![listed_node("/camera", &[REMOTE])],
     }));
     for number in 2_000..4_000 {
-        list(number, &mut state);
+        announce_list(number, &mut state);
     }
     assert_eq!(state.node_of(REMOTE), Some("/camera"));
     assert!(state.nodes.len() <= state.bounds.listed / 100 + 1, "{}", state.nodes.len());
 }
 
 #[test]
-fn endpoints_of_others_are_found_by_topic_and_role() {
+fn remote_endpoints_are_found_by_topic() {
     let (mut state, _) = state();
-    for (last, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
+    for (kind_byte, topic) in [(0x03, "rt/a"), (0x04, "rt/a"), (0x04, "rt/b"), (0x00, "rt/a")] {
         let mut id = REMOTE;
-        id.0[15] = last;
+        id.0[15] = kind_byte;
         id.0[14] = topic.as_bytes()[3];
         let (topic, type_name) = (topic.to_owned(), "std_msgs::msg::dds_::String_".to_owned());
         state.apply(DiscoveryEvent::EndpointDiscovered {
@@ -124,9 +124,9 @@ fn endpoints_of_others_are_found_by_topic_and_role() {
         });
         state.apply(DiscoveryEvent::EndpointDiscovered { id: LOCAL, topic, type_name });
     }
-    let found = state.endpoints_of("rt/a");
-    assert!(found.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
-    let roles: Vec<EndpointRole> = found.iter().map(|endpoint| endpoint.role).collect();
+    let endpoints = state.endpoints_of("rt/a");
+    assert!(endpoints.iter().all(|endpoint| endpoint.type_name == "std_msgs/msg/String"));
+    let roles: Vec<EndpointRole> = endpoints.iter().map(|endpoint| endpoint.role).collect();
     assert_eq!(roles, [EndpointRole::Publisher, EndpointRole::Subscription]);
 }
 
@@ -134,10 +134,10 @@ fn endpoints_of_others_are_found_by_topic_and_role() {
 const SMALL_BOUNDS: DiscoveryBounds =
     DiscoveryBounds { participants: 3, endpoints: 5, listed: 9, matched: 2, refused: 2 };
 
-/// Participants that announce; the first one is our own.
+/// Participants that announce; the first participant is our own.
 const ANNOUNCING_PARTICIPANTS: Range<u8> = 0..8;
 
-fn own(participant: u8) -> ParticipantId {
+fn id_of(participant: u8) -> ParticipantId {
     ParticipantId([participant; 12])
 }
 
@@ -150,11 +150,11 @@ fn any_endpoint() -> impl Strategy<Value = EndpointId> {
 }
 
 fn any_name() -> impl Strategy<Value = String> {
-    let most = DiscoveryState::MAX_NAME_BYTES;
+    let max_name_bytes = DiscoveryState::MAX_NAME_BYTES;
     prop_oneof![
         4 => prop::sample::select(vec!["rt/a".to_owned(), "a::b_".to_owned(), "rt".to_owned()]),
         2 => any::<String>(),
-        1 => (most - 1..most + 2).prop_map(|length| "n".repeat(length)),
+        1 => (max_name_bytes - 1..max_name_bytes + 2).prop_map(|length| "n".repeat(length)),
     ]
 }
 
@@ -166,14 +166,14 @@ fn any_entry() -> impl Strategy<Value = ListEntry> {
     let nodes = (any_name(), prop::collection::vec(any_endpoint(), 0..6));
     let nodes = nodes.prop_map(|(name, endpoints)| ListedNode { name, endpoints });
     (ANNOUNCING_PARTICIPANTS, prop::collection::vec(nodes, 0..4))
-        .prop_map(|(participant, nodes)| ListEntry { participant: own(participant), nodes })
+        .prop_map(|(participant, nodes)| ListEntry { participant: id_of(participant), nodes })
 }
 
 fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     let local = || prop_oneof![4 => Just(LOCAL), 1 => any_endpoint()];
     prop_oneof![
-        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantDiscovered(own(participant))),
-        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantLost(own(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantDiscovered(id_of(participant))),
+        1 => ANNOUNCING_PARTICIPANTS.prop_map(|participant| DiscoveryEvent::ParticipantLost(id_of(participant))),
         3 => (any_endpoint(), any_name(), any_name()).prop_map(|(id, topic, type_name)| {
             DiscoveryEvent::EndpointDiscovered { id, topic, type_name }
         }),
@@ -187,7 +187,7 @@ fn any_event() -> impl Strategy<Value = DiscoveryEvent> {
     ]
 }
 
-/// Checks that no more is remembered than the limits allow.
+/// Checks that the remembered objects do not exceed the limits.
 fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
     let listed: usize = state.nodes.values().flatten().map(|node| 1 + node.endpoints.len()).sum::<usize>();
     let remembered =
@@ -201,15 +201,15 @@ fn check_bounds(state: &DiscoveryState, peers: &PeerTable) {
     ];
     assert!(remembered.iter().zip(bounds).all(|(count, bound)| *count <= bound), "{remembered:?}");
     assert!(state.nodes.len() <= SMALL_BOUNDS.listed, "{} participants without nodes", state.nodes.len());
-    let most = DiscoveryState::MAX_NAME_BYTES;
-    assert!(state.endpoints.values().all(|(topic, kind)| topic.len().max(kind.len()) <= most));
+    let max_name_bytes = DiscoveryState::MAX_NAME_BYTES;
+    assert!(state.endpoints.values().all(|(topic, kind)| topic.len().max(kind.len()) <= max_name_bytes));
     assert!(peers.refused.keys().all(|id| !peers.matched.contains(id)), "matched and refused");
 }
 
 proptest! {
     #[test]
     fn any_announcements_stay_within_bounds(events in prop::collection::vec(any_event(), 0..40)) {
-        let mut state = DiscoveryState { bounds: SMALL_BOUNDS, ..DiscoveryState::new(own(0)) };
+        let mut state = DiscoveryState { bounds: SMALL_BOUNDS, ..DiscoveryState::new(id_of(0)) };
         let peers = state.add_local(LOCAL, EndpointRole::Subscription, "a::b_");
         for event in events {
             let (ignored, count) = (state.ignored(), *state.changes().borrow());
@@ -222,14 +222,14 @@ proptest! {
             };
             state.apply(event);
             prop_assert_eq!(*state.changes().borrow(), count + 1);
-            prop_assert!(!is_too_long || state.ignored() == ignored + 1, "what is not remembered is counted");
+            prop_assert!(!is_too_long || state.ignored() == ignored + 1, "an ignored endpoint is counted");
             check_bounds(&state, &peers.borrow());
             // Every query must return.
             let _ = (state.node_of(queried), state.nodes_of(queried.participant()), state.topics());
             let _ = (state.endpoints_of("rt/a"), state.has_other_type(LOCAL, queried));
         }
         for participant in ANNOUNCING_PARTICIPANTS {
-            state.apply(DiscoveryEvent::ParticipantLost(own(participant)));
+            state.apply(DiscoveryEvent::ParticipantLost(id_of(participant)));
         }
         let remaining = peers.borrow();
         prop_assert!(remaining.matched.is_empty() && remaining.refused.is_empty() && remaining.matched_total == remaining.unmatched_total);

@@ -6,17 +6,20 @@ use proptest::sample::Index;
 use super::*;
 
 fn entry(identifier_length: usize) -> NodeEntry {
-    let own = |byte: u8, last: u8| {
+    let endpoint_id = |byte: u8, last: u8| {
         let mut id = [byte; 16];
         id[15] = last;
         EndpointId(id)
     };
     NodeEntry {
-        participant: own(1, 0xc1),
+        participant: endpoint_id(1, 0xc1),
         namespace: "/robot1".into(),
         name: "camera".into(),
         identifier_length,
-        endpoints: vec![(EndpointRole::Publisher, own(1, 0x03)), (EndpointRole::Subscription, own(1, 0x04))],
+        endpoints: vec![
+            (EndpointRole::Publisher, endpoint_id(1, 0x03)),
+            (EndpointRole::Subscription, endpoint_id(1, 0x04)),
+        ],
     }
 }
 
@@ -24,28 +27,32 @@ fn entry(identifier_length: usize) -> NodeEntry {
 fn entry_is_read_as_written_with_both_lengths() {
     for length in IDENTIFIER_LENGTHS {
         let written = entry(length);
-        let read = ListEntry::decode(&written.to_payload()).unwrap();
+        let decoded = ListEntry::decode(&written.to_payload()).unwrap();
         let endpoints = vec![written.endpoints[1].1, written.endpoints[0].1];
         let node = ListedNode { name: "/robot1/camera".into(), endpoints };
-        assert_eq!(read, ListEntry { participant: ParticipantId([1; 12]), nodes: vec![node] });
+        assert_eq!(decoded, ListEntry { participant: ParticipantId([1; 12]), nodes: vec![node] });
     }
 }
 
 #[test]
 fn entry_with_foreign_endpoints_or_names_is_refused() {
-    let mut foreign = entry(16);
-    foreign.endpoints[0].1.0[0] = 2;
-    assert_eq!(ListEntry::decode(&foreign.to_payload()), Err(NodeListError::ForeignEndpoint));
+    let mut entry_with_foreign_endpoint = entry(16);
+    entry_with_foreign_endpoint.endpoints[0].1.0[0] = 2;
+    assert_eq!(
+        ListEntry::decode(&entry_with_foreign_endpoint.to_payload()),
+        Err(NodeListError::ForeignEndpoint)
+    );
     for (namespace, name) in [("/", ""), ("robot", "camera"), ("/", "a\nb"), ("/", &*"n".repeat(600))] {
-        let other = NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
+        let entry_with_invalid_name =
+            NodeEntry { namespace: namespace.into(), name: name.into(), ..entry(16) };
         assert_eq!(
-            ListEntry::decode(&other.to_payload()),
+            ListEntry::decode(&entry_with_invalid_name.to_payload()),
             Err(NodeListError::InvalidName),
             "{namespace} {name}"
         );
     }
-    let root = NodeEntry { namespace: "/".into(), ..entry(16) };
-    assert_eq!(ListEntry::decode(&root.to_payload()).unwrap().nodes[0].name, "/camera");
+    let entry_in_root_namespace = NodeEntry { namespace: "/".into(), ..entry(16) };
+    assert_eq!(ListEntry::decode(&entry_in_root_namespace.to_payload()).unwrap().nodes[0].name, "/camera");
 }
 
 #[test]
@@ -61,21 +68,21 @@ fn announcement_has_the_form_of_rmw_dds_common() {
         ],
     };
     let mut expected = vec![0, 1, 0, 0];
-    let padded = |byte: u8| [[byte; 16].as_slice(), &[0; 8]].concat();
-    expected.extend(padded(1));
+    let padded_identifier = |byte: u8| [[byte; 16].as_slice(), &[0; 8]].concat();
+    expected.extend(padded_identifier(1));
     expected.extend([1, 0, 0, 0, 2, 0, 0, 0, b'/', 0, 0, 0]);
     expected.extend([8, 0, 0, 0]);
     expected.extend(b"peernet\0");
     expected.extend([1, 0, 0, 0]);
-    expected.extend(padded(3));
+    expected.extend(padded_identifier(3));
     expected.extend([1, 0, 0, 0]);
-    expected.extend(padded(2));
+    expected.extend(padded_identifier(2));
     assert_eq!(entry.to_payload()[..], expected);
-    let shorter = NodeEntry { identifier_length: 16, ..entry };
-    assert_eq!(shorter.to_payload().len(), expected.len() - 3 * 8);
+    let entry_with_short_identifiers = NodeEntry { identifier_length: 16, ..entry };
+    assert_eq!(entry_with_short_identifiers.to_payload().len(), expected.len() - 3 * 8);
 }
 
-/// Returns an entry of several nodes, made of the nodes of single ones.
+/// Returns an entry of several nodes, made of entries of single nodes.
 fn multi_node_entry(entries: &[NodeEntry]) -> Vec<u8> {
     let Some(first) = entries.first() else { return Vec::new() };
     let start = 4 + first.identifier_length;
@@ -117,15 +124,18 @@ proptest! {
         mut bytes in any_payload(),
         changes in prop::collection::vec((any::<Index>(), any::<u8>(), 0..5_u8), 0..6),
     ) {
-        for (at, byte, how) in changes {
-            let at = at.index(bytes.len() + 1);
-            match how {
-                0 => bytes.insert(at, byte),
-                1 => bytes.truncate(at),
-                2 if bytes.len() < 4_096 => bytes.extend_from_within(at..),
+        for (index, byte, change) in changes {
+            let index = index.index(bytes.len() + 1);
+            match change {
+                0 => bytes.insert(index, byte),
+                1 => bytes.truncate(index),
+                2 if bytes.len() < 4_096 => bytes.extend_from_within(index..),
                 // A length that claims more elements than there are.
-                3 => bytes.splice(at..(at + 4).min(bytes.len()), u32::from(byte).rotate_right(8).to_le_bytes()).for_each(drop),
-                _ if at < bytes.len() => bytes[at] = byte,
+                3 => {
+                    let claimed_length = u32::from(byte).rotate_right(8).to_le_bytes();
+                    bytes.splice(index..(index + 4).min(bytes.len()), claimed_length).for_each(drop);
+                }
+                _ if index < bytes.len() => bytes[index] = byte,
                 _ => {}
             }
         }

@@ -16,10 +16,11 @@ const MAX_PER_MILLISECOND: u64 = 4_000;
 pub(super) struct GapCheck {
     /// Last number that was not plausible. The next packet may confirm it.
     suspect: Option<NextNumber>,
+    /// Time of the last plausible number.
     accepted_at: MonoTime,
 }
 
-/// A number that is not below the next one.
+/// A number that is not below the number that is expected next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct NextNumber {
     pub(super) number: u64,
@@ -32,8 +33,8 @@ impl GapCheck {
         Self { suspect: None, accepted_at: now }
     }
 
-    /// Checks a number; numbers below `next` are known. Returns `None` if the number is not plausible yet. Otherwise
-    /// returns the earlier number that this one confirms, if there is one.
+    /// Checks a number. All numbers below `next` are known to have been sent. Returns `None` if the number is not plausible
+    /// yet. Otherwise returns `Some` with the earlier number that this number confirms, or with `None` if it confirms none.
     pub(super) fn check(
         &mut self,
         next: u64,
@@ -58,11 +59,12 @@ impl GapCheck {
 }
 
 impl NextNumber {
+    /// Returns whether this number confirms an earlier one that was not plausible.
     fn confirms(&self, suspect: &Self) -> bool {
         let distance = suspect.number.abs_diff(self.number);
         // A datagram that the network duplicated does not confirm itself.
-        let is_other = distance > 0 || !self.has_arrived || !suspect.has_arrived;
-        distance <= MAX_GAP && is_other
+        let is_other_packet = distance > 0 || !self.has_arrived || !suspect.has_arrived;
+        distance <= MAX_GAP && is_other_packet
     }
 }
 

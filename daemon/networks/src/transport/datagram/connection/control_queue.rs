@@ -1,4 +1,4 @@
-//! Queue of packets without a message.
+//! Queue of packets that carry no part of a message.
 
 use std::collections::VecDeque;
 

@@ -44,10 +44,10 @@ impl HeartbeatTimer {
     /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is then
     /// sent sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
-        let idle = self.received_at.max(self.pinged_at) + self.interval;
+        let idle_time = self.received_at.max(self.pinged_at) + self.interval;
         let after_message =
             sent_at.map(|sent| (sent.max(self.pinged_at) + PING_DELAY).min(self.pinged_at + PING_INTERVAL));
-        after_message.map_or(idle, |at| idle.min(at))
+        after_message.map_or(idle_time, |time| idle_time.min(time))
     }
 
     /// Returns the time at which the other end counts as gone if nothing arrives until then.
@@ -62,15 +62,19 @@ mod tests {
 
     #[test]
     fn heartbeat_is_due_when_idle_and_after_messages() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
-        let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), at(0));
-        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (at(2_000), at(5_000)));
-        heartbeat.receive(at(500));
-        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (at(2_500), at(5_500)));
-        assert_eq!(heartbeat.ping_at(Some(at(600))), at(650), "after the last message");
-        assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_000), "once a second while they follow each other");
-        heartbeat.ping(at(1_000));
-        assert_eq!(heartbeat.ping_at(Some(at(990))), at(1_050));
-        assert_eq!(heartbeat.ping_at(None), at(3_000));
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), time_at(0));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_000), time_at(5_000)));
+        heartbeat.receive(time_at(500));
+        assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_500), time_at(5_500)));
+        assert_eq!(heartbeat.ping_at(Some(time_at(600))), time_at(650), "after the last message");
+        assert_eq!(
+            heartbeat.ping_at(Some(time_at(990))),
+            time_at(1_000),
+            "once a second while they follow each other"
+        );
+        heartbeat.ping(time_at(1_000));
+        assert_eq!(heartbeat.ping_at(Some(time_at(990))), time_at(1_050));
+        assert_eq!(heartbeat.ping_at(None), time_at(3_000));
     }
 }

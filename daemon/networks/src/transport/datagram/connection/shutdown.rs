@@ -94,15 +94,15 @@ mod tests {
 
     #[test]
     fn goodbye_is_repeated_until_it_is_confirmed() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut shutdown = Shutdown::new();
         shutdown.confirm();
         assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
-        shutdown.start(at(10));
-        assert_eq!(shutdown.bye_at(), Some(at(10)));
-        shutdown.send_bye(at(20));
-        shutdown.start(at(30));
-        assert_eq!(shutdown.bye_at(), Some(at(70)));
+        shutdown.start(time_at(10));
+        assert_eq!(shutdown.bye_at(), Some(time_at(10)));
+        shutdown.send_bye(time_at(20));
+        shutdown.start(time_at(30));
+        assert_eq!(shutdown.bye_at(), Some(time_at(70)));
         shutdown.confirm();
         assert!(shutdown.is_closed() && shutdown.bye_at().is_none() && !shutdown.close());
     }

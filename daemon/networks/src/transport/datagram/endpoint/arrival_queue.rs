@@ -5,14 +5,15 @@ use std::collections::VecDeque;
 use crate::transport::Arrival;
 use crate::transport::memory::Reservation;
 
-/// If this number of arrivals is queued, further losses and invalid data are dropped. It is reached if the layer above does not
-/// receive the arrivals.
+/// If this number of arrivals is queued, further reports of lost, incomplete or invalid messages are dropped. The queue
+/// gets this long only if the layer above does not receive the arrivals.
 const MAX_ARRIVALS: usize = 1_024;
 
 /// An arrival, and the reservation of its memory.
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) arrival: Arrival,
+    /// Holds the memory until the delivery is dropped.
     pub(crate) _reserved: Option<Reservation>,
 }
 
@@ -49,8 +50,8 @@ mod tests {
             queue.push(Arrival::InvalidData(None, String::new()), None);
         }
         queue.push(Arrival::Gone(ConnectionId(1), String::new()), None);
-        let all: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();
-        assert_eq!(all.len(), MAX_ARRIVALS + 1);
-        assert!(all.last().is_some_and(|last| matches!(last.arrival, Arrival::Gone(..))));
+        let deliveries: Vec<Delivery> = std::iter::from_fn(|| queue.pop()).collect();
+        assert_eq!(deliveries.len(), MAX_ARRIVALS + 1);
+        assert!(deliveries.last().is_some_and(|delivery| matches!(delivery.arrival, Arrival::Gone(..))));
     }
 }

@@ -84,17 +84,18 @@ impl ConnectionTable {
     /// most connections without a session. One group therefore cannot keep others out.
     pub(super) fn capacity(&self, group: AddressGroup, max: usize) -> Capacity {
         let max = max.max(1);
+        // Number of connections of each group, and how many of them have no session.
         let mut groups: HashMap<AddressGroup, (usize, usize)> = HashMap::new();
         for entry in self.entries.values() {
-            let (all, unadmitted) = groups.entry(AddressGroup::from_address(entry.source)).or_default();
-            *all += 1;
+            let (total, unadmitted) = groups.entry(AddressGroup::from_address(entry.source)).or_default();
+            *total += 1;
             *unadmitted += usize::from(matches!(entry.admission, Admission::Unadmitted { .. }));
         }
-        let group_counts = groups.get(&group).copied().unwrap_or_default();
+        let (group_total, group_unadmitted) = groups.get(&group).copied().unwrap_or_default();
         let unadmitted: usize = groups.values().map(|(_, unadmitted)| unadmitted).sum();
         let half = (max / 2).max(1);
-        let most_crowded =
-            if (!group.is_loopback() && group_counts.0 >= half) || group_counts.1 >= (max / 4).max(1) {
+        let replaced_group =
+            if (!group.is_loopback() && group_total >= half) || group_unadmitted >= (max / 4).max(1) {
                 group
             } else if self.entries.len() >= max || unadmitted >= half {
                 let largest = groups.iter().max_by_key(|(_, (_, unadmitted))| *unadmitted);
@@ -105,7 +106,7 @@ impl ConnectionTable {
         let oldest = self
             .entries
             .iter()
-            .filter(|(_, entry)| AddressGroup::from_address(entry.source) == most_crowded)
+            .filter(|(_, entry)| AddressGroup::from_address(entry.source) == replaced_group)
             .filter_map(|(id, entry)| match entry.admission {
                 Admission::Unadmitted { since } => Some((since, *id)),
                 _ => None,
@@ -160,16 +161,20 @@ mod tests {
     #[test]
     fn oldest_connection_without_session_is_replaced() {
         let mut table = ConnectionTable::default();
-        let (one, other) =
+        let (first_group, second_group) =
             (AddressGroup::from_address(address(1, 1)), AddressGroup::from_address(address(2, 1)));
         table.insert(1, entry(address(1, 1), 1, Admission::Admitted));
-        assert_eq!(table.capacity(one, 8), Capacity::Free);
+        assert_eq!(table.capacity(first_group, 8), Capacity::Free);
         table.insert(2, entry(address(1, 2), 2, unadmitted(5)));
         table.insert(3, entry(address(1, 3), 3, unadmitted(4)));
-        assert_eq!(table.capacity(one, 8), Capacity::FreeAfterClosing(3), "a quarter is of this address");
-        assert_eq!(table.capacity(other, 8), Capacity::Free);
-        assert_eq!(table.capacity(other, 3), Capacity::FreeAfterClosing(3), "all are taken");
-        assert_eq!(table.capacity(one, 1_000), Capacity::Free);
+        assert_eq!(
+            table.capacity(first_group, 8),
+            Capacity::FreeAfterClosing(3),
+            "a quarter is of this address"
+        );
+        assert_eq!(table.capacity(second_group, 8), Capacity::Free);
+        assert_eq!(table.capacity(second_group, 3), Capacity::FreeAfterClosing(3), "all are taken");
+        assert_eq!(table.capacity(first_group, 1_000), Capacity::Free);
     }
 
     #[test]

@@ -9,8 +9,11 @@ use crate::transport::datagram::connection::Connection;
 /// Rights of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
+    /// The connection has no session and has not asked for one.
     Unadmitted { since: MonoTime },
+    /// The connection has asked for a session and waits for the decision.
     Greeted,
+    /// The connection has a session.
     Admitted,
 }
 
@@ -22,12 +25,17 @@ pub(super) struct Entry {
     pub(super) source: SocketAddr,
     /// Port to which answers are sent; 0 means the port of `source`.
     pub(super) reply_port: u16,
+    /// Address of this machine at which the datagrams arrive.
     pub(super) local: Option<IpAddr>,
+    /// Random number of the edge's hello.
     pub(super) nonce: u64,
+    /// Longest datagram that is sent to the other end. Bytes.
     pub(super) datagram: u16,
     pub(super) admission: Admission,
     pub(super) path_challenged_at: Option<MonoTime>,
+    /// `true` after the first message was handed to the layer above.
     pub(super) has_delivered: bool,
+    /// `true` while the connection is in the queue of connections that may have something to send.
     pub(super) is_ready: bool,
 }
 
@@ -60,12 +68,12 @@ impl Entry {
         reply_address(self.source, self.reply_port)
     }
 
-    /// Returns whether the connection has been without a hello for too long.
+    /// Returns whether the connection has been without a session or a request for one for too long.
     pub(super) fn has_missed_hello_timeout(&self, hello_timeout: Span, now: MonoTime) -> bool {
         matches!(self.admission, Admission::Unadmitted { since } if now - since >= hello_timeout)
     }
 
-    /// Returns the time of its next timer call.
+    /// Returns the time of the connection's next timer call.
     pub(super) fn next_timer(&self, hello_timeout: Span, now: MonoTime) -> MonoTime {
         let next = self.connection.next_timer(now);
         match self.admission {

@@ -21,25 +21,25 @@ const MAX_ALL_UNADMITTED_BYTES: u64 = 16 * 1024 * 1024;
 pub(super) struct ReassemblyBudgets {
     /// Limits of connections with a session.
     limits: ReassemblyLimits,
-    unadmitted: Arc<MemoryBudget>,
-    admitted: Arc<MemoryBudget>,
+    unadmitted_budget: Arc<MemoryBudget>,
+    admitted_budget: Arc<MemoryBudget>,
 }
 
 impl ReassemblyBudgets {
     /// Creates the budgets. `limits` applies to each connection with a session, `max_bytes` to all of them together.
     pub(super) fn new(limits: ReassemblyLimits, max_bytes: u64) -> Self {
         // A single message of the largest length always fits, in whatever order its fragments arrive.
-        let largest = u64::from(limits.max_message_bytes) * PEAK_MEMORY_FACTOR;
+        let largest_message_memory = u64::from(limits.max_message_bytes) * PEAK_MEMORY_FACTOR;
         Self {
             limits,
-            unadmitted: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
-            admitted: MemoryBudget::new(max_bytes.max(largest)),
+            unadmitted_budget: MemoryBudget::new(MAX_ALL_UNADMITTED_BYTES),
+            admitted_budget: MemoryBudget::new(max_bytes.max(largest_message_memory)),
         }
     }
 
     /// Returns the limits and the budget of a connection with a session.
-    pub(super) fn admitted(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
-        (self.limits, Arc::clone(&self.admitted))
+    pub(super) fn admitted_limits(&self) -> (ReassemblyLimits, Arc<MemoryBudget>) {
+        (self.limits, Arc::clone(&self.admitted_budget))
     }
 
     /// Returns the limits and the budget of a connection without a session.
@@ -49,11 +49,11 @@ impl ReassemblyBudgets {
             max_unfinished_messages: MAX_UNADMITTED_MESSAGES,
             ..self.limits
         };
-        (limits, Arc::clone(&self.unadmitted))
+        (limits, Arc::clone(&self.unadmitted_budget))
     }
 
     /// Returns the memory of unfinished messages and of messages that were not handed up yet. Bytes.
     pub(super) fn reserved_bytes(&self) -> u64 {
-        self.admitted.reserved_bytes() + self.unadmitted.reserved_bytes()
+        self.admitted_budget.reserved_bytes() + self.unadmitted_budget.reserved_bytes()
     }
 }

@@ -1,5 +1,5 @@
-//! The next timer call of each connection of a port, so that a datagram costs the same however many connections there
-//! are.
+//! The next timer call of each connection of a port, in an order in which the earliest one is found without visiting all
+//! connections.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -14,34 +14,34 @@ pub(crate) struct Timers {
 
 impl Timers {
     /// Sets the time of a connection unless it has an earlier time. A timer call that is too early has no effect.
-    pub(crate) fn schedule(&mut self, connection: u64, at: MonoTime) {
+    pub(crate) fn schedule(&mut self, connection: u64, time: MonoTime) {
         match self.by_connection.get(&connection) {
-            Some(earlier) if *earlier <= at => {}
+            Some(earlier) if *earlier <= time => {}
             _ => {
                 self.remove(connection);
-                self.by_connection.insert(connection, at);
-                self.by_time.insert((at, connection));
+                self.by_connection.insert(connection, time);
+                self.by_time.insert((time, connection));
             }
         }
     }
 
-    /// Removes a connection that is over.
+    /// Removes a connection that has ended.
     pub(crate) fn remove(&mut self, connection: u64) {
-        if let Some(at) = self.by_connection.remove(&connection) {
-            self.by_time.remove(&(at, connection));
+        if let Some(time) = self.by_connection.remove(&connection) {
+            self.by_time.remove(&(time, connection));
         }
     }
 
     /// Removes and returns a connection that is due. It has no time afterwards.
     pub(crate) fn take_due(&mut self, now: MonoTime) -> Option<u64> {
-        let (_, connection) = *self.by_time.first().filter(|(at, _)| *at <= now)?;
+        let (_, connection) = *self.by_time.first().filter(|(time, _)| *time <= now)?;
         self.remove(connection);
         Some(connection)
     }
 
     /// Returns the earliest time of all connections.
     pub(crate) fn next_time(&self) -> Option<MonoTime> {
-        self.by_time.first().map(|(at, _)| *at)
+        self.by_time.first().map(|(time, _)| *time)
     }
 }
 
@@ -53,16 +53,16 @@ mod tests {
 
     #[test]
     fn connections_come_in_order_of_their_earliest_times() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut timers = Timers::default();
         for (connection, millis) in [(1, 30), (2, 20), (3, 10), (1, 5), (2, 40), (4, 1)] {
-            timers.schedule(connection, at(millis));
+            timers.schedule(connection, time_at(millis));
         }
         timers.remove(4);
         timers.remove(4);
-        assert_eq!(timers.next_time(), Some(at(5)));
-        let due: Vec<u64> = std::iter::from_fn(|| timers.take_due(at(10))).collect();
+        assert_eq!(timers.next_time(), Some(time_at(5)));
+        let due: Vec<u64> = std::iter::from_fn(|| timers.take_due(time_at(10))).collect();
         assert_eq!(due, [1, 3]);
-        assert_eq!((timers.take_due(at(19)), timers.next_time()), (None, Some(at(20))));
+        assert_eq!((timers.take_due(time_at(19)), timers.next_time()), (None, Some(time_at(20))));
     }
 }

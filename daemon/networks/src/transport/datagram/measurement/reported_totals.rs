@@ -8,11 +8,12 @@ const MAX_COPIES: u64 = 16;
 
 /// Totals of this end's datagrams, as the other end reports them.
 ///
-/// No total decreases, and each is at most the lower of two successive reports. A total that was altered or forged
+/// A total rises only to the lower of two successive reports, and it never decreases. A total that was altered or forged
 /// in one packet is therefore not kept.
 #[derive(Debug, Default)]
 pub(super) struct ReportedTotals {
-    last: Option<ArrivalTotals>,
+    last_report: Option<ArrivalTotals>,
+    /// Totals that a second report has confirmed.
     confirmed: Option<ArrivalTotals>,
 }
 
@@ -29,8 +30,8 @@ impl ReportedTotals {
             return Err(FalseClaim::Totals);
         }
         let totals = ArrivalTotals { lost: lost.min(sent), duplicated, reordered: reordered.min(sent) };
-        if let Some(last) = self.last.replace(totals) {
-            self.confirmed = Some(self.confirmed.unwrap_or_default().max(last.min(totals)));
+        if let Some(previous) = self.last_report.replace(totals) {
+            self.confirmed = Some(self.confirmed.unwrap_or_default().max(previous.min(totals)));
         }
         Ok(())
     }

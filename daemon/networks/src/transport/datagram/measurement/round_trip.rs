@@ -10,12 +10,13 @@ use crate::statistics::TransportRoundTrip;
 // The reported minimum covers the current and the previous period, because a path may change.
 const MINIMUM_PERIOD: Span = Span::from_seconds(150);
 
-/// Largest number of unanswered heartbeats that are stored: as many as are sent per second at the highest rate.
+/// Largest number of unanswered heartbeats that are stored. Then the oldest one is dropped for each new one.
 const MAX_UNANSWERED: usize = 64;
 
 /// Smooths measured round trips (RFC 6298, section 2).
 #[derive(Debug, Default)]
 pub(crate) struct RoundTripEstimator {
+    /// Smoothed round trip and its variation.
     smoothed: Option<(Span, Span)>,
     /// Shortest round trips of the current and the previous period.
     minima: (Option<Span>, Option<Span>),
@@ -36,8 +37,8 @@ impl RoundTripEstimator {
     /// Records the answer to the heartbeat that was sent at `sent_at`. Ignores an answer without an unanswered heartbeat,
     /// because it was duplicated or altered on the way.
     pub(crate) fn record_pong(&mut self, sent_at: MonoTime, now: MonoTime) {
-        if let Some(at) = self.unanswered.iter().position(|time| *time == sent_at) {
-            self.unanswered.remove(at);
+        if let Some(index) = self.unanswered.iter().position(|time| *time == sent_at) {
+            self.unanswered.remove(index);
             self.measure(now - sent_at, now);
         }
     }
@@ -74,32 +75,32 @@ mod tests {
 
     #[test]
     fn only_matching_heartbeat_replies_are_measured() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut estimator = RoundTripEstimator::default();
-        estimator.record_ping(at(10));
-        estimator.record_pong(at(11), at(30));
+        estimator.record_ping(time_at(10));
+        estimator.record_pong(time_at(11), time_at(30));
         assert_eq!(estimator.estimate(), None);
-        estimator.record_pong(at(10), at(30));
+        estimator.record_pong(time_at(10), time_at(30));
         let first = estimator.estimate().expect("it was answered");
         assert_eq!(first.min, Some(Span::from_millis(20)));
-        estimator.record_pong(at(10), at(40));
+        estimator.record_pong(time_at(10), time_at(40));
         assert_eq!(estimator.estimate(), Some(first), "an answer counts once");
     }
 
     #[test]
     fn estimate_smooths_and_forgets_old_minimum() {
-        let at = |seconds| MonoTime::default() + Span::from_seconds(seconds);
+        let time_at = |seconds| MonoTime::default() + Span::from_seconds(seconds);
         let (ms, mut estimator) = (Span::from_millis, RoundTripEstimator::default());
         assert_eq!(estimator.estimate(), None);
-        estimator.measure(ms(8), at(0));
+        estimator.measure(ms(8), time_at(0));
         let first = TransportRoundTrip { min: Some(ms(8)), smoothed: ms(8), variation: ms(4) };
         assert_eq!(estimator.estimate(), Some(first));
-        estimator.measure(ms(16), at(1));
+        estimator.measure(ms(16), time_at(1));
         let second = TransportRoundTrip { min: Some(ms(8)), smoothed: ms(9), variation: ms(5) };
         assert_eq!(estimator.estimate(), Some(second));
-        estimator.measure(ms(16), at(200));
+        estimator.measure(ms(16), time_at(200));
         assert_eq!(estimator.estimate().and_then(|estimate| estimate.min), Some(ms(8)));
-        estimator.measure(ms(16), at(400));
+        estimator.measure(ms(16), time_at(400));
         assert_eq!(estimator.estimate().and_then(|estimate| estimate.min), Some(ms(16)));
     }
 }

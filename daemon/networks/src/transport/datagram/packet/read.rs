@@ -10,9 +10,9 @@ struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], InvalidPacket> {
-        let (taken, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::Length)?;
+        let (bytes, rest) = self.0.split_first_chunk().ok_or(InvalidPacket::Length)?;
         self.0 = rest;
-        Ok(*taken)
+        Ok(*bytes)
     }
 
     fn u8(&mut self) -> Result<u8, InvalidPacket> {
@@ -47,7 +47,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Skips the padding, which is sent as zeros and not checked.
-    fn padding(&mut self) {
+    fn skip_padding(&mut self) {
         self.0 = &[];
     }
 }
@@ -57,29 +57,29 @@ impl<'a> Packet<'a> {
     ///
     /// # Errors
     /// If it is not exactly one packet that the other end sends.
-    pub(crate) fn read(at: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
+    pub(crate) fn read(receiver: Role, body: &'a [u8]) -> Result<Self, InvalidPacket> {
         let mut reader = Reader(body);
         let kind = reader.u8()?;
-        if (kind & FROM_CLOUD != 0) != (at == Role::Edge) {
+        if (kind & FROM_CLOUD != 0) != (receiver == Role::Edge) {
             return Err(InvalidPacket::Direction);
         }
-        let packet = fields(kind & !FROM_CLOUD, at, &mut reader, body.len())?;
+        let packet = read_fields(kind & !FROM_CLOUD, receiver, &mut reader, body.len())?;
         if reader.0.is_empty() { Ok(packet) } else { Err(InvalidPacket::Length) }
     }
 }
 
 /// Decodes the fields of a packet of this kind.
-fn fields<'a>(
+fn read_fields<'a>(
     kind: u8,
-    at: Role,
+    receiver: Role,
     reader: &mut Reader<'a>,
     length: usize,
 ) -> Result<Packet<'a>, InvalidPacket> {
-    match (kind, at) {
+    match (kind, receiver) {
         (1, Role::Cloud) => {
             let packet =
                 Packet::Hello { version: reader.u8()?, nonce: reader.u64()?, reply_port: reader.u16()? };
-            reader.padding();
+            reader.skip_padding();
             // The answer to a shorter hello would be longer than the hello.
             if length < HELLO_BYTES { Err(InvalidPacket::Length) } else { Ok(packet) }
         }
@@ -87,18 +87,18 @@ fn fields<'a>(
         (3, Role::Cloud) => {
             let (nonce, cookie) = (reader.u64()?, reader.take()?);
             let packet = Packet::Open { nonce, cookie, reply_port: reader.u16()?, terms: reader.terms()? };
-            reader.padding();
+            reader.skip_padding();
             Ok(packet)
         }
         (4, Role::Edge) => {
             let (nonce, connection) = (reader.u64()?, reader.u64()?);
             let packet = Packet::Opened { nonce, connection, terms: reader.terms()? };
-            reader.padding();
+            reader.skip_padding();
             Ok(packet)
         }
         (5, _) => {
             let (connection, number) = (reader.u64()?, reader.u32()?);
-            Ok(Packet::Data { connection, number, fragment: fragment(reader)? })
+            Ok(Packet::Data { connection, number, fragment: read_fragment(reader)? })
         }
         (6, _) => {
             Ok(Packet::Progress { connection: reader.u64()?, sequence: reader.u64()?, end: reader.u32()? })
@@ -137,7 +137,7 @@ fn fields<'a>(
     }
 }
 
-fn fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> {
+fn read_fragment<'a>(reader: &mut Reader<'a>) -> Result<Fragment<'a>, InvalidPacket> {
     let (sequence, tag) = (reader.u64()?, reader.u64()?);
     let (offset, total, checksum) = (reader.u32()?, reader.u32()?, reader.u32()?);
     let (stride, lifetime_ms) = (reader.u16()?, reader.u16()?);

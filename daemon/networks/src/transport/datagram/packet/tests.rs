@@ -4,7 +4,8 @@ use proptest::prelude::*;
 
 use super::*;
 
-fn both_ways(from: Role, packet: Packet<'_>) -> usize {
+/// Encodes and decodes a packet, and asserts that nothing changes. Returns its encoded length.
+fn round_trip_bytes(from: Role, packet: Packet<'_>) -> usize {
     let to = if from == Role::Edge { Role::Cloud } else { Role::Edge };
     let mut wire = Vec::new();
     packet.write(from, &mut wire);
@@ -17,12 +18,12 @@ fn both_ways(from: Role, packet: Packet<'_>) -> usize {
 fn encoded_packets_decode_to_same_packets() {
     let (nonce, connection, cookie) = (7, u64::MAX, [9; 16]);
     let terms = Terms { window: 1 << 20, datagram: 1_200 };
-    let hello = both_ways(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });
-    let answer = both_ways(Role::Cloud, Packet::Cookie { nonce, cookie });
-    assert!(answer <= hello, "no response is larger than its request");
-    both_ways(Role::Edge, Packet::Open { nonce, cookie, reply_port: 0, terms });
-    both_ways(Role::Cloud, Packet::Opened { nonce, connection, terms });
-    let reset = both_ways(Role::Cloud, Packet::Reset { id: connection, reason: ResetReason::Full });
+    let hello = round_trip_bytes(Role::Edge, Packet::Hello { version: 1, nonce, reply_port: 5_552 });
+    let cookie_length = round_trip_bytes(Role::Cloud, Packet::Cookie { nonce, cookie });
+    assert!(cookie_length <= hello, "no response is larger than its request");
+    round_trip_bytes(Role::Edge, Packet::Open { nonce, cookie, reply_port: 0, terms });
+    round_trip_bytes(Role::Cloud, Packet::Opened { nonce, connection, terms });
+    let reset = round_trip_bytes(Role::Cloud, Packet::Reset { id: connection, reason: ResetReason::Full });
     for from in [Role::Edge, Role::Cloud] {
         let bytes = &[1, 2, 3][..];
         let fragment = Fragment {
@@ -35,20 +36,20 @@ fn encoded_packets_decode_to_same_packets() {
             lifetime_ms: 13,
             bytes,
         };
-        let data = both_ways(from, Packet::Data { connection, number: 14, fragment });
+        let data = round_trip_bytes(from, Packet::Data { connection, number: 14, fragment });
         assert_eq!(data, DATA_HEADER_BYTES + bytes.len());
-        both_ways(from, Packet::Progress { connection, sequence: 3, end: 4 });
-        both_ways(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
-        both_ways(from, Packet::LostAck { connection, sequence: 3, tag: 1, total: 2 });
+        round_trip_bytes(from, Packet::Progress { connection, sequence: 3, end: 4 });
+        round_trip_bytes(from, Packet::Lost { connection, sequence: 3, received: 1, total: 2 });
+        round_trip_bytes(from, Packet::LostAck { connection, sequence: 3, tag: 1, total: 2 });
         let arrivals = ArrivalTotals { lost: 5, duplicated: 6, reordered: 7 };
         let heartbeat = Heartbeat { time: 1, next: 2, settled: 3, number: 4, arrivals };
-        let ping = both_ways(from, Packet::Ping { connection, heartbeat });
-        both_ways(from, Packet::Pong { connection, heartbeat });
-        let bye = both_ways(from, Packet::Bye { connection, next: 2 });
-        let heard = both_ways(from, Packet::ByeAck { connection });
-        both_ways(from, Packet::PathChallenge { connection, token: 2 });
-        both_ways(from, Packet::PathResponse { connection, token: 2 });
-        assert!(heard <= bye && reset <= ping && reset <= data);
+        let ping = round_trip_bytes(from, Packet::Ping { connection, heartbeat });
+        round_trip_bytes(from, Packet::Pong { connection, heartbeat });
+        let bye = round_trip_bytes(from, Packet::Bye { connection, next: 2 });
+        let bye_ack = round_trip_bytes(from, Packet::ByeAck { connection });
+        round_trip_bytes(from, Packet::PathChallenge { connection, token: 2 });
+        round_trip_bytes(from, Packet::PathResponse { connection, token: 2 });
+        assert!(bye_ack <= bye && reset <= ping && reset <= data);
     }
 }
 
@@ -57,11 +58,11 @@ proptest! {
     fn any_bytes_are_read_without_panic(bytes in proptest::collection::vec(any::<u8>(), 0..80), kind in 0_u8..=16) {
         for role in [Role::Edge, Role::Cloud] {
             let _ = Packet::read(role, &bytes);
-            let mut known = bytes.clone();
-            if let Some(first) = known.first_mut() {
+            let mut bytes_of_known_kind = bytes.clone();
+            if let Some(first) = bytes_of_known_kind.first_mut() {
                 *first = kind | if role == Role::Edge { FROM_CLOUD } else { 0 };
             }
-            let _ = Packet::read(role, &known);
+            let _ = Packet::read(role, &bytes_of_known_kind);
         }
     }
 }

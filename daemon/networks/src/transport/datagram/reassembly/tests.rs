@@ -12,7 +12,7 @@ const LIMITS: ReassemblyLimits = ReassemblyLimits {
     idle_timeout: Span::from_seconds(5),
 };
 
-fn at(millis: i64) -> MonoTime {
+fn time_at(millis: i64) -> MonoTime {
     MonoTime::default() + Span::from_millis(millis)
 }
 
@@ -20,7 +20,7 @@ fn at(millis: i64) -> MonoTime {
 fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
     let total = bytes.len() as u32;
     let checksum = crc32fast::hash(bytes);
-    let of = |(index, bytes)| Fragment {
+    let fragment_at = |(index, bytes)| Fragment {
         sequence,
         tag: sequence + 1,
         offset: index as u32 * u32::from(stride),
@@ -30,65 +30,65 @@ fn fragments(sequence: u64, bytes: &[u8], stride: u16) -> Vec<Fragment<'_>> {
         lifetime_ms: 0,
         bytes,
     };
-    bytes.chunks(stride.into()).enumerate().map(of).collect()
+    bytes.chunks(stride.into()).enumerate().map(fragment_at).collect()
 }
 
-fn new(budget: u64) -> Reassembly {
+fn with_budget(budget: u64) -> Reassembly {
     Reassembly::new(LIMITS, MemoryBudget::new(budget))
 }
 
 #[test]
 fn missing_fragment_loses_message_with_counts() {
-    let mut reassembly = new(1 << 20);
+    let mut reassembly = with_budget(1 << 20);
     let bytes = vec![7; 950];
     for (n, fragment) in fragments(0, &bytes, 100).iter().enumerate() {
         if n != 3 {
-            assert!(matches!(reassembly.receive(fragment, at(0)), ReassemblyOutcome::Stored));
+            assert!(matches!(reassembly.receive(fragment, time_at(0)), ReassemblyOutcome::Stored));
         }
     }
-    reassembly.tick(at(1_000));
+    reassembly.tick(time_at(1_000));
     assert_eq!(reassembly.take_lost(), [], "the rest may not have left yet");
-    reassembly.note_sent(1, at(1_000));
-    reassembly.tick(at(1_099));
+    reassembly.note_sent(1, time_at(1_000));
+    reassembly.tick(time_at(1_099));
     assert_eq!(reassembly.take_lost(), []);
-    reassembly.tick(at(1_100));
+    reassembly.tick(time_at(1_100));
     assert_eq!(reassembly.take_lost(), [LostMessage { sequence: 0, tag: Some(1), received: 9, total: 10 }]);
     assert_eq!((reassembly.floor(), reassembly.budget.reserved_bytes()), (1, 0));
-    let late = reassembly.receive(&fragments(0, &bytes, 100)[3], at(1_101));
-    assert!(matches!(late, ReassemblyOutcome::Duplicate), "{late:?}");
+    let outcome = reassembly.receive(&fragments(0, &bytes, 100)[3], time_at(1_101));
+    assert!(matches!(outcome, ReassemblyOutcome::Duplicate), "{outcome:?}");
 }
 
 #[test]
 fn unfinished_message_is_lost_after_timeout() {
-    let mut reassembly = new(1 << 20);
+    let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 200];
-    reassembly.receive(&fragments(0, &bytes, 100)[0], at(0));
-    reassembly.tick(at(4_999));
+    reassembly.receive(&fragments(0, &bytes, 100)[0], time_at(0));
+    reassembly.tick(time_at(4_999));
     assert_eq!(reassembly.take_lost(), []);
-    reassembly.tick(at(5_000));
+    reassembly.tick(time_at(5_000));
     assert_eq!(reassembly.take_lost().len(), 1);
 }
 
 #[test]
 fn deadline_ends_message_before_timeout() {
-    let mut reassembly = new(1 << 20);
+    let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 200];
     let mut fragment = fragments(0, &bytes, 100)[0];
     fragment.lifetime_ms = 30;
-    reassembly.receive(&fragment, at(0));
-    reassembly.tick(at(29));
+    reassembly.receive(&fragment, time_at(0));
+    reassembly.tick(time_at(29));
     assert_eq!(reassembly.take_lost(), []);
-    reassembly.tick(at(30));
+    reassembly.tick(time_at(30));
     assert_eq!(reassembly.take_lost().len(), 1);
 }
 
 #[test]
 fn missing_message_is_lost_with_zero_fragments() {
-    let mut reassembly = new(1 << 20);
-    reassembly.note_sent(2, at(0));
-    let later = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], at(1));
-    assert!(matches!(later, ReassemblyOutcome::Message { .. }), "{later:?}");
-    reassembly.tick(at(100));
+    let mut reassembly = with_budget(1 << 20);
+    reassembly.note_sent(2, time_at(0));
+    let outcome = reassembly.receive(&fragments(2, &[1, 2, 3], 100)[0], time_at(1));
+    assert!(matches!(outcome, ReassemblyOutcome::Message { .. }), "{outcome:?}");
+    reassembly.tick(time_at(100));
     let lost = |sequence| LostMessage { sequence, tag: None, received: 0, total: 0 };
     assert_eq!(reassembly.take_lost(), [lost(0), lost(1)]);
     assert!(reassembly.is_settled());
@@ -96,48 +96,51 @@ fn missing_message_is_lost_with_zero_fragments() {
 
 #[test]
 fn contradicting_fragments_change_nothing() {
-    let mut reassembly = new(1 << 20);
+    let mut reassembly = with_budget(1 << 20);
     let bytes: Vec<u8> = (0..=255).collect();
-    let all = fragments(0, &bytes, 100);
-    reassembly.receive(&all[0], at(0));
-    for forged in [
-        Fragment { checksum: 1, ..all[1] },
-        Fragment { tag: 9, ..all[1] },
-        Fragment { total: 300, ..all[1] },
-        Fragment { stride: 50, bytes: &bytes[..50], ..all[1] },
+    let all_fragments = fragments(0, &bytes, 100);
+    reassembly.receive(&all_fragments[0], time_at(0));
+    for contradiction in [
+        Fragment { checksum: 1, ..all_fragments[1] },
+        Fragment { tag: 9, ..all_fragments[1] },
+        Fragment { total: 300, ..all_fragments[1] },
+        Fragment { stride: 50, bytes: &bytes[..50], ..all_fragments[1] },
     ] {
-        assert!(matches!(reassembly.receive(&forged, at(0)), ReassemblyOutcome::Inconsistent));
+        assert!(matches!(reassembly.receive(&contradiction, time_at(0)), ReassemblyOutcome::Inconsistent));
     }
-    assert!(matches!(reassembly.receive(&all[0], at(0)), ReassemblyOutcome::Duplicate));
-    reassembly.receive(&all[2], at(0));
-    let ReassemblyOutcome::Message { bytes: whole, .. } = reassembly.receive(&all[1], at(0)) else {
+    assert!(matches!(reassembly.receive(&all_fragments[0], time_at(0)), ReassemblyOutcome::Duplicate));
+    reassembly.receive(&all_fragments[2], time_at(0));
+    let ReassemblyOutcome::Message { bytes: message_bytes, .. } =
+        reassembly.receive(&all_fragments[1], time_at(0))
+    else {
         panic!("it is whole")
     };
-    assert_eq!(&whole[..], &bytes[..]);
+    assert_eq!(&message_bytes[..], &bytes[..]);
 }
 
 #[test]
-fn damaged_bytes_are_no_message() {
-    let mut reassembly = new(1 << 20);
+fn damaged_bytes_are_inconsistent_and_lost() {
+    let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 250];
-    let mut all = fragments(0, &bytes, 100);
-    all[1].bytes = &[8; 100];
-    for fragment in &all[..2] {
-        reassembly.receive(fragment, at(0));
+    let mut all_fragments = fragments(0, &bytes, 100);
+    all_fragments[1].bytes = &[8; 100];
+    for fragment in &all_fragments[..2] {
+        reassembly.receive(fragment, time_at(0));
     }
-    assert!(matches!(reassembly.receive(&all[2], at(0)), ReassemblyOutcome::Inconsistent));
+    assert!(matches!(reassembly.receive(&all_fragments[2], time_at(0)), ReassemblyOutcome::Inconsistent));
     let damaged = Fragment { bytes: &[9; 30], ..fragments(1, &[7; 30], 100)[0] };
-    assert!(matches!(reassembly.receive(&damaged, at(0)), ReassemblyOutcome::Inconsistent));
+    assert!(matches!(reassembly.receive(&damaged, time_at(0)), ReassemblyOutcome::Inconsistent));
     assert_eq!(reassembly.take_lost().len(), 2);
     assert_eq!(reassembly.budget.reserved_bytes(), 0);
 }
 
 #[test]
-fn claimed_length_takes_no_memory_of_others() {
-    let mut reassembly = new(50_000);
+fn claimed_length_takes_no_memory_of_other_messages() {
+    let mut reassembly = with_budget(50_000);
     let bytes = vec![7; 90_000];
     for sequence in 0..8 {
-        reassembly.receive(&fragments(sequence, &bytes, 1_000)[usize::from(sequence % 2 == 1) * 50], at(0));
+        reassembly
+            .receive(&fragments(sequence, &bytes, 1_000)[usize::from(sequence % 2 == 1) * 50], time_at(0));
     }
     assert_eq!(reassembly.take_lost(), [], "eight messages of 90 kB are claimed, of 8 kB there are");
     assert!(reassembly.budget.reserved_bytes() <= 9_000, "{}", reassembly.budget.reserved_bytes());
@@ -145,38 +148,38 @@ fn claimed_length_takes_no_memory_of_others() {
 
 #[test]
 fn memory_and_messages_are_bounded() {
-    let mut reassembly = new(50_000);
+    let mut reassembly = with_budget(50_000);
     let bytes = vec![7; 20_000];
     for sequence in 0..6 {
         for fragment in &fragments(sequence, &bytes, 1_000)[..19] {
-            reassembly.receive(fragment, at(0));
+            reassembly.receive(fragment, time_at(0));
             assert!(reassembly.budget.reserved_bytes() <= 50_000);
         }
     }
     assert_eq!(reassembly.take_lost().len(), 4, "two find room");
     let small = [7; 20];
     for sequence in 100..200 {
-        reassembly.receive(&fragments(sequence, &small, 10)[0], at(0));
-        assert!(reassembly.unfinished <= LIMITS.max_unfinished_messages);
+        reassembly.receive(&fragments(sequence, &small, 10)[0], time_at(0));
+        assert!(reassembly.unfinished_count <= LIMITS.max_unfinished_messages);
     }
-    let huge =
+    let oversized =
         Fragment { sequence: 200, total: LIMITS.max_message_bytes + 1, ..fragments(0, &bytes, 1_000)[0] };
-    reassembly.receive(&huge, at(0));
+    reassembly.receive(&oversized, time_at(0));
     assert!(reassembly.take_lost().iter().any(|lost| lost.sequence == 200));
 }
 
 #[test]
 fn message_number_far_ahead_takes_no_memory() {
-    let mut reassembly = new(1 << 20);
+    let mut reassembly = with_budget(1 << 20);
     let bytes = [7; 20];
-    reassembly.receive(&fragments(3, &bytes, 10)[0], at(0));
+    reassembly.receive(&fragments(3, &bytes, 10)[0], time_at(0));
     for sequence in [u64::MAX - 2, 1 << 20, MAX_SPAN] {
-        let far = reassembly.receive(&fragments(sequence, &bytes, 10)[0], at(0));
-        assert!(matches!(far, ReassemblyOutcome::TooFarAhead), "{far:?}");
+        let outcome = reassembly.receive(&fragments(sequence, &bytes, 10)[0], time_at(0));
+        assert!(matches!(outcome, ReassemblyOutcome::TooFarAhead), "{outcome:?}");
     }
     assert_eq!((reassembly.take_lost(), reassembly.floor()), (Vec::new(), 0));
-    reassembly.note_sent(u64::MAX, at(0));
-    assert_eq!(reassembly.take_lost().len(), 1, "only what had begun to arrive is told");
+    reassembly.note_sent(u64::MAX, time_at(0));
+    assert_eq!(reassembly.take_lost().len(), 1, "only the message that had begun to arrive is reported");
     assert!(reassembly.slots.len() as u64 <= MAX_SPAN);
     reassembly.give_up_all();
     assert_eq!(reassembly.floor(), u64::MAX);
@@ -191,24 +194,24 @@ fn plan() -> impl Strategy<Value = Vec<(u8, prop::sample::Index, u8)>> {
 proptest! {
     #[test]
     fn every_message_is_settled_once(plan in plan(), sizes in proptest::collection::vec(1_usize..2_000, 6)) {
-        let mut reassembly = new(8_000);
+        let mut reassembly = with_budget(8_000);
         let messages: Vec<Vec<u8>> =
             sizes.iter().enumerate().map(|(n, size)| (0..*size).map(|i| (i * 7 + n) as u8).collect()).collect();
         let (mut now, mut delivered, mut lost) = (0, Vec::new(), Vec::new());
         for (message, fragment, pause) in plan {
             now += i64::from(pause);
-            let all = fragments(message.into(), &messages[usize::from(message)], 100);
-            let received = reassembly.receive(fragment.get(&all), at(now));
+            let all_fragments = fragments(message.into(), &messages[usize::from(message)], 100);
+            let received = reassembly.receive(fragment.get(&all_fragments), time_at(now));
             if let ReassemblyOutcome::Message { bytes, .. } = received {
                 prop_assert_eq!(&bytes[..], &messages[usize::from(message)][..]);
                 delivered.push(u64::from(message));
             }
-            reassembly.tick(at(now));
+            reassembly.tick(time_at(now));
             lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
             prop_assert!(reassembly.budget.reserved_bytes() <= 8_000);
         }
-        reassembly.note_sent(6, at(now));
-        reassembly.tick(at(now + 1_000));
+        reassembly.note_sent(6, time_at(now));
+        reassembly.tick(time_at(now + 1_000));
         lost.extend(reassembly.take_lost().iter().map(|lost| lost.sequence));
         let mut settled = [delivered, lost].concat();
         settled.sort_unstable();
@@ -225,18 +228,18 @@ proptest! {
         let mut message = OutgoingMessage::new(vec![frame.into()], 0, 0, None).expect("small");
         let mut bytes = Vec::new();
         message.take(u16::MAX, &mut bytes);
-        let mut all = fragments(0, &bytes, stride);
+        let mut all_fragments = fragments(0, &bytes, stride);
         // A step width that is coprime to the count visits all fragments.
-        let count = all.len() as u64;
-        all.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
-        let mut reassembly = new(1 << 20);
-        let mut whole = None;
-        for fragment in &all {
-            prop_assert!(whole.is_none());
-            if let ReassemblyOutcome::Message { bytes, .. } = reassembly.receive(fragment, at(0)) {
-                whole = Some(bytes);
+        let count = all_fragments.len() as u64;
+        all_fragments.sort_by_key(|fragment| (u64::from(fragment.offset).wrapping_mul(order | 1)) % (count * 7 + 1));
+        let mut reassembly = with_budget(1 << 20);
+        let mut message_bytes = None;
+        for fragment in &all_fragments {
+            prop_assert!(message_bytes.is_none());
+            if let ReassemblyOutcome::Message { bytes, .. } = reassembly.receive(fragment, time_at(0)) {
+                message_bytes = Some(bytes);
             }
         }
-        prop_assert_eq!(whole.as_deref(), Some(&bytes[..]));
+        prop_assert_eq!(message_bytes.as_deref(), Some(&bytes[..]));
     }
 }

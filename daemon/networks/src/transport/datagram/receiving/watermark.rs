@@ -9,7 +9,7 @@ use peernet_clock::MonoTime;
 #[derive(Debug, Default)]
 pub(super) struct SentWatermark {
     confirmed: u64,
-    last: Claim,
+    last_claim: Claim,
 }
 
 /// Claim of one packet.
@@ -18,29 +18,29 @@ struct Claim {
     next: u64,
     /// Identifies the packet: a packet that the network duplicated does not confirm itself.
     packet: u64,
-    at: MonoTime,
+    claimed_at: MonoTime,
 }
 
 impl SentWatermark {
     /// Handles the claim of a packet that all messages below `next` were sent. `packet` identifies the packet. If the
     /// watermark moves, returns it and the time at which it was first claimed.
     pub(super) fn claim(&mut self, next: u64, packet: u64, now: MonoTime) -> Option<(u64, MonoTime)> {
-        if (next, packet) == (self.last.next, self.last.packet) {
+        if (next, packet) == (self.last_claim.next, self.last_claim.packet) {
             return None;
         }
-        let last = std::mem::replace(&mut self.last, Claim { next, packet, at: now });
-        let confirmed = next.min(last.next);
+        let previous = std::mem::replace(&mut self.last_claim, Claim { next, packet, claimed_at: now });
+        let confirmed = next.min(previous.next);
         if confirmed <= self.confirmed {
             return None;
         }
         self.confirmed = confirmed;
         // The time of the first claim, so that waiting for the second packet does not delay the detection of a loss.
-        Some((confirmed, last.at))
+        Some((confirmed, previous.claimed_at))
     }
 
     /// Returns the claim of the last packet.
     pub(super) const fn claimed(&self) -> u64 {
-        self.last.next
+        self.last_claim.next
     }
 }
 

@@ -17,8 +17,9 @@ pub(super) struct LongLossDetector {
 /// Successive messages of several datagrams of which at most one arrived.
 #[derive(Clone, Copy, Debug)]
 struct LongLosses {
+    /// Number of these messages.
     messages: u32,
-    /// Number of datagrams that the other end had reported as lost before.
+    /// Number of datagrams that the other end had reported as lost when the first of these messages was lost.
     lost_before: u64,
     /// Time at which the first of these losses was reported.
     since: MonoTime,
@@ -32,24 +33,28 @@ impl LongLossDetector {
         }
     }
 
-    /// Notes that a message was lost of which `received` fragments arrived. `lost` is the number of datagrams that the
-    /// other end has reported as lost.
-    pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost: u64, now: MonoTime) {
+    /// Notes that a message was lost of which `received` fragments arrived. `lost_datagrams` is the number of
+    /// datagrams that the other end has reported as lost.
+    pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost_datagrams: u64, now: MonoTime) {
         // A single fragment that arrived may be the last one, which is shorter than the others.
         if received > 1 {
             self.losses = None;
         } else if fragments > 1 {
-            let losses = self.losses.get_or_insert(LongLosses { messages: 0, lost_before: lost, since: now });
+            let losses = self.losses.get_or_insert(LongLosses {
+                messages: 0,
+                lost_before: lost_datagrams,
+                since: now,
+            });
             losses.messages += 1;
         }
     }
 
-    /// Returns whether the longest datagrams no longer arrive. `lost` is the number of lost datagrams that the other end
-    /// has reported; the other end may give up messages for other reasons than lost datagrams.
-    pub(super) fn loses_all(&self, lost: u64, now: MonoTime) -> bool {
+    /// Returns whether the longest datagrams no longer arrive. `lost_datagrams` is the number of lost datagrams
+    /// that the other end has reported. It is needed because the other end may give up messages for other reasons.
+    pub(super) fn loses_all(&self, lost_datagrams: u64, now: MonoTime) -> bool {
         self.losses.is_some_and(|losses| {
             losses.messages >= MIN_MESSAGES
-                && lost.saturating_sub(losses.lost_before) >= u64::from(MIN_MESSAGES)
+                && lost_datagrams.saturating_sub(losses.lost_before) >= u64::from(MIN_MESSAGES)
                 && now - losses.since >= MIN_DURATION
         })
     }

@@ -10,6 +10,7 @@ use crate::transport::{Frames, MessageLoss};
 pub(super) struct OutstandingMessage {
     /// Tag in its wire form: the sender's number plus one, 0 for none.
     pub(super) tag: u64,
+    /// Number of fragments.
     pub(super) fragments: u32,
     /// Frames of the message, if it is retransmitted when it is lost.
     pub(super) retransmission: Option<Frames>,
@@ -17,8 +18,8 @@ pub(super) struct OutstandingMessage {
     pub(super) is_lost: bool,
 }
 
-/// The messages with the numbers from [`first`](Self::first) on, without a gap. At most [`MAX_SPAN`], because the other
-/// end stores no more states.
+/// The messages with the numbers from [`first`](Self::first) on, without a gap. There are at most [`MAX_SPAN`], because the
+/// other end stores no more states.
 #[derive(Debug, Default)]
 pub(super) struct OutstandingMessages {
     first: u64,
@@ -57,8 +58,8 @@ impl OutstandingMessages {
 
     /// Returns the message with this number unless it is settled.
     pub(super) fn get_mut(&mut self, sequence: u64) -> Option<&mut OutstandingMessage> {
-        let at = usize::try_from(sequence.checked_sub(self.first)?).ok()?;
-        self.messages.get_mut(at)
+        let index = usize::try_from(sequence.checked_sub(self.first)?).ok()?;
+        self.messages.get_mut(index)
     }
 
     /// Removes the messages below a number. Returns the messages that arrived.

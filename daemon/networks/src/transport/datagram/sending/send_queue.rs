@@ -51,11 +51,11 @@ impl SendQueue {
     }
 
     /// Appends at most `max_bytes` of the next bytes of the first message to `out`. Returns the number of the message and
-    /// the offset of their end in it.
+    /// the offset in the message at which these bytes end.
     pub(super) fn take(&mut self, max_bytes: u16, out: &mut Vec<u8>) -> Option<(u64, u32)> {
         let message = self.messages.front_mut()?;
-        let (_, taken) = message.take(max_bytes, out);
-        self.bytes -= u64::from(taken);
+        let (_, fragment_bytes) = message.take(max_bytes, out);
+        self.bytes -= u64::from(fragment_bytes);
         let end = (message.sequence, message.offset);
         if message.is_done() {
             self.messages.pop_front();
@@ -98,16 +98,16 @@ mod tests {
 
     #[test]
     fn queued_bytes_change_with_queued_taken_and_expired_messages() {
-        let at = |millis| MonoTime::default() + Span::from_millis(millis);
+        let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut queue = SendQueue::new(QueueLimits { messages: 3, bytes: 1_000 });
         assert!(queue.accepts(5_000), "a single message is always taken");
         // The wire form adds six bytes to each message.
         queue.push(message(0, 94, None));
-        queue.push(message(1, 494, Some(at(10))));
+        queue.push(message(1, 494, Some(time_at(10))));
         assert!(queue.accepts(400) && !queue.accepts(401));
         assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 60)));
         assert!(queue.accepts(460) && !queue.accepts(461));
-        assert_eq!((queue.expire(at(9)), queue.expire(at(10))), (vec![], vec![1]));
+        assert_eq!((queue.expire(time_at(9)), queue.expire(time_at(10))), (vec![], vec![1]));
         assert!(queue.accepts(960) && !queue.accepts(961));
         assert_eq!(queue.take(60, &mut Vec::new()), Some((0, 100)));
         assert!(queue.is_empty() && queue.front().is_none());

@@ -1,9 +1,10 @@
-//! Tests with altered or forged packets: a single one affects no later message and makes no absurd total.
+//! Tests with altered or forged packets: one such packet affects no later message, and no total becomes
+//! absurd.
 
 use super::*;
 
 /// A number far above everything that is sent in these tests.
-const FAR: u64 = 1 << 20;
+const FAR_AHEAD: u64 = 1 << 20;
 
 /// Alters a packet of one kind. Returns `None` for packets of other kinds.
 type Alteration = for<'a> fn(Packet<'a>) -> Option<Packet<'a>>;
@@ -11,7 +12,7 @@ type Alteration = for<'a> fn(Packet<'a>) -> Option<Packet<'a>>;
 /// Name of an alteration, and the alteration.
 type Case = (&'static str, Alteration);
 
-fn heartbeat(packet: Packet<'_>, alter: fn(&mut Heartbeat)) -> Option<Packet<'_>> {
+fn alter_heartbeat(packet: Packet<'_>, alter: fn(&mut Heartbeat)) -> Option<Packet<'_>> {
     match packet {
         Packet::Ping { connection, mut heartbeat } => {
             alter(&mut heartbeat);
@@ -25,42 +26,47 @@ fn heartbeat(packet: Packet<'_>, alter: fn(&mut Heartbeat)) -> Option<Packet<'_>
     }
 }
 
-fn data(packet: Packet<'_>, sequence: u64, number: u32) -> Option<Packet<'_>> {
-    let Packet::Data { connection, number: old, mut fragment } = packet else { return None };
+fn alter_data(packet: Packet<'_>, sequence: u64, number: u32) -> Option<Packet<'_>> {
+    let Packet::Data { connection, number: old_number, mut fragment } = packet else { return None };
     fragment.sequence += sequence;
-    Some(Packet::Data { connection, number: old.wrapping_add(number), fragment })
+    Some(Packet::Data { connection, number: old_number.wrapping_add(number), fragment })
 }
 
 const CASES: [Case; 13] = [
-    ("next message far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.next += FAR)),
-    ("next message within the window", |packet| heartbeat(packet, |heartbeat| heartbeat.next += 500)),
-    ("settled message far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.settled += FAR)),
-    ("settled message ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.settled += 2)),
-    ("next datagram far ahead", |packet| heartbeat(packet, |heartbeat| heartbeat.number += FAR as u32)),
-    ("lost datagrams", |packet| heartbeat(packet, |heartbeat| heartbeat.arrivals.lost = u64::MAX)),
-    ("duplicated datagrams", |packet| {
-        heartbeat(packet, |heartbeat| heartbeat.arrivals.duplicated |= 1 << 40)
+    ("next message far ahead", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.next += FAR_AHEAD)),
+    ("next message within the window", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.next += 500)),
+    ("settled message far ahead", |packet| {
+        alter_heartbeat(packet, |heartbeat| heartbeat.settled += FAR_AHEAD)
     }),
-    ("reordered datagrams", |packet| heartbeat(packet, |heartbeat| heartbeat.arrivals.reordered += 3)),
-    ("time", |packet| heartbeat(packet, |heartbeat| heartbeat.time ^= 1 << 22)),
-    ("fragment far ahead", |packet| data(packet, FAR, 0)),
-    ("fragment ahead", |packet| data(packet, 500, 0)),
-    ("datagram far ahead", |packet| data(packet, 0, FAR as u32)),
-    ("datagram half of all numbers ahead", |packet| data(packet, 0, i32::MAX as u32)),
+    ("settled message ahead", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.settled += 2)),
+    ("next datagram far ahead", |packet| {
+        alter_heartbeat(packet, |heartbeat| heartbeat.number += FAR_AHEAD as u32)
+    }),
+    ("lost datagrams", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.arrivals.lost = u64::MAX)),
+    ("duplicated datagrams", |packet| {
+        alter_heartbeat(packet, |heartbeat| heartbeat.arrivals.duplicated |= 1 << 40)
+    }),
+    ("reordered datagrams", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.arrivals.reordered += 3)),
+    ("time", |packet| alter_heartbeat(packet, |heartbeat| heartbeat.time ^= 1 << 22)),
+    ("fragment far ahead", |packet| alter_data(packet, FAR_AHEAD, 0)),
+    ("fragment ahead", |packet| alter_data(packet, 500, 0)),
+    ("datagram far ahead", |packet| alter_data(packet, 0, FAR_AHEAD as u32)),
+    ("datagram half of all numbers ahead", |packet| alter_data(packet, 0, i32::MAX as u32)),
 ];
 
 impl SimulatedNetwork {
     /// Alters the next packet in one direction that is of the alteration's kind.
     fn alter_next(&mut self, is_to_cloud: bool, alter: Alteration) {
-        let (at, from) = if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
+        let (receiver, sender) =
+            if is_to_cloud { (Role::Cloud, Role::Edge) } else { (Role::Edge, Role::Cloud) };
         for _ in 0..5_000 {
             for (to_cloud, _, datagram) in self.path.datagrams.values_mut() {
                 let body = datagram.strip_prefix(PREFIX).expect("has the prefix");
                 if *to_cloud == is_to_cloud
-                    && let Some(packet) = alter(Packet::read(at, body).expect("a packet"))
+                    && let Some(packet) = alter(Packet::read(receiver, body).expect("a packet"))
                 {
                     let mut altered = PREFIX.to_vec();
-                    packet.write(from, &mut altered);
+                    packet.write(sender, &mut altered);
                     *datagram = altered;
                     return;
                 }
@@ -74,12 +80,13 @@ impl SimulatedNetwork {
     fn exchange(&mut self, id: ConnectionId, tag: u64) -> bool {
         self.arrivals.clear();
         self.events.clear();
-        let (up, down) = (tag.to_be_bytes(), (!tag).to_be_bytes());
-        self.send(Some(tag), &up);
-        let sent = self.cloud.send(id, vec![Bytes::copy_from_slice(&down)], Some(tag));
+        let (upload, download) = (tag.to_be_bytes(), (!tag).to_be_bytes());
+        self.send(Some(tag), &upload);
+        let sent = self.cloud.send(id, vec![Bytes::copy_from_slice(&download)], Some(tag));
         self.steps(30);
-        let is_up = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == up[..]);
-        let is_down = |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == down[..]);
+        let is_up =
+            |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == upload[..]);
+        let is_down = |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == download[..]);
         sent.is_ok() && self.arrivals.iter().any(is_up) && self.events.iter().any(is_down)
     }
 }
@@ -120,9 +127,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(200))]
     #[test]
     fn any_altered_bit_loses_one_later_message_at_most(
-        millis in 0_u64..200, place: prop::sample::Index, bit: prop::sample::Index, loss in 0_u64..10, seed: u64,
+        millis in 0_u64..200,
+        datagram_index: prop::sample::Index,
+        bit: prop::sample::Index,
+        loss in 0_u64..10,
+        seed: u64,
     ) {
-        let impairment = Impairment { loss, doubled: 3, reordered: 10 };
+        let impairment = Impairment { loss, duplicated: 3, reordered: 10 };
         let mut network = SimulatedNetwork::new(impairment, seed);
         let id = network.open();
         for tag in 0..20 {
@@ -135,8 +146,8 @@ proptest! {
             network.step();
             steps += 1;
         }
-        let under_way = network.path.datagrams.len();
-        let datagram = network.path.datagrams.values_mut().nth(place.index(under_way)).expect("one");
+        let datagram_count = network.path.datagrams.len();
+        let datagram = network.path.datagrams.values_mut().nth(datagram_index.index(datagram_count)).expect("one");
         let bit = 8 * PREFIX.len() + bit.index(8 * (datagram.2.len() - PREFIX.len()));
         datagram.2[bit / 8] ^= 1 << (bit % 8);
         network.path.impairment = UNIMPAIRED;
@@ -169,7 +180,7 @@ fn single_altered_packet_barely_changes_totals() {
             for direction in [edge.sent, edge.received, cloud.sent, cloud.received] {
                 let [lost, duplicated, reordered] =
                     [direction.lost, direction.duplicated, direction.reordered]
-                        .map(|total| total.expect("told"));
+                        .map(|total| total.expect("it is counted"));
                 assert!(
                     lost <= 1 && duplicated == 0 && reordered <= 1,
                     "{name}, {is_to_cloud}: {direction:?}"
@@ -191,10 +202,16 @@ fn reports_of_unsent_messages_count_as_garbage() {
     let forged = [
         // A report about the last message that was sent, which has one fragment.
         Packet::Lost { connection, sequence: 19, received: 9, total: 9 },
-        Packet::Lost { connection, sequence: FAR, received: 0, total: 0 },
-        Packet::Progress { connection, sequence: FAR, end: 1 },
-        Packet::Ping { connection, heartbeat: Heartbeat { next: FAR, time: 1, ..Heartbeat::default() } },
-        Packet::Ping { connection, heartbeat: Heartbeat { settled: FAR, time: 2, ..Heartbeat::default() } },
+        Packet::Lost { connection, sequence: FAR_AHEAD, received: 0, total: 0 },
+        Packet::Progress { connection, sequence: FAR_AHEAD, end: 1 },
+        Packet::Ping {
+            connection,
+            heartbeat: Heartbeat { next: FAR_AHEAD, time: 1, ..Heartbeat::default() },
+        },
+        Packet::Ping {
+            connection,
+            heartbeat: Heartbeat { settled: FAR_AHEAD, time: 2, ..Heartbeat::default() },
+        },
     ];
     for packet in forged {
         network.arrivals.clear();
@@ -228,7 +245,7 @@ fn long_gap_does_not_end_connection() {
 
 #[test]
 fn contradicting_ends_close_the_connection() {
-    for jump in [FAR, 500] {
+    for jump in [FAR_AHEAD, 500] {
         let (mut network, id) = open();
         // Two successive claims that agree are believed. The cloud then treats messages that are still to be sent as
         // lost.

@@ -19,11 +19,11 @@ use crate::transport::{Arrival, ConnectionId};
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Impairment {
     pub(super) loss: u64,
-    pub(super) doubled: u64,
+    pub(super) duplicated: u64,
     pub(super) reordered: u64,
 }
 
-pub(super) const UNIMPAIRED: Impairment = Impairment { loss: 0, doubled: 0, reordered: 0 };
+pub(super) const UNIMPAIRED: Impairment = Impairment { loss: 0, duplicated: 0, reordered: 0 };
 
 /// The datagrams in flight between an edge and a cloud.
 pub(super) struct ImpairedPath {
@@ -39,7 +39,7 @@ pub(super) struct ImpairedPath {
 impl ImpairedPath {
     /// Returns `true` with a probability of `percent` percent.
     fn chance(&mut self, percent: u64) -> bool {
-        // Xorshift is sufficient for this.
+        // Xorshift is random enough for a simulation.
         self.random ^= self.random << 13;
         self.random ^= self.random >> 7;
         self.random ^= self.random << 17;
@@ -47,25 +47,25 @@ impl ImpairedPath {
     }
 
     fn carry(&mut self, to_cloud: bool, address: SocketAddr, datagram: &[u8], now: MonoTime) {
-        let (up, down) = self.max_bytes;
-        let is_long = datagram.len() > if to_cloud { up } else { down };
+        let (max_upload_bytes, max_download_bytes) = self.max_bytes;
+        let is_long = datagram.len() > if to_cloud { max_upload_bytes } else { max_download_bytes };
         let copies = if self.chance(self.impairment.loss) || is_long {
             0
         } else {
-            1 + u64::from(self.chance(self.impairment.doubled))
+            1 + u64::from(self.chance(self.impairment.duplicated))
         };
         for _ in 0..copies {
-            let late = if self.chance(self.impairment.reordered) { 15 } else { 5 };
+            let delay_ms = if self.chance(self.impairment.reordered) { 15 } else { 5 };
             self.count += 1;
-            let key = (now + Span::from_millis(late), self.count);
+            let key = (now + Span::from_millis(delay_ms), self.count);
             self.datagrams.insert(key, (to_cloud, address, datagram.to_vec()));
         }
     }
 
     /// Removes and returns the datagrams that have arrived, in order.
     fn take_due(&mut self, now: MonoTime) -> impl Iterator<Item = (bool, SocketAddr, Vec<u8>)> + use<> {
-        let later = self.datagrams.split_off(&(now, u64::MAX));
-        std::mem::replace(&mut self.datagrams, later).into_values()
+        let later_datagrams = self.datagrams.split_off(&(now, u64::MAX));
+        std::mem::replace(&mut self.datagrams, later_datagrams).into_values()
     }
 }
 
@@ -79,8 +79,9 @@ pub(super) struct SimulatedNetwork {
     pub(super) edge: Option<Connection>,
     /// Number of the edge's connection, once it is open.
     edge_id: Option<u64>,
-    /// Arrivals at the cloud and at the edge.
+    /// Arrivals at the cloud.
     pub(super) arrivals: Vec<Arrival>,
+    /// Events at the edge.
     pub(super) events: Vec<Event>,
 }
 
@@ -116,7 +117,7 @@ impl SimulatedNetwork {
                 self.cloud.receive(address, None, body, now);
                 continue;
             }
-            // A packet that was altered on the way may be invalid; the driver would count it.
+            // A packet that a test has altered may be invalid. In the program, the driver counts invalid packets.
             let Ok(packet) = Packet::read(Role::Edge, body) else { continue };
             match &mut self.edge {
                 Some(edge) if packet.connection() == self.edge_id => edge.receive(packet, now),
@@ -175,7 +176,7 @@ impl SimulatedNetwork {
         (0..millis).for_each(|_| self.step());
     }
 
-    /// Opens a connection and admits it as one with a session.
+    /// Opens a connection and admits it as a connection with a session.
     pub(super) fn open(&mut self) -> ConnectionId {
         self.send(None, b"hello");
         for _ in 0..20_000 {

@@ -10,8 +10,9 @@ pub(super) const FLIGHT_TIMEOUT: Span = Span::from_millis(200);
 /// Counts the bytes of datagrams that were sent, and of datagrams that have arrived according to the other end's reports.
 #[derive(Debug)]
 pub(super) struct BytesInFlight {
+    /// Number of bytes that were sent.
     sent: u64,
-    /// At most `sent`.
+    /// Number of sent bytes that are no longer in flight. At most `sent`.
     arrived: u64,
     /// Datagrams in flight, in the order in which they were sent.
     datagrams: VecDeque<DatagramInFlight>,
@@ -22,10 +23,10 @@ pub(super) struct BytesInFlight {
 /// A datagram in flight.
 #[derive(Clone, Copy, Debug)]
 struct DatagramInFlight {
-    /// Its message, and the offset of the end of its part of the message.
+    /// Number of the message, and the offset in it at which the part in this datagram ends.
     end: (u64, u32),
     /// Number of bytes sent so far, including this datagram.
-    sent: u64,
+    sent_total: u64,
 }
 
 impl BytesInFlight {
@@ -60,17 +61,17 @@ impl BytesInFlight {
             self.progress_at = now;
         }
         self.sent += u64::from(bytes);
-        self.datagrams.push_back(DatagramInFlight { end, sent: self.sent });
+        self.datagrams.push_back(DatagramInFlight { end, sent_total: self.sent });
     }
 
     /// Handles a report of progress. Returns the number of bytes that arrived since the last report.
     pub(super) fn record_progress(&mut self, end: (u64, u32), now: MonoTime) -> u64 {
-        let before = self.arrived;
+        let arrived_before = self.arrived;
         // Reports are cumulative: progress up to `end` includes all datagrams sent before.
-        while let Some(mark) = self.datagrams.pop_front_if(|mark| mark.end <= end) {
-            self.arrived = mark.sent;
+        while let Some(datagram) = self.datagrams.pop_front_if(|datagram| datagram.end <= end) {
+            self.arrived = datagram.sent_total;
         }
-        let arrived = self.arrived - before;
+        let arrived = self.arrived - arrived_before;
         if arrived > 0 {
             self.progress_at = now;
         }

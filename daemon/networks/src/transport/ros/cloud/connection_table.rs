@@ -47,6 +47,7 @@ pub(super) enum OpenOutcome {
     Repeated,
     /// The connection may not be opened now, for this reason.
     Refused(&'static str),
+    /// The connection may be opened now.
     Started {
         connection: Arc<CloudConnection>,
         /// The pipeline's earlier connection, which was aborted.
@@ -63,7 +64,7 @@ impl ConnectionTable {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Adds the connection that an edge requests, if the limits allow it. `abort` ends it.
+    /// Adds the connection that an edge requests, if the limits allow it. `abort` is the token that ends the connection.
     pub(super) fn open(
         &self,
         hello: &SessionHello,
@@ -97,7 +98,8 @@ impl ConnectionTable {
         OpenOutcome::Started { connection, replaced }
     }
 
-    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if it may be opened.
+    /// Returns the limit that one more connection would exceed, as a text for the refusal. `None` if the connection may be
+    /// opened.
     fn check_limits(
         &self,
         table: &Table,
@@ -107,22 +109,23 @@ impl ConnectionTable {
     ) -> Option<&'static str> {
         if let Some(earlier) = replaced {
             // A host may replace its connection only from the same address, because any node can claim its id.
-            let is_same = earlier.host == host && earlier.group == group;
-            return (!is_same).then_some(
+            let is_same_host = earlier.host == host && earlier.group == group;
+            return (!is_same_host).then_some(
                 "another host uses the topics of this pipeline, and keeps them until its connection has ended; give one of \
                  the pipelines another name, or set ROS_NAMESPACE to a namespace of each robot",
             );
         }
         let is_unadmitted =
             |connection: &&Arc<CloudConnection>| *connection.admission.borrow() != Admission::Admitted;
-        let (mut all, mut unadmitted_in_group) = (0, 0);
+        let (mut unadmitted, mut unadmitted_in_group) = (0, 0);
         for connection in table.connections.values().filter(is_unadmitted) {
-            all += 1;
+            unadmitted += 1;
             unadmitted_in_group += usize::from(connection.group == group);
         }
         if table.connections.len() >= self.max_connections {
             Some("the cloud has too many connections; raise its limit of open files (LimitNOFILE)")
-        } else if all >= self.max_unadmitted.max(1) || unadmitted_in_group >= (self.max_unadmitted / 2).max(1)
+        } else if unadmitted >= self.max_unadmitted.max(1)
+            || unadmitted_in_group >= (self.max_unadmitted / 2).max(1)
         {
             // One address may have half of the connections without a session, so that others can open some.
             Some("too many other connections have no session yet; try again later")
@@ -158,7 +161,9 @@ pub(super) struct CloudConnection {
     /// This end of the connection, while its topics are open.
     channel: Mutex<Option<Arc<Channel>>>,
     admission: watch::Sender<Admission>,
+    /// Token that ends the connection without a goodbye.
     abort: CancellationToken,
+    /// Token that is cancelled once the topics are closed.
     ended: CancellationToken,
 }
 

@@ -11,8 +11,8 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::interface::{SessionNode, SessionSubscriber, TopicPurpose};
 use crate::transport::ros::payload_topic::{MASTER_RETRY_INTERVAL, describe_open_failure};
 
-/// Subscription to the payloads of one connection. It is made once and in the background, because it asks the master,
-/// which may not be reachable.
+/// Subscription to the payloads of one connection. It is opened once and in the background, because the master
+/// must be asked and may not be reachable.
 #[derive(Debug)]
 pub(super) enum PayloadSubscription {
     /// The connection has had no session yet. Its payload topic is not subscribed to before a session.
@@ -29,21 +29,21 @@ pub(super) enum PayloadSubscription {
 }
 
 impl PayloadSubscription {
-    /// Starts to subscribe, unless that was started earlier.
+    /// Starts to subscribe, unless an earlier call has started it.
     pub(super) fn start(&mut self, channel: &Arc<Channel>) {
         if let Self::Unused { node, topic, options } = self {
             let (node, topic, options) = (Arc::clone(node), std::mem::take(topic), options.clone());
             let channel = Arc::clone(channel);
-            // Payloads that arrive in the meantime are in the companions.
-            let subscribing = tokio::spawn(async move { subscribe(&*node, &topic, options, &channel).await });
-            *self = Self::Opening(AbortOnDropHandle::new(subscribing));
+            // Until the topic is subscribed to, payloads arrive in their companions.
+            let task = tokio::spawn(async move { subscribe(&*node, &topic, options, &channel).await });
+            *self = Self::Opening(AbortOnDropHandle::new(task));
         }
     }
 
     /// Waits until the topic is subscribed to, which happens once.
     pub(super) async fn wait_until_open(&mut self) -> Result<Box<dyn SessionSubscriber>, JoinError> {
-        let Self::Opening(subscribing) = self else { return std::future::pending().await };
-        let result = subscribing.await;
+        let Self::Opening(task) = self else { return std::future::pending().await };
+        let result = task.await;
         *self = Self::Ended;
         result
     }

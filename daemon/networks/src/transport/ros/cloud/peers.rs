@@ -34,7 +34,7 @@ const MAX_UNADMITTED_MESSAGES: usize = 2;
 /// Memory of all connections without a session. Bytes.
 const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
 
-/// An arrival that is handed up, and the reservations of its memory.
+/// An arrival for the layer above, and the reservations of its memory.
 pub(super) type Delivery = (Arrival, Vec<Reservation>);
 
 /// All connections of a cloud.
@@ -44,7 +44,7 @@ pub(super) struct Peers {
     clock: SharedClock,
     settings: SessionSettings,
     /// Limits of connections with a session, which share the memory.
-    admitted: ReceiveLimits,
+    admitted_limits: ReceiveLimits,
     table: ConnectionTable,
     refusals: Refusals,
     deliveries: mpsc::Sender<Delivery>,
@@ -59,13 +59,13 @@ impl Peers {
         tasks: CloudTasks,
     ) -> Self {
         let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
-        let admitted = ReceiveLimits { max_message_bytes: largest_message(&settings), budget };
+        let admitted_limits = ReceiveLimits { max_message_bytes: largest_message(&settings), budget };
         let max_unadmitted = (max_connections / 2)
             .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
         let table = ConnectionTable::new(max_connections, max_unadmitted);
-        let shared = (Arc::clone(&node), SharedClock::clone(&clock));
-        let refusals = Refusals::new(shared, refusals, deliveries.clone());
-        Self { node, clock, settings, admitted, table, refusals, deliveries, tasks }
+        let node_and_clock = (Arc::clone(&node), SharedClock::clone(&clock));
+        let refusals = Refusals::new(node_and_clock, refusals, deliveries.clone());
+        Self { node, clock, settings, admitted_limits, table, refusals, deliveries, tasks }
     }
 
     pub(super) fn channel(&self, connection: ConnectionId) -> Option<Arc<Channel>> {
@@ -78,7 +78,7 @@ impl Peers {
         }
     }
 
-    /// Hands up that a node sent invalid data.
+    /// Reports invalid data of a node to the layer above.
     pub(super) fn report_invalid(&self, from: SocketAddr, problem: &str) {
         let arrival = Arrival::InvalidData(Some(from), peernet_sample::printable_line(problem).into_owned());
         if self.deliveries.try_send((arrival, Vec::new())).is_err() {
@@ -101,16 +101,17 @@ impl Peers {
                 replaced.wait_for_end().await;
             }
             if let Err(error) = peers.serve(&connection, &hello.pipeline, &edge).await {
-                peers.refusals.refuse_failed(&hello, &edge, &error.to_string());
+                peers.refusals.refuse_after_failure(&hello, &edge, &error.to_string());
             }
             peers.table.remove(&hello.pipeline, &connection);
             connection.end();
             // The connection may have ended by itself and been reported before; a second report has no effect.
-            let gone = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
-            let _ = peers.deliveries.send((gone, Vec::new())).await;
+            let end_arrival = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
+            let _ = peers.deliveries.send((end_arrival, Vec::new())).await;
         });
     }
 
+    /// Opens the topics of a connection, and runs it until its end.
     async fn serve(
         &self,
         connection: &CloudConnection,
@@ -123,31 +124,31 @@ impl Peers {
         // A budget for this connection alone, so that an edge without a session takes no memory from sessions or from
         // other edges without one.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
-        let unadmitted =
+        let unadmitted_limits =
             ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
-        let options = unadmitted.subscriber_options(&self.settings, &edge.node);
-        let info = self.node.subscribe(&request.info, kind, options).await?;
-        let shared = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
+        let options = unadmitted_limits.subscriber_options(&self.settings, &edge.node);
+        let companion_subscriber = self.node.subscribe(&request.info, kind, options).await?;
+        let node_and_clock = (Arc::clone(&self.node), SharedClock::clone(&self.clock));
         let (identifier, sending) = (connection.identifier().to_owned(), (publisher, response.payload));
-        let channel = Arc::new(Channel::new(shared, identifier, &self.settings, budget, sending));
+        let channel = Arc::new(Channel::new(node_and_clock, identifier, &self.settings, budget, sending));
         channel.set_peer(edge.clone());
         connection.set_channel(Arc::clone(&channel));
         let peer = Peer { connection: connection.id(), address: Some(edge.remote) };
         let payloads = PayloadSubscription::Unused {
             node: Arc::clone(&self.node),
             topic: request.payload,
-            options: self.admitted.subscriber_options(&self.settings, &edge.node),
+            options: self.admitted_limits.subscriber_options(&self.settings, &edge.node),
         };
         let sink = CloudSink::new(
             (peer, connection.watch_admission()),
             self.settings.hello_timeout(),
-            (unadmitted, self.admitted.clone()),
+            (unadmitted_limits, self.admitted_limits.clone()),
             payloads,
         );
         let connection_task = ConnectionTask {
             channel,
-            info,
-            payload: None,
+            companion_subscriber,
+            payload_subscriber: None,
             sink,
             deliveries: self.deliveries.clone(),
             stop: self.tasks.stop_token(),

@@ -10,7 +10,7 @@ use super::peers::Delivery;
 use crate::transport::Arrival;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
-/// Publishes the reasons of refusals for edges, and hands refusals up. An edge repeats its request, so the same refusal
+/// Publishes the reasons of refusals for edges, and reports refusals to the layer above. An edge repeats its request, so the same refusal
 /// may occur often.
 #[derive(Debug)]
 pub(super) struct Refusals {
@@ -30,7 +30,8 @@ impl Refusals {
         Self { node, clock, publisher, deliveries, throttle: Mutex::default() }
     }
 
-    /// Refuses a connection that cannot be opened now. Hands the refusal up once a minute for each reason and address.
+    /// Refuses a connection that cannot be opened now. Reports the refusal to the layer above once a minute for each reason
+    /// and address.
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
@@ -42,8 +43,8 @@ impl Refusals {
         }
     }
 
-    /// Refuses a connection whose opening failed. Hands every refusal up.
-    pub(super) fn refuse_failed(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
+    /// Refuses a connection whose opening failed. Reports every refusal to the layer above.
+    pub(super) fn refuse_after_failure(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         self.publish(hello, reason);
         self.report(hello, edge, reason);
     }
@@ -105,7 +106,7 @@ mod tests {
             true
         };
         let repeated = |refusals: &Refusals| refusals.refuse(&hello, &edge, "too\nmany");
-        let failed = |refusals: &Refusals| refusals.refuse_failed(&hello, &edge, "too\nmany");
+        let failed = |refusals: &Refusals| refusals.refuse_after_failure(&hello, &edge, "too\nmany");
         assert_eq!([handed_up(&repeated), handed_up(&repeated)], [true, false]);
         assert_eq!([handed_up(&failed), handed_up(&failed)], [true, true]);
         clock.advance(Span::from_seconds(60));

@@ -16,7 +16,7 @@ use crate::transport::ros::connection_task::{Directive, Sink};
 use crate::transport::ros::limits::ReceiveLimits;
 use crate::transport::{Arrival, Peer};
 
-/// Hands up the events of a connection, and sets its limits according to its admission.
+/// Hands the events of a connection to the layer above, and sets the connection's limits according to its admission.
 pub(super) struct CloudSink {
     peer: Peer,
     admission: watch::Receiver<Admission>,
@@ -24,8 +24,8 @@ pub(super) struct CloudSink {
     hello_timeout: Duration,
     /// Time at which the connection ends if it has no session.
     deadline: Option<Instant>,
-    unadmitted: ReceiveLimits,
-    admitted: ReceiveLimits,
+    unadmitted_limits: ReceiveLimits,
+    admitted_limits: ReceiveLimits,
     payloads: PayloadSubscription,
 }
 
@@ -33,20 +33,20 @@ impl CloudSink {
     pub(super) fn new(
         (peer, admission): (Peer, watch::Receiver<Admission>),
         hello_timeout: Duration,
-        (unadmitted, admitted): (ReceiveLimits, ReceiveLimits),
+        (unadmitted_limits, admitted_limits): (ReceiveLimits, ReceiveLimits),
         payloads: PayloadSubscription,
     ) -> Self {
         let deadline = Some(Instant::now() + hello_timeout);
-        Self { peer, admission, hello_timeout, deadline, unadmitted, admitted, payloads }
+        Self { peer, admission, hello_timeout, deadline, unadmitted_limits, admitted_limits, payloads }
     }
 
     fn apply_admission(&mut self, admission: Admission, channel: &Arc<Channel>) -> Directive {
         self.deadline = (admission == Admission::Unadmitted).then(|| Instant::now() + self.hello_timeout);
         if admission != Admission::Admitted {
-            return Directive::Limit(self.unadmitted.clone());
+            return Directive::Limit(self.unadmitted_limits.clone());
         }
         self.payloads.start(channel);
-        Directive::Limit(self.admitted.clone())
+        Directive::Limit(self.admitted_limits.clone())
     }
 }
 

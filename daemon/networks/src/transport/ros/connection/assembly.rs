@@ -54,29 +54,42 @@ impl MessageAssembly {
 
     /// Handles a fragment of a message.
     pub(super) fn receive_fragment(&mut self, fragment: &MessageInfo, now: MonoTime) {
-        let earlier = self.fragments.take();
-        self.fragments =
-            FrameFragments::with_fragment(earlier, (fragment, now), &self.budget, self.max_message_bytes);
+        let earlier_fragments = self.fragments.take();
+        self.fragments = FrameFragments::with_fragment(
+            earlier_fragments,
+            (fragment, now),
+            &self.budget,
+            self.max_message_bytes,
+        );
     }
 
     /// Handles the companion of a message.
-    pub(super) fn receive_data(&mut self, mut info: MessageInfo, now: MonoTime, events: &mut EventQueue) {
+    pub(super) fn receive_data(
+        &mut self,
+        mut companion: MessageInfo,
+        now: MonoTime,
+        events: &mut EventQueue,
+    ) {
         // Fragments of another message are dropped, because that message was given up. The memory of the whole message is
         // reserved below.
-        if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&info)) {
-            info.frames = fragments.join(&info.frames);
+        if let Some(fragments) = self.fragments.take().filter(|fragments| fragments.belong_to(&companion)) {
+            companion.frames = fragments.join(&companion.frames);
         }
-        if let Err(problem) = frames::check_lengths(&info, self.max_message_bytes) {
+        if let Err(problem) = frames::check_lengths(&companion, self.max_message_bytes) {
             events.push(Event::InvalidData(problem.to_string()));
             return;
         }
-        let Some(reserved) = self.reserve(info.frames.len()) else {
-            events.push_incomplete(vec![MessageLoss { tag: request_number(&info), received: 1, total: 2 }]);
+        let Some(reserved) = self.reserve(companion.frames.len()) else {
+            events.push_incomplete(vec![MessageLoss {
+                tag: request_number(&companion),
+                received: 1,
+                total: 2,
+            }]);
             return;
         };
-        let stamp = info.header.stamp.as_nanos();
-        if info.has_payload {
-            self.receive_half(stamp, MessageHalf::Info(Box::new(info)), reserved, now, events);
+        let stamp = companion.header.stamp.as_nanos();
+        if companion.has_payload {
+            self.receive_half(stamp, MessageHalf::Info(Box::new(companion)), reserved, now, events);
             return;
         }
         // Until the other end knows that payloads arrive on their topic, it sends each payload there and in the companion.
@@ -86,10 +99,10 @@ impl MessageAssembly {
         self.pairing.note_message_without_payload(stamp, &mut lost);
         events.push_incomplete(lost);
         // A message about the session may end it. Answers whose payloads arrive later would then be lost.
-        if info.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
-            self.overtaking_messages.push((info, reserved));
+        if companion.request == MessageInfo::NO_REQUEST && self.pairing.awaits_payloads() {
+            self.overtaking_messages.push((companion, reserved));
         } else {
-            deliver(&info, None, vec![reserved], events);
+            deliver(&companion, None, vec![reserved], events);
         }
     }
 
@@ -146,14 +159,14 @@ impl MessageAssembly {
         events.push_incomplete(lost);
     }
 
-    /// Returns whether no companion waits for its payload any more. In this case delivers the messages that had
-    /// overtaken payloads.
+    /// Delivers the messages that overtook payloads, unless a companion still waits for its payload. Returns whether no
+    /// companion waits.
     pub(super) fn deliver_overtaking_messages(&mut self, events: &mut EventQueue) -> bool {
         if self.pairing.awaits_payloads() {
             return false;
         }
-        for (info, reserved) in std::mem::take(&mut self.overtaking_messages) {
-            deliver(&info, None, vec![reserved], events);
+        for (companion, reserved) in std::mem::take(&mut self.overtaking_messages) {
+            deliver(&companion, None, vec![reserved], events);
         }
         true
     }
@@ -169,8 +182,13 @@ impl MessageAssembly {
     }
 }
 
-fn deliver(info: &MessageInfo, payload: Option<&Bytes>, reserved: Vec<Reservation>, events: &mut EventQueue) {
-    events.push(match frames::unpack(info, payload) {
+fn deliver(
+    companion: &MessageInfo,
+    payload: Option<&Bytes>,
+    reserved: Vec<Reservation>,
+    events: &mut EventQueue,
+) {
+    events.push(match frames::unpack(companion, payload) {
         Ok(frames) => Event::Message(frames, reserved),
         Err(problem) => Event::InvalidData(problem.to_string()),
     });

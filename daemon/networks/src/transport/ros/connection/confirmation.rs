@@ -41,11 +41,11 @@ mod tests {
     fn first_payload_is_confirmed_once_if_that_is_needed() {
         for (is_needed, expected) in [(true, [false, true, false]), (false, [false; 3])] {
             let mut confirmation = PayloadConfirmation::new(is_needed);
-            let before = confirmation.take_if_due();
+            let before_payload = confirmation.take_if_due();
             confirmation.note_payload();
             let after_first = confirmation.take_if_due();
             confirmation.note_payload();
-            assert_eq!([before, after_first, confirmation.take_if_due()], expected);
+            assert_eq!([before_payload, after_first, confirmation.take_if_due()], expected);
         }
     }
 }

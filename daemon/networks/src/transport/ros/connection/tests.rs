@@ -17,17 +17,17 @@ const LIMITS: ConnectionLimits = ConnectionLimits {
     heartbeat_timeout: Span::from_seconds(5),
 };
 
-fn end() -> Connection {
+fn new_connection() -> Connection {
     Connection::new("ab".into(), LIMITS, MemoryBudget::new(10_000), MonoTime::default())
 }
 
-fn at(seconds: i64) -> MonoTime {
+fn time_at(seconds: i64) -> MonoTime {
     MonoTime::default() + Span::from_seconds(seconds)
 }
 
 /// Returns a message of three frames as it is sent: its companion and its payload.
-fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
-    let mut info = MessageInfo { request, ..end.new_companion(MessageInfo::DATA, wall, at(0)) };
+fn message(sender: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes) {
+    let mut info = MessageInfo { request, ..sender.new_companion(MessageInfo::DATA, wall, time_at(0)) };
     let payload = Bytes::from_static(b"payload");
     let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
     assert!(frames::pack(&mut info, &frames, true));
@@ -36,136 +36,137 @@ fn message(end: &mut Connection, request: u64, wall: i64) -> (MessageInfo, Bytes
 
 #[test]
 fn sender_is_notified_of_missing_payload() {
-    let (mut near, mut far) = (end(), end());
-    let (lost, _) = message(&mut near, 7, 10);
-    let (info, payload) = message(&mut near, 8, 20);
-    far.receive_info(lost, at(0));
-    far.receive_info(info.clone(), at(0));
-    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
-    let Some(Event::Incomplete(loss)) = far.next_event() else { panic!("the first is lost") };
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
+    let (lost_companion, _) = message(&mut sender, 7, 10);
+    let (info, payload) = message(&mut sender, 8, 20);
+    receiver.receive_companion(lost_companion, time_at(0));
+    receiver.receive_companion(info.clone(), time_at(0));
+    receiver.receive_payload(info.header.stamp.as_nanos(), payload, time_at(0));
+    let Some(Event::Incomplete(loss)) = receiver.next_event() else { panic!("the first is lost") };
     assert_eq!(loss.tag, Some(7));
-    let Some(Event::Message(frames, _)) = far.next_event() else { panic!("the second is whole") };
+    let Some(Event::Message(frames, _)) = receiver.next_event() else { panic!("the second is whole") };
     assert_eq!(frames.concat(), b"headertreepayload");
-    let notice = far.next_notice(0, at(0)).expect("the sender is told");
-    near.receive_info(notice, at(0));
-    let Some(Event::Lost(loss)) = near.next_event() else { panic!("the sender knows") };
+    let notice = receiver.next_notice(0, time_at(0)).expect("the sender is notified");
+    sender.receive_companion(notice, time_at(0));
+    let Some(Event::Lost(loss)) = sender.next_event() else { panic!("the sender knows") };
     assert_eq!(loss.tag, Some(7));
 }
 
 #[test]
 fn heartbeats_keep_connection_and_silence_ends_it() {
-    let (mut near, mut far) = (end(), end());
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
     for second in 1..20 {
-        let heartbeat = near.next_notice(0, at(second)).expect("one each second");
-        far.receive_info(heartbeat, at(second));
-        far.tick(at(second));
-        assert!(near.next_notice(0, at(second)).is_none() && far.next_event().is_none());
+        let heartbeat = sender.next_notice(0, time_at(second)).expect("one each second");
+        receiver.receive_companion(heartbeat, time_at(second));
+        receiver.tick(time_at(second));
+        assert!(sender.next_notice(0, time_at(second)).is_none() && receiver.next_event().is_none());
     }
-    assert_eq!(far.missing_companions(), 0);
-    far.tick(at(24));
-    assert!(matches!(far.next_event(), Some(Event::Gone(_))) && far.next_timer().is_none());
+    assert_eq!(receiver.missing_companions(), 0);
+    receiver.tick(time_at(24));
+    assert!(matches!(receiver.next_event(), Some(Event::Gone(_))) && receiver.next_timer().is_none());
 }
 
 #[test]
 fn goodbye_ends_connection_with_its_reason() {
-    let (mut near, mut far) = (end(), end());
-    let goodbye = near.new_companion(MessageInfo::GOODBYE, 0, at(0));
-    far.receive_info(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, at(0));
-    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
-    assert!(far.next_notice(0, at(100)).is_none());
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
+    let goodbye = sender.new_companion(MessageInfo::GOODBYE, 0, time_at(0));
+    receiver.receive_companion(MessageInfo { reason: "it\nshuts down".into(), ..goodbye }, time_at(0));
+    assert!(matches!(receiver.next_event(), Some(Event::Gone(reason)) if reason == "it shuts down"));
+    assert!(receiver.next_notice(0, time_at(100)).is_none());
 }
 
 #[test]
 fn goodbye_waits_for_payload_that_it_overtook() {
-    let (mut near, mut far) = (end(), end());
-    let (info, payload) = message(&mut near, 7, 10);
-    let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
-    far.receive_info(info.clone(), at(0));
-    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
-    assert!(far.next_event().is_none() && far.peer().has_left);
-    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
-    assert!(matches!(far.next_event(), Some(Event::Message(..))));
-    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
+    let (info, payload) = message(&mut sender, 7, 10);
+    let goodbye = sender.new_companion(MessageInfo::GOODBYE, 20, time_at(0));
+    receiver.receive_companion(info.clone(), time_at(0));
+    receiver.receive_companion(MessageInfo { reason: "done".into(), ..goodbye }, time_at(0));
+    assert!(receiver.next_event().is_none() && receiver.peer().has_left);
+    receiver.receive_payload(info.header.stamp.as_nanos(), payload, time_at(0));
+    assert!(matches!(receiver.next_event(), Some(Event::Message(..))));
+    assert!(matches!(receiver.next_event(), Some(Event::Gone(reason)) if reason == "done"));
 }
 
 #[test]
 fn session_message_waits_for_payload_that_it_overtook() {
-    let (mut near, mut far) = (end(), end());
-    let (info, payload) = message(&mut near, 7, 10);
-    let mut session = near.new_companion(MessageInfo::DATA, 20, at(0));
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
+    let (info, payload) = message(&mut sender, 7, 10);
+    let mut session = sender.new_companion(MessageInfo::DATA, 20, time_at(0));
     assert!(frames::pack(&mut session, &[Bytes::from_static(b"close")], false));
-    far.receive_info(info.clone(), at(0));
-    far.receive_info(session, at(0));
-    assert!(far.next_event().is_none());
-    far.receive_payload(info.header.stamp.as_nanos(), payload, at(0));
-    assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() != b"close"));
-    assert!(matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"close"));
-    assert!(far.next_event().is_none());
+    receiver.receive_companion(info.clone(), time_at(0));
+    receiver.receive_companion(session, time_at(0));
+    assert!(receiver.next_event().is_none());
+    receiver.receive_payload(info.header.stamp.as_nanos(), payload, time_at(0));
+    assert!(matches!(receiver.next_event(), Some(Event::Message(frames, _)) if frames.concat() != b"close"));
+    assert!(matches!(receiver.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"close"));
+    assert!(receiver.next_event().is_none());
 }
 
 #[test]
 fn goodbye_without_payload_still_ends_connection() {
-    let (mut near, mut far) = (end(), end());
-    let (info, _) = message(&mut near, 7, 10);
-    let goodbye = near.new_companion(MessageInfo::GOODBYE, 20, at(0));
-    far.receive_info(info, at(0));
-    far.receive_info(MessageInfo { reason: "done".into(), ..goodbye }, at(0));
-    far.tick(at(5));
-    assert!(matches!(far.next_event(), Some(Event::Gone(reason)) if reason == "done"));
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
+    let (info, _) = message(&mut sender, 7, 10);
+    let goodbye = sender.new_companion(MessageInfo::GOODBYE, 20, time_at(0));
+    receiver.receive_companion(info, time_at(0));
+    receiver.receive_companion(MessageInfo { reason: "done".into(), ..goodbye }, time_at(0));
+    receiver.tick(time_at(5));
+    assert!(matches!(receiver.next_event(), Some(Event::Gone(reason)) if reason == "done"));
 }
 
 #[test]
 fn payload_that_travels_twice_is_taken_once_and_confirmed() {
     let limits = ConnectionLimits { confirms_payloads: true, ..LIMITS };
-    let confirming = || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
+    let confirming_connection =
+        || Connection::new("ab".into(), limits, MemoryBudget::new(10_000), MonoTime::default());
     for is_payload_first in [true, false] {
-        let (mut near, mut far) = (confirming(), confirming());
-        let mut info = MessageInfo { request: 7, ..near.new_companion(MessageInfo::DATA, 10, at(0)) };
+        let (mut sender, mut receiver) = (confirming_connection(), confirming_connection());
+        let mut info = MessageInfo { request: 7, ..sender.new_companion(MessageInfo::DATA, 10, time_at(0)) };
         let payload = Bytes::from_static(b"payload");
         let frames = [Bytes::from_static(b"header"), Bytes::from_static(b"tree"), payload.clone()];
         assert!(frames::pack(&mut info, &frames, false));
         let stamp = info.header.stamp.as_nanos();
         if is_payload_first {
-            far.receive_payload(stamp, payload, at(0));
-            far.receive_info(info, at(0));
+            receiver.receive_payload(stamp, payload, time_at(0));
+            receiver.receive_companion(info, time_at(0));
         } else {
-            far.receive_info(info, at(0));
-            far.receive_payload(stamp, payload, at(0));
+            receiver.receive_companion(info, time_at(0));
+            receiver.receive_payload(stamp, payload, time_at(0));
         }
         assert!(
-            matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
+            matches!(receiver.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
         );
-        assert!(far.next_event().is_none());
-        near.receive_info(far.next_notice(0, at(0)).expect("a confirmation"), at(0));
-        assert!(near.peer().is_subscribed && far.next_notice(0, at(0)).is_none());
-        far.tick(at(4));
-        assert!(far.next_event().is_none(), "nothing is waited for");
+        assert!(receiver.next_event().is_none());
+        sender.receive_companion(receiver.next_notice(0, time_at(0)).expect("a confirmation"), time_at(0));
+        assert!(sender.peer().is_subscribed && receiver.next_notice(0, time_at(0)).is_none());
+        receiver.tick(time_at(4));
+        assert!(receiver.next_event().is_none(), "nothing is waited for");
     }
 }
 
 #[test]
 fn fragments_are_assembled_and_unfinished_messages_dropped() {
-    let (mut near, mut far) = (end(), end());
+    let (mut sender, mut receiver) = (new_connection(), new_connection());
     for is_whole in [false, true] {
-        let (mut info, payload) = message(&mut near, 7, 10);
+        let (mut info, payload) = message(&mut sender, 7, 10);
         let stamp = info.header.stamp.as_nanos();
         let fragments = crate::transport::ros::fragments::split_into_fragments(&mut info.frames, 4);
         let companions: Vec<MessageInfo> = fragments
             .into_iter()
-            .map(|frames| MessageInfo { frames, ..near.new_fragment(&mut info) })
+            .map(|frames| MessageInfo { frames, ..sender.new_fragment(&mut info) })
             .collect();
         assert_eq!(companions.len(), 2);
-        companions.into_iter().for_each(|companion| far.receive_info(companion, at(0)));
+        companions.into_iter().for_each(|companion| receiver.receive_companion(companion, time_at(0)));
         if is_whole {
-            far.receive_info(info, at(0));
-            far.receive_payload(stamp, payload, at(0));
+            receiver.receive_companion(info, time_at(0));
+            receiver.receive_payload(stamp, payload, time_at(0));
         }
     }
     assert!(
-        matches!(far.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
+        matches!(receiver.next_event(), Some(Event::Message(frames, _)) if frames.concat() == b"headertreepayload")
     );
     assert_eq!(
-        (far.next_event().is_none(), far.missing_companions()),
+        (receiver.next_event().is_none(), receiver.missing_companions()),
         (true, 1),
         "the companion of the first never came"
     );
@@ -217,18 +218,18 @@ fn any_step() -> impl Strategy<Value = Step> {
     ]
 }
 
-fn apply_step(step: Step, near: &mut Connection, far: &mut Connection, now: &mut MonoTime) {
+fn apply_step(step: Step, sender: &mut Connection, receiver: &mut Connection, now: &mut MonoTime) {
     match step {
         Step::Damaged { form, kind, changes } => {
-            let (info, _) = message(near, 1, 0);
+            let (info, _) = message(sender, 1, 0);
             let info = MessageInfo { kind, ..info };
             let mut bytes = info.encode(form).expect("it is short").into_bytes().to_vec();
-            for (at, byte) in changes {
-                let at = at.index(bytes.len());
-                bytes[at] = byte;
+            for (index, byte) in changes {
+                let index = index.index(bytes.len());
+                bytes[index] = byte;
             }
             if let Ok(info) = MessageInfo::decode(form, bytes.into()) {
-                far.receive_info(info, *now);
+                receiver.receive_companion(info, *now);
             }
         }
         Step::Claims { kind, sequence, stamp, has_payload, lengths, bytes } => {
@@ -243,9 +244,9 @@ fn apply_step(step: Step, near: &mut Connection, far: &mut Connection, now: &mut
                 frames,
                 ..MessageInfo::default()
             };
-            far.receive_info(info, *now);
+            receiver.receive_companion(info, *now);
         }
-        Step::Payload { stamp, bytes } => far.receive_payload(stamp, vec![7; bytes].into(), *now),
+        Step::Payload { stamp, bytes } => receiver.receive_payload(stamp, vec![7; bytes].into(), *now),
         Step::Time(seconds) => *now = *now + Span::from_seconds(seconds),
     }
 }
@@ -265,40 +266,40 @@ proptest! {
         lag in 0_usize..3,
     ) {
         let budget = MemoryBudget::new(10_000);
-        let mut near = end();
-        let mut far = Connection::new("ab".into(), LIMITS, Arc::clone(&budget), MonoTime::default());
-        let (mut infos, mut payloads) = (VecDeque::new(), VecDeque::new());
+        let mut sender = new_connection();
+        let mut receiver = Connection::new("ab".into(), LIMITS, Arc::clone(&budget), MonoTime::default());
+        let (mut companions, mut payloads) = (VecDeque::new(), VecDeque::new());
         for (request, fate) in fates.iter().enumerate() {
-            let (info, payload) = message(&mut near, request as u64, 0);
+            let (info, payload) = message(&mut sender, request as u64, 0);
             let stamp = info.header.stamp.as_nanos();
-            infos.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
+            companions.push_back((!matches!(fate, Fate::LosesInfo)).then_some(info));
             payloads.push_back((!matches!(fate, Fate::LosesPayload)).then_some((stamp, payload)));
         }
         // Payloads arrive some messages after their companions.
-        let mut behind = lag;
-        while !infos.is_empty() || !payloads.is_empty() {
-            if let Some(Some(info)) = infos.pop_front() {
-                far.receive_info(info, at(0));
+        let mut remaining_lag = lag;
+        while !companions.is_empty() || !payloads.is_empty() {
+            if let Some(Some(info)) = companions.pop_front() {
+                receiver.receive_companion(info, time_at(0));
             }
-            if behind > 0 && !infos.is_empty() {
-                behind -= 1;
+            if remaining_lag > 0 && !companions.is_empty() {
+                remaining_lag -= 1;
             } else if let Some(Some((stamp, payload))) = payloads.pop_front() {
-                far.receive_payload(stamp, payload, at(0));
+                receiver.receive_payload(stamp, payload, time_at(0));
             }
         }
         // Neither heartbeats nor the time limit of halves may expire in between.
-        far.heartbeats.note_received(at(40));
-        far.tick(at(40));
+        receiver.heartbeats.note_received(time_at(40));
+        receiver.tick(time_at(40));
         let (mut arrived, mut incomplete) = (0, 0);
-        while let Some(event) = far.next_event() {
+        while let Some(event) = receiver.next_event() {
             match event {
                 Event::Message(..) => arrived += 1,
                 Event::Incomplete(_) => incomplete += 1,
                 other => prop_assert!(false, "{other:?}"),
             }
         }
-        let whole = fates.iter().filter(|fate| matches!(fate, Fate::Arrives)).count();
-        prop_assert_eq!((arrived, arrived + incomplete), (whole, fates.len()));
+        let complete_count = fates.iter().filter(|fate| matches!(fate, Fate::Arrives)).count();
+        prop_assert_eq!((arrived, arrived + incomplete), (complete_count, fates.len()));
         prop_assert_eq!(budget.reserved_bytes(), 0);
     }
 
@@ -309,15 +310,15 @@ proptest! {
     ) {
         let limits = ConnectionLimits { confirms_payloads, ..LIMITS };
         let budgets = [(); 2].map(|()| MemoryBudget::new(10_000));
-        let [mut near, mut far] =
-            budgets.each_ref().map(|budget| Connection::new("ab".into(), limits, Arc::clone(budget), at(0)));
-        let ([_, budget], mut now) = (budgets, at(0));
+        let [mut sender, mut receiver] =
+            budgets.each_ref().map(|budget| Connection::new("ab".into(), limits, Arc::clone(budget), time_at(0)));
+        let ([_, budget], mut now) = (budgets, time_at(0));
         for step in steps {
-            apply_step(step, &mut near, &mut far, &mut now);
-            far.tick(now);
+            apply_step(step, &mut sender, &mut receiver, &mut now);
+            receiver.tick(now);
             prop_assert!(budget.reserved_bytes() <= 10_000);
             let mut events = 0;
-            while let Some(event) = far.next_event() {
+            while let Some(event) = receiver.next_event() {
                 events += 1;
                 let Event::Message(frames, _) = event else { continue };
                 let bytes: usize = frames.iter().map(Bytes::len).sum();
@@ -325,9 +326,9 @@ proptest! {
             }
             // The halves that were given up at once, and the end.
             prop_assert!(events <= LIMITS.max_incomplete + 3, "{events} events of one step");
-            while far.next_notice(0, now).is_some() {}
+            while receiver.next_notice(0, now).is_some() {}
         }
-        far.tick(now + Span::from_seconds(40));
+        receiver.tick(now + Span::from_seconds(40));
         prop_assert_eq!(budget.reserved_bytes(), 0, "nothing waits for ever");
     }
 }

@@ -25,7 +25,7 @@ pub(in crate::transport::ros) struct TestNode {
 
 impl TestNode {
     /// Returns the number of messages that were published.
-    pub(in crate::transport::ros) fn published(&self) -> usize {
+    pub(in crate::transport::ros) fn published_count(&self) -> usize {
         self.published.load(Ordering::Relaxed)
     }
 

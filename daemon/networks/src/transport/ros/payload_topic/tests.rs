@@ -46,10 +46,10 @@ async fn first_payload_requests_its_type_once() {
     assert!(sending.topic.take_request().now_or_never().is_none());
     sending.open().await;
     assert!(!sending.publish(MediaType::Jpeg, 3), "nothing says yet that the peer receives the topic");
-    assert_eq!(sending.node.published(), 1);
+    assert_eq!(sending.node.published_count(), 1);
     assert!(!sending.publish(MediaType::Bytes, 3), "the topic has another type");
     assert!(sending.topic.take_request().now_or_never().is_none());
-    assert_eq!(sending.node.published(), 1);
+    assert_eq!(sending.node.published_count(), 1);
 }
 
 #[tokio::test]
@@ -71,8 +71,8 @@ async fn long_payloads_and_refusals_are_remarked_once() {
     }
     sending.peer.receive_buffer_bytes = Some(5);
     assert!(!sending.publish(MediaType::Jpeg, 6));
-    assert_eq!(sending.node.published(), 2);
-    let [size, refusal] = &sending.remarks[..] else { panic!("{:?}", sending.remarks) };
-    assert!(size.starts_with("a payload of 11 bytes is longer than the 10 bytes"), "{size}");
-    assert!(refusal.ends_with("the QoS of /cloud does not fit"), "{refusal}");
+    assert_eq!(sending.node.published_count(), 2);
+    let [size_remark, refusal_remark] = &sending.remarks[..] else { panic!("{:?}", sending.remarks) };
+    assert!(size_remark.starts_with("a payload of 11 bytes is longer than the 10 bytes"), "{size_remark}");
+    assert!(refusal_remark.ends_with("the QoS of /cloud does not fit"), "{refusal_remark}");
 }

@@ -28,10 +28,10 @@ pub(super) async fn find_cloud(
 ) -> Result<Arc<str>, NodeFailure> {
     let node = participant.node()?;
     let sessions = sessions_topic(&topics.cloud);
-    let clouds = || visible_clouds(&node, &sessions);
+    let current_clouds = || visible_clouds(&node, &sessions);
     // A cloud that has just ended may still be visible.
-    let found = wait_for_discovery(&node, time_limit, || clouds().len() == 1).await;
-    if found.is_err() && clouds().is_empty() {
+    let discovery = wait_for_discovery(&node, time_limit, || current_clouds().len() == 1).await;
+    if discovery.is_err() && current_clouds().is_empty() {
         return Err(NodeFailure(format!(
             "{} has no cloud with the name {}: no node subscribes to {sessions} within {} s; {}",
             node.describe_domain(),
@@ -43,7 +43,7 @@ pub(super) async fn find_cloud(
     // DDS does not report the end of discovery, and other programs may be found slightly later than the cloud.
     sleep(OTHER_PROGRAM_SEARCH_TIME).await;
     check_topics(&node, topics)?;
-    let clouds = clouds();
+    let clouds = current_clouds();
     match clouds.first() {
         Some(cloud) if clouds.len() == 1 => Ok(cloud.to_string().into()),
         _ => Err(NodeFailure(format!(
@@ -60,22 +60,34 @@ fn check_topics(node: &Ros2Node, topics: &EdgeTopics) -> Result<(), NodeFailure>
     let remedy = "give the pipeline another name, or set ROS_NAMESPACE to a namespace of this robot";
     let expected = ros2_name(MessageInfo::DEFINITION.name);
     for topic in [&topics.request.info, &topics.response.info] {
-        if let Some(other) = node.endpoints_of(topic).iter().find(|found| found.type_name != expected) {
-            let of_node = other.node.as_ref().map(|name| format!(" for node {name}")).unwrap_or_default();
+        if let Some(endpoint_of_other_type) =
+            node.endpoints_of(topic).iter().find(|endpoint| endpoint.type_name != expected)
+        {
+            let node_suffix = endpoint_of_other_type
+                .node
+                .as_ref()
+                .map(|name| format!(" for node {name}"))
+                .unwrap_or_default();
             return Err(NodeFailure(format!(
-                "topic {topic} has the message type {}{of_node} and would need {expected}; {remedy}",
-                other.type_name
+                "topic {topic} has the message type {}{node_suffix} and would need {expected}; {remedy}",
+                endpoint_of_other_type.type_name
             )));
         }
     }
     for topic in [&topics.request.info, &topics.request.payload] {
         let publishers = node.publishers_of(topic);
-        if let Some(other) = publishers.iter().find(|found| !is_local_participant(found.id.participant())) {
-            let host = other.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
-            let publisher = match &other.node {
+        if let Some(other_publisher) =
+            publishers.iter().find(|endpoint| !is_local_participant(endpoint.id.participant()))
+        {
+            let host =
+                other_publisher.host.map_or_else(|| "this host".to_owned(), |host| format!("host {host}"));
+            let publisher = match &other_publisher.node {
                 Some(name) => format!("node {name}"),
                 None => {
-                    format!("a program without a known node (participant {})", other.id.participant())
+                    format!(
+                        "a program without a known node (participant {})",
+                        other_publisher.id.participant()
+                    )
                 }
             };
             return Err(NodeFailure(format!(
@@ -105,23 +117,26 @@ pub(super) async fn check_cloud_name(participant: &Participant, cloud: &str) -> 
 fn visible_clouds(node: &Ros2Node, sessions: &str) -> BTreeSet<ParticipantId> {
     let expected = ros2_name(SessionHello::DEFINITION.name);
     let is_cloud = |role, kind: &str| role == EndpointRole::Subscription && kind == expected;
-    let found = node.endpoints_of(sessions).into_iter();
-    found.filter(|found| is_cloud(found.role, &found.type_name)).map(|found| found.id.participant()).collect()
+    let endpoints = node.endpoints_of(sessions).into_iter();
+    endpoints
+        .filter(|endpoint| is_cloud(endpoint.role, &endpoint.type_name))
+        .map(|endpoint| endpoint.id.participant())
+        .collect()
 }
 
 /// Waits until a condition holds for the state of discovery.
 async fn wait_for_discovery(
     node: &Ros2Node,
     time_limit: Duration,
-    is_found: impl Fn() -> bool,
+    holds: impl Fn() -> bool,
 ) -> Result<(), tokio::time::error::Elapsed> {
     let mut changes = node.discovery_changes();
-    let found = async {
-        while !is_found() {
+    let condition = async {
+        while !holds() {
             if changes.changed().await.is_err() {
                 std::future::pending::<()>().await;
             }
         }
     };
-    timeout(time_limit, found).await
+    timeout(time_limit, condition).await
 }

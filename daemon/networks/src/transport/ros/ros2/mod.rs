@@ -62,7 +62,7 @@ pub(super) struct Ros2SessionNode {
     namespace: String,
     qos: SessionQos,
     cloud_search_timeout: Duration,
-    publishing: PublishingTasks,
+    publishing_tasks: PublishingTasks,
     clock: SharedClock,
 }
 
@@ -105,7 +105,7 @@ impl Ros2SessionNode {
             qos: SessionQos::new(&settings.ros2),
             // The other half of the time is for the handshake.
             cloud_search_timeout: MAX_CLOUD_SEARCH_TIME.min(settings.open_timeout() / 2),
-            publishing: PublishingTasks::default(),
+            publishing_tasks: PublishingTasks::default(),
             clock: SharedClock::clone(clock),
         })
     }
@@ -177,7 +177,7 @@ impl SessionNode for Ros2SessionNode {
             let qos = self.qos.profile(EndpointRole::Publisher, purpose);
             let publisher = self.participant.node()?.create_publisher(topic, &ros2_name(&kind.name), &qos)?;
             let clock = SharedClock::clone(&self.clock);
-            let publisher = Ros2SessionPublisher::new(publisher, queue.bytes, clock, &self.publishing);
+            let publisher = Ros2SessionPublisher::new(publisher, queue.bytes, clock, &self.publishing_tasks);
             Ok(Box::new(publisher) as Box<dyn SessionPublisher>)
         };
         std::future::ready(open()).boxed()
@@ -206,7 +206,7 @@ impl SessionNode for Ros2SessionNode {
 
     fn end(&self, time_limit: Duration) -> BoxFuture<'_, ()> {
         let end = async move {
-            if !self.publishing.finish(time_limit).await {
+            if !self.publishing_tasks.finish(time_limit).await {
                 let node = self.participant.name();
                 tracing::debug!(node, "a ROS 2 node ends before its last messages were acknowledged");
             }
@@ -221,4 +221,4 @@ impl SessionNode for Ros2SessionNode {
 }
 
 /// Names of the participants whose messages arrive.
-type Publishers = watch::Receiver<BTreeSet<Arc<str>>>;
+type PublisherNames = watch::Receiver<BTreeSet<Arc<str>>>;

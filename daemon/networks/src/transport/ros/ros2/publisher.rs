@@ -37,7 +37,7 @@ const MAX_UNACKNOWLEDGED_BYTES: usize = 256 * 1024 * 1024;
 
 /// A publisher and its queue.
 pub(super) struct Ros2SessionPublisher {
-    shared: Arc<PublisherState>,
+    state: Arc<PublisherState>,
 }
 
 struct PublisherState {
@@ -46,12 +46,13 @@ struct PublisherState {
     clock: SharedClock,
     queue: Mutex<Queue>,
     /// Signals that a message was queued, or that the queue was closed.
-    changed: Notify,
+    queue_changed: Notify,
 }
 
 #[derive(Default)]
 struct Queue {
     messages: VecDeque<Bytes>,
+    /// Bytes of the queued messages and of the message that waits to be published.
     bytes: usize,
     max_bytes: usize,
     /// `true` while the task waits to publish the oldest message.
@@ -71,15 +72,16 @@ impl Ros2SessionPublisher {
     ) -> Self {
         let queue = Mutex::new(Queue { max_bytes, ..Queue::default() });
         let topic = publisher.topic().to_owned();
-        let shared = Arc::new(PublisherState { publisher, topic, clock, queue, changed: Notify::new() });
-        let publishing = Arc::clone(&shared);
-        tasks.spawn(|stop| publishing.run(stop));
-        Self { shared }
+        let state = Arc::new(PublisherState { publisher, topic, clock, queue, queue_changed: Notify::new() });
+        let task_state = Arc::clone(&state);
+        tasks.spawn(|stop| task_state.run(stop));
+        Self { state }
     }
 
+    /// Publishes messages, or queues them for the task.
     fn offer(&self, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
-        let shared = &*self.shared;
-        let mut queue = shared.queue();
+        let state = &*self.state;
+        let mut queue = state.queue();
         if let Some(failure) = &queue.failure {
             return Err(failure.clone());
         }
@@ -92,12 +94,12 @@ impl Ros2SessionPublisher {
         for message in messages {
             let message = message.clone().into_bytes();
             // Published at once if nothing is queued, because a switch to another task would take time.
-            if queue.messages.is_empty() && !queue.is_busy && shared.publish(&mut queue, &message)? {
+            if queue.messages.is_empty() && !queue.is_busy && state.publish(&mut queue, &message)? {
                 continue;
             }
             queue.bytes += message.len();
             queue.messages.push_back(message);
-            shared.changed.notify_one();
+            state.queue_changed.notify_one();
         }
         Ok(Delivery::Accepted)
     }
@@ -120,17 +122,18 @@ impl PublisherState {
     /// Publishes the queued messages. Ends when the queue is closed and everything is acknowledged.
     async fn run(self: Arc<Self>, stop: CancellationToken) {
         loop {
-            let changed = self.changed.notified();
-            let next = {
+            let changed = self.queue_changed.notified();
+            // `Err` if no message is queued: whether the queue is closed.
+            let next_message = {
                 let mut queue = self.queue();
-                let next = queue.messages.pop_front();
-                queue.is_busy = next.is_some();
-                match next {
-                    Some(next) => Ok(next),
+                let next_message = queue.messages.pop_front();
+                queue.is_busy = next_message.is_some();
+                match next_message {
+                    Some(next_message) => Ok(next_message),
                     None => Err(queue.is_closed),
                 }
             };
-            match next {
+            match next_message {
                 Ok(message) => {
                     if let Err(failure) = self.publish_when_accepted(&message).await {
                         tracing::warn!(topic = self.topic, %failure, "stopped publishing a ROS 2 topic");
@@ -153,15 +156,17 @@ impl PublisherState {
         }
     }
 
+    /// Publishes a message as soon as `rustdds` accepts it.
     async fn publish_when_accepted(&self, message: &Bytes) -> Result<(), NodeFailure> {
         let started_at = Instant::now();
         loop {
             if self.publish(&mut self.queue(), message)? {
                 return Ok(());
             }
-            let others = self.publisher.peers().borrow().matched.len();
-            let wait = if others > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
-            match timeout(wait, self.publisher.wait_for_acknowledgment(wait)).await {
+            let subscription_count = self.publisher.peers().borrow().matched.len();
+            let ack_timeout =
+                if subscription_count > 1 { SHARED_TOPIC_TIMEOUT } else { MAX_UNACKNOWLEDGED_TIME };
+            match timeout(ack_timeout, self.publisher.wait_for_acknowledgment(ack_timeout)).await {
                 Ok(Ok(())) => self.queue().unacknowledged_bytes = 0,
                 // Messages that another program misses are kept for it, but do not stop the others.
                 Ok(Err(Ros2Error::Unacknowledged { .. })) | Err(_) => self.publisher.forget_unacknowledged(),
@@ -170,7 +175,7 @@ impl PublisherState {
             let unacknowledged = self.queue().unacknowledged_bytes;
             if started_at.elapsed() >= MAX_UNACKNOWLEDGED_TIME || unacknowledged > MAX_UNACKNOWLEDGED_BYTES {
                 return Err(NodeFailure(format!(
-                    "{others} subscriptions of topic {} do not acknowledge what was published ({unacknowledged} bytes); stop programs that \
+                    "{subscription_count} subscriptions of topic {} do not acknowledge what was published ({unacknowledged} bytes); stop programs that \
                      only watch it and do not keep up, or raise net.core.rmem_max on their hosts",
                     self.topic
                 )));
@@ -185,20 +190,20 @@ fn is_endpoint_of(id: EndpointId, node: &str) -> bool {
 
 impl fmt::Debug for Ros2SessionPublisher {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.debug_struct("Ros2SessionPublisher").field("topic", &self.shared.topic).finish()
+        formatter.debug_struct("Ros2SessionPublisher").field("topic", &self.state.topic).finish()
     }
 }
 
 impl Drop for Ros2SessionPublisher {
     fn drop(&mut self) {
-        self.shared.queue().is_closed = true;
-        self.shared.changed.notify_one();
+        self.state.queue().is_closed = true;
+        self.state.queue_changed.notify_one();
     }
 }
 
 impl SessionPublisher for Ros2SessionPublisher {
     fn topic(&self) -> &str {
-        &self.shared.topic
+        &self.state.topic
     }
 
     fn publish(&self, message: EncodedMessage) -> Result<(), NodeFailure> {
@@ -208,19 +213,19 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // Never `Absent`: DDS does not report whether the other end has found this publisher. Payload topics are used only
+    // Never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload topics are used only
     // after companions have confirmed them, and the end of a node is noticed by the end of its own topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)
     }
 
     fn refusal(&self, node: &str) -> Option<String> {
-        let peers = self.shared.publisher.peers();
+        let peers = self.state.publisher.peers();
         let peers = peers.borrow();
         let (_, refusal) = peers.refused.iter().find(|(id, _)| is_endpoint_of(**id, node))?;
         Some(format!(
             "the other end does not receive topic {}: {refusal}; give both ends the same keys in session.ros2",
-            self.shared.topic
+            self.state.topic
         ))
     }
 }

@@ -8,8 +8,8 @@ use crate::transport::ros::interface::RemoteNode;
 
 /// Returns a description of a participant for people, with its nodes, such as `node /viewer`.
 pub(super) fn describe(node: &Ros2Node, participant: &str) -> String {
-    let known = participant.parse().map(|id: ParticipantId| (node.nodes_of(id), node.host_of(id)));
-    let (names, host) = known.unwrap_or_default();
+    let names_and_host = participant.parse().map(|id: ParticipantId| (node.nodes_of(id), node.host_of(id)));
+    let (names, host) = names_and_host.unwrap_or_default();
     let host = host.map(|host| format!(" on host {host}")).unwrap_or_default();
     match &names[..] {
         [] => format!("participant {participant}{host}"),

@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_util::task::AbortOnDropHandle;
 
 use super::remote::remote_node;
-use super::{Publishers, ros2_name};
+use super::{PublisherNames, ros2_name};
 use crate::transport::ros::interface::{
     NodeFailure, PublisherChanges, RemoteNode, SessionSubscriber, TopicMessage,
 };
@@ -36,7 +36,7 @@ const MAX_UNMATCHED_WRITERS: usize = 64;
 pub(super) struct Ros2SessionSubscriber {
     topic: String,
     messages: mpsc::Receiver<Result<TopicMessage, NodeFailure>>,
-    publishers: Publishers,
+    publishers: PublisherNames,
     limits: Arc<SubscriberLimits>,
     _task: AbortOnDropHandle<()>,
 }
@@ -79,8 +79,8 @@ impl Ros2SessionSubscriber {
         options: &SubscriberOptions,
     ) -> Self {
         let topic = subscription.topic().to_owned();
-        Self::start(node, topic, options, |mut receiving| async move {
-            receiving.run(subscription, type_name).await;
+        Self::start(node, topic, options, |mut task| async move {
+            task.run(subscription, type_name).await;
         })
     }
 
@@ -91,18 +91,18 @@ impl Ros2SessionSubscriber {
         qos: QosProfile,
         options: &SubscriberOptions,
     ) -> Self {
-        Self::start(node, topic.to_owned(), options, |mut receiving| async move {
-            receiving.takes_any_type = true;
+        Self::start(node, topic.to_owned(), options, |mut task| async move {
+            task.takes_any_type = true;
             // The next connection of a pipeline may give its topic another type.
             loop {
-                let type_name = receiving.payload_type().await;
-                match receiving.node.create_subscription(&receiving.topic, &ros2_name(type_name), &qos) {
+                let type_name = task.payload_type().await;
+                match task.node.create_subscription(&task.topic, &ros2_name(type_name), &qos) {
                     Ok(subscription) => {
-                        if receiving.run(subscription, type_name.into()).await == SubscriptionEnd::Closed {
+                        if task.run(subscription, type_name.into()).await == SubscriptionEnd::Closed {
                             return;
                         }
                     }
-                    Err(error) => return receiving.fail(error.into()).await,
+                    Err(error) => return task.fail(error.into()).await,
                 }
             }
         })
@@ -114,24 +114,25 @@ impl Ros2SessionSubscriber {
         options: &SubscriberOptions,
         run: impl FnOnce(SubscriberTask) -> F,
     ) -> Self {
-        let ((sender, messages), (found, publishers)) =
+        let ((sender, messages), (publisher_names, publishers)) =
             (mpsc::channel(MAX_QUEUED_MESSAGES), watch::channel(BTreeSet::new()));
         let limits = Arc::new(SubscriberLimits::default());
         limits.max_message_bytes.store(options.max_message_bytes, Ordering::Relaxed);
-        let receiving = SubscriberTask {
+        let task = SubscriberTask {
             node: Arc::clone(node),
             topic: topic.clone(),
             publisher: options.publisher.clone(),
             takes_any_type: false,
             messages: sender,
-            publishers: found,
+            publishers: publisher_names,
             limits: Arc::clone(&limits),
             remote_nodes: BTreeMap::new(),
         };
-        let task = AbortOnDropHandle::new(tokio::spawn(run(receiving)));
-        Self { topic, messages, publishers, limits, _task: task }
+        let handle = AbortOnDropHandle::new(tokio::spawn(run(task)));
+        Self { topic, messages, publishers, limits, _task: handle }
     }
 
+    /// Returns a message that was taken from the queue, and subtracts its bytes from the queued bytes.
     fn release_memory(
         &self,
         message: Result<TopicMessage, NodeFailure>,
@@ -147,14 +148,17 @@ impl SubscriberTask {
     fn payload_types(&self) -> Vec<&'static str> {
         let types =
             [Image::DEFINITION.name, CompressedImage::DEFINITION.name, UInt8MultiArray::DEFINITION.name];
-        let is_from_publisher = |found: &&DiscoveredEndpoint| {
-            let wanted = self.publisher.as_deref();
-            found.role == EndpointRole::Publisher
-                && wanted.is_none_or(|wanted| found.id.participant().to_string() == wanted)
+        let is_from_publisher = |endpoint: &&DiscoveredEndpoint| {
+            let publisher_id = self.publisher.as_deref();
+            endpoint.role == EndpointRole::Publisher
+                && publisher_id
+                    .is_none_or(|publisher_id| endpoint.id.participant().to_string() == publisher_id)
         };
-        let found = self.node.endpoints_of(&self.topic);
-        let found = found.iter().filter(is_from_publisher);
-        found.filter_map(|found| types.into_iter().find(|kind| ros2_name(kind) == found.type_name)).collect()
+        let endpoints = self.node.endpoints_of(&self.topic);
+        let endpoints = endpoints.iter().filter(is_from_publisher);
+        endpoints
+            .filter_map(|endpoint| types.into_iter().find(|kind| ros2_name(kind) == endpoint.type_name))
+            .collect()
     }
 
     /// Waits for a publisher of payloads. Returns the type that it gives the topic.
@@ -215,14 +219,15 @@ impl SubscriberTask {
             if !matched.contains(&message.writer) && unmatched_writers.len() < MAX_UNMATCHED_WRITERS {
                 unmatched_writers.insert(message.writer);
             }
-            let (bytes, queued) = (message.payload.len(), self.limits.queued_bytes.load(Ordering::Relaxed));
-            let longest = self.limits.max_message_bytes.load(Ordering::Relaxed);
+            let (bytes, queued_bytes) =
+                (message.payload.len(), self.limits.queued_bytes.load(Ordering::Relaxed));
+            let max_message_bytes = self.limits.max_message_bytes.load(Ordering::Relaxed);
             // A ROS 2 publisher cannot be slowed down, and the queue must not grow without limit.
-            if bytes > longest || queued.saturating_add(bytes) > MAX_QUEUED_BYTES {
+            if bytes > max_message_bytes || queued_bytes.saturating_add(bytes) > MAX_QUEUED_BYTES {
                 tracing::debug!(
                     topic = subscription.topic(),
                     bytes,
-                    waiting = queued,
+                    waiting = queued_bytes,
                     "dropped a ROS 2 message: it is too long, or too many messages are queued"
                 );
                 continue;
@@ -251,6 +256,7 @@ impl SubscriberTask {
         self.remote_nodes.entry(id).or_insert_with(|| remote_node(&self.node, id)).clone()
     }
 
+    /// Hands the failure of the subscription to the subscriber.
     async fn fail(&self, failure: NodeFailure) {
         // Fails if nothing receives any more.
         let _ = self.messages.send(Err(failure)).await;
@@ -298,7 +304,7 @@ impl SessionSubscriber for Ros2SessionSubscriber {
     }
 }
 
-struct WatchedPublishers(Publishers);
+struct WatchedPublishers(PublisherNames);
 
 impl PublisherChanges for WatchedPublishers {
     fn changed(&self) -> BoxFuture<'_, ()> {
