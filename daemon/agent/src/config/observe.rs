@@ -108,12 +108,12 @@ impl ObserveConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PairBy {
-    /// Both have the same `header.stamp`.
+    /// Both messages have the same `header.stamp`.
     #[default]
     Stamp,
-    /// Both have the same sequence number, `header.seq`. ROS 1 only.
+    /// Both messages have the same sequence number, `header.seq`. ROS 1 only.
     Sequence,
-    /// The output message belongs to the oldest input message without one.
+    /// The output message belongs to the oldest input message that has no output message yet.
     Order,
 }
 
