@@ -284,7 +284,10 @@ fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, 
         ("actuator", pipeline.actuator.acts()),
     ];
     for (key, _) in unused_keys.into_iter().filter(|(_, is_set)| *is_set) {
-        report.add(format!("{prefix}.{key}"), format!("a pipeline that observes does not use {key}; remove it"));
+        report.add(
+            format!("{prefix}.{key}"),
+            format!("a pipeline that observes does not use {key}; remove it"),
+        );
     }
     if observed.input == observed.output {
         let text = "output is the same topic as input; name the topic that the observed nodes publish";

@@ -214,7 +214,8 @@ mod tests {
 
     #[test]
     fn prevailing_verdict_ignores_few_bad_delays() {
-        let verdict_with = |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+        let verdict_with =
+            |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
         assert_eq!(
             (verdict_with(4), verdict_with(5), Verdict::prevailing([])),
             (Some(Verdict::Ok), Some(Verdict::Stepped), None)

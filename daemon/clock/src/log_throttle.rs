@@ -52,7 +52,8 @@ impl LogThrottle {
     /// unlogged events of each removed kind that has unlogged events.
     pub fn remove_expired(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
         let expired = self.kinds.extract_if(|_, kind| now - kind.logged_at >= LINE_INTERVAL);
-        expired.filter(|(_, kind)| kind.unlogged > 0)
+        expired
+            .filter(|(_, kind)| kind.unlogged > 0)
             .map(|((reason, address), kind)| (reason, address, kind.unlogged))
             .collect()
     }

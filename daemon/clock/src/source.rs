@@ -54,7 +54,8 @@ pub trait Clock: Send + Sync + fmt::Debug {
     fn stamp(&self) -> Stamp {
         let read_clocks =
             || PairedReading { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
-        let PairedReading { before, between: (wall, mono), .. } = PairedReading::read_uninterrupted(read_clocks);
+        let PairedReading { before, between: (wall, mono), .. } =
+            PairedReading::read_uninterrupted(read_clocks);
         Stamp { wall, mono, raw: before }
     }
 

@@ -256,7 +256,8 @@ mod tests {
         assert_eq!(clock_fault(&steps("10", "10")), ["clock_fault.steps[1].at_s"]);
         let both = "steps = [{ at_s = 10, by_ms = 39 }, { at_s = 10, by_ms = 39, clock = \"raw\" }]";
         assert!(clock_fault(both).is_empty());
-        let many: Vec<String> = (1..=1001).map(|prefix| format!("{{ at_s = {prefix}, by_ms = 1 }}")).collect();
+        let many: Vec<String> =
+            (1..=1001).map(|prefix| format!("{{ at_s = {prefix}, by_ms = 1 }}")).collect();
         assert_eq!(clock_fault(&format!("steps = [{}]", many.join(", "))), ["clock_fault.steps"]);
         assert_eq!(
             clock_fault("offset_ms = inf\ndrift_ppm = nan"),

@@ -29,7 +29,7 @@ pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
         }
     }
     match (findings.is_empty(), has_source) {
-        found, => (false, _) => findings, => found,
+        (false, _) => findings,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
             vec![Finding::unknown(ABOUT, "the kernel does not report it (usual in virtual machines)")]
@@ -75,7 +75,9 @@ fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
         });
         let trip_points = passive_types.filter_map(|path| {
             let temperature_file = path.to_string_lossy().replace("_type", "_temp");
-            read_value::<f64>(Path::new(&temperature_file)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
+            read_value::<f64>(Path::new(&temperature_file))
+                .map(|millis| millis / 1e3)
+                .filter(|celsius| *celsius > 0.0)
         });
         let Some(point) = trip_points.min_by(f64::total_cmp) else { continue };
         has_zones = true;

@@ -60,7 +60,8 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
 
 /// Returns the names of the vendor and the product that the firmware reports; names that it does not report are left out.
 fn products(sys: &Path) -> Vec<String> {
-    let read_name = |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
+    let read_name =
+        |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
     [read_name("sys_vendor"), read_name("product_name")].into_iter().flatten().collect()
 }
 
@@ -98,7 +99,8 @@ fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
 
 /// Returns the container manager, if the host is a container.
 fn container(settings: &InspectionSettings) -> Option<String> {
-    let stated_manager = read_text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
+    let stated_manager =
+        read_text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
     let manager_by_marker = || {
         let marker = MARKERS.iter().find(|(file, _)| settings.root.join(file).exists());
         marker.map(|(_, manager)| (*manager).to_owned())
@@ -117,5 +119,6 @@ fn container(settings: &InspectionSettings) -> Option<String> {
 fn is_of_container(part: &str, manager: &str) -> bool {
     let Some(rest) = part.strip_prefix("cri-").unwrap_or(part).strip_prefix(manager) else { return false };
     let starts_with = |ending: &str| rest.starts_with(ending);
-    !part.ends_with(".service") && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
+    !part.ends_with(".service")
+        && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
 }

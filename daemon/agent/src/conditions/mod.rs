@@ -97,7 +97,7 @@ pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: Str
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
     let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
-        return found, => Ok(Ok(conditions)) => return conditions, => return found,
+        Ok(Ok(conditions)) => return conditions,
         Ok(Err(_)) => {
             "the inspection of the host panicked; see the log for the location in the code".to_owned()
         }

@@ -102,8 +102,15 @@ impl EventCounter {
         bytes[OWNER_OFFSET..OWNER_OFFSET + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
         let unused_records = (1..=MAX_COUNTED_RUNS).rev().collect();
-        let count_file =
-            CountFile { file, name, total: 0, runs: BTreeMap::new(), unused_records, last_sent: None, has_failed: false };
+        let count_file = CountFile {
+            file,
+            name,
+            total: 0,
+            runs: BTreeMap::new(),
+            unused_records,
+            last_sent: None,
+            has_failed: false,
+        };
         Ok(Self(Some(Arc::new(Mutex::new(count_file)))))
     }
 
@@ -122,7 +129,8 @@ impl EventCounter {
 
     /// Records a batch that is about to be sent without being in the spool.
     pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
-        if let Some(mut count_file) = self.lock_file().filter(|count_file| count_file.last_sent != Some(sent)) {
+        if let Some(mut count_file) = self.lock_file().filter(|count_file| count_file.last_sent != Some(sent))
+        {
             count_file.last_sent = Some(sent);
             let SentUnspooled { process, number, batched, reported_drops, events } = sent;
             let bytes = [process, number, batched, reported_drops, events].map(u64::to_be_bytes).concat();
@@ -182,7 +190,9 @@ impl CountFile {
             let numbers = [&numbers[..], &events.to_be_bytes()].concat();
             return self.file.write_all_at(&numbers, (*record_index * RECORD_BYTES) as u64);
         }
-        let Some(record_index) = self.unused_records.pop() else { return self.file.write_all_at(&numbers, TOTAL_OFFSET) };
+        let Some(record_index) = self.unused_records.pop() else {
+            return self.file.write_all_at(&numbers, TOTAL_OFFSET);
+        };
         self.runs.insert(run, (record_index, 1));
         let name = pipeline.map_or("", Slug::as_str).as_bytes();
         let length = u8::try_from(name.len()).unwrap_or_default();
@@ -295,7 +305,8 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
         events: number(sent, 32),
     });
     let sent = sent.filter(|sent| sent.number > 0).collect();
-    let mut counted_events = CountedEvents { total: number(header, 8), last: time(header, 16), sent, runs: Vec::new() };
+    let mut counted_events =
+        CountedEvents { total: number(header, 8), last: time(header, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD_BYTES) {
         let (total, last, events) = (number(record, 0), time(record, 8), number(record, 16));
         // A record without events is free.

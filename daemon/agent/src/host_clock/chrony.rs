@@ -44,8 +44,22 @@ impl Tracking {
     /// residual frequency, skew, root delay, root dispersion, update interval, leap status (chronyc(1), `tracking`).
     pub(super) fn parse(line: &str) -> Result<Self, TrackingError> {
         let fields: Vec<&str> = line.trim().split(',').collect();
-        let [id, name, stratum, measured_at, system_time, _, _, _, residual, skew, delay, dispersion, _, leap] =
-            fields[..]
+        let [
+            id,
+            name,
+            stratum,
+            measured_at,
+            system_time,
+            _,
+            _,
+            _,
+            residual,
+            skew,
+            delay,
+            dispersion,
+            _,
+            leap,
+        ] = fields[..]
         else {
             return Err(TrackingError::FieldCount(fields.len()));
         };
@@ -84,8 +98,8 @@ impl Tracking {
             growth_ppm: self.growth_ppm,
         });
         let text = match self {
-            => Self { is_synchronised: false, .. } => => "chrony, not synchronised".to_owned(),
-            => Self { is_local: true, .. } => => "chrony, local reference only".to_owned(),
+            Self { is_synchronised: false, .. } => "chrony, not synchronised".to_owned(),
+            Self { is_local: true, .. } => "chrony, local reference only".to_owned(),
             Self { stratum, reference, .. } => format!("chrony, stratum {stratum}, to {reference}"),
         };
         SourceReport { source: DelaySource::Chrony, claim, text }

@@ -81,7 +81,7 @@ impl Chronyc {
         if !status.success() {
             let message = [errors, output].into_iter().find(|line| !line.is_empty());
             return Err(match message {
-                ChronycError::Printed(printed), => Some(message) => ChronycError::Printed(message), => ChronycError::Printed(printed),
+                Some(message) => ChronycError::Printed(message),
                 None => ChronycError::Failed { command: command(), status },
             });
         }

@@ -30,8 +30,8 @@ fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
 
 /// Returns the bound of the error, and the state as a text.
 fn error_bound(state: Timex) -> (Option<Span>, String) {
-    let Timex { synchronised, max_error_us, estimated_error_us } = state;
-    if !synchronised {
+    let Timex { is_synchronised, max_error_us, estimated_error_us } = state;
+    if !is_synchronised {
         return (None, "kernel, not synchronised".to_owned());
     }
     // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. If `maxerror` consists of the kernel's own growth only,
@@ -52,8 +52,12 @@ fn error_bound(state: Timex) -> (Option<Span>, String) {
 mod tests {
     use super::*;
 
-    fn bound_and_text(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
-        let state = Timex { synchronised, max_error_us, estimated_error_us };
+    fn bound_and_text(
+        is_synchronised: bool,
+        max_error_us: i64,
+        estimated_error_us: i64,
+    ) -> (Option<Span>, String) {
+        let state = Timex { is_synchronised, max_error_us, estimated_error_us };
         let answer = report_from(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }
@@ -68,7 +72,10 @@ mod tests {
 
     #[test]
     fn unsynchronised_kernel_claims_nothing() {
-        assert_eq!(bound_and_text(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
+        assert_eq!(
+            bound_and_text(false, 16_000_000, 16_000_000),
+            (None, "kernel, not synchronised".to_owned())
+        );
     }
 
     #[test]

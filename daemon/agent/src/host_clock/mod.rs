@@ -118,8 +118,8 @@ pub(crate) async fn run(
         }
     };
     let query_loop = async {
-        let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = ClaimSources::new(&config, faults.as_ref(), clock.clone(), truth);
+        let true_clock = Arc::new(SystemClock::new(clock.identity().clone()));
+        let mut sources = ClaimSources::new(&config, faults.as_ref(), clock.clone(), true_clock);
         let mut ticks = interval(sources.interval());
         loop {
             ticks.tick().await;

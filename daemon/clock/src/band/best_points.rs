@@ -42,7 +42,9 @@ impl BestPoints {
             }
             _ => self.points.len(),
         };
-        if let Some(best) = self.points.get(index).copied().filter(|point| interval_of(point) == interval_number) {
+        if let Some(best) =
+            self.points.get(index).copied().filter(|point| interval_of(point) == interval_number)
+        {
             // If the skew were not removed, the lowest point would always be the earliest or the latest of its interval.
             let expected_bound = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
             if point.bound >= expected_bound {

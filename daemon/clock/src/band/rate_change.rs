@@ -149,7 +149,9 @@ fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) ->
         }
     };
     let next_index = raised.partition_point(|point| point.x < q);
-    if let (Some(a), Some(b)) = (next_index.checked_sub(1).and_then(|n| raised.get(n)), raised.get(next_index)) {
+    if let (Some(a), Some(b)) =
+        (next_index.checked_sub(1).and_then(|n| raised.get(n)), raised.get(next_index))
+    {
         let (from_a, to_b) = ((q - a.x) as f64, (b.x - q) as f64);
         let chord = ((a.bound - origin) as f64 * to_b + (b.bound - origin) as f64 * from_a) / (from_a + to_b);
         consider(chord + half_limit * from_a * to_b, BoundPair::Interpolated(*a, *b));

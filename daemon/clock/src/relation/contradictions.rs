@@ -31,7 +31,9 @@ pub(super) struct UnannouncedSteps {
 impl UnannouncedSteps {
     /// Records a step. A second step within [`VIOLATION_DURATION`] violates a limit.
     pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
-        if let Some((_, previous)) = self.last_step.filter(|(time, _)| (at - *time).abs() <= VIOLATION_DURATION) {
+        if let Some((_, previous)) =
+            self.last_step.filter(|(time, _)| (at - *time).abs() <= VIOLATION_DURATION)
+        {
             let is_drift_change = [previous, contradiction].contains(&Contradiction::DriftChange);
             let limit = if is_drift_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
             self.violated_limit = Some((at + VIOLATION_DURATION, limit));
@@ -88,7 +90,8 @@ impl SuspectExchanges {
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());
         let bounding = current.without_exchanges_before(start);
-        let still_contradicts = |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
+        let still_contradicts =
+            |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
         let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
         if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(still_contradicts) {
             self.band = None;

@@ -94,11 +94,14 @@ impl ShortestRoundTrips {
                 earlier.sent.min(point.sent).nanos(),
                 earlier.returned.max(point.returned).nanos(),
             );
-            let explanations = [by_waiting, by_drift, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
-            extra_round_trip <= movement / 4 && movement > explanations.into_iter().fold(0, i64::saturating_add)
+            let explanations =
+                [by_waiting, by_drift, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
+            extra_round_trip <= movement / 4
+                && movement > explanations.into_iter().fold(0, i64::saturating_add)
         };
         let movement = movement_from(self.points.iter().rev().find(exceeds_explanations)?);
-        let would_show_jump = |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= movement.abs() / 4;
+        let would_show_jump =
+            |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= movement.abs() / 4;
         let last = self.points.iter().rev().find(would_show_jump)?;
         Some(SuspectedJump { movement: Span::from_nanos(movement), last_before: (last.sent, last.returned) })
     }

@@ -241,9 +241,11 @@ impl Relation {
         }
         match self.estimate_before_restart.take() {
             None => LearnResult::Accepted,
-            { => Some(estimate_before) => { => {
+            Some(estimate_before) => {
                 let estimate_after = self.estimate_at(exchange.returned);
-                LearnResult::Restarted(estimate_before.zip(estimate_after).map(|(before, after)| after - before))
+                LearnResult::Restarted(
+                    estimate_before.zip(estimate_after).map(|(before, after)| after - before),
+                )
             }
         }
     }

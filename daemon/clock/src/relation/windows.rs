@@ -44,7 +44,8 @@ impl Windows {
         let limit = DriftLimit::new(settings.max_drift_ppm);
         // A time daemon may change the rate of a wall clock at once, so that its drift has no limited change.
         let are_free_running = settings.clocks.are_free_running();
-        let change = are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
+        let change =
+            are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
         let drift = DriftModel { limit, change };
         let (window, retention) = (settings.window, settings.retention);
         Self {

@@ -68,7 +68,8 @@ impl StepWatch {
         let change = now.difference() - last.difference();
         // Each reading is uncertain by half of its gap.
         let uncertainty = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
-        if change.abs() > MIN_STEP + uncertainty + parts_per_million(Self::RATE_PPM, now.after - last.before) {
+        if change.abs() > MIN_STEP + uncertainty + parts_per_million(Self::RATE_PPM, now.after - last.before)
+        {
             self.epoch += 1;
             self.last_step = Some(change);
         } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {

@@ -112,5 +112,8 @@ fn suspend_is_reported_and_is_no_step() {
     };
     assert_eq!(disturbances_of(50.0, 20, readings_with_sleep(Span::ZERO)), [Disturbance::Suspend(sleep)]);
     let late = Span::from_millis(-400);
-    assert_eq!(disturbances_of(50.0, 20, readings_with_sleep(late)), [Disturbance::Suspend(sleep), Disturbance::Step(late)]);
+    assert_eq!(
+        disturbances_of(50.0, 20, readings_with_sleep(late)),
+        [Disturbance::Suspend(sleep), Disturbance::Step(late)]
+    );
 }

@@ -56,7 +56,9 @@ impl CountOwner {
     /// namespace. Nor is it certain while another file system is mounted there, because the file's own file system may be
     /// mounted again.
     pub(super) fn is_gone(&self) -> bool {
-        if !self.path.is_absolute() || mount_namespace().is_none_or(|namespace| namespace != self.mount_namespace) {
+        if !self.path.is_absolute()
+            || mount_namespace().is_none_or(|namespace| namespace != self.mount_namespace)
+        {
             return false;
         }
         match fs::metadata(&self.path) {
@@ -72,7 +74,9 @@ impl CountOwner {
 
     fn nearest_folder_is_on_same_device(&self) -> bool {
         let mut folders = self.path.ancestors().skip(1);
-        folders.find_map(|folder| fs::metadata(folder).ok()).is_some_and(|metadata| metadata.dev() == self.device)
+        folders
+            .find_map(|folder| fs::metadata(folder).ok())
+            .is_some_and(|metadata| metadata.dev() == self.device)
     }
 
     pub(super) fn encode(&self) -> Vec<u8> {

@@ -131,8 +131,8 @@ fn step_of_peers_clock_begins_window_and_is_named() {
     let (_, changes) = clock_state.judge(&network(), &after, WAYS, now(404));
     let restart = changes.restart.expect("told");
     assert!((restart.edge, restart.cloud) == (false, true), "{restart:?}");
-    if let Some(moved) = restart.moved {
-        assert!((moved - Span::from_seconds(3)).abs() < Span::from_millis(10), "{moved}");
+    if let Some(movement) = restart.movement {
+        assert!((movement - Span::from_seconds(3)).abs() < Span::from_millis(10), "{movement}");
     }
     assert!(changes.samples.is_empty(), "{changes:?}");
     let changes = clock_state.advance_second(now(1000));
@@ -427,9 +427,9 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
     for n in 0..60 {
         let sent = n * 100;
         let mut observation = exchange(sent, 0);
-        let moved = Span::from_millis(if (20..40).contains(&n) { 8 } else { 0 });
+        let movement = Span::from_millis(if (20..40).contains(&n) { 8 } else { 0 });
         let stamps = &mut observation.exchange;
-        (stamps.received, stamps.replied) = (stamps.received + moved, stamps.replied + moved);
+        (stamps.received, stamps.replied) = (stamps.received + movement, stamps.replied + movement);
         // Twelve milliseconds on the way, so that no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
@@ -440,7 +440,7 @@ fn suspected_jump_begins_a_window_and_is_reported_once_a_minute() {
     }
     let [jump] = jumps[..] else { panic!("{jumps:?}") };
     assert!(
-        (jump.moved - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
+        (jump.movement - Span::from_millis(8)).abs() < Span::from_millis(1) && jump.unreported == 0,
         "{jump:?}"
     );
     assert!(windows.contains(&before) && windows.len() == 3, "{windows:?}");

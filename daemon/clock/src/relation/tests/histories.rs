@@ -45,7 +45,10 @@ impl History {
             let offset = Span::from_nanos(random.between(-1e15, 1e15) as i64);
             let half_limit = LIMIT_PPM / 2.0;
             if random.chance(0.33) {
-                return SimulatedClock::drifting(offset, if random.chance(0.5) { half_limit } else { -half_limit });
+                return SimulatedClock::drifting(
+                    offset,
+                    if random.chance(0.5) { half_limit } else { -half_limit },
+                );
             }
             SimulatedClock::warming(offset, half_limit, CHANGE_PPM_PER_S / 2.0, length, random)
         };
@@ -69,7 +72,8 @@ impl History {
         let mut route = if is_tight { tight_path } else { path(random) };
         let other_route =
             if random.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(random) };
-        let flap_interval = if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
+        let flap_interval =
+            if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
         let mut trips = Vec::new();
         for (begin, end) in [(0.0, pause_start), (pause_start + pause, LENGTH + pause)] {
             let mut from = begin;
@@ -77,7 +81,11 @@ impl History {
                 let until = (from + flap_interval).min(end);
                 trips.extend(route.trips(&host_clocks, (from, until), hz, random));
                 if until < end {
-                    route = if route.up == other_route.up { Path { up: other_route.down, ..other_route } } else { other_route };
+                    route = if route.up == other_route.up {
+                        Path { up: other_route.down, ..other_route }
+                    } else {
+                        other_route
+                    };
                 }
                 from = until;
             }
@@ -89,7 +97,8 @@ impl History {
                 || trip.end < restart_time
                 || trip.end - (trip.up + trip.down).nanos() as f64 - 1e9 > restart_time
         });
-        let with_epochs = trips.into_iter().map(|trip| (trip, u32::from(cloud_restarts && trip.end > restart_time)));
+        let with_epochs =
+            trips.into_iter().map(|trip| (trip, u32::from(cloud_restarts && trip.end > restart_time)));
         let mut trips: Vec<(Trip, u32)> = with_epochs.collect();
         for (trip, _) in &mut trips {
             trip.end += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
@@ -132,7 +141,10 @@ fn delays_of_generated_histories_contain_truth() {
             if newest_epoch == 0 {
                 let exchange = &earlier_trip.exchange;
                 check(relation.delay(Direction::Up, exchange.sent, exchange.received), earlier_trip.up);
-                check(relation.delay(Direction::Down, exchange.replied, exchange.returned), earlier_trip.down);
+                check(
+                    relation.delay(Direction::Down, exchange.replied, exchange.returned),
+                    earlier_trip.down,
+                );
             }
         }
     }

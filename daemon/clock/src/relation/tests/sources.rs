@@ -91,7 +91,10 @@ fn claim_holds_without_exchanges_until_step() {
     let mut relation = relation_over_asymmetric_path();
     relation.set_claims(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
     let offset_without_exchanges = relation.offset(at(300), WallTime::default()).expect("known");
-    assert_eq!((offset_without_exchanges.source, offset_without_exchanges.verdict), (DelaySource::Chrony, Verdict::Ok));
+    assert_eq!(
+        (offset_without_exchanges.source, offset_without_exchanges.verdict),
+        (DelaySource::Chrony, Verdict::Ok)
+    );
     relation.restart_after_edge_step(1);
     assert_eq!(relation.offset(at(300), WallTime::default()), None);
 }

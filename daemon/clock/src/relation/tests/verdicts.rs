@@ -88,7 +88,8 @@ fn delay_without_fresh_exchange_is_stale() {
     assert!(contains(&judged.up, late_trip.up) && judged.up.value.is_some());
     // This exchange makes the next delay recent. It also makes its own delay recent when that is judged later.
     assert_eq!(relation.judge(&trip_with_large_image(42e9).observation()).up.verdict, Verdict::Ok);
-    let delay_judged_later = relation.delay(Direction::Up, late_trip.exchange.sent, late_trip.exchange.received);
+    let delay_judged_later =
+        relation.delay(Direction::Up, late_trip.exchange.sent, late_trip.exchange.received);
     assert_eq!(delay_judged_later.verdict, Verdict::Ok);
     assert_eq!(relation.offset(at(41), WallTime::default()).map(|offset| offset.verdict), Some(Verdict::Ok));
     assert_eq!(

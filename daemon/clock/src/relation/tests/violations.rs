@@ -136,7 +136,10 @@ fn unannounced_jump_is_suspected_by_first_exchanges() {
             // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
             // of exchanges without a wait.
             let latest_suspicion = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
-            assert!(effect.first_jump.is_some_and(|after| after < latest_suspicion), "{delays:?} {jump}: {effect:?}");
+            assert!(
+                effect.first_jump.is_some_and(|after| after < latest_suspicion),
+                "{delays:?} {jump}: {effect:?}"
+            );
             assert!(
                 effect.last_wrong_delay < 0.5 && effect.jumps == 1 && effect.violated_limit.is_none(),
                 "{delays:?} {jump}: {effect:?}"

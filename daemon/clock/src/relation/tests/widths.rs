@@ -54,6 +54,9 @@ fn higher_drift_limit_does_not_widen_quiet_path() {
     let host_clocks = host_clocks();
     let (width_before, error_before, _) = measure(Path::VETH, limit(50.0), &host_clocks);
     let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &host_clocks);
-    assert!(width <= width_before && error <= error_before && error < 0.001, "{width} {width_before} {error}");
+    assert!(
+        width <= width_before && error <= error_before && error < 0.001,
+        "{width} {width_before} {error}"
+    );
     assert_eq!(jumps, 0);
 }
