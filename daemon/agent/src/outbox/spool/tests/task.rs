@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_stream::{Chain, StreamId};
 
 use super::super::error::SpoolFileError;
-use super::super::task::{OrderResult, Order, SpoolTask, SpoolTaskError};
+use super::super::task::{Order, OrderResult, SpoolTask, SpoolTaskError};
 use super::*;
 
 const HOUR: Duration = Duration::from_secs(3600);
