@@ -115,12 +115,12 @@ impl RosOverWire {
     ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
-            print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
+            print_line(&format!("{what}, {direction}: {}", comparison.summary()));
             assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
-            assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
+            assert!(comparison.compared >= 250, "{direction}: {}", comparison.summary());
             // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
             // difference.
-            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
+            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.summary());
         }
         // True delays: the delay of the wire, and the time that programs on a busy machine add.
         for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {

@@ -201,8 +201,8 @@ fn delays_by_trusted_claims_are_marked() {
     let iterations = scene.iterations("source.text = 'chrony'");
     let of_kernel = HostClock::of_kernel();
     let (up, down) = compare(&iterations, &edge, &of_kernel);
-    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
-    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.summary()));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.summary()));
     assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
     for both in &iterations {
         for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {

@@ -152,7 +152,7 @@ fn forged(probes: u64) {
     let (up, down) = assert_contains_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
-        assert!(comparison.compared > 500, "{}", comparison.in_words());
+        assert!(comparison.compared > 500, "{}", comparison.summary());
     }
     let probes =
         testbed.query_database("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");

@@ -40,7 +40,7 @@ fn assert_contains_truth(
 ) -> (Comparison, Comparison) {
     let (up, down) = compare(iterations, edge, cloud);
     for (direction, comparison) in [("upload", &up), ("download", &down)] {
-        print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
+        print_line(&format!("{what}, {direction}: {}", comparison.summary()));
         for one in &comparison.without_value {
             print_line(&format!("  without a value: {one}"));
         }

@@ -40,8 +40,8 @@ fn capture_shows_rate_of_limited_link() {
     assert_eq!(sender.join().expect("no panic"), BYTES);
 
     let packets = capture.finish();
-    let way = |left: bool| {
-        let up = packets.iter().filter(move |packet| packet.left == left && packet.payload > 0);
+    let way = |is_outgoing: bool| {
+        let up = packets.iter().filter(move |packet| packet.is_outgoing == is_outgoing && packet.payload > 0);
         let up: Vec<_> = up.filter(|packet| (packet.source, packet.destination) == (edge, cloud)).collect();
         let bytes: usize = up.iter().map(|packet| packet.payload).sum();
         assert!(bytes >= BYTES, "{bytes}");

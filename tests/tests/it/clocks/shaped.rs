@@ -15,8 +15,8 @@ fn router_transit_time(packets: &[Packet], from: &Host, sent: WallTime, received
     let own = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
     };
-    let first = packets.iter().filter(own).find(|packet| !packet.left).expect("something went in");
-    let last = packets.iter().filter(own).rfind(|packet| packet.left).expect("something came out");
+    let first = packets.iter().filter(own).find(|packet| !packet.is_outgoing).expect("something went in");
+    let last = packets.iter().filter(own).rfind(|packet| packet.is_outgoing).expect("something came out");
     last.at - first.at
 }
 

@@ -72,7 +72,7 @@ fn slewed_wall_clock_affects_no_delay() {
     let (up, down) = assert_contains_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
-        assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.in_words());
+        assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.summary());
     }
     let good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
     let settled: Vec<&Iteration> = iterations.iter().filter(|iteration| iteration.number > WARM_UP).collect();

@@ -44,7 +44,7 @@ fn check_case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) 
     let (up, down) = assert_contains_truth(&what, &testbed.iterations(), &edge, &cloud);
     for comparison in [&up, &down] {
         assert_eq!(comparison.compared, STEADY + QUICK + 2 * WARM_UP as usize);
-        assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.in_words());
+        assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.summary());
     }
 }
 

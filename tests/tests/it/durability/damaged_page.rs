@@ -53,7 +53,7 @@ fn why_not_ready(fleet: &Fleet) -> String {
 fn with_events_in_the_file(events: u64) -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > events);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > events);
     fleet.aggregator.stop();
     fleet.restart_aggregator();
     fleet
@@ -68,9 +68,9 @@ fn damaged_page_stops_storing_until_repaired() {
     let why = why_not_ready(&fleet);
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
     // The agent reports the last acknowledgement a moment later.
-    let then =
-        fleet.counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
-    let later = fleet.counts(0, "more events wait", |counts| counts.waiting > then.waiting + 400);
+    let then = fleet
+        .wait_for_counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
+    let later = fleet.wait_for_counts(0, "more events wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
@@ -84,8 +84,8 @@ fn damaged_page_stops_storing_until_repaired() {
     assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
     // Events that were committed while the damage was found were not acknowledged; they are counted since the
     // restart.
-    let then = fleet.counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
-    let again = fleet.counts(0, "even more wait", |counts| counts.waiting > then.waiting + 400);
+    let then = fleet.wait_for_counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
+    let again = fleet.wait_for_counts(0, "even more wait", |counts| counts.waiting > then.waiting + 400);
     assert_eq!(again.events, then.events, "nothing more is stored");
     fleet.aggregator.stop();
 
@@ -122,7 +122,7 @@ fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     wait_until("ready", || is_ready(&fleet).then_some(()));
     fleet.agents[0].stop();
     fleet.start_without_pipelines(0);
-    let counts = fleet.counts(0, "everything is delivered", |counts| {
+    let counts = fleet.wait_for_counts(0, "everything is delivered", |counts| {
         counts.waiting == 0 && counts.events + counts.missing == counts.produced
     });
     assert_eq!((counts.dropped, counts.stored), (0, counts.produced), "{counts:?}");
@@ -134,7 +134,7 @@ fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     let [run] = stored_events.runs.values().collect::<Vec<_>>()[..] else {
         panic!("one run: {stored_events:?}")
     };
-    assert_eq!(run.counted, run.iterations(), "{run:?}");
+    assert_eq!(run.counted_iterations, run.iterations(), "{run:?}");
     assert_eq!((run.with_nodes, run.incomplete), (run.iterations(), 0), "{run:?}");
     assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
     let host = &stored_events.hosts["edge"];

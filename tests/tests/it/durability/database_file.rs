@@ -20,7 +20,7 @@ fn fleet_in(database: &Path) -> Fleet {
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::with_database(&database.display().to_string(), &["edge"], &configuration);
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
     fleet
 }
 
@@ -34,7 +34,7 @@ fn not_ready(fleet: &Fleet, words: &str) {
 /// Waits until the aggregator is ready and has stored the events that waited on its agent.
 fn wait_until_storing(fleet: &Fleet) {
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100 && counts.events > 0);
 }
 
 /// Stops everything; checks that each produced event is stored or counted as dropped.
@@ -119,7 +119,7 @@ fn moved_database_is_closed_and_reopened() {
 fn database_replaced_by_backup_is_compared_with_spools() {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 200);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 200);
     let database = fleet.database().to_owned();
     let backup = fleet.deployment.folder().join("backup.sqlite");
     let copied = fleet
@@ -128,8 +128,8 @@ fn database_replaced_by_backup_is_compared_with_spools() {
         .wait_for_end();
     assert_eq!(copied.code(), 0, "{}", copied.log);
     let older = StoredEvents::read(&backup);
-    let before = fleet.counts(0, "it reports", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
+    let before = fleet.wait_for_counts(0, "it reports", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 200);
 
     let [main, log, shared] = files(&database);
     for file in [&main, &log, &shared] {
@@ -140,7 +140,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     not_ready(&fleet, "cannot store events");
     std::fs::rename(&backup, &main).expect("restores");
     wait_until_storing(&fleet);
-    fleet.counts(0, "newer events are stored", |counts| counts.events > older.iterations() + 200);
+    fleet.wait_for_counts(0, "newer events are stored", |counts| counts.events > older.iterations() + 200);
     let stored_events = assert_all_accounted_for(&mut fleet);
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");

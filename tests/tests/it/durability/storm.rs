@@ -66,7 +66,7 @@ impl Storm {
         fleet.start_all();
         // An agent creates its host id at its first start, and cannot start if there is no space for that.
         for agent in 0..AGENTS.len() {
-            fleet.counts(agent, "the agent is known", |counts| counts.produced > 0);
+            fleet.wait_for_counts(agent, "the agent is known", |counts| counts.produced > 0);
         }
         Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
     }

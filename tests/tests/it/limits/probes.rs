@@ -33,7 +33,7 @@ fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
 #[test]
 fn peers_probes_are_answered_during_forged_flood() {
     let testbed = TwoHostTestbed::new(|_| Network::direct().with_third_host());
-    let (cloud, third) = (testbed.network.cloud(), testbed.network.third());
+    let (cloud, third) = (testbed.network.cloud(), testbed.network.third_host());
     // Packets with forged source addresses are accepted, and their answers are sent.
     for interface in ["all", "third"] {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);

@@ -134,7 +134,7 @@ fn attack(machines: &DocumentedCommands) -> Process {
         machines.network().cloud_address_for_third_host()
     );
     let arguments: Vec<&str> = line.split(' ').collect();
-    machines.network().third().start(Path::new("python3"), &arguments, machines.folder(), &[])
+    machines.network().third_host().start(Path::new("python3"), &arguments, machines.folder(), &[])
 }
 
 fn curl(path: &str) -> String {

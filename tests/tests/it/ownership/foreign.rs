@@ -135,8 +135,8 @@ fn foreign_reports_leave_run_unchanged() {
     );
     assert!(incidents.iter().filter(foreign).all(|incident| incident["run"] != 1), "{incidents:?}");
 
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
+    let seen = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = stop(&mut fleet);

@@ -51,8 +51,8 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
+    let seen = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
     fleet.stop();
     record_figures(
         "invented hosts",

@@ -67,8 +67,8 @@ fn impostor_does_not_exclude_known_host() {
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
     let words = impostor.expect_refusal(&misbehaving_peer);
     assert!(words.contains("clear-host-secret"), "{words}");
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "it goes on", |counts| counts.events > seen.events + 50 && counts.waiting < 100);
+    let seen = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "it goes on", |counts| counts.events > seen.events + 50 && counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
@@ -107,7 +107,7 @@ fn host_secret_survives_loss_of_spool_or_database() {
     std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "it is stored again", |counts| counts.events > 20);
+    fleet.wait_for_counts(0, "it is stored again", |counts| counts.events > 20);
     assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
@@ -130,7 +130,7 @@ fn cleared_secret_permits_a_new_one() {
         let stored = query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
         (stored.trim() == after).then_some(())
     });
-    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();

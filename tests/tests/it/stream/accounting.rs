@@ -15,13 +15,13 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.counts(agent, "something is stored", |counts| counts.events > 100);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 100);
     }
     fleet.aggregator.stop();
     fleet.restart_aggregator();
     let accounts: Vec<EventCounts> = (0..2)
         .map(|agent| {
-            fleet.counts(agent, "drops are told", |counts| counts.dropped > 0);
+            fleet.wait_for_counts(agent, "drops are told", |counts| counts.dropped > 0);
             fleet.agents[agent].stop();
             fleet.deliver_spool(agent)
         })

@@ -12,7 +12,7 @@ fn full_database_disk_stops_storing_without_loss() {
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
     let mut fleet = Fleet::with_database(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
 
     disk.fill();
     let words = wait_until("not ready", || {
@@ -28,12 +28,12 @@ fn full_database_disk_stops_storing_without_loss() {
     };
     let at = second().expect("it measures");
     wait_until("newer figures", || second().filter(|now| *now > at + 1));
-    let kept = fleet.counts(0, "events wait", |counts| counts.waiting > 400);
+    let kept = fleet.wait_for_counts(0, "events wait", |counts| counts.waiting > 400);
     assert_eq!(kept.dropped, 0, "{kept:?}");
 
     disk.free();
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.counts(0, "what waited is stored", |counts| counts.events > kept.events + kept.waiting);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.events > kept.events + kept.waiting);
     let outage = fleet.api.wait_until("/api/v1/incidents", |list| {
         let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
         storage["text"].as_str().map(str::to_owned)

@@ -10,14 +10,14 @@ use super::{assert_nothing_lost, wait_for_turn};
 fn with_agent() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 0);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
     fleet
 }
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
 fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
+    let seen = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.events > seen.events + 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = fleet.stop();

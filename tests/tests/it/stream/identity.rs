@@ -22,7 +22,7 @@ fn stop_measuring_and_deliver(fleet: &mut Fleet, agent: usize) {
     fleet.agents[agent].stop();
     let since = fleet.start_without_pipelines(agent);
     fleet
-        .counts(agent, "nothing waits", |counts| counts.seen > since && counts.waiting == 0)
+        .wait_for_counts(agent, "nothing waits", |counts| counts.last_seen > since && counts.waiting == 0)
         .assert_balanced();
 }
 
@@ -39,7 +39,7 @@ fn restored_database_records_gap_and_continues() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
     let store = fleet.database().parent().expect("a folder of its own").to_owned();
     let backup = fleet.deployment.folder().join("backup");
     fleet.aggregator.stop();
@@ -47,15 +47,15 @@ fn restored_database_records_gap_and_continues() {
     let older = fleet.stored_events();
 
     fleet.restart_aggregator();
-    let before = fleet.counts(0, "it is back", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
+    let before = fleet.wait_for_counts(0, "it is back", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
     fleet.aggregator.stop();
     let newer = fleet.stored_events();
     std::fs::remove_dir_all(&store).expect("the aggregator has stopped");
     copy(&backup, &store);
 
     fleet.restart_aggregator();
-    fleet.counts(0, "newer batches are stored", |counts| counts.events > older.iterations() + 1_000);
+    fleet.wait_for_counts(0, "newer batches are stored", |counts| counts.events > older.iterations() + 1_000);
     stop_measuring_and_deliver(&mut fleet, 0);
     let stored_events = fleet.stop();
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
@@ -84,21 +84,21 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
     // The copied spool contains batches that the first agent delivers before the copy connects.
     kill_with_batches(&mut fleet);
     let folder = fleet.deployment.folder();
     copy(&folder.join("edge"), &folder.join("copy"));
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "it delivers", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "it delivers", |counts| counts.waiting < 100);
 
     let copied = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
     let mut copy = Daemon::start_new(&fleet.deployment, "copy", &copied);
     let said = copy.process().wait_for("refused");
     assert!(said.contains("another agent with the host id"), "{said}");
     copy.stop();
-    fleet.counts(0, "the first goes on", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "the first goes on", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     fleet.agents[0].stop();
@@ -106,7 +106,9 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.start(&fleet.deployment);
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
-    fleet.counts(1, "what the copy measures is stored", |counts| counts.waiting < 100 && counts.stored > 500);
+    fleet.wait_for_counts(1, "what the copy measures is stored", |counts| {
+        counts.waiting < 100 && counts.stored > 500
+    });
     stop_measuring_and_deliver(&mut fleet, 1);
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
@@ -123,7 +125,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
     kill_with_batches(&mut fleet);
     for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
@@ -133,7 +135,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     }
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
+    fleet.wait_for_counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
     stop_measuring_and_deliver(&mut fleet, 0);
     let mut stored_events = fleet.stop();
     let host = stored_events.hosts.get_mut("edge").expect("stored");
@@ -151,7 +153,7 @@ fn second_agent_in_state_folder_is_refused() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 0);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
     let second = edge_in("{folder}/edge", "", "").replace("NAME", "second");
     fleet.deployment.write("second.toml", &second);
     let ended = fleet.deployment.start("second.toml").wait_for_end();

@@ -93,7 +93,7 @@ fn kill(fleet: &mut Fleet, agent: Option<usize>, aggregator: bool, rng: &mut Tes
             fleet.agents[agent].process().wait_for("spooled batch=");
         }
         if aggregator {
-            fleet.counts(0, "something is stored", |counts| counts.events > 0);
+            fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
         }
     }
     rng.sleep_up_to(LIFE);

@@ -29,7 +29,7 @@ fn day_long_outage_is_delivered_in_order() {
     let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);
-    fleet.counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "it is there", |_| true);
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.

@@ -16,26 +16,26 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
     let mut fleet = Fleet::with_database(&database, &["edge"], &agent);
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
 
     // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
-    let before = fleet.counts(0, "it is known", |_| true);
-    let now = fleet.counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
+    let before = fleet.wait_for_counts(0, "it is known", |_| true);
+    let now = fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
     assert_eq!(now.dropped, 0, "{now:?}");
 
     // The aggregator accepts no more events, so that the spool would have to grow.
     store.fill();
-    let troubled = fleet.counts(0, "the spool fails", |counts| counts.trouble.is_some());
+    let troubled = fleet.wait_for_counts(0, "the spool fails", |counts| counts.trouble.is_some());
     let words = troubled.trouble.as_deref().unwrap_or_default();
     assert!(words.contains("full"), "why: {words}");
-    let full = fleet.counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
+    let full = fleet.wait_for_counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
     assert!(full.produced > troubled.produced, "measuring goes on: {full:?}");
 
     state.free();
-    fleet.counts(0, "the spool works again", |counts| counts.trouble.is_none());
+    fleet.wait_for_counts(0, "the spool works again", |counts| counts.trouble.is_none());
     store.free();
-    fleet.counts(0, "what waited is stored", |counts| counts.events > full.events + 5_000);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.events > full.events + 5_000);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
@@ -95,7 +95,7 @@ fn start_on_full_disk_counts_dropped_events() {
     state.free();
     fleet.restart_aggregator();
     fleet.start_without_pipelines(0);
-    let counts = fleet.counts(0, "what was lost is told", |counts| {
+    let counts = fleet.wait_for_counts(0, "what was lost is told", |counts| {
         counts.gaps > 0 && counts.waiting == 0 && counts.events == counts.stored
     });
     counts.assert_balanced();

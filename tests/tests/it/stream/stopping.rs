@@ -52,7 +52,7 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 1_000);
     let ended = fleet.agents[0].stop();
     assert_everything_is_stored("SIGTERM, agent", fleet, answers(&ended));
 }
@@ -64,7 +64,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.counts(agent, "something is stored", |counts| counts.events > 1_000);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 1_000);
     }
     fleet.aggregator.stop();
     let first = fleet.stored_events();
@@ -72,7 +72,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     // Acknowledged batches are deleted in the spools: if they had not been stored, there would be a gap now.
     fleet.restart_aggregator();
     for (agent, before) in before.into_iter().enumerate() {
-        fleet.counts(agent, "more is stored", |counts| counts.events > before);
+        fleet.wait_for_counts(agent, "more is stored", |counts| counts.events > before);
         fleet.agents[agent].stop();
         fleet.deliver_spool(agent).assert_balanced();
     }
