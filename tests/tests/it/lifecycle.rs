@@ -62,8 +62,8 @@ fn service_manager_receives_ready_watchdog_and_stopping() {
     manager.wait_for("WATCHDOG=1");
     daemon.terminate();
     manager.wait_for("STOPPING=1");
-    let ended = daemon.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = daemon.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 #[test]
@@ -110,10 +110,10 @@ fn second_signal_ends_daemon_immediately() {
 #[test]
 fn version_contains_the_commit() {
     let deployment = LoopbackDeployment::new();
-    let ended = deployment.peernetd(&["--version"]).wait_for_end();
-    assert_eq!(ended.code(), 0);
-    let words: Vec<&str> = ended.log.split_whitespace().collect();
+    let end = deployment.peernetd(&["--version"]).wait_for_end();
+    assert_eq!(end.code(), 0);
+    let words: Vec<&str> = end.log.split_whitespace().collect();
     assert_eq!(words[0], "peernetd");
     assert_eq!(words[1], env!("CARGO_PKG_VERSION"));
-    assert!(words[2].starts_with('('), "{}", ended.log);
+    assert!(words[2].starts_with('('), "{}", end.log);
 }

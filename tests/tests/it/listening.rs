@@ -58,10 +58,10 @@ fn network_and_address_must_agree() {
     ] {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        assert_eq!(ended.code(), 78, "{}", ended.log);
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        assert_eq!(end.code(), 78, "{}", end.log);
         for part in ["it.toml:", "zmq-udp", "zmq-tcp"] {
-            assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+            assert!(end.log.contains(part), "{part} is missing in:\n{}", end.log);
         }
     }
 }
@@ -69,7 +69,7 @@ fn network_and_address_must_agree() {
 #[test]
 fn wrong_lists_of_addresses_are_refused() {
     let deployment = LoopbackDeployment::new();
-    for (listen, said) in [
+    for (listen, output) in [
         ("[]", "the list is empty"),
         (
             "[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]",
@@ -82,8 +82,8 @@ fn wrong_lists_of_addresses_are_refused() {
             "it.toml",
             &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n[serve]\nlisten = {listen}\n"),
         );
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        assert_eq!(ended.code(), 78, "{}", ended.log);
-        assert!(ended.log.contains(said) && ended.log.contains("serve.listen"), "{said} in {}", ended.log);
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        assert_eq!(end.code(), 78, "{}", end.log);
+        assert!(end.log.contains(output) && end.log.contains("serve.listen"), "{output} in {}", end.log);
     }
 }

@@ -74,9 +74,9 @@ fn damage(file: &Path, table: &str) {
 fn backup_of_busy_aggregator_is_consistent() {
     let (deployment, aggregator, edge, api) = measuring();
     let before = stored(&api);
-    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(ended.log.contains("copy.sqlite"), "it says where the copy is: {}", ended.log);
+    let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(end.log.contains("copy.sqlite"), "it says where the copy is: {}", end.log);
     let after = wait_until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
 
     // What one table counts is in the others: the copy contains nothing of a later time.
@@ -88,9 +88,9 @@ fn backup_of_busy_aggregator_is_consistent() {
     let ok = number(&copy, "SELECT ok FROM run");
     assert!((before..after).contains(&ok), "{before} ≤ {ok} < {after}");
     assert!(!deployment.folder().join("copy.sqlite.partial").exists());
-    let ended = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(ended.log.contains("healthy"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(end.log.contains("healthy"), "{}", end.log);
 
     let again = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
     assert_eq!(again.code(), 69, "{}", again.log);
@@ -108,8 +108,8 @@ fn backup_of_busy_aggregator_is_consistent() {
 #[test]
 fn aggregator_continues_from_backup_and_reports_gap() {
     let (deployment, aggregator, edge, api) = measuring();
-    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let then = stored(&api);
     wait_until("more iterations", || (stored(&api) > then + 300).then_some(()));
     aggregator.kill();
@@ -129,19 +129,18 @@ fn aggregator_continues_from_backup_and_reports_gap() {
     wait_until("new iterations", || (stored(&api) > now + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
-    let ended = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
-    assert_eq!(ended.code(), 0, "a gap is known and no damage: {}", ended.log);
-    assert!(ended.log.contains("never arrived"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
+    assert_eq!(end.code(), 0, "a gap is known and no damage: {}", end.log);
+    assert!(end.log.contains("never arrived"), "{}", end.log);
 }
 
 #[test]
 fn doctor_exit_code_reports_damage() {
     let (deployment, aggregator, edge, _api) = measuring();
     // Both processes are running.
-    let ended = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let report: Value =
-        serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
+    let end = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let report: Value = serde_json::from_str(&end.log).unwrap_or_else(|error| panic!("{error}: {}", end.log));
     assert_eq!(report["healthy"], true);
     assert_eq!(report["database"]["integrity"]["problems"].as_array().map(Vec::len), Some(0));
     let node = report["database"]["tables"]
@@ -158,25 +157,24 @@ fn doctor_exit_code_reports_damage() {
     let file = deployment.folder().join("edge/spool.sqlite");
     let waiting = number(&file, "SELECT count(*) FROM batch");
     assert!(waiting > 0);
-    let ended = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
-    let report: Value =
-        serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
-    assert_eq!((ended.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
+    let end = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
+    let report: Value = serde_json::from_str(&end.log).unwrap_or_else(|error| panic!("{error}: {}", end.log));
+    assert_eq!((end.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
     change(
         &file,
         "UPDATE batch SET body = CAST(substr(body, 1, length(body) - 1) || x'ff' AS BLOB) \
          WHERE number = (SELECT max(number) FROM batch)",
     );
-    let ended = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
-    assert_eq!(ended.code(), 65, "{}", ended.log);
-    assert!(ended.log.contains("changed after they were spooled"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
+    assert_eq!(end.code(), 65, "{}", end.log);
+    assert!(end.log.contains("changed after they were spooled"), "{}", end.log);
 
-    let ended = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     damage(&deployment.folder().join("damaged.sqlite"), "node");
-    let ended = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
-    assert_eq!(ended.code(), 65, "{}", ended.log);
-    assert!(ended.log.contains("damaged") && ended.log.contains("restore"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
+    assert_eq!(end.code(), 65, "{}", end.log);
+    assert!(end.log.contains("damaged") && end.log.contains("restore"), "{}", end.log);
     assert_eq!(run(&deployment, &["doctor", "--database", "none.sqlite"]).code(), 69);
     assert_eq!(run(&deployment, &["doctor"]).code(), 64);
     assert_eq!(run(&deployment, &["doctor", "--config", "none.toml"]).code(), 78);
@@ -201,12 +199,12 @@ fn database_has_one_writing_process() {
     let path = database(&deployment);
     let before = statistics(&path);
     assert!(!before.is_empty());
-    let ended = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);
     change(&path, "DELETE FROM rollup");
-    let ended = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);
     let unknown = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "99"]);
     assert_eq!(unknown.code(), 64, "{}", unknown.log);

@@ -203,8 +203,8 @@ fn check_refuses_observation_of_ros_2() {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        (ended.code(), ended.log)
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        (end.code(), end.log)
     };
     let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
     assert_eq!(code, 78, "{log}");
@@ -229,13 +229,13 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
     deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-    assert_eq!(ended.code(), 78, "{}", ended.log);
+    let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+    assert_eq!(end.code(), 78, "{}", end.log);
     for part in [
         "pipeline[0].sensor: a pipeline that observes does not use sensor",
         "pipeline[0].load: a pipeline that observes does not use load",
         "pipeline[0].placement.output: output is the same topic as input",
     ] {
-        assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in:\n{}", end.log);
     }
 }

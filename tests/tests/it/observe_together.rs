@@ -78,8 +78,9 @@ struct RosOverWire {
 impl RosOverWire {
     /// Starts the master, the camera, and the node on the cloud with these arguments.
     fn new(answering: &[&str]) -> Self {
-        let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
-        let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
+        let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+        let testbed =
+            TwoHostTestbed::new(|folder| Network::wire(folder, wire_direction(30), wire_direction(5)));
         let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
         let (on_edge, on_cloud) = (ros_environment(edge, edge), ros_environment(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
@@ -301,8 +302,8 @@ fn check_refuses_peer_without_message_key() {
     let check = |pipeline: &str| {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        (ended.code(), ended.log)
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        (end.code(), end.log)
     };
     let with_peer = robot("tcp://rack:5551", "");
     assert_eq!(check(&with_peer).0, 0);

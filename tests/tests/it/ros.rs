@@ -199,43 +199,47 @@ fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32,
     let uri = uri(deployment.data);
     let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
     let program = peernet_tests::program("peernetd");
-    let ended = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();
-    (ended.code(), ended.log)
+    let end = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();
+    (end.code(), end.log)
 }
 
 #[test]
 fn check_names_topic_errors() {
     let deployment = LoopbackDeployment::new();
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
-    let (code, said) = check(&deployment, "topic = \"/words\"", actuator);
-    assert_eq!(code, 78, "{said}");
+    let (code, output) = check(&deployment, "topic = \"/words\"", actuator);
+    assert_eq!(code, 78, "{output}");
     assert!(
-        said.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
-        "{said}"
+        output.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
+        "{output}"
     );
-    let (code, said) = check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
-    assert_eq!(code, 78, "{said}");
-    assert!(said.contains("`words` is not the name of a ROS message type"), "{said}");
+    let (code, output) =
+        check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
+    assert_eq!(code, 78, "{output}");
+    assert!(output.contains("`words` is not the name of a ROS message type"), "{output}");
     if !peernet_ros::ros2::IS_BUILT {
-        let (code, said) = check(&deployment, sensor, "topic = \"/answers\", ros_version = 2");
-        assert_eq!(code, 78, "{said}");
-        assert!(said.contains("pipeline[0].actuator: this build has no ROS 2"), "{said}");
+        let (code, output) = check(&deployment, sensor, "topic = \"/answers\", ros_version = 2");
+        assert_eq!(code, 78, "{output}");
+        assert!(output.contains("pipeline[0].actuator: this build has no ROS 2"), "{output}");
     }
     // A condition that may change in a moment is a note.
-    let (code, said) = check(&deployment, sensor, actuator);
-    assert_eq!(code, 0, "{said}");
-    assert!(said.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"), "{said}");
+    let (code, output) = check(&deployment, sensor, actuator);
+    assert_eq!(code, 0, "{output}");
+    assert!(
+        output.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"),
+        "{output}"
+    );
     let robot = Robot::start(&deployment);
-    let (_, said) = check(&deployment, sensor, actuator);
-    assert!(said.contains("does not know topic /words yet; it knows no topic at all"), "{said}");
+    let (_, output) = check(&deployment, sensor, actuator);
+    assert!(output.contains("does not know topic /words yet; it knows no topic at all"), "{output}");
     let _words = robot.publish::<StringMessage>("/words");
     let _answers = robot.publish::<CompressedImage>("/answers");
-    let (code, said) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
-    assert_eq!(code, 0, "{said}");
+    let (code, output) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
+    assert_eq!(code, 0, "{output}");
     for part in [
         "pipeline[0].sensor: topic /words has the type std_msgs/String, not sensor_msgs/Image",
         "pipeline[0].actuator: topic /answers has the type sensor_msgs/CompressedImage, not std_msgs/String",
     ] {
-        assert!(said.contains(part), "{part} is missing in:\n{said}");
+        assert!(output.contains(part), "{part} is missing in:\n{output}");
     }
 }

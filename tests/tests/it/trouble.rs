@@ -50,8 +50,8 @@ fn pipeline_survives_late_and_restarted_cloud() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     let edge = edge(&deployment, "edge", "slow");
-    let said = edge.wait_for("cannot reach a cloud");
-    assert!(said.contains("continues automatically"), "{said}");
+    let output = edge.wait_for("cannot reach a cloud");
+    assert!(output.contains("continues automatically"), "{output}");
 
     let first = cloud(&deployment);
     peernet_tests::wait_until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
@@ -80,9 +80,9 @@ fn unknown_model_error_lists_models() {
     let cloud = cloud(&deployment);
     cloud.wait_for("ready");
     let edge = edge(&deployment, "edge", "classifier");
-    let said = edge.wait_for("classifier");
-    let said = if said.contains("echo") { said } else { edge.wait_for("echo") };
-    assert!(said.contains("echo") && said.contains("slow"), "{said}");
+    let output = edge.wait_for("classifier");
+    let output = if output.contains("echo") { output } else { edge.wait_for("echo") };
+    assert!(output.contains("echo") && output.contains("slow"), "{output}");
     assert_eq!(edge.stop().code(), 0);
 }
 
@@ -128,8 +128,8 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
     let state = deployment.folder().display().to_string();
     deployment.write("impostor.toml", &file.replace(&format!("{state}/edge"), &format!("{state}/impostor")));
     let impostor = deployment.start("impostor.toml");
-    let said = impostor.wait_for("refused");
-    assert!(said.contains("edge"), "{said}");
+    let output = impostor.wait_for("refused");
+    assert!(output.contains("edge"), "{output}");
     assert_eq!(impostor.stop().code(), 0);
 
     first.kill();

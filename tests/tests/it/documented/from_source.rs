@@ -23,8 +23,8 @@ const PROGRAM: &str = "install -m 755 -s target/release/peernetd /usr/bin/";
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
 const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
-fn assert_success(ended: &ProcessEnd) {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+fn assert_success(end: &ProcessEnd) {
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 /// Waits until a pipeline on the dashboard of a host has answers.
@@ -91,7 +91,7 @@ fn run_demo(machines: &DocumentedCommands) {
     let demo = machines.on_edge(DEMO, &[("FOLDER", "mine")]);
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
     wait_until_answered(machines.edge(), 8050, "offload-resized");
-    let ended = demo.stop();
-    assert_success(&ended);
-    assert!(ended.log.contains("demo: stopped"), "{}", ended.log);
+    let end = demo.stop();
+    assert_success(&end);
+    assert!(end.log.contains("demo: stopped"), "{}", end.log);
 }

@@ -46,12 +46,12 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         waits.log.contains("waiting: batches").then_some(())
     });
     let aggregator = start();
-    let said = edge.wait_for_nth("connected to the aggregator", 2);
-    assert!(said.contains(" wait"), "how many events it brings: {said}");
+    let output = edge.wait_for_nth("connected to the aggregator", 2);
+    assert!(output.contains(" wait"), "how many events it brings: {output}");
     wait_until_answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     // No iteration is missing, and none is stored twice.
     let database = machines.folder().join("data/aggregator/peernet.sqlite");
@@ -69,8 +69,8 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     wait_until_answered(machines.edge(), "over-the-network", 5);
     wait_until_answered(machines.cloud(), "scan", 5);
     for process in [own_code, all] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     machines.finish();
 }

@@ -24,8 +24,8 @@ const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsen
 fn readme_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
     let typed = |command: &str, changes: &[(&str, &str)]| {
-        let ended = machines.on_edge(command, changes).wait_for_end();
-        (ended.code(), ended.log)
+        let end = machines.on_edge(command, changes).wait_for_end();
+        (end.code(), end.log)
     };
     let named = |command: &str, more: &str| {
         let (code, log) = typed(command, &[("NAME", &format!("quality-control{more}"))]);

@@ -53,8 +53,8 @@ fn paper_experiments_are_measured_compared_and_drawn() {
     efficientnet(&machines);
     teleoperation(&machines);
     payload_study(&machines);
-    let ended = cloud.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = cloud.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
     machines.finish();
 }
 
@@ -65,8 +65,8 @@ fn efficientnet(machines: &DocumentedCommands) {
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
     machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
     let measured = machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
-    let ended = wait_for_runs(measured, 6);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = wait_for_runs(measured, 6);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/efficientnet"));
     assert_eq!(results.stages(), ["finished"; 6]);
     let table = results.folder.join("compare.csv");
@@ -79,9 +79,9 @@ fn efficientnet(machines: &DocumentedCommands) {
     }
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
-    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(figure.is_file(), "{}", ended.log);
+    let end = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(figure.is_file(), "{}", end.log);
 }
 
 /// Measures nine combinations; one server stands for both of the paper's in all three networks.
@@ -103,8 +103,8 @@ fn teleoperation(machines: &DocumentedCommands) {
     assert_eq!(checked.code(), 0, "{}", checked.log);
     // The document shows this output.
     assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
-    let ended = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
@@ -118,22 +118,22 @@ fn teleoperation(machines: &DocumentedCommands) {
     assert_eq!(table.trim_end(), own.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
     let against = "peernet compare teleoperation --baseline teleoperation/run-1";
-    let ended = machines.on_edge(against, &[("run-1", &first)]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = machines.on_edge(against, &[("run-1", &first)]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     let figures = "peernet plot teleoperation --kind stacked --out figures";
-    let ended = machines.on_edge(figures, &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
+    let end = machines.on_edge(figures, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", end.log);
 }
 
 /// Measures the study of a link, with the file unchanged.
 fn payload_study(machines: &DocumentedCommands) {
     let file = "configs/experiments/payload-study.toml";
     machines.write(file, &Document::read(file).text);
-    let ended = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/payload-study"));
     assert_eq!(results.stages(), ["finished"; 8]);
     assert_eq!(column(&results.folder.join("compare.csv"), "count"), ["10"; 8]);
-    assert!(results.folder.join("payload-latency.svg").is_file(), "{}", ended.log);
+    assert!(results.folder.join("payload-latency.svg").is_file(), "{}", end.log);
 }

@@ -9,9 +9,9 @@ const HELD_OUT: &str = "/usr/bin/python3 models/quality_control/draw.py models/q
 const THIRD: &str = "/usr/bin/python3 models/quality_control/draw.py /tmp/third --width 1280 --quality 85 --first-seed 6000001 --count good=100 scratched=100 dented=100 \"hole missing=100\"";
 const TRAIN: &str = "/usr/bin/python3 models/quality_control/train.py models/quality-control";
 
-fn assert_success(ended: ProcessEnd) -> String {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+fn assert_success(end: ProcessEnd) -> String {
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 #[test]

@@ -69,8 +69,8 @@ fn programs_of_an_agent(machines: &DocumentedCommands) {
         let answers = std::fs::read_to_string(machines.folder().join("answers.txt")).ok()?;
         (answers.lines().count() >= 5 && answers.contains("bright")).then_some(())
     });
-    let ended = agent.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = agent.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 /// Runs Python objects at both ends on one machine, and programs at both ends on two.

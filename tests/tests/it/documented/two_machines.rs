@@ -62,14 +62,14 @@ pub(crate) fn install(machines: &DocumentedCommands) {
     );
 }
 
-fn assert_success(ended: ProcessEnd) -> String {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+fn assert_success(end: ProcessEnd) -> String {
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 /// Returns the JSON document that curl received.
-fn json(ended: ProcessEnd) -> Value {
-    let log = assert_success(ended);
+fn json(end: ProcessEnd) -> Value {
+    let log = assert_success(end);
     let line = log.lines().find_map(|line| serde_json::from_str(line).ok());
     line.unwrap_or_else(|| panic!("no document: {log}"))
 }

@@ -19,8 +19,8 @@ fn run_to_the_end(deployment: &LoopbackDeployment, api: &Api, host: &str) {
     let tables = format!("[[model]]\nname = \"echo\"\nkind = \"echo\"\n{}", echo("loop", &limit));
     let agent = deployment.start_agent(host, &tables);
     api.wait_until("/api/v1/runs", |runs| {
-        let ended = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
-        runs["runs"].as_array()?.iter().find(ended).map(|_| ())
+        let end = |run: &&serde_json::Value| run["host"] == host && run["reason"] == "finished";
+        runs["runs"].as_array()?.iter().find(end).map(|_| ())
     });
     assert_eq!(agent.stop().code(), 0);
 }
@@ -81,9 +81,9 @@ fn aggregator_clock_jumps_delete_nothing() {
         run_to_the_end(&deployment, &api, host);
     }
     stored(4);
-    let said = aggregator.log();
-    assert_eq!(said.matches("wall clock was set").count(), 3, "{said}");
-    assert!(!said.contains("retention deleted"), "{said}");
+    let output = aggregator.log();
+    assert_eq!(output.matches("wall clock was set").count(), 3, "{output}");
+    assert!(!output.contains("retention deleted"), "{output}");
     assert_eq!(aggregator.stop().code(), 0);
 
     // It starts with a clock that is behind its last reading, and then with one that is far ahead.

@@ -176,7 +176,7 @@ fn answers(log: &str) -> u64 {
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
 fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let _turn = wait_for_turn();
-    let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
+    let (mut rng, stopwatch) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
     while storm.kills.iter().sum::<u64>() < kills {
@@ -221,7 +221,7 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
             ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),
             ("lost and not reported", number(0)),
-            ("seconds", number(began.elapsed().as_secs())),
+            ("seconds", number(stopwatch.elapsed().as_secs())),
         ],
     );
 }

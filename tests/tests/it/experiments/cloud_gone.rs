@@ -23,9 +23,9 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let process = lab.run(&experiment_with_short_timeout(), &[]);
     let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("2 runs failed") && end.log.contains("is away"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
     // Rows that were measured before the cloud died are kept.
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
@@ -33,8 +33,8 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
     let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
     assert_eq!((answered.len(), answered.iter().all(|outcome| outcome == "ok")), (252, true), "{answered:?}");
@@ -55,9 +55,9 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     process.wait_for("is away");
     lab.kill_cloud();
     lab.start_cloud();
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 75, "iterations without an answer are told: {}", ended.log);
-    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 75, "iterations without an answer are told: {}", end.log);
+    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", end.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");

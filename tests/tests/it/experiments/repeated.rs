@@ -74,9 +74,9 @@ fn run_is_repeated_from_its_record() {
     let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
     write("net_config.yaml", &devices);
     write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
-    let assert_finished = |ended: ProcessEnd| {
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        ended.log
+    let assert_finished = |end: ProcessEnd| {
+        assert_eq!(end.code(), 0, "{}", end.log);
+        end.log
     };
     let only = |results: &str| {
         let results = Results::of(folder.join(results));

@@ -58,9 +58,9 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let process = lab.run(THREE, &[]);
     let folders = wait_for_second_run(&lab, &process);
     process.signal(Signal::INT);
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
     assert_rest_is_left_out(&lab, &folders, "interrupted");
@@ -71,9 +71,9 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     assert_eq!(changed.code(), 78, "{}", changed.log);
     assert!(changed.log.contains("25 before, 26 now"), "{}", changed.log);
 
-    let ended = lab.run(THREE, &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(!ended.log.contains("run 1 of 3 (Size = 100): begins"), "{}", ended.log);
+    let end = lab.run(THREE, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(!end.log.contains("run 1 of 3 (Size = 100): begins"), "{}", end.log);
     assert_complete(&lab, &folders);
     assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "it was not touched");
     assert_eq!(lab.results.record()["id"], id);
@@ -96,9 +96,9 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     process.wait_for("work in progress is killed after 60 s");
     process.signal(Signal::TERM);
     process.wait_for("processes that do not end within 10 s are killed");
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("killing the processes that did not end in time"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("killing the processes that did not end in time"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
 }
 
@@ -116,8 +116,8 @@ fn kill_leaves_no_process_and_no_partial_run() {
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
     assert_rest_is_left_out(&lab, &folders, "in progress or killed");
-    let ended = lab.run(THREE, &["--yes"]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = lab.run(THREE, &["--yes"]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_complete(&lab, &folders);
     assert_eq!(lab.results.record()["states"][1]["attempts"], 2);
 }

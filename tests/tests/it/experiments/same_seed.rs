@@ -51,9 +51,9 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let measure = |options: &str| {
         let options = format!("demo.toml {options}");
         let command = "peernet run configs/experiments/demo.toml";
-        let ended = wait_for_runs(machines.on_edge(command, &[("demo.toml", &options)]), 10);
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        (run_order_and_sizes(&results), ended.log)
+        let end = wait_for_runs(machines.on_edge(command, &[("demo.toml", &options)]), 10);
+        assert_eq!(end.code(), 0, "{}", end.log);
+        (run_order_and_sizes(&results), end.log)
     };
 
     let ((order, sizes), log) = measure("");
@@ -79,8 +79,8 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     assert_ne!(other_order, order);
     assert_ne!(other_sizes, sizes);
     for process in [cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     machines.finish();
 }

@@ -41,18 +41,18 @@ fn endless_output_is_limited_and_escaped_in_log() {
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!(counts["ok"].as_u64(), Some(20), "{counts}");
 
-    let ended = edge.stop();
-    assert_eq!(ended.code(), 0);
+    let end = edge.stop();
+    assert_eq!(end.code(), 0);
     let printed = |line: &&str| line.contains("line ") && line.contains("of a loop that prints too much");
-    let logged = ended.log.lines().filter(printed).count() as u64;
-    assert!((1..1_000).contains(&logged) && ended.log.len() < 200_000, "{logged} of {PRINTED} lines");
-    let omitted = ended.log.lines().filter_map(|line| {
+    let logged = end.log.lines().filter(printed).count() as u64;
+    assert!((1..1_000).contains(&logged) && end.log.len() < 200_000, "{logged} of {PRINTED} lines");
+    let omitted = end.log.lines().filter_map(|line| {
         let (count, _) = line.split_once("left out ")?.1.split_once(" lines (")?;
         count.parse::<u64>().ok()
     });
-    assert_eq!(logged + omitted.sum::<u64>(), PRINTED, "{}", ended.log);
-    assert!(!ended.log.contains(|char: char| char.is_control() && char != '\n'), "{:?}", ended.log);
+    assert_eq!(logged + omitted.sum::<u64>(), PRINTED, "{}", end.log);
+    assert!(!end.log.contains(|char: char| char.is_control() && char != '\n'), "{:?}", end.log);
     for part in [r"\u{1b}[31mred\u{1b}[0m\u{7}\xff", "progress 10 %", "progress 100 %", "PEERNET_LOG="] {
-        assert!(ended.log.contains(part), "{part} is missing in {}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in {}", end.log);
     }
 }

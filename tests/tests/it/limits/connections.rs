@@ -32,7 +32,7 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
         let (status, text) = api.get("/metrics").filter(|(status, _)| *status == 200)?;
         let line = format!("peernet_host_stored_events_total{{host=\"{name}\"}} ");
         assert_eq!(status, 200);
-        text.lines().find_map(|said| said.strip_prefix(&line)?.parse::<f64>().ok())
+        text.lines().find_map(|output| output.strip_prefix(&line)?.parse::<f64>().ok())
     };
     let some =
         |name: &str, than: f64| wait_until("more is stored", || stored(name).filter(|count| *count > than));
@@ -77,9 +77,9 @@ fn connections_without_hello_are_closed_in_time() {
         .collect();
     wait_until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
     for process in [cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0);
+        let end = process.stop();
+        assert_eq!(end.code(), 0);
         // The reason is logged once, then as a count.
-        assert_eq!(ended.log.matches("no_hello").count(), 1, "{}", ended.log);
+        assert_eq!(end.log.matches("no_hello").count(), 1, "{}", end.log);
     }
 }

@@ -55,8 +55,8 @@ fn slow_readers_do_not_block_dashboard() {
         assert!(heard.starts_with("HTTP/1.1 200"), "{heard}");
         drop(slow);
     }
-    let ended = aggregator.stop();
-    assert_eq!(ended.code(), 0);
+    let end = aggregator.stop();
+    assert_eq!(end.code(), 0);
     // The reason is logged once, then as a count.
-    assert_eq!(ended.log.matches("closed a new connection").count(), 1, "{}", ended.log);
+    assert_eq!(end.log.matches("closed a new connection").count(), 1, "{}", end.log);
 }

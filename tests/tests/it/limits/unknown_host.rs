@@ -48,19 +48,19 @@ fn unknown_host_stops_neither_storing_nor_dashboard() {
         wait_until("the robot's iterations are stored", || stored(&machines).filter(|events| *events > 20));
 
     let attack = attack(&machines);
-    let (began, mut latest) = (Stopwatch::now(), before);
+    let (stopwatch, mut latest) = (Stopwatch::now(), before);
     // The last query is made during the attack.
-    while began.elapsed().as_secs() < SECONDS - 5 {
+    while stopwatch.elapsed().as_secs() < SECONDS - 5 {
         latest = wait_until("more is stored, and the dashboard says so", || {
             stored(&machines).filter(|events| *events > latest)
         });
         assert_eq!(machines.run_on(edge, &curl("/")).wait_for_end().code(), 0, "the overview is not served");
     }
-    let ended = attack.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = attack.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     for process in [&aggregator, &agent] {
         let peak = peak_memory(process);
-        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", ended.log);
+        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", end.log);
     }
 
     assert_eq!(robot.stop().code(), 0);
@@ -143,9 +143,9 @@ fn curl(path: &str) -> String {
 
 /// Requests a document from the robot's host.
 fn json(machines: &DocumentedCommands, path: &str) -> Option<Value> {
-    let ended = machines.run_on(machines.edge(), &curl(path)).wait_for_end();
-    assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);
-    serde_json::from_str(&ended.log).ok()
+    let end = machines.run_on(machines.edge(), &curl(path)).wait_for_end();
+    assert_eq!(end.code(), 0, "{path} is not served: {}", end.log);
+    serde_json::from_str(&end.log).ok()
 }
 
 fn account(machines: &DocumentedCommands) -> Option<Value> {

@@ -30,12 +30,12 @@ fn host_without_secret(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
 
 /// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
 fn clear_host_secret(fleet: &Fleet) -> String {
-    let ended = fleet
+    let end = fleet
         .deployment
         .peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"])
         .wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn impostor_does_not_exclude_known_host() {
     assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
     // It gets no welcome, whatever it sends afterwards.
     misbehaving_peer.send(&impostor.batch(10));
-    misbehaving_peer.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
+    misbehaving_peer.receive_until(|output| (*output == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
     // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
@@ -119,8 +119,8 @@ fn cleared_secret_permits_a_new_one() {
     fleet.agents[0].stop();
     std::fs::remove_file(state(&fleet).join("host-secret")).expect("it was there");
     fleet.start(0);
-    let said = fleet.agents[0].process().wait_for("refuses this agent");
-    assert!(said.contains("clear-host-secret"), "{said}");
+    let output = fleet.agents[0].process().wait_for("refuses this agent");
+    assert!(output.contains("clear-host-secret"), "{output}");
     let told = clear_host_secret(&fleet);
     assert!(told.contains("deleted the secret of edge"), "{told}");
     fleet.agents[0].process().wait_for("connected to the aggregator");

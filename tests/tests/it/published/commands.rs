@@ -178,9 +178,9 @@ fn streamed_run_is_on_dashboard_with_same_host() {
         ));
         let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-        let said = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
+        let output = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
                     (usually http://127.0.0.1:8040)";
-        assert!(client.log.contains(said), "{}", client.log);
+        assert!(client.log.contains(output), "{}", client.log);
     }
     let runs = api.wait_until("/api/v1/runs", |found| {
         let runs = found["runs"].as_array()?.clone();
@@ -266,11 +266,11 @@ fn each_order_runs_in_own_process() {
         "warm_up": "the first 5 iterations",
     });
     std::fs::write(lab.folder().join("order.json"), order.to_string()).expect("writable");
-    let ended = lab.client("PEERNet measure --order order.json").wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let seen: Vec<Value> = ended.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-    assert!(seen.iter().all(|seen| seen["of"] == 40), "{}", ended.log);
-    assert_eq!(seen.last().map(|seen| &seen["phase"]), Some(&"writing".into()), "{}", ended.log);
+    let end = lab.client("PEERNet measure --order order.json").wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let seen: Vec<Value> = end.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    assert!(seen.iter().all(|seen| seen["of"] == 40), "{}", end.log);
+    assert_eq!(seen.last().map(|seen| &seen["phase"]), Some(&"writing".into()), "{}", end.log);
     let (data, record) = (lab.data("ordered"), lab.record("ordered"));
     assert_eq!((data.rows.len(), data.outcomes("ok")), (40, 40));
     assert_eq!((&record["title"], &record["cloud"]), (&"an echo on board".into(), &Value::Null));

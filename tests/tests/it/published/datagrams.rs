@@ -70,8 +70,9 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
 fn iterations_over_bad_path_are_answered_or_lost() {
     const ITERATIONS: usize = 150;
     let sockets = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let lab = Lab::with_network(Network::reordering_wire(sockets.path(), way(30), way(5)));
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let lab =
+        Lab::with_network(Network::reordering_wire(sockets.path(), wire_direction(30), wire_direction(5)));
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[clock_fault]\noffset_ms = 5000\n")
         .expect("writable");
     let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");

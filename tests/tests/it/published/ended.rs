@@ -36,9 +36,9 @@ fn ctrl_c_ends_client_with_all_results() {
     let client = endless(&lab, "--result-loc results");
     client.wait_for("of 1000000");
     client.signal(Signal::INT);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("ended early"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("ended early"), "{}", end.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
     assert_eq!(record["reason"], "stopped");
     let ok = data.outcomes("ok");
@@ -48,9 +48,9 @@ fn ctrl_c_ends_client_with_all_results() {
     assert!(interrupted.contains("results is incomplete: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
-    let ended = server.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("answers"), "{}", ended.log);
+    let end = server.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("answers"), "{}", end.log);
 }
 
 #[test]
@@ -62,8 +62,8 @@ fn ended_session_ends_client_with_all_results() {
     // The shell and the system both send it.
     client.signal(Signal::HUP);
     client.wait_for("Ctrl-C again");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
     assert_eq!(lab.record("results")["reason"], "stopped");
 }
 
@@ -79,8 +79,8 @@ fn client_under_nohup_continues_after_sighup() {
     let client = Process::start(Path::new("nohup"), &words, lab.folder(), &[]);
     client.wait_for("of 60");
     client.signal(Signal::HUP);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(
         (lab.data("results").outcomes("ok"), lab.record("results")["reason"].as_str()),
         (60, Some("finished"))
@@ -215,9 +215,9 @@ fn second_signal_ends_client_without_waiting() {
     // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
     client.wait_for("work in progress was abandoned");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("before the first measurement"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("before the first measurement"), "{}", end.log);
 }
 
 #[test]
@@ -228,9 +228,9 @@ fn lost_server_leaves_rows_and_exit_code() {
     client.wait_for("of 1000000");
     let _ = server.kill();
     client.wait_for("cluster is away");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("gave up after 2 s"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("gave up after 2 s"), "{}", end.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
     assert_eq!((data.outcomes("lost"), data.outcomes("ok") + 1), (1, data.rows.len()));
     assert!(data.column("reason").last().is_some_and(|reason| !reason.is_empty()));
@@ -250,9 +250,9 @@ fn returning_server_is_used_again() {
     let _ = first.kill();
     client.wait_for("cluster is away");
     let _second = server(&lab, 1_000_000);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("1 of 120 iterations has no answer"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("1 of 120 iterations has no answer"), "{}", end.log);
     let data = lab.data("results");
     assert_eq!((data.rows.len(), data.outcomes("lost")), (120, 1));
 }
@@ -276,12 +276,12 @@ fn full_result_disk_loses_no_rows() {
     let client = measure(80, "--overwrite");
     client.wait_for("of 80");
     disk.fill();
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 73, "{}", ended.log);
-    assert!(ended.log.contains("Total (sum of stages)"), "{}", ended.log);
-    let said = ended.log.lines().find(|line| line.contains("the measurements are in"));
-    let said = said.unwrap_or_else(|| panic!("it does not say where the results are: {}", ended.log));
-    let (_, elsewhere) = said.split_once("the measurements are in ").expect("it was found by this");
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 73, "{}", end.log);
+    assert!(end.log.contains("Total (sum of stages)"), "{}", end.log);
+    let output = end.log.lines().find(|line| line.contains("the measurements are in"));
+    let output = output.unwrap_or_else(|| panic!("it does not say where the results are: {}", end.log));
+    let (_, elsewhere) = output.split_once("the measurements are in ").expect("it was found by this");
     let (elsewhere, back) = elsewhere.split_once(" instead").expect("it says so");
     assert_eq!(back, "; the previous results are restored");
     let earlier = results.display().to_string();
@@ -309,10 +309,10 @@ fn full_disks_keep_rows_that_fit() {
     let options = ["--generate-plots", "--dataset-loc", &sample, "--result-loc", &results];
     let words: Vec<&str> = words.split(' ').chain(options).collect();
     let client = Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)]);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 73, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 73, "{}", end.log);
     let told = "data.csv has the rows that fit; no figure is drawn";
-    assert!(ended.log.contains(told), "{}", ended.log);
+    assert!(end.log.contains(told), "{}", end.log);
     let rows = lab.data(&results).rows;
     assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());
     let left = std::fs::read_dir(other.folder()).expect("it is a folder").count();

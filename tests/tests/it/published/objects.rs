@@ -90,8 +90,8 @@ fn hanging_sensor_is_named_in_progress() {
         client.wait_for("Ctrl-C again");
         // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
-        let ended = client.wait_for_end();
-        assert_eq!(ended.code(), 130, "{}", ended.log);
+        let end = client.wait_for_end();
+        assert_eq!(end.code(), 130, "{}", end.log);
     }
 }
 
@@ -280,7 +280,7 @@ class Echo:
     );
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    let printed = |log: &str, line: &str| log.lines().filter(|said| *said == line).count();
+    let printed = |log: &str, line: &str| log.lines().filter(|output| *output == line).count();
     assert!(printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);
     assert_eq!(printed(&server.log, "model my_model-Echo: a picture came"), 8, "{}", server.log);
 }

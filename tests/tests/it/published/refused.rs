@@ -8,10 +8,10 @@ use super::{Lab, picture};
 
 /// Runs a command that must end with this code and print all these texts.
 fn refused(lab: &Lab, command: &str, code: i32, said: &[&str]) {
-    let ended = lab.client(command).wait_for_end();
-    assert_eq!(ended.code(), code, "{command}\n{}", ended.log);
+    let end = lab.client(command).wait_for_end();
+    assert_eq!(end.code(), code, "{command}\n{}", end.log);
     for text in said {
-        assert!(ended.log.contains(text), "{command} does not say {text:?}: {}", ended.log);
+        assert!(end.log.contains(text), "{command} does not say {text:?}: {}", end.log);
     }
 }
 
@@ -121,10 +121,10 @@ fn used_port_and_existing_results_are_reported() {
 fn unwritable_answer_is_a_failure() {
     for arguments in [["models", "list"], ["completions", "bash"], ["run", "--help"]] {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there is one");
-        let ended = std::process::Command::new(program("peernet")).args(arguments).stdout(full).output();
-        let ended = ended.expect("the program is there");
-        let told = String::from_utf8_lossy(&ended.stderr);
-        assert_eq!(ended.status.code(), Some(73), "{arguments:?}: {told}");
+        let end = std::process::Command::new(program("peernet")).args(arguments).stdout(full).output();
+        let end = end.expect("the program is there");
+        let told = String::from_utf8_lossy(&end.stderr);
+        assert_eq!(end.status.code(), Some(73), "{arguments:?}: {told}");
         assert_eq!(told.matches("cannot write the result").count(), 1, "{told}");
     }
 }

@@ -62,9 +62,9 @@ fn missing_master_is_named_with_advice() {
     let (lab, mut system) = lab();
     system.kill_master();
     let client = lab.client(&format!("{CLIENT} --sensor-type synthetic --iterations 5 --patience 0"));
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 69, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 69, "{}", end.log);
     for part in ["no ROS master answers", &system.uri(), "start roscore", "ROS_MASTER_URI"] {
-        assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in:\n{}", end.log);
     }
 }

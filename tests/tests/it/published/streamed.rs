@@ -26,18 +26,18 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
     let (_first, first) = there.start_aggregator();
     let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
     let (now, later) = ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
-    let said = streamed(&lab, &there);
-    assert!(said.contains(now) && !said.contains("wait for the aggregator"), "all is taken: {said}");
+    let output = streamed(&lab, &there);
+    assert!(output.contains(now) && !output.contains("wait for the aggregator"), "all is taken: {output}");
     for (deployment, whose, sent_to, not_yet) in
         [(&away, "its own", later, now), (&there, "another one's", now, later)]
     {
-        let said = streamed(&lab, deployment);
-        assert!(said.contains(&waits), "{whose}: {said}");
-        assert!(said.contains(sent_to) && !said.contains(not_yet), "{whose}: {said}");
+        let output = streamed(&lab, deployment);
+        assert!(output.contains(&waits), "{whose}: {output}");
+        assert!(output.contains(sent_to) && !output.contains(not_yet), "{whose}: {output}");
     }
     let (_second, second) = away.start_aggregator();
-    let said = streamed(&lab, &away);
-    assert!(!said.contains(&waits), "it was handed over: {said}");
+    let output = streamed(&lab, &away);
+    assert!(!output.contains(&waits), "it was handed over: {output}");
     for api in [first, second] {
         let host = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
             let over = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
@@ -102,15 +102,15 @@ fn experiment_prints_no_link_to_unused_dashboard() {
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {
-        let ended = lab.client(&format!("PEERNet run board.toml {options}")).wait_for_end();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = lab.client(&format!("PEERNet run board.toml {options}")).wait_for_end();
+        assert_eq!(end.code(), 0, "{}", end.log);
         let later = format!(
             "the runs of experiment board will be on the dashboard of the aggregator at 127.0.0.1:{}",
             away.events
         );
-        assert!(ended.log.contains(&later) && !ended.log.contains("see the runs"), "{}", ended.log);
-        let waits = ended.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
-        assert!(waits, "{spool}: {}", ended.log);
+        assert!(end.log.contains(&later) && !end.log.contains("see the runs"), "{}", end.log);
+        let waits = end.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
+        assert!(waits, "{spool}: {}", end.log);
         std::fs::remove_dir_all(lab.folder().join("state")).expect("it was made");
     }
 }

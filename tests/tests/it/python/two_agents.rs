@@ -25,8 +25,8 @@ fn python_objects_exchange_arrays_with_one_stage_each() {
         assert!(facts.contains(fact), "{fact} is missing in {facts}");
     }
     let failed = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
-    let said = failed["outcome"].to_string() + &failed["reason"].to_string();
-    assert!(said.contains("the path is lost at 10") && said.contains("follower.py"), "{failed}");
+    let output = failed["outcome"].to_string() + &failed["reason"].to_string();
+    assert!(output.contains("the path is lost at 10") && output.contains("follower.py"), "{failed}");
 
     // The time between the processes is a stage, and the stages add up to the total.
     let here = ["sensing", "encode", "upload", "download", "actuation"];

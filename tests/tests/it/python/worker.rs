@@ -52,14 +52,10 @@ fn check_names_missing_parts_without_running_code() {
     let broken = model().replace("follower::Follower", "folower::Follower");
     let here = drive("{ kind = \"local\", model = \"follower\" }");
     deployment.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-    assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
-    assert!(
-        ended.log.contains("model[0]") && ended.log.contains("no Python module folower"),
-        "{}",
-        ended.log
-    );
-    assert!(!ended.log.contains("the rig is up"), "{}", ended.log);
+    let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+    assert_eq!(end.code(), CONFIGURATION, "{}", end.log);
+    assert!(end.log.contains("model[0]") && end.log.contains("no Python module folower"), "{}", end.log);
+    assert!(!end.log.contains("the rig is up"), "{}", end.log);
     assert!(!deployment.folder().join("pid").exists(), "no object was made");
 }
 

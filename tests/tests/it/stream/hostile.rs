@@ -71,7 +71,7 @@ fn damaged_frames_are_refused_and_counted() {
         misbehaving_peer.send(&frame);
         sent += 1;
     }
-    misbehaving_peer.send_hello_until(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
+    misbehaving_peer.send_hello_until(&host, |output| matches!(output, ToAgent::Welcome { stored: 2, .. }));
     wait_until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
@@ -150,7 +150,7 @@ fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     // Batches of another host, recorded and sent again: old batches and the next batch.
     for batch in &batches {
         other.send(batch);
-        other.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
+        other.receive_until(|output| (*output == ToAgent::Unknown).then_some(()));
     }
     // A hello with its own name, with the victim's name, and with the victim's stream.
     let mut thief = InventedHost::new("thief", &mut rng);
@@ -190,7 +190,7 @@ fn hello_flood_excludes_no_agent() {
     for n in 0..200 {
         let one = InventedHost::new(&format!("crowd-{n}"), &mut rng);
         let welcome_or_not =
-            |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
+            |output: &ToAgent| matches!(output, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
         misbehaving_peer.send_hello_until(&one, welcome_or_not);
     }
     let words = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);

@@ -95,8 +95,8 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
 
     let copied = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
     let mut copy = Daemon::start_new(&fleet.deployment, "copy", &copied);
-    let said = copy.process().wait_for("refused");
-    assert!(said.contains("another agent with the host id"), "{said}");
+    let output = copy.process().wait_for("refused");
+    assert!(output.contains("another agent with the host id"), "{output}");
     copy.stop();
     fleet.wait_for_counts(0, "the first goes on", |counts| counts.waiting < 100);
     fleet.agents[0].stop();

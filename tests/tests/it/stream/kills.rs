@@ -27,7 +27,7 @@ struct Tally {
 #[test]
 fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let _turn = wait_for_turn();
-    let (mut rng, began) = (TestRng::new("kills"), Stopwatch::now());
+    let (mut rng, stopwatch) = (TestRng::new("kills"), Stopwatch::now());
     let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.agents[1].configure(&fleet.deployment, &edge("", &echo("loop", &rate(STEADY_HZ))));
     fleet.start_all();
@@ -80,7 +80,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
                 number(accounts.iter().map(|counts| counts.dropped).sum()),
             ),
             ("duplicate batches recognised, at least", number(tally.duplicates)),
-            ("seconds", number(began.elapsed().as_secs())),
+            ("seconds", number(stopwatch.elapsed().as_secs())),
         ],
     );
 }

@@ -99,7 +99,7 @@ fn stored(fleet: &Fleet) -> Option<(u64, bool)> {
         return None;
     }
     let mut columns = row.trim().split('|').map(|column| column.parse::<u64>().expect("a count"));
-    let (counted, newest, ended) = (columns.next()?, columns.next()?, columns.next()?);
+    let (counted, newest, end) = (columns.next()?, columns.next()?, columns.next()?);
     assert_eq!(counted, newest, "stored in order, so that what is there has no hole");
-    Some((newest, ended == 1))
+    Some((newest, end == 1))
 }

@@ -23,13 +23,13 @@ fn host_on_50_kbit_link_loses_nothing() {
     let more = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
     let edge = testbed.start_edge(&format!("{model}{}", echo("line", &more)), &[]);
-    let began = Stopwatch::now();
+    let stopwatch = Stopwatch::now();
     let first = EventCounts::wait_until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
 
     let (mut behind, mut stored, mut asked) = (0.0_f64, first.events, 0);
-    while began.elapsed() < Duration::from_secs(35) {
+    while stopwatch.elapsed() < Duration::from_secs(35) {
         let counts = EventCounts::read(&testbed.api, "edge").expect("the aggregator answers");
-        assert!(counts.connected, "away after {:?}: {counts:?}", began.elapsed());
+        assert!(counts.connected, "away after {:?}: {counts:?}", stopwatch.elapsed());
         assert!(counts.events >= stored, "{counts:?}");
         counts.assert_balanced();
         behind = behind.max(counts.live_lag_s);
@@ -48,9 +48,9 @@ fn host_on_50_kbit_link_loses_nothing() {
     let counts = EventCounts::wait_until_at_rest(&testbed.api, "edge", wall());
     counts.assert_balanced();
     assert_eq!((counts.dropped, counts.gaps, counts.missing, counts.duplicates), (0, 0, 0, 0));
-    let ended = edge.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert_eq!(ended.log.matches("connected to the aggregator").count(), 1, "{}", ended.log);
+    let end = edge.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert_eq!(end.log.matches("connected to the aggregator").count(), 1, "{}", end.log);
     let database = testbed.folder().join("aggregator.sqlite");
     testbed.stop_and_inspect(|| {
         let stored_events = StoredEvents::read(&database);

@@ -12,8 +12,8 @@ fn counted() -> String {
 }
 
 /// Returns the number of answers in an agent's log.
-fn answers(ended: &ProcessEnd) -> u64 {
-    ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
+fn answers(end: &ProcessEnd) -> u64 {
+    end.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
 }
 
 /// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
@@ -42,9 +42,9 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     fleet.aggregator.stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
-    let ended = fleet.agents[0].stop();
+    let end = fleet.agents[0].stop();
     fleet.restart_aggregator();
-    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
+    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&end));
 }
 
 #[test]
@@ -53,8 +53,8 @@ fn agent_stopped_under_load_spooled_or_stored_everything() {
     let mut fleet = Fleet::new(&["edge"], &counted());
     fleet.start(0);
     fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 1_000);
-    let ended = fleet.agents[0].stop();
-    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&ended));
+    let end = fleet.agents[0].stop();
+    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&end));
 }
 
 #[test]

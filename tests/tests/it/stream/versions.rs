@@ -34,7 +34,7 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
     assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
     misbehaving_peer.answer_challenge(&later.hello, &later.secret, &challenge);
-    misbehaving_peer.receive_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
+    misbehaving_peer.receive_until(|output| matches!(output, ToAgent::Welcome { .. }).then_some(()));
     misbehaving_peer.send(&later.batch(3));
     misbehaving_peer.wait_for_ack(1);
 
