@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_tests::{Document, LoopbackDeployment, Process, onnxruntime, program, root};
 
-use crate::external::build;
+use crate::external::build_example;
 
 const REFERENCE: &str = "docs/configuration.md";
 
@@ -52,7 +52,7 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     for name in ["configs", "docs", "models", "onnxruntime"] {
         symlink(root().join(name), deployment.folder().join(name)).expect("the temporary folder is writable");
     }
-    build(deployment.folder());
+    build_example(deployment.folder());
     let mut problems = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml") {

@@ -35,14 +35,14 @@ impl Manager {
         Self { socket, path: path.display().to_string() }
     }
 
-    fn next(&self) -> String {
+    fn receive(&self) -> String {
         let mut message = [0; 4096];
         let length = self.socket.recv(&mut message).expect("the daemon tells the service manager");
         String::from_utf8_lossy(&message[..length]).into_owned()
     }
 
     fn wait_for(&self, state: &str) {
-        while !self.next().lines().any(|line| line == state) {}
+        while !self.receive().lines().any(|line| line == state) {}
     }
 }
 

@@ -9,7 +9,7 @@ use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, SmallDisk, program}
 
 /// Returns a deployment with results of the published program: `all/small`, and `all/large`, which takes longer.
 /// `upload` is the duration of an iteration's upload, seconds.
-pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
+pub(crate) fn write_published_results(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
                   upload-logger-bytes,upload-throughput,download-throughput\n";
     let deployment = LoopbackDeployment::new();
@@ -28,7 +28,7 @@ pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> LoopbackD
 }
 
 fn folders() -> LoopbackDeployment {
-    of_the_published_program(|_| 0.0175)
+    write_published_results(|_| 0.0175)
 }
 
 fn compare(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {

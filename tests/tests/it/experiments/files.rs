@@ -19,8 +19,8 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
         assert_eq!(end.code(), 0, "{}", end.log);
         assert!(end.log.contains(runs), "{}", end.log);
     }
-    let shipped = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
-    let files = shipped.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
+    let entries = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
+    let files = entries.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
     assert_eq!(files, 5, "each of them stands above");
 }
 
@@ -73,8 +73,8 @@ fn missing_or_invalid_file_is_named() {
         pictures.display()
     );
     // Errors that an agent would report on any machine, and errors that the trial finds on this machine.
-    let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
-    std::fs::write(&file, long).expect("writable");
+    let long_timeout = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
+    std::fs::write(&file, long_timeout).expect("writable");
     let (code, log) = check(&file);
     assert!(code == 78 && log.contains("e.toml: pipeline.timeout_ms: "), "{code}: {log}");
     std::fs::copy(root().join("models/quality-control/pictures/part-0001.jpg"), pictures.join("1.jpg"))
@@ -83,6 +83,6 @@ fn missing_or_invalid_file_is_named() {
     let results = folder.path().join("results");
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results];
     let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-    let told = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
-    assert!(end.code() == 78 && end.log.contains(&told), "{}: {}", end.code(), end.log);
+    let message = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
+    assert!(end.code() == 78 && end.log.contains(&message), "{}: {}", end.code(), end.log);
 }

@@ -56,7 +56,7 @@ fn each_failure_is_one_iteration_with_its_reason() {
         (10, ["99999999999999", "at most"]),
     ] {
         let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/{number}"));
-        let output = iteration["outcome"].to_string() + &iteration["reason"].to_string();
+        let text = iteration["outcome"].to_string() + &iteration["reason"].to_string();
         for part in parts {
             assert!(output.contains(part), "{part} is missing in {output}");
         }
