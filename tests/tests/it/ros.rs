@@ -54,15 +54,15 @@ impl Robot {
     }
 
     fn publish<M: Message>(&self, topic: &str) -> Publisher {
-        let publishing =
+        let registration =
             self.node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default());
-        self.runtime.block_on(publishing).expect("the master answers")
+        self.runtime.block_on(registration).expect("the master answers")
     }
 
     fn subscribe<M: Message>(&self, topic: &str) -> Subscriber {
-        let subscribing =
+        let registration =
             self.node.subscribe(topic, TopicType::from_message::<M>(), SubscriberOptions::default());
-        self.runtime.block_on(subscribing).expect("the master answers")
+        self.runtime.block_on(registration).expect("the master answers")
     }
 
     fn send<M: Message>(&self, publisher: &Publisher, message: &M) {
@@ -77,7 +77,7 @@ impl Robot {
 }
 
 /// Writes the configuration of an agent that uses the ROS master, and starts it.
-fn agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
+fn start_agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
     let head = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\naggregator = \"tcp://127.0.0.1:{events}\"\n";
     deployment.write("edge.toml", &(head.to_owned() + tables));
     deployment.start_with(
@@ -106,16 +106,16 @@ fn topic_is_sensed_and_answers_are_published() {
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let camera = robot.publish::<CompressedImage>("/camera");
-    let mut seen = robot.subscribe::<UInt8MultiArray>("/seen");
-    let edge = agent(&deployment, ECHO);
+    let mut answers = robot.subscribe::<UInt8MultiArray>("/seen");
+    let edge = start_agent(&deployment, ECHO);
     robot.wait_for_subscriber(&camera);
-    robot.runtime.block_on(seen.wait_for_publishers(1)).expect("the node runs");
+    robot.runtime.block_on(answers.wait_for_publishers(1)).expect("the node runs");
     for number in 0..10_u8 {
         let stamp = Time::from_nanos(clock().wall().unix_nanos() - 20_000_000);
         let header = Header { stamp, ..Header::default() };
         let data = vec![number; 1_000_000].into();
         robot.send(&camera, &CompressedImage { header, format: "jpeg".into(), data });
-        let answer = robot.runtime.block_on(seen.recv()).expect("the node runs").bytes;
+        let answer = robot.runtime.block_on(answers.recv()).expect("the node runs").bytes;
         let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("is one");
         assert_eq!((answer.data.len(), answer.data[999_999]), (1_000_000, number));
     }
@@ -128,7 +128,7 @@ fn topic_is_sensed_and_answers_are_published() {
     assert_eq!(edge.stop().code(), 0);
 }
 
-const BUSY: &str = r#"
+const BUSY_PIPELINE: &str = r#"
 [[model]]
 name = "slow"
 kind = "sleep"
@@ -148,7 +148,7 @@ fn busy_pipeline_counts_dropped_messages() {
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
-    let edge = agent(&deployment, BUSY);
+    let edge = start_agent(&deployment, BUSY_PIPELINE);
     robot.wait_for_subscriber(&words);
     for number in 0..10 {
         robot.send(&words, &StringMessage { data: format!("word {number}") });
@@ -156,14 +156,14 @@ fn busy_pipeline_counts_dropped_messages() {
     let run = api.wait_for_finished_run();
     // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
     // read it.
-    let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
-    assert_eq!(taken + taken * api.mean(run, "dropped-samples"), 10.0);
+    let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
+    assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
     // Texts have no header, so that there is no capture time.
     assert!(api.figures(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }
 
-const ALONE: &str = r#"
+const SENSOR_ALONE: &str = r#"
 [[pipeline]]
 name = "listen"
 sensor = { kind = "ros", topic = "/words", type = "std_msgs/String", timeout_ms = 300 }
@@ -175,11 +175,11 @@ warm_up = { iterations = 0 }
 fn pipeline_waits_for_late_master() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
-    let edge = agent(&deployment, ALONE);
-    let incident = |text: &str| {
-        api.wait_until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
+    let edge = start_agent(&deployment, SENSOR_ALONE);
+    let wait_for_incident = |text: &str| {
+        api.wait_until("/api/v1/incidents", |incidents| incidents.to_string().contains(text).then_some(()));
     };
-    incident("start roscore there, or set ROS_MASTER_URI");
+    wait_for_incident("start roscore there, or set ROS_MASTER_URI");
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
     robot.wait_for_subscriber(&words);

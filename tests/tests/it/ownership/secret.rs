@@ -56,7 +56,7 @@ fn impostor_does_not_exclude_known_host() {
     assert!(!reason.contains("delete the"), "no advice destroys unsent data: {reason}");
     // It gets no welcome, whatever it sends afterwards.
     misbehaving_peer.send(&impostor.batch(10));
-    misbehaving_peer.receive_until(|output| (*output == ToAgent::Unknown).then_some(()));
+    misbehaving_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
     // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {

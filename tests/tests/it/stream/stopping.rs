@@ -7,7 +7,7 @@ use super::{SMALL_SPOOL, assert_nothing_lost, wait_for_turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
-fn counted() -> String {
+fn counting_agent() -> String {
     edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
 }
 
@@ -17,18 +17,18 @@ fn answers(end: &ProcessEnd) -> u64 {
 }
 
 /// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
-fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
+fn assert_everything_is_stored(title: &str, mut fleet: Fleet, measured: u64) {
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     let run = stored_events.runs.values().next().expect("one run");
     assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
-    assert_eq!(run.iterations() + run.missing, measured_in_all, "{stored_events:?}");
+    assert_eq!(run.iterations() + run.missing, measured, "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
     record_figures(
-        what,
+        title,
         &[
-            ("iterations measured", number(measured_in_all)),
+            ("iterations measured", number(measured)),
             ("iterations stored", number(run.iterations())),
             ("iterations in gaps", number(run.missing)),
         ],
@@ -38,7 +38,7 @@ fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u6
 #[test]
 fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &counted());
+    let mut fleet = Fleet::new(&["edge"], &counting_agent());
     fleet.aggregator.stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
@@ -50,7 +50,7 @@ fn agent_stopped_without_aggregator_keeps_all_in_spool() {
 #[test]
 fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &counted());
+    let mut fleet = Fleet::new(&["edge"], &counting_agent());
     fleet.start(0);
     fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 1_000);
     let end = fleet.agents[0].stop();
