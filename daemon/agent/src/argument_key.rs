@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn key_is_created_once_and_readable_by_owner_only() {
+    fn key_is_created_once_and_private() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("state");
         argument_key(&state).expect("made");

@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_and_address_is_logged_once_a_minute() {
+    fn each_kind_and_address_is_logged_every_minute() {
         let mut refusals = LogThrottle::default();
         let here = "127.0.0.1".parse().ok();
         assert_eq!(refusals.count("taken", here, at(0)), Some(1));

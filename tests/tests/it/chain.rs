@@ -138,7 +138,7 @@ fn stop_of_combined_process_loses_nothing() {
 }
 
 #[test]
-fn status_command_lists_pipelines_and_exits_69_without_aggregator() {
+fn status_lists_pipelines_and_exits_69_without_aggregator() {
     let deployment = LoopbackDeployment::new();
     let url = format!("http://127.0.0.1:{}", deployment.http);
     let run_status = || {

@@ -23,7 +23,7 @@ fn read(path: &Path) -> String {
 }
 
 #[test]
-fn plot_writes_the_papers_figures_into_results_of_the_published_commands() {
+fn plot_draws_figures_of_paper_for_published_results() {
     let deployment = deployment();
     let end = plot(&deployment, &["all/small", "--kind", "histograms"]);
     assert_eq!(end.code(), 0, "{}", end.log);

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn sequence_numbers_of_ros_2_are_refused_with_the_alternatives() {
+    fn sequence_numbers_are_refused_in_ros_2() {
         let error = config(PairBy::Sequence).resolve_version(|_| None).expect_err("there are none");
         assert_eq!(error.key(), "pair_by");
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn slew_begins_epochs_and_is_reported_once_a_minute() {
+    fn slew_begins_epochs_with_one_report_per_minute() {
         let mut testbed = ClockTestbed::new(0.0);
         let slew_for = |testbed: &mut ClockTestbed, seconds: i64| {
             for _ in 0..seconds * 10 {
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn disruption_by_hypervisor_begins_new_epoch_of_both_clocks() {
+    fn hypervisor_disruption_begins_epoch_of_both_clocks() {
         let mut testbed = ClockTestbed::new(0.0);
         testbed.check_for(1);
         assert!(testbed.take_reported_texts().is_empty());

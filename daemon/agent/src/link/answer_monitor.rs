@@ -144,7 +144,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_named_as_reason_and_not_refused() {
+    fn late_answers_are_a_reason_without_refusal() {
         let mut monitor = AnswerMonitor::new("cloud".parse().expect("a name"), true);
         let address = "udp://10.0.0.3:862".to_owned();
         let mut shown_state = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn key_is_named_where_it_may_be_the_reason() {
+    fn key_is_named_as_possible_reason() {
         assert_eq!(unanswered_reason(false, None), None);
         for refusal_reason in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
             let reason = unanswered_reason(true, refusal_reason).expect("something is known");

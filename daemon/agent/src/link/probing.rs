@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn next_second_is_later_by_one_second_at_most() {
+    fn next_second_begins_within_one_second() {
         assert_eq!(time_to_next_second(0), Duration::from_secs(1));
         assert_eq!(time_to_next_second(1_999_999_999), Duration::from_nanos(1));
         assert_eq!(time_to_next_second(-1), Duration::from_nanos(1));

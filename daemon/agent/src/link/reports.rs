@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_proofs_are_reported_once_a_minute_with_their_number() {
+    fn lost_proofs_are_counted_in_reports_per_minute() {
         let mut reports = ClockReports::default();
         let mut unreported =
             |millis| reports.report_lost_proof(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn proof_that_ends_with_its_session_is_not_reported() {
+    fn proof_that_ends_with_session_is_unreported() {
         let mut reports = ClockReports::default();
         assert!(reports.report_lost_proof(ended(), at(0)).is_none());
         assert!(reports.report_ended_proof(at(999)).is_none(), "the session may still end");

@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropping_is_reported_at_start_each_minute_and_end() {
+    fn dropping_is_reported_at_begin_minutes_and_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let mut dropping = DroppingWatch::default();
         // Events that were dropped before the start are not reported.

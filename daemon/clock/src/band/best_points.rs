@@ -102,7 +102,7 @@ mod tests {
     const SECOND: i64 = 1_000_000_000;
 
     #[test]
-    fn points_stay_sorted_and_bounded_in_any_arrival_order() {
+    fn points_stay_sorted_and_bounded_in_any_order() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in 0..3_000i64 {
             let x = (n * 7919 % 3_000) * SECOND + n;

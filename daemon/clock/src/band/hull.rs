@@ -70,7 +70,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_other_line_under_the_points_is_nearer_to_them(
+        fn no_other_line_below_points_is_nearer(
             steps in proptest::collection::vec((1i64..2_000, -1_000i64..1_000), 2..24),
         ) {
             let mut x = 0;

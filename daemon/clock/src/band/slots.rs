@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn limit_is_rounded_up_and_holds_by_either_clock() {
+    fn limit_is_rounded_up_for_either_clock() {
         assert_eq!(limit().max_change_over(1), 1);
         // 50 ppm of the cloud's clock are 50.0025 ppm of the second of a slow edge.
         assert!(limit().max_change_over(1_000_000_000) >= 50_003);

@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn list_of_too_many_mistakes_states_that_it_is_incomplete() {
+    fn truncated_list_of_mistakes_is_marked_as_incomplete() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
         let (reported, _) = mistakes_and_remainder(&format!("[first]\n{keys}"));
         assert_eq!(reported.len(), MAX_MISTAKES);

@@ -81,9 +81,7 @@ impl Context {
         for option in [SNDHWM, RCVHWM, LINGER] {
             let value: c_int = 0;
             // SAFETY: the options are of type int.
-            check(unsafe {
-                zmq_setsockopt(socket.0, option, (&raw const value).cast(), size_of::<c_int>())
-            })?;
+            check(unsafe { zmq_setsockopt(socket.0, option, (&raw const value).cast(), size_of::<c_int>()) })?;
         }
         Ok(socket)
     }

@@ -113,7 +113,7 @@ fn right_daemons_agree_with_exchanges() {
 
 /// The daemons' server is not behind the wire, so that the daemons can measure the wire's asymmetry.
 #[test]
-fn correct_claims_of_daemons_bound_delays_on_asymmetric_path() {
+fn correct_claims_bound_delays_on_asymmetric_path() {
     let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, wire_direction(40), wire_direction(5));
     check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
