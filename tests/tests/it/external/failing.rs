@@ -58,7 +58,7 @@ fn each_failure_is_one_iteration_with_its_reason() {
         let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/{number}"));
         let text = iteration["outcome"].to_string() + &iteration["reason"].to_string();
         for part in parts {
-            assert!(output.contains(part), "{part} is missing in {output}");
+            assert!(text.contains(part), "{part} is missing in {text}");
         }
     }
     assert_eq!(edge.stop().code(), 0);

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::build;
+use super::build_example;
 
 const MODEL: &str = r#"
 [[model]]
