@@ -19,27 +19,27 @@ use peernet_ros::messages::{CompressedImage, Header, Message, StringMessage, Tim
 use peernet_ros::ros1::{Environment, Node, PublisherOptions, SubscriberOptions, TopicType};
 
 /// Number of messages after which a relay prints its delay.
-const REPORT: usize = 20;
+const REPORTED_MESSAGES: usize = 20;
 
 /// Treatment of the messages that a relay receives.
 struct Relay {
     /// Time before a message is published.
     delay: Duration,
     /// Every message whose number is a multiple of this is not published; 0: all are.
-    drop: usize,
+    drop_interval: usize,
     /// `true` to set `header.stamp` to the time of publishing.
     restamps: bool,
 }
 
-fn say(line: &str) {
+fn print_line(line: &str) {
     println!("{line}");
 }
 
-async fn camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyhow::Result<()> {
+async fn run_camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyhow::Result<()> {
     let publisher = node
         .publish(topic, TopicType::from_message::<CompressedImage>(), PublisherOptions::default())
         .await?;
-    say("ready");
+    print_line("ready");
     let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / hz));
     for seq in 0.. {
         ticks.tick().await;
@@ -52,21 +52,21 @@ async fn camera(node: &Node, clock: &SharedClock, topic: &str, hz: f64) -> anyho
     Ok(())
 }
 
-async fn relay(
+async fn run_relay(
     node: &Node,
     clock: &SharedClock,
     [from, to]: [&str; 2],
-    Relay { delay, drop, restamps }: Relay,
+    Relay { delay, drop_interval, restamps }: Relay,
 ) -> anyhow::Result<()> {
     let kind = TopicType::from_message::<CompressedImage>();
     let publisher = node.publish(to, kind.clone(), PublisherOptions::default()).await?;
     let mut subscriber = node.subscribe(from, kind, SubscriberOptions::default()).await?;
-    say("ready");
-    let mut taken = Vec::new();
+    print_line("ready");
+    let mut delays_us = Vec::new();
     for number in 1.. {
         let message = subscriber.recv().await?;
-        let begun = clock.mono();
-        if drop > 0 && number % drop == 0 {
+        let begin = clock.mono();
+        if drop_interval > 0 && number % drop_interval == 0 {
             continue;
         }
         // Timers of tokio would round up to whole milliseconds.
@@ -78,20 +78,20 @@ async fn relay(
         } else {
             publisher.publish(message.bytes)?;
         }
-        taken.push((clock.mono() - begun).nanos() / 1000);
-        if taken.len() == REPORT {
-            taken.sort_unstable();
-            say(&format!("median {} us", taken[REPORT / 2]));
-            taken.clear();
+        delays_us.push((clock.mono() - begin).nanos() / 1000);
+        if delays_us.len() == REPORTED_MESSAGES {
+            delays_us.sort_unstable();
+            print_line(&format!("median {} us", delays_us[REPORTED_MESSAGES / 2]));
+            delays_us.clear();
         }
     }
     Ok(())
 }
 
-async fn talk(node: &Node, topic: &str) -> anyhow::Result<()> {
+async fn publish_texts(node: &Node, topic: &str) -> anyhow::Result<()> {
     let publisher =
         node.publish(topic, TopicType::from_message::<StringMessage>(), PublisherOptions::default()).await?;
-    say("ready");
+    print_line("ready");
     let mut ticks = tokio::time::interval(Duration::from_millis(50));
     loop {
         ticks.tick().await;
@@ -107,16 +107,22 @@ async fn main() -> anyhow::Result<()> {
     let node = Node::new(&Environment::from_process()?, name, Arc::clone(&clock)).await?;
     let rest: Vec<&str> = rest.iter().map(String::as_str).collect();
     match (command.as_str(), rest.as_slice()) {
-        ("camera", [topic, hz]) => camera(&node, &clock, topic, hz.parse()?).await,
-        ("relay", [from, to, delay, drop]) => {
+        ("camera", [topic, hz]) => run_camera(&node, &clock, topic, hz.parse()?).await,
+        ("relay", [from, to, delay, drop_interval]) => {
             let delay = Duration::from_millis(delay.parse()?);
-            relay(&node, &clock, [from, to], Relay { delay, drop: drop.parse()?, restamps: false }).await
+            run_relay(
+                &node,
+                &clock,
+                [from, to],
+                Relay { delay, drop_interval: drop_interval.parse()?, restamps: false },
+            )
+            .await
         }
         ("restamp", [from, to, delay]) => {
             let delay = Duration::from_millis(delay.parse()?);
-            relay(&node, &clock, [from, to], Relay { delay, drop: 0, restamps: true }).await
+            run_relay(&node, &clock, [from, to], Relay { delay, drop_interval: 0, restamps: true }).await
         }
-        ("talk", [topic]) => talk(&node, topic).await,
+        ("talk", [topic]) => publish_texts(&node, topic).await,
         _ => bail!("unknown command {command} with {} arguments", rest.len()),
     }?;
     node.shutdown().await.context("the end of the node")

@@ -52,7 +52,7 @@ impl Api {
     /// Waits until the newest run has finished its iterations, and returns its number.
     ///
     /// # Panics
-    /// As [`until`](Self::until).
+    /// As [`wait_until`](Self::wait_until).
     pub fn wait_for_finished_run(&self) -> i64 {
         self.wait_until("/api/v1/runs", |runs| {
             let run = runs["runs"].get(0)?;
@@ -82,10 +82,10 @@ impl Api {
     /// Asserts that the means of `stages` and the unattributed time add up to the total.
     ///
     /// # Panics
-    /// If they do not.
+    /// If the sum differs from the total.
     pub fn assert_stages_sum_to_total(&self, run: i64, stages: &[&str]) {
-        let all = stages.iter().chain(&["unattributed"]);
-        let sum: f64 = all.map(|name| self.mean(run, name)).sum();
+        let names = stages.iter().chain(&["unattributed"]);
+        let sum: f64 = names.map(|name| self.mean(run, name)).sum();
         let total = self.mean(run, "total");
         assert!((sum - total).abs() < 1e-9, "the stages of run {run} are {sum}, the total is {total}");
     }

@@ -12,8 +12,8 @@ pub struct Daemon {
     pub name: String,
     configuration: String,
     process: Option<Process>,
-    /// False time that the process sees; `None` for the kernel's time.
-    time: Option<FalseTime>,
+    /// False wall clock that the process sees; `None` for the kernel's.
+    false_time: Option<FalseTime>,
     spooled: Vec<SpooledIterations>,
 }
 
@@ -21,7 +21,8 @@ impl Daemon {
     /// Writes the configuration; the process is not started.
     pub fn new(deployment: &LoopbackDeployment, name: &str, configuration: &str) -> Self {
         let (name, spooled) = (name.to_owned(), Vec::new());
-        let mut daemon = Self { name, configuration: String::new(), process: None, time: None, spooled };
+        let mut daemon =
+            Self { name, configuration: String::new(), process: None, false_time: None, spooled };
         daemon.configure(deployment, configuration);
         daemon
     }
@@ -64,16 +65,18 @@ impl Daemon {
 
     fn start_from(&mut self, deployment: &LoopbackDeployment, file: &str) {
         assert!(self.process.is_none(), "{} is already running", self.name);
-        let time = self.time.as_ref().map(FalseTime::environment);
-        self.process = Some(deployment.start_with(file, time.as_ref().map_or(&[], |time| &time[..])));
+        let environment = self.false_time.as_ref().map(FalseTime::environment);
+        self.process = Some(
+            deployment.start_with(file, environment.as_ref().map_or(&[], |environment| &environment[..])),
+        );
     }
 
-    /// Shows the process a time that is `ahead` of the kernel's, from its next start on.
+    /// Shows the process a wall clock that is `ahead` of the kernel's, from its next start on.
     pub fn show_time(&mut self, deployment: &LoopbackDeployment, ahead: Span) {
-        match &self.time {
-            Some(time) => time.show(ahead),
+        match &self.false_time {
+            Some(false_time) => false_time.show(ahead),
             None => {
-                self.time =
+                self.false_time =
                     Some(FalseTime::new(&deployment.folder().join(format!("{}-time", self.name)), ahead));
             }
         }
@@ -84,7 +87,7 @@ impl Daemon {
     pub fn wait_until_ready(&mut self, deployment: &LoopbackDeployment, mut repair: impl FnMut()) -> u32 {
         let mut restarts = 0;
         while !self.process().logs_before_end("ready") {
-            let process = self.take().wait_for_end();
+            let process = self.take_process().wait_for_end();
             let failed = process.status.code().is_some_and(|code| code != 0);
             assert!(failed, "{} ended with {}:\n{}", self.name, process.status, process.log);
             self.record_spooled(&process);
@@ -110,16 +113,16 @@ impl Daemon {
 
     /// Kills the process with SIGKILL and waits for its end.
     pub fn kill(&mut self) -> ProcessEnd {
-        let ended = self.take().kill();
+        let end = self.take_process().kill();
         assert_eq!(
-            std::os::unix::process::ExitStatusExt::signal(&ended.status),
+            std::os::unix::process::ExitStatusExt::signal(&end.status),
             Some(Signal::KILL.as_raw()),
             "{} ended before it was killed:\n{}",
             self.name,
-            ended.log
+            end.log
         );
-        self.record_spooled(&ended);
-        ended
+        self.record_spooled(&end);
+        end
     }
 
     /// Stops the process with SIGTERM.
@@ -129,18 +132,18 @@ impl Daemon {
     pub fn stop(&mut self) -> ProcessEnd {
         // The process handles signals only after it is ready.
         self.process().wait_for("ready");
-        let ended = self.take().stop();
-        assert_eq!(ended.code(), 0, "{}:\n{}", self.name, ended.log);
-        self.record_spooled(&ended);
-        ended
+        let end = self.take_process().stop();
+        assert_eq!(end.code(), 0, "{}:\n{}", self.name, end.log);
+        self.record_spooled(&end);
+        end
     }
 
-    fn take(&mut self) -> Process {
+    fn take_process(&mut self) -> Process {
         self.process.take().unwrap_or_else(|| panic!("{} is not running", self.name))
     }
 
-    fn record_spooled(&mut self, ended: &ProcessEnd) {
-        self.spooled.extend(SpooledIterations::parse_log(&ended.log));
+    fn record_spooled(&mut self, end: &ProcessEnd) {
+        self.spooled.extend(SpooledIterations::parse_log(&end.log));
     }
 
     /// Returns the batches that ended processes logged as spooled.
@@ -150,11 +153,11 @@ impl Daemon {
 
     /// Returns the batches that all processes logged as spooled, including the running one.
     pub fn all_spooled(&self) -> Vec<SpooledIterations> {
-        let now = self
+        let current = self
             .process
             .as_ref()
             .map(|process| SpooledIterations::parse_log(&process.log()))
             .unwrap_or_default();
-        self.spooled.iter().cloned().chain(now).collect()
+        self.spooled.iter().cloned().chain(current).collect()
     }
 }

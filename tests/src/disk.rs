@@ -143,17 +143,17 @@ impl SecondMount {
 fn fill(folder: &Path) {
     let file = File::options().create(true).append(true).open(filler_file(folder));
     let file = file.expect("an empty file needs no space");
-    let (mut length, mut part) = (0, 1 << 30);
-    while part >= 512 {
-        match fallocate(&file, FallocateFlags::empty(), length, part) {
-            Ok(()) => length += part,
-            Err(Errno::NOSPC) => part /= 2,
+    let (mut length, mut chunk) = (0, 1 << 30);
+    while chunk >= 512 {
+        match fallocate(&file, FallocateFlags::empty(), length, chunk) {
+            Ok(()) => length += chunk,
+            Err(Errno::NOSPC) => chunk /= 2,
             Err(error) => panic!("cannot fill {}: {error}", folder.display()),
         }
     }
 }
 
-/// Frees that space.
+/// Frees the space that [`fill`] allocated.
 fn free(folder: &Path) {
     std::fs::remove_file(filler_file(folder)).expect("the disk was filled");
 }
@@ -169,11 +169,11 @@ fn mount_point() -> PathBuf {
         geteuid().is_root(),
         "this test mounts a disk, which needs root: run it as root, for instance with sudo -E"
     );
-    let all = std::env::temp_dir().join("peernet-tests").join("disks");
-    std::fs::create_dir_all(&all).expect("the temporary folder is writable");
-    remove_abandoned_disks(&all);
+    let parent = std::env::temp_dir().join("peernet-tests").join("disks");
+    std::fs::create_dir_all(&parent).expect("the temporary folder is writable");
+    remove_abandoned_disks(&parent);
     let number = DISKS.fetch_add(1, Ordering::Relaxed);
-    let folder = all.join(format!("{}-{number}", std::process::id()));
+    let folder = parent.join(format!("{}-{number}", std::process::id()));
     std::fs::create_dir(&folder).expect("the temporary folder is writable");
     folder
 }
@@ -192,8 +192,8 @@ fn text(path: &Path) -> String {
 }
 
 /// Removes the disks of test processes that have ended.
-fn remove_abandoned_disks(all: &Path) {
-    let folders = std::fs::read_dir(all).into_iter().flatten().flatten();
+fn remove_abandoned_disks(parent: &Path) {
+    let folders = std::fs::read_dir(parent).into_iter().flatten().flatten();
     for folder in folders.map(|entry| entry.path()) {
         let name = folder.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         let owner = name.split('-').next().unwrap_or_default();

@@ -63,10 +63,10 @@ impl DocumentedCommands {
         network.edge().add_address(DATA_INTERFACE, Self::EDGE);
         network.cloud().add_address(DATA_INTERFACE, Self::CLOUD);
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
-        let link = |name: &str, to: &Path| {
+        let link = |name: &str, target: &Path| {
             let name = folder.path().join(name);
             std::fs::create_dir_all(name.parent().expect("the path has a parent")).expect("writable");
-            symlink(to, name).expect("writable");
+            symlink(target, name).expect("writable");
         };
         for name in LINKED_PATHS {
             link(name, &root().join(name));
@@ -132,13 +132,13 @@ impl DocumentedCommands {
     /// Replaces the folders of a package in a text by the folders of a machine.
     fn machine_paths(&self, host: &Host, text: &str) -> String {
         let root = self.root_of(host).display().to_string();
-        PACKAGE_FOLDERS.iter().fold(text.to_owned(), |text, place| {
-            let mut parts = text.split(place);
+        PACKAGE_FOLDERS.iter().fold(text.to_owned(), |text, package_folder| {
+            let mut parts = text.split(package_folder);
             let first = parts.next().unwrap_or_default().to_owned();
             parts.fold(first, |before, after| {
                 // `deploy/debian/etc/` is another folder than `/etc/`.
                 let machine = if before.ends_with(char::is_alphanumeric) { "" } else { &root };
-                format!("{before}{machine}{place}{after}")
+                format!("{before}{machine}{package_folder}{after}")
             })
         })
     }

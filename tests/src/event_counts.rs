@@ -14,7 +14,7 @@ pub struct EventCounts {
     /// `true` if the host reports now.
     pub connected: bool,
     /// Time of its last report.
-    pub seen: WallTime,
+    pub last_seen: WallTime,
     /// Number of produced events.
     pub produced: u64,
     /// Number of produced events that are in the spool or stored.
@@ -44,21 +44,22 @@ impl EventCounts {
     pub fn read(api: &Api, host: &str) -> Option<Self> {
         let (status, text) = api.get(&format!("/api/v1/hosts/{host}"))?;
         let host: Value = (status == 200).then(|| serde_json::from_str(&text).ok())??;
-        let (now, stored) = (&host["now"], &host["stored"]);
-        let events = &now["events"];
-        let count = |of: &Value, key: &str| {
-            of[key].as_u64().unwrap_or_else(|| panic!("{key} is not a count in {of} of {host}"))
+        let (live_state, stored) = (&host["now"], &host["stored"]);
+        let events = &live_state["events"];
+        let count = |object: &Value, key: &str| {
+            object[key].as_u64().unwrap_or_else(|| panic!("{key} is not a count in {object} of {host}"))
         };
-        if now.is_null() {
+        if live_state.is_null() {
             return None;
         }
-        let seen = host["last_seen"].as_str().and_then(|text| DateTime::parse_from_rfc3339(text).ok())?;
-        let age =
-            (DateTime::<Utc>::from_timestamp_nanos(wall().unix_nanos()) - seen.to_utc()).as_seconds_f64();
-        let ahead = now["clock_ahead_s"].as_f64().unwrap_or_default();
+        let last_seen =
+            host["last_seen"].as_str().and_then(|text| DateTime::parse_from_rfc3339(text).ok())?;
+        let age_s = (DateTime::<Utc>::from_timestamp_nanos(wall().unix_nanos()) - last_seen.to_utc())
+            .as_seconds_f64();
+        let ahead_s = live_state["clock_ahead_s"].as_f64().unwrap_or_default();
         Some(Self {
             connected: host["connected"] == true,
-            seen: WallTime::from_unix_nanos(seen.timestamp_nanos_opt()?),
+            last_seen: WallTime::from_unix_nanos(last_seen.timestamp_nanos_opt()?),
             produced: count(events, "produced"),
             spooled: count(events, "spooled"),
             stored: count(events, "acknowledged"),
@@ -69,7 +70,7 @@ impl EventCounts {
             events: count(stored, "events"),
             missing: count(stored, "missing"),
             duplicates: count(stored, "duplicates"),
-            live_lag_s: age - ahead.min(0.0),
+            live_lag_s: age_s - ahead_s.min(0.0),
         })
     }
 
@@ -77,14 +78,19 @@ impl EventCounts {
     ///
     /// # Panics
     /// If that takes longer than [`crate::TEST_TIMEOUT`].
-    pub fn wait_until(api: &Api, host: &str, what: &str, mut condition: impl FnMut(&Self) -> bool) -> Self {
+    pub fn wait_until(
+        api: &Api,
+        host: &str,
+        description: &str,
+        mut condition: impl FnMut(&Self) -> bool,
+    ) -> Self {
         let mut last = None;
         let counts = poll(|| {
             last = Self::read(api, host);
             last.clone().filter(|counts| counts.connected && condition(counts))
         });
         counts.unwrap_or_else(|| {
-            panic!("timeout after {TEST_TIMEOUT:?} while waiting for {host}: {what}; now {last:?}")
+            panic!("timeout after {TEST_TIMEOUT:?} while waiting for {host}: {description}; now {last:?}")
         })
     }
 
@@ -94,23 +100,24 @@ impl EventCounts {
     /// # Panics
     /// If no more events are stored for [`crate::TEST_TIMEOUT`].
     pub fn wait_until_at_rest(api: &Api, host: &str, since: WallTime) -> Self {
-        let mut before = None;
+        let mut previous = None;
         loop {
-            let now = Self::wait_until(api, host, "more is stored", |counts| {
-                counts.seen > since && (counts.is_at_rest() || Some((counts.stored, counts.events)) != before)
+            let counts = Self::wait_until(api, host, "more is stored", |counts| {
+                counts.last_seen > since
+                    && (counts.is_at_rest() || Some((counts.stored, counts.events)) != previous)
             });
-            if now.is_at_rest() {
-                return now;
+            if counts.is_at_rest() {
+                return counts;
             }
-            before = Some((now.stored, now.events));
+            previous = Some((counts.stored, counts.events));
         }
     }
 
     fn is_at_rest(&self) -> bool {
         // Events that the agent delivered to another database, or to this database before it was restored from a backup, are
         // missing here.
-        let elsewhere = self.missing.saturating_sub(self.dropped);
-        self.waiting == 0 && (self.events == self.stored || self.events + elsewhere == self.stored)
+        let stored_elsewhere = self.missing.saturating_sub(self.dropped);
+        self.waiting == 0 && (self.events == self.stored || self.events + stored_elsewhere == self.stored)
     }
 
     /// Asserts that every produced event is stored, waiting or dropped.

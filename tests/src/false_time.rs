@@ -1,4 +1,4 @@
-//! False wall clock that libfaketime shows to a process instead of the kernel's.
+//! False wall clock that libfaketime shows to a process instead of the kernel's wall clock.
 
 use std::path::{Path, PathBuf};
 
@@ -12,21 +12,21 @@ pub struct FalseTime {
 }
 
 impl FalseTime {
-    /// Creates a time that is ahead of the kernel's; a file in the folder holds the difference.
+    /// Creates a time that is ahead of the kernel's wall clock; a file in the folder holds the difference.
     ///
     /// # Panics
     /// If libfaketime is not installed.
     pub fn new(folder: &Path, ahead: Span) -> Self {
         // Debian installs it in a folder per architecture.
         let folders = std::fs::read_dir("/usr/lib").expect("every Linux has /usr/lib").flatten();
-        let mut found = folders
+        let mut libraries = folders
             .map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"))
             .filter(|path| path.exists());
-        let library = found.next().expect("libfaketime is installed: run `deploy/install-tools.sh test`");
+        let library = libraries.next().expect("libfaketime is installed: run `deploy/install-tools.sh test`");
         std::fs::create_dir_all(folder).expect("the temporary folder is writable");
-        let time = Self { library: library.display().to_string(), file: folder.join("ahead") };
-        time.show(ahead);
-        time
+        let false_time = Self { library: library.display().to_string(), file: folder.join("ahead") };
+        false_time.show(ahead);
+        false_time
     }
 
     /// Shows another time, which processes see within a second.
@@ -34,9 +34,9 @@ impl FalseTime {
     /// # Panics
     /// If the file cannot be written.
     pub fn show(&self, ahead: Span) {
-        let new = self.file.with_extension("new");
-        std::fs::write(&new, format!("{:+}s\n", ahead.seconds())).expect("the folder is writable");
-        std::fs::rename(new, &self.file).expect("the folder is writable");
+        let new_file = self.file.with_extension("new");
+        std::fs::write(&new_file, format!("{:+}s\n", ahead.seconds())).expect("the folder is writable");
+        std::fs::rename(new_file, &self.file).expect("the folder is writable");
     }
 
     /// Returns the environment variables for a process that should see this time.

@@ -15,12 +15,12 @@ pub fn print_line(line: &str) {
 ///
 /// # Panics
 /// If the file named by `PEERNET_FIGURES` cannot be written.
-pub fn record_figures(what: &str, figures: &[(&str, String)]) {
+pub fn record_figures(title: &str, figures: &[(&str, String)]) {
     let list: Vec<String> = figures.iter().map(|(name, value)| format!("{name} {value}")).collect();
-    print_line(&format!("{what}: {}", list.join(", ")));
+    print_line(&format!("{title}: {}", list.join(", ")));
     let Some(path) = std::env::var_os(FIGURES_FILE) else { return };
     let rows: String =
-        figures.iter().map(|(name, value)| format!("| {what} | {name} | {value} |\n")).collect();
+        figures.iter().map(|(name, value)| format!("| {title} | {name} | {value} |\n")).collect();
     let file = std::fs::File::options().create(true).append(true).open(&path);
     file.and_then(|mut file| file.write_all(rows.as_bytes()))
         .unwrap_or_else(|error| panic!("cannot write {}: {error}", path.display()));
@@ -30,8 +30,8 @@ pub fn record_figures(what: &str, figures: &[(&str, String)]) {
 pub fn thousands(number: f64) -> String {
     let digits = format!("{number:.0}");
     let mut text = String::new();
-    for (at, digit) in digits.chars().enumerate() {
-        if at > 0 && (digits.len() - at) % 3 == 0 {
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index) % 3 == 0 {
             text.push(',');
         }
         text.push(digit);

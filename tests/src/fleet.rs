@@ -30,7 +30,7 @@ pub fn edge(keys: &str, tables: &str) -> String {
     edge_in("{folder}/NAME", keys, tables)
 }
 
-/// Returns the same configuration with another state folder.
+/// Returns the configuration of [`edge`] with another state folder.
 pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
     format!(
         "[log]\nlevel = \"{SPOOL_LOG_LEVEL}\"\n\
@@ -39,12 +39,12 @@ pub fn edge_in(state: &str, keys: &str, tables: &str) -> String {
     )
 }
 
-/// Returns the table of a pipeline that echoes small payloads on its own host. `more` are additional keys, such as the
+/// Returns the table of a pipeline that echoes small payloads on its own host. `keys` are additional keys, such as the
 /// load; without a load the pipeline is a closed loop.
-pub fn echo(name: &str, more: &str) -> String {
+pub fn echo(name: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
-         placement = {{ kind = \"local\", model = \"echo\" }}\n{more}\n"
+         placement = {{ kind = \"local\", model = \"echo\" }}\n{keys}\n"
     )
 }
 
@@ -61,15 +61,15 @@ impl Fleet {
 
     /// Creates the fleet with the database at another path.
     pub fn with_database(database: &str, agents: &[&str], configuration: &str) -> Self {
-        Self::with(database, "", agents, configuration)
+        Self::with_options(database, "", agents, configuration)
     }
 
     /// Creates the fleet with additional keys of `[aggregator]`.
     pub fn with_aggregator_keys(keys: &str, agents: &[&str], configuration: &str) -> Self {
-        Self::with(DATABASE, keys, agents, configuration)
+        Self::with_options(DATABASE, keys, agents, configuration)
     }
 
-    fn with(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
+    fn with_options(database: &str, keys: &str, agents: &[&str], configuration: &str) -> Self {
         let deployment = LoopbackDeployment::new();
         let tables = format!(
             "[aggregator]\nname = \"aggregator\"\nlisten = \"tcp://127.0.0.1:{{events}}\"\n\
@@ -111,13 +111,13 @@ impl Fleet {
     }
 
     /// Waits until the counts of an agent fulfil `condition`.
-    pub fn counts(
+    pub fn wait_for_counts(
         &self,
         agent: usize,
-        what: &str,
+        description: &str,
         condition: impl FnMut(&EventCounts) -> bool,
     ) -> EventCounts {
-        EventCounts::wait_until(&self.api, &self.agents[agent].name, what, condition)
+        EventCounts::wait_until(&self.api, &self.agents[agent].name, description, condition)
     }
 
     /// Starts an agent without its pipelines and waits until it is connected to the aggregator. Returns the time of the

@@ -75,8 +75,8 @@ impl MisbehavingPeer {
     }
 
     fn receive_within(&self, timeout: Duration) -> Option<ToAgent> {
-        let received = runtime().block_on(async { tokio::time::timeout(timeout, self.socket.recv()).await });
-        let message = received.ok()?.expect("receives");
+        let result = runtime().block_on(async { tokio::time::timeout(timeout, self.socket.recv()).await });
+        let message = result.ok()?.expect("receives");
         Some(codec::decode(message.part_slice(0).expect("a frame")).expect("a message of the aggregator"))
     }
 
@@ -99,8 +99,8 @@ impl MisbehavingPeer {
     /// If no answer does.
     pub fn send_hello_until(&self, host: &InventedHost, condition: impl Fn(&ToAgent) -> bool) {
         let hello = &host.hello;
-        let began = Stopwatch::now();
-        while began.elapsed() < TEST_TIMEOUT {
+        let stopwatch = Stopwatch::now();
+        while stopwatch.elapsed() < TEST_TIMEOUT {
             self.send_message(&ToAggregator::Hello(hello.clone()));
             while let Some(message) = self.receive_within(HELLO_INTERVAL) {
                 if condition(&message) {
@@ -115,8 +115,8 @@ impl MisbehavingPeer {
     /// Receives messages until `condition` returns a value, and returns that value.
     pub fn receive_until<T>(&self, mut condition: impl FnMut(&ToAgent) -> Option<T>) -> T {
         loop {
-            if let Some(found) = condition(&self.receive()) {
-                return found;
+            if let Some(value) = condition(&self.receive()) {
+                return value;
             }
         }
     }
@@ -203,15 +203,15 @@ impl InventedHost {
 
     /// Sends the hello until it is refused; returns the reason.
     pub fn expect_refusal(&self, misbehaving_peer: &MisbehavingPeer) -> String {
-        let words = std::cell::RefCell::new(String::new());
+        let received_reason = std::cell::RefCell::new(String::new());
         misbehaving_peer.send_hello_until(self, |message| match message {
             ToAgent::Refused { reason } => {
-                words.borrow_mut().clone_from(reason);
+                received_reason.borrow_mut().clone_from(reason);
                 true
             }
             _ => false,
         });
-        words.into_inner()
+        received_reason.into_inner()
     }
 
     /// Returns the next batch of the stream, with the given events.

@@ -39,6 +39,7 @@ pub struct ProcessEnd {
 
 #[derive(Debug, Default)]
 struct Log {
+    /// Written lines, and the number of readers that have ended.
     lines: Mutex<(Vec<String>, usize)>,
     changed: Condvar,
 }
@@ -102,8 +103,9 @@ impl Process {
         let (guard, _) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended)| {
-                lines.iter().filter(|line| line.contains(text)).count() < n && *ended < self.readers.len()
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended_readers)| {
+                lines.iter().filter(|line| line.contains(text)).count() < n
+                    && *ended_readers < self.readers.len()
             })
             .expect("no reader panics");
         let line = guard.0.iter().filter(|line| line.contains(text)).nth(n - 1).cloned();
@@ -125,8 +127,8 @@ impl Process {
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended)| {
-                !is_logged(lines) && *ended < self.readers.len()
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(lines, ended_readers)| {
+                !is_logged(lines) && *ended_readers < self.readers.len()
             })
             .expect("no reader panics");
         let logs_before_end = is_logged(&guard.0);
@@ -172,7 +174,7 @@ impl Process {
         let (guard, timeout) = self
             .log
             .changed
-            .wait_timeout_while(guard, TEST_TIMEOUT, |(_, ended)| *ended < self.readers.len())
+            .wait_timeout_while(guard, TEST_TIMEOUT, |(_, ended_readers)| *ended_readers < self.readers.len())
             .expect("no reader panics");
         drop(guard);
         assert!(!timeout.timed_out(), "{} does not end; its log:\n{}", self.name, self.log());
@@ -209,9 +211,9 @@ impl Drop for Process {
             #[expect(clippy::print_stderr, reason = "the log of a failed test")]
             {
                 let log = self.log();
-                let beyond = log.lines().count().saturating_sub(PRINTED_LINES);
-                let last: Vec<&str> = log.lines().skip(beyond).collect();
-                eprintln!("--- {} (after {beyond} lines) ---\n{}", self.name, last.join("\n"));
+                let skipped_lines = log.lines().count().saturating_sub(PRINTED_LINES);
+                let last: Vec<&str> = log.lines().skip(skipped_lines).collect();
+                eprintln!("--- {} (after {skipped_lines} lines) ---\n{}", self.name, last.join("\n"));
             }
         }
     }
@@ -229,8 +231,9 @@ impl ProcessEnd {
 ///
 /// # Panics
 /// If [`TEST_TIMEOUT`] passes before.
-pub fn wait_until<T>(what: &str, condition: impl FnMut() -> Option<T>) -> T {
-    poll(condition).unwrap_or_else(|| panic!("timeout after {TEST_TIMEOUT:?} while waiting for {what}"))
+pub fn wait_until<T>(description: &str, condition: impl FnMut() -> Option<T>) -> T {
+    poll(condition)
+        .unwrap_or_else(|| panic!("timeout after {TEST_TIMEOUT:?} while waiting for {description}"))
 }
 
 /// Calls `condition` until it returns a value; returns `None` if [`TEST_TIMEOUT`] passes before.
@@ -249,10 +252,10 @@ pub(crate) fn poll<T>(mut condition: impl FnMut() -> Option<T>) -> Option<T> {
 ///
 /// # Panics
 /// If it does not grow for [`TEST_TIMEOUT`].
-pub fn wait_until_grown(what: &str, minimum: u64, mut figure: impl FnMut() -> Option<u64>) {
-    let mut before = None;
-    while before < Some(minimum) {
-        let next = format!("{what}: more than {} of {minimum}", before.unwrap_or(0));
-        before = Some(wait_until(&next, || figure().filter(|now| Some(*now) > before)));
+pub fn wait_until_grown(description: &str, minimum: u64, mut read_number: impl FnMut() -> Option<u64>) {
+    let mut previous = None;
+    while previous < Some(minimum) {
+        let description = format!("{description}: more than {} of {minimum}", previous.unwrap_or(0));
+        previous = Some(wait_until(&description, || read_number().filter(|number| Some(*number) > previous)));
     }
 }

@@ -35,7 +35,7 @@ pub fn onnxruntime() -> PathBuf {
 /// If `deploy/install-tools.sh test` has not been run.
 pub fn chrony(name: &str) -> PathBuf {
     let tools = root().join(".venv-tools/chrony/usr");
-    let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
-    let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
-    found.unwrap_or_else(|| panic!("{name} does not exist: run `deploy/install-tools.sh test`"))
+    let folders = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
+    let path = folders.iter().map(|folder| folder.join(name)).find(|path| path.exists());
+    path.unwrap_or_else(|| panic!("{name} does not exist: run `deploy/install-tools.sh test`"))
 }

@@ -46,8 +46,8 @@ impl SpooledIterations {
 
     /// Parses all lines of a log. The last line counts only if a line feed follows, because it may be truncated.
     pub fn parse_log(log: &str) -> Vec<Self> {
-        let whole = log.rsplit_once('\n').map_or("", |(whole, _)| whole);
-        whole.lines().filter_map(Self::parse_line).collect()
+        let complete_lines = log.rsplit_once('\n').map_or("", |(lines, _)| lines);
+        complete_lines.lines().filter_map(Self::parse_line).collect()
     }
 }
 
@@ -63,10 +63,10 @@ mod tests {
 
     #[test]
     fn spool_line_is_parsed_others_are_ignored() {
-        let read = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
-        assert_eq!(SpooledIterations::parse_line(&line("90")), Some(read));
-        for other in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
-            assert_eq!(SpooledIterations::parse_line(other), None, "{other}");
+        let expected = SpooledIterations { run: RUN.to_owned(), batch: 7, first: 1, last: 90, count: 90 };
+        assert_eq!(SpooledIterations::parse_line(&line("90")), Some(expected));
+        for line in ["ready", "spooled batch=7 run=x first=1 last=2 count=2", &line(""), &line("91")] {
+            assert_eq!(SpooledIterations::parse_line(line), None, "{line}");
         }
     }
 

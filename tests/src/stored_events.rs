@@ -26,7 +26,7 @@ pub struct StoredRun {
     /// Reason of its end; empty while it is still running.
     pub reason: String,
     /// Number of iterations according to the counters in the run's row.
-    pub counted: u64,
+    pub counted_iterations: u64,
     /// Number of successful iterations without warm-up, according to these counters.
     pub ok: u64,
     /// Number of successful iterations in the roll-up of the whole run, and in the roll-ups of seconds.
@@ -101,7 +101,7 @@ impl StoredEvents {
                     host: row[8].clone(),
                     pipeline: row[1].clone(),
                     reason: row[2].clone(),
-                    counted: number(&row[3]),
+                    counted_iterations: number(&row[3]),
                     ok: number(&row[4]),
                     rolled_up: (number(&row[5]), number(&row[6])),
                     missing: number(&row[7]),
@@ -119,15 +119,15 @@ impl StoredEvents {
             (run.with_nodes, run.incomplete, run.nodes) = (number(&row[1]), number(&row[2]), number(&row[3]));
         }
         let hosts = rows(database, HOSTS).into_iter().map(|row| {
-            let n = |at: usize| number(&row[at]);
+            let column = |index: usize| number(&row[index]);
             let host = StoredHost {
-                events: n(1),
-                nodes: n(2),
-                gaps: n(3),
-                missing: n(4),
-                quarantined: n(5),
-                gap_rows: (n(6), n(7)),
-                streams: n(8),
+                events: column(1),
+                nodes: column(2),
+                gaps: column(3),
+                missing: column(4),
+                quarantined: column(5),
+                gap_rows: (column(6), column(7)),
+                streams: column(8),
             };
             (row[0].clone(), host)
         });
@@ -151,15 +151,15 @@ impl StoredEvents {
     pub fn assert_consistent(&self) {
         for (id, run) in &self.runs {
             let iterations = run.iterations();
-            assert_eq!(run.counted, iterations, "counted against stored: run {id}: {run:?}");
+            assert_eq!(run.counted_iterations, iterations, "counted against stored: run {id}: {run:?}");
             assert_eq!(run.rolled_up, (run.ok, run.ok), "roll-ups against the counters: run {id}: {run:?}");
             assert_eq!((run.with_nodes, run.incomplete), (iterations, 0), "nodes of run {id}: {run:?}");
         }
         for (name, host) in &self.hosts {
             assert_eq!(host.gap_rows, (host.gaps, host.missing), "gaps of {name}: {host:?}");
         }
-        let counted: u64 = self.hosts.values().map(|host| host.nodes).sum();
-        assert_eq!(counted, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
+        let nodes: u64 = self.hosts.values().map(|host| host.nodes).sum();
+        assert_eq!(nodes, self.nodes(), "nodes by the hosts' counters and in the table: {self:?}");
     }
 
     /// Returns the number of spooled iterations that are not stored; checks that no line's range contains more than
@@ -168,14 +168,14 @@ impl StoredEvents {
     /// # Panics
     /// If a run is unknown or contains too many iterations.
     pub fn count_missing(&self, spooled: &[SpooledIterations]) -> u64 {
-        let mut lost = 0;
+        let mut missing = 0;
         for line in spooled {
             let run = self.runs.get(&line.run).unwrap_or_else(|| panic!("the run of {line:?} is not stored"));
-            let stored = run.within(line.first, line.last);
+            let stored = run.stored_within(line.first, line.last);
             assert!(stored <= line.count, "{stored} stored, more than {line:?}: {:?}", run.ranges);
-            lost += line.count - stored;
+            missing += line.count - stored;
         }
-        lost
+        missing
     }
 }
 
@@ -186,12 +186,12 @@ impl StoredRun {
     }
 
     /// Returns the number of stored iterations between two numbers.
-    pub fn within(&self, first: u64, last: u64) -> u64 {
-        let shared = |range: &RangeInclusive<u64>| {
+    pub fn stored_within(&self, first: u64, last: u64) -> u64 {
+        let stored = |range: &RangeInclusive<u64>| {
             let (first, last) = (first.max(*range.start()), last.min(*range.end()));
             (last + 1).saturating_sub(first)
         };
-        self.ranges.iter().map(shared).sum()
+        self.ranges.iter().map(stored).sum()
     }
 
     /// Returns the number of missing iterations between 1 and the last stored one.
@@ -234,7 +234,7 @@ mod tests {
     #[test]
     #[should_panic(expected = "counted against stored")]
     fn counters_above_stored_rows_are_detected() {
-        let run = StoredRun { ranges: vec![1..=10], counted: 11, ..StoredRun::default() };
+        let run = StoredRun { ranges: vec![1..=10], counted_iterations: 11, ..StoredRun::default() };
         StoredEvents { runs: BTreeMap::from([("a".to_owned(), run)]), hosts: BTreeMap::new() }
             .assert_consistent();
     }

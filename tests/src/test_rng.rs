@@ -19,12 +19,12 @@ impl TestRng {
     ///
     /// # Panics
     /// If `PEERNET_SEED` is not a number.
-    pub fn new(what: &str) -> Self {
+    pub fn new(title: &str) -> Self {
         let seed = match std::env::var(SEED) {
             Ok(text) => text.parse().unwrap_or_else(|_| panic!("{SEED}={text:?} is no number")),
             Err(_) => wall().unix_nanos().cast_unsigned() % 1_000_000,
         };
-        print_line(&format!("{what}: {SEED}={seed}"));
+        print_line(&format!("{title}: {SEED}={seed}"));
         Self(SplitMix64::new(seed))
     }
 

@@ -18,12 +18,12 @@ pub fn wall() -> WallTime {
 pub struct Stopwatch(MonoTime);
 
 impl Stopwatch {
-    /// Returns the present time.
+    /// Starts a stopwatch.
     pub fn now() -> Self {
         Self(clock().mono())
     }
 
-    /// Returns the time since then.
+    /// Returns the time since the start.
     pub fn elapsed(self) -> Duration {
         (clock().mono() - self.0).to_duration()
     }

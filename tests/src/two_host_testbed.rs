@@ -38,7 +38,7 @@ impl TwoHostTestbed {
         Self::with_scheme("tcp", network)
     }
 
-    /// Does the same for samples that are sent over the network of an address scheme.
+    /// Starts the aggregator like [`new`](Self::new), for samples that are sent over the network of an address scheme.
     pub fn with_scheme(scheme: &'static str, network: impl FnOnce(&Path) -> Network) -> Self {
         let deployment = LoopbackDeployment::new();
         let network = network(deployment.folder());
@@ -77,16 +77,16 @@ impl TwoHostTestbed {
     /// # Panics
     /// If there is no third host.
     pub fn start_third_edge(&self, tables: &str, environment: &[(&str, &str)]) -> Process {
-        self.configure("third", self.network.third(), tables);
-        self.start_peernetd("third", self.network.third(), environment)
+        self.configure("third", self.network.third_host(), tables);
+        self.start_peernetd("third", self.network.third_host(), environment)
     }
 
-    /// Returns a pipeline with payloads of one size, which the cloud echoes; `more` are additional keys.
-    pub fn pipeline(&self, name: &str, bytes: u32, more: &str) -> String {
+    /// Returns a pipeline with payloads of one size, which the cloud echoes; `keys` are additional keys.
+    pub fn pipeline(&self, name: &str, bytes: u32, keys: &str) -> String {
         let peer = self.peer();
         format!(
             "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = {bytes} }}\n\
-             placement = {{ kind = \"remote\", peer = \"{peer}\", model = \"echo\" }}\n{more}\n"
+             placement = {{ kind = \"remote\", peer = \"{peer}\", model = \"echo\" }}\n{keys}\n"
         )
     }
 
@@ -153,8 +153,8 @@ impl TwoHostTestbed {
     /// As [`stop`](Self::stop).
     pub fn stop_and_inspect<T>(self, inspect: impl FnOnce() -> T) -> T {
         let Self { aggregator, deployment: _deployment, network: _network, .. } = self;
-        let ended = aggregator.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = aggregator.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
         inspect()
     }
 }

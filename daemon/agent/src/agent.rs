@@ -49,8 +49,8 @@ pub struct RunningAgent {
     host: Host,
     bank: Arc<Bank>,
     live: LiveSources,
-    serves: Vec<Address>,
-    served: watch::Receiver<ServedCounts>,
+    serve_addresses: Vec<Address>,
+    served_counts: watch::Receiver<ServedCounts>,
     tap: Option<EventTap>,
     parts: Parts,
 }
@@ -117,7 +117,7 @@ async fn start(
     tap: Option<EventTap>,
 ) -> Result<RunningAgent, StartError> {
     let name = config.agent.host_name()?;
-    // Locked before anything is read: two agents with one state directory would have the same host id.
+    // The directory is locked before anything is read: two agents with one state directory would have the same host id.
     let state = StateLock::acquire(&config.agent.state_dir)?;
     restrict_permissions(&config);
     // All files of the state directory are read before the first task starts, so that a failure leaves no task behind.
@@ -145,10 +145,10 @@ async fn start(
     let host = Host { id, name, version, clock };
     let events = EventSinks { event_queue, incidents, runs: Runs::default() };
     let io = IoThreads::start(config.agent.io_threads).map_err(StartError::Threads)?;
-    // Opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened it.
+    // The ports are opened within the runtime of the I/O threads, because a socket belongs to the runtime that opened it.
     let endpoints = io.with_context(ServeEndpoints::open(&config, &probes, &host)).await?;
-    let serves = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
-    for address in &serves {
+    let serve_addresses = endpoints.as_ref().map(ServeEndpoints::addresses).unwrap_or_default();
+    for address in &serve_addresses {
         tracing::info!(%address, network = %address.network(), "serving models to peers");
     }
 
@@ -169,17 +169,17 @@ async fn start(
     };
     let live_statistics = start_pipelines(&mut tasks, io.handle(), &pipelines, &config, &context);
     let live = LiveSources { live_statistics, metrics, links, clock: host_clock.clone() };
-    let (count, served) = watch::channel(ServedCounts::default());
+    let (publish_counts, served_counts) = watch::channel(ServedCounts::default());
     if let Some(endpoints) = endpoints {
         let (host, incidents, bank) = (host.clone(), events.incidents.clone(), Arc::clone(&bank));
         let context = ServeContext { host, incidents, bank, observed, host_clock, inspection };
-        start_serving(&mut tasks, io.handle(), pipelines, |ended| {
-            serve::run(endpoints, context, count, ended)
+        start_serving(&mut tasks, io.handle(), pipelines, |pipelines_ended| {
+            serve::run(endpoints, context, publish_counts, pipelines_ended)
         });
     }
     let outbox = match (receiver, spool, secret, &config.agent.aggregator) {
         (Some(receiver), Some(spool), Some(secret), Some(address)) => {
-            let identity = (describe_host(&host, &bank, &serves), secret);
+            let identity = (describe_host(&host, &bank, &serve_addresses), secret);
             let (clock, live) = (SharedClock::clone(&host.clock), live.clone());
             let sources = OutboxContext { clock, incidents: events.incidents, runs: events.runs, live };
             let outbox = Outbox::start(&config, address.clone(), receiver, spool, identity, sources);
@@ -191,7 +191,7 @@ async fn start(
     tracing::info!(host = %host.name, id = %host.id, "the agent has started");
     let stop_timeout = config.agent.stop_timeout();
     let parts = Parts { tasks, outbox, io, stop_timeout, _state: state };
-    Ok(RunningAgent { host, bank, live, serves, served, tap, parts })
+    Ok(RunningAgent { host, bank, live, serve_addresses, served_counts, tap, parts })
 }
 
 /// Starts the tasks that watch this host's clocks and its hardware. Returns the receiver of the hardware's metrics.
@@ -203,7 +203,7 @@ fn start_observing_host(
     publish_clock: watch::Sender<PeerClock>,
 ) -> watch::Receiver<HostMetrics> {
     let runtime = Handle::current();
-    let watching = host_clock::run(
+    let clock_monitor = host_clock::run(
         config.clock.clone(),
         config.clock_fault.clone(),
         Arc::clone(&host.clock),
@@ -211,12 +211,12 @@ fn start_observing_host(
         publish_clock,
         tasks.stop_token(),
     );
-    tasks.spawn_required(&runtime, "host clock", watching);
-    let (publish, metrics) = watch::channel(HostMetrics::default());
+    tasks.spawn_required(&runtime, "host clock", clock_monitor);
+    let (publish_metrics, metrics) = watch::channel(HostMetrics::default());
     tasks.spawn_required(
         &runtime,
         "telemetry",
-        telemetry::run(Arc::clone(&host.clock), publish, tasks.stop_token()),
+        telemetry::run(Arc::clone(&host.clock), publish_metrics, tasks.stop_token()),
     );
     metrics
 }
@@ -269,17 +269,17 @@ impl RunningAgent {
     /// Returns the description of the host for the aggregator. Reads its hardware and the folders of models, so it is
     /// too slow to be called once a second.
     pub fn description(&self) -> HostDescription {
-        describe_host(&self.host, &self.bank, &self.serves)
+        describe_host(&self.host, &self.bank, &self.serve_addresses)
     }
 
     /// Returns the addresses at which peers may ask for models, with the bound ports; empty without `[serve]`.
     pub fn serve_addresses(&self) -> &[Address] {
-        &self.serves
+        &self.serve_addresses
     }
 
-    /// Returns the channel of the counts of answers that peers were sent.
+    /// Returns a receiver of the numbers of answers that were sent to peers.
     pub fn served_counts(&self) -> watch::Receiver<ServedCounts> {
-        self.served.clone()
+        self.served_counts.clone()
     }
 
     /// Returns the cloud that serves a pipeline, or that served it last.
@@ -302,7 +302,7 @@ impl RunningAgent {
 
     /// Returns the number of events that did not fit into the tap of [`Agent::start_with_tap`].
     pub fn events_missed_by_tap(&self) -> u64 {
-        self.tap.as_ref().map_or(0, EventTap::missed)
+        self.tap.as_ref().map_or(0, EventTap::missed_events)
     }
 
     /// Returns the current live update. It contains every pipeline with the seconds that the aggregator does not have
@@ -321,29 +321,29 @@ impl RunningAgent {
         let Self { bank, parts, .. } = self;
         let Parts { tasks, outbox, io: _io, stop_timeout, _state } = parts;
         let stop = tasks.stop_token();
-        let stopped = stop.clone();
+        let stop_request = stop.clone();
         // The stop timeout counts from the request and includes the time that the tasks take to end.
         let requested_at = tokio::spawn(async move {
-            stopped.cancelled().await;
+            stop_request.cancelled().await;
             Instant::now()
         });
-        let ended = tasks.join().await;
+        let tasks_result = tasks.join().await;
         stop.cancel();
         let now = Instant::now();
         let requested_at = requested_at.await.unwrap_or(now);
         // The outbox gets at least a quarter of the time, even if the iterations in flight took longer than the rest.
         let deadline = (requested_at + stop_timeout).max(now + stop_timeout / 4);
-        let stored = async {
+        let close_outbox = async {
             match outbox {
                 Some(outbox) => outbox.close(deadline).await,
                 None => Ok(()),
             }
         };
         // Models are unloaded while the outbox sends: both may take long, and they are independent.
-        let (stored, unloaded) = tokio::join!(stored, unload(bank, deadline - now));
-        // If the outbox ended unexpectedly, `tasks` returns an error, too. The outbox's own result comes first, because
-        // only it has the reason; the error of `tasks` was logged.
-        stored.and(ended).and(unloaded)
+        let (outbox_result, unload_result) = tokio::join!(close_outbox, unload(bank, deadline - now));
+        // If the outbox ended unexpectedly, `tasks` returns an error, too. The result of the outbox comes first, because
+        // only this result contains the reason. The error of `tasks` was logged.
+        outbox_result.and(tasks_result).and(unload_result)
     }
 }
 
@@ -392,9 +392,9 @@ fn start_pipelines(
             Arc::new(PipelineLiveState::new(pipeline.name.clone(), pipeline.load_text(), placement));
         match pipeline.start {
             StartMode::Boot => {
-                let (config, shown) = (Arc::new(pipeline.clone()), Arc::clone(&live_state));
+                let (config, shared_state) = (Arc::new(pipeline.clone()), Arc::clone(&live_state));
                 let running =
-                    pipeline::run(config, shown, context.clone(), tasks.stop_token(), drain_timeout);
+                    pipeline::run(config, shared_state, context.clone(), tasks.stop_token(), drain_timeout);
                 tasks.spawn_finite(
                     handle,
                     &format!("pipeline {}", pipeline.name),
@@ -411,8 +411,8 @@ fn start_pipelines(
     LiveStatistics::new(config.pipelines.iter().map(start).collect())
 }
 
-fn describe_host(host: &Host, bank: &Bank, serves: &[Address]) -> HostDescription {
-    let addresses: Vec<String> = serves.iter().map(Address::to_string).collect();
+fn describe_host(host: &Host, bank: &Bank, serve_addresses: &[Address]) -> HostDescription {
+    let addresses: Vec<String> = serve_addresses.iter().map(Address::to_string).collect();
     HostDescription {
         id: host.id,
         name: host.name.clone(),

@@ -1,4 +1,4 @@
-//! The key of the fingerprints that stand for the arguments of programs in descriptions, because arguments may be
+//! The key of the fingerprints that replace the arguments of programs in descriptions, because arguments may be
 //! secret.
 
 use std::fs;
@@ -67,8 +67,8 @@ fn parse(text: &str) -> Option<[u8; BYTES]> {
     if text.len() != 2 * BYTES || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
         return None;
     }
-    for (at, byte) in key.iter_mut().enumerate() {
-        *byte = u8::from_str_radix(&text[2 * at..2 * at + 2], 16).ok()?;
+    for (index, byte) in key.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&text[2 * index..2 * index + 2], 16).ok()?;
     }
     Some(key)
 }
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn key_is_created_once_and_readable_by_owner_only() {
+    fn key_is_created_once_and_private() {
         let folder = tempfile::tempdir().expect("a folder");
         let state = folder.path().join("state");
         argument_key(&state).expect("made");

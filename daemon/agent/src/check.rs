@@ -133,12 +133,12 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     report.check_max("pipeline", config.pipelines.len() as u64, MAX_PIPELINES as u64);
     let mut names = HashSet::new();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
-        let at = format!("pipeline[{index}]");
+        let prefix = format!("pipeline[{index}]");
         if !names.insert(&pipeline.name) {
             let text = format!("another pipeline is named {}, too; choose another name", pipeline.name);
-            report.add(format!("{at}.name"), text);
+            report.add(format!("{prefix}.name"), text);
         }
-        check_pipeline(&mut report, &at, pipeline, &models, clock);
+        check_pipeline(&mut report, &prefix, pipeline, &models, clock);
     }
     report.0
 }
@@ -208,32 +208,32 @@ fn check_listen(report: &mut Report, address: &Address) {
 
 fn check_pipeline(
     report: &mut Report,
-    at: &str,
+    prefix: &str,
     pipeline: &PipelineConfig,
     models: &[Slug],
     clock: &SharedClock,
 ) {
     match (&pipeline.sensor, &pipeline.placement) {
-        (_, PlacementConfig::Observe(observed)) => check_observed(report, at, pipeline, observed),
-        (Some(sensor), _) => report.check_result(format!("{at}.sensor"), sensor.check(clock)),
-        (None, _) => report.add(format!("{at}.sensor"), "the pipeline has no sensor; add one"),
+        (_, PlacementConfig::Observe(observed)) => check_observed(report, prefix, pipeline, observed),
+        (Some(sensor), _) => report.check_result(format!("{prefix}.sensor"), sensor.check(clock)),
+        (None, _) => report.add(format!("{prefix}.sensor"), "the pipeline has no sensor; add one"),
     }
     for (index, transform) in pipeline.transforms.iter().enumerate() {
-        report.check_result(format!("{at}.transforms[{index}]"), transform.build());
+        report.check_result(format!("{prefix}.transforms[{index}]"), transform.build());
     }
-    report.check_result(format!("{at}.actuator"), pipeline.actuator.check());
-    report.check_max(&format!("{at}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
-    report.check_max(&format!("{at}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
+    report.check_result(format!("{prefix}.actuator"), pipeline.actuator.check());
+    report.check_max(&format!("{prefix}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
+    report.check_max(&format!("{prefix}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     // An iteration that times out misses its deadline in any case, so a deadline after the timeout has no effect.
     if let Some(deadline) = pipeline.deadline_ms.filter(|deadline| *deadline > pipeline.timeout_ms) {
         let text =
             format!("{deadline} is later than timeout_ms ({}); choose an earlier one", pipeline.timeout_ms);
-        report.add(format!("{at}.deadline_ms"), text);
+        report.add(format!("{prefix}.deadline_ms"), text);
     }
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
-        report.check_settings(&format!("{at}.placement.session"), &remote.session);
-        report.check_result(format!("{at}.placement.network"), remote.peer.check_network(remote.network));
-        report.check_result(format!("{at}.placement.peer"), remote.peer.check_host());
+        report.check_settings(&format!("{prefix}.placement.session"), &remote.session);
+        report.check_result(format!("{prefix}.placement.network"), remote.peer.check_network(remote.network));
+        report.check_result(format!("{prefix}.placement.peer"), remote.peer.check_host());
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)
@@ -245,13 +245,13 @@ fn check_pipeline(
                 format!("this host has {}", names.join(", "))
             }
         };
-        report.add(format!("{at}.placement.model"), format!("no model is named {model}; {available}"));
+        report.add(format!("{prefix}.placement.model"), format!("no model is named {model}; {available}"));
     }
     if let Some(hz) = pipeline.load.hz()
         && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)
     {
         report.add(
-            format!("{at}.load.hz"),
+            format!("{prefix}.load.hz"),
             format!("{hz:?} is not a rate of at least one start a year and at most 100000 per second"),
         );
     }
@@ -259,24 +259,24 @@ fn check_pipeline(
         && !(seconds > 0.0 && seconds <= MAX_RUN_S)
     {
         report.add(
-            format!("{at}.limit.duration_s"),
+            format!("{prefix}.limit.duration_s"),
             format!("{seconds:?} is not a number of seconds above 0 and at most {MAX_RUN_S}"),
         );
     }
     if pipeline.placement == (PlacementConfig::None {}) && pipeline.actuator.acts() {
         report.add(
-            format!("{at}.actuator"),
+            format!("{prefix}.actuator"),
             "a pipeline that only senses has no answers to act on; remove the actuator",
         );
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {
         let text = "episodes and steps need episode_steps; set it, or use iterations instead";
-        report.add(format!("{at}.warm_up"), text);
+        report.add(format!("{prefix}.warm_up"), text);
     }
 }
 
-fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
+fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
     let unused_keys = [
         ("sensor", pipeline.sensor.is_some()),
         ("transforms", !pipeline.transforms.is_empty()),
@@ -284,25 +284,28 @@ fn check_observed(report: &mut Report, at: &str, pipeline: &PipelineConfig, obse
         ("actuator", pipeline.actuator.acts()),
     ];
     for (key, _) in unused_keys.into_iter().filter(|(_, is_set)| *is_set) {
-        report.add(format!("{at}.{key}"), format!("a pipeline that observes does not use {key}; remove it"));
+        report.add(
+            format!("{prefix}.{key}"),
+            format!("a pipeline that observes does not use {key}; remove it"),
+        );
     }
     if observed.input == observed.output {
         let text = "output is the same topic as input; name the topic that the observed nodes publish";
-        report.add(format!("{at}.placement.output"), text);
+        report.add(format!("{prefix}.placement.output"), text);
     }
     if let Err(error) = observed.check_peer() {
-        report.add(format!("{at}.placement.{}", error.key()), error);
+        report.add(format!("{prefix}.placement.{}", error.key()), error);
     }
     if let Some(peer) = &observed.peer {
-        report.check_result(format!("{at}.placement.peer"), peer.check_host());
+        report.check_result(format!("{prefix}.placement.peer"), peer.check_host());
     }
     match observed.resolve_version(|name| std::env::var(name).ok()) {
         Ok(version) => {
             for (key, topic) in [("input", &observed.input), ("output", &observed.output)] {
-                report.check_result(format!("{at}.placement.{key}"), check_name(version, topic));
+                report.check_result(format!("{prefix}.placement.{key}"), check_name(version, topic));
             }
         }
-        Err(error) => report.add(format!("{at}.placement.{}", error.key()), error),
+        Err(error) => report.add(format!("{prefix}.placement.{}", error.key()), error),
     }
 }
 

@@ -30,14 +30,14 @@ pub enum IdentityError {
     InUse(PathBuf),
     /// The file does not hold a host id.
     #[error(
-        "{} is not a host id: it contains {found:?}; restore it from a copy, or start as a new host with another [agent] \
+        "{} is not a host id: it contains {content:?}; restore it from a copy, or start as a new host with another [agent] \
          state_dir; keep this folder, because its spool may have events that are not stored", .path.display()
     )]
     NotAnId {
         /// Path of the file.
         path: PathBuf,
-        /// Beginning of its content.
-        found: String,
+        /// Beginning of the content.
+        content: String,
     },
     /// The file does not hold a secret. Its content is not shown, because it may be a secret of something else.
     #[error(
@@ -87,28 +87,28 @@ pub(crate) fn read_or_create<T>(
         return Ok(value);
     }
     fs::create_dir_all(state_dir).map_err(cannot("create", state_dir))?;
-    // Written under another name first, so that a power cut cannot leave half a file under the real name.
+    // The file is written under another name first, so that a power cut cannot leave half a file under the real name.
     let draft = state_dir.join(format!("{name}.{}", HostId::random()));
-    let written = OpenOptions::new()
+    let write_result = OpenOptions::new()
         .write(true)
         .create_new(true)
         .mode(MODE)
         .open(&draft)
         .and_then(|mut file| writeln!(file, "{}", create()).and_then(|()| file.sync_all()))
         .map_err(cannot("write", &draft));
-    // Linking, unlike renaming, fails if another process created the file first: then its value is used.
-    let linked = written.and_then(|()| match fs::hard_link(&draft, &path) {
+    // Linking, unlike renaming, fails if another process created the file first. The value of that process is used then.
+    let link_result = write_result.and_then(|()| match fs::hard_link(&draft, &path) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(cannot("write", &path)(error)),
         _ => Ok(()),
     });
-    let removed = fs::remove_file(&draft).map_err(cannot("remove", &draft));
-    linked?;
-    removed?;
+    let remove_result = fs::remove_file(&draft).map_err(cannot("remove", &draft));
+    link_result?;
+    remove_result?;
     // A power cut can remove a new name until its folder is synced.
     File::open(state_dir).and_then(|folder| folder.sync_all()).map_err(cannot("write", state_dir))?;
     read(state_dir)?.ok_or_else(|| {
-        let removed = io::Error::new(io::ErrorKind::NotFound, "it was removed while it was being created");
-        cannot("read", &path)(removed)
+        let error = io::Error::new(io::ErrorKind::NotFound, "it was removed while it was being created");
+        cannot("read", &path)(error)
     })
 }
 
@@ -138,9 +138,9 @@ pub(crate) fn existing_id(state_dir: &Path) -> Result<Option<HostId>, IdentityEr
     let path = state_dir.join(ID_FILE);
     match fs::read_to_string(&path) {
         Ok(text) => text.trim().parse().map(Some).map_err(|_| {
-            // Shortened, because the file may be anything.
-            let found = text.trim().chars().take(40).collect();
-            IdentityError::NotAnId { path, found }
+            // The content is shortened, because the file may be anything.
+            let content = text.trim().chars().take(40).collect();
+            IdentityError::NotAnId { path, content }
         }),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(cannot("read", &path)(error)),

@@ -6,8 +6,8 @@ use peernet_stream::{Event, Incident, IncidentKind};
 
 use crate::event_queue::EventQueue;
 
-/// Formats the size of a clock step without its sign: seconds with three decimals, and below a millisecond in the unit
-/// that fits.
+/// Formats the size of a clock step without its sign, with three decimals: in seconds, or in milliseconds if it is below
+/// one millisecond.
 pub(crate) fn format_step_size(by: Span) -> String {
     let size = by.abs();
     if size < Span::from_millis(1) { size.to_string() } else { format!("{:.3} s", size.seconds()) }
@@ -56,7 +56,7 @@ impl Incidents {
         }
     }
 
-    /// Reports a limitation of a connection as an incident; it is logged with the target [`REMARK_LOG_TARGET`].
+    /// Reports a limitation of a connection as an incident. The limitation is logged with the target [`REMARK_LOG_TARGET`].
     pub(crate) fn remark(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         remark(&text);
         self.enqueue(kind, subject, text);

@@ -8,7 +8,7 @@ use peernet_statistics::SplitMix64;
 /// Growing pauses with jitter. The jitter prevents many edges from reconnecting to a restarted cloud at the same moment.
 #[derive(Debug)]
 pub(crate) struct ReconnectBackoff {
-    next: Duration,
+    pause: Duration,
     random: SplitMix64,
 }
 
@@ -22,19 +22,19 @@ impl ReconnectBackoff {
     pub(crate) fn new(host: HostId) -> Self {
         let [a, b, c, d, e, f, g, h, ..] = *host.as_bytes();
         let seed = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
-        Self { next: Self::MIN_PAUSE, random: SplitMix64::new(seed) }
+        Self { pause: Self::MIN_PAUSE, random: SplitMix64::new(seed) }
     }
 
-    /// Returns the pause before the next attempt. It doubles each time up to the longest, ± 20 %.
+    /// Returns the pause before the next attempt. The pause doubles with each call, up to the longest one; the jitter is ± 20 %.
     pub(crate) fn next_pause(&mut self) -> Duration {
-        let pause = self.next;
-        self.next = (pause * 2).min(Self::MAX_PAUSE);
+        let pause = self.pause;
+        self.pause = (pause * 2).min(Self::MAX_PAUSE);
         self.add_jitter(pause)
     }
 
     /// Resets the next pause to the shortest one, after a successful attempt.
     pub(crate) const fn reset(&mut self) {
-        self.next = Self::MIN_PAUSE;
+        self.pause = Self::MIN_PAUSE;
     }
 
     /// Returns the pause after a refusal, ± 20 %.
@@ -54,12 +54,12 @@ mod tests {
     #[test]
     fn pauses_grow_and_reset_after_success() {
         let mut reconnect_backoff = ReconnectBackoff::new(HostId::from_bytes([7; 16]));
-        let around = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
+        let is_about = |pause: Duration, middle: f64| (pause.as_secs_f64() / middle - 1.0).abs() <= 0.2;
         for middle in [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 5.0] {
             let pause = reconnect_backoff.next_pause();
-            assert!(around(pause, middle), "{pause:?} should be about {middle} s");
+            assert!(is_about(pause, middle), "{pause:?} should be about {middle} s");
         }
         reconnect_backoff.reset();
-        assert!(around(reconnect_backoff.next_pause(), 0.25));
+        assert!(is_about(reconnect_backoff.next_pause(), 0.25));
     }
 }

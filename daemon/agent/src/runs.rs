@@ -20,7 +20,7 @@ struct LatestRun {
 }
 
 impl Runs {
-    /// Records the start of a run, which replaces the pipeline's previous one.
+    /// Records the start of a run, which replaces the previous run of its pipeline.
     pub(crate) fn record_start(&self, description: RunDescription) {
         self.lock().insert(description.pipeline.clone(), LatestRun { description, is_ended: false });
     }

@@ -44,7 +44,7 @@ pub(crate) struct Tasks {
 impl Tasks {
     /// Creates an empty set of tasks that end when `stop` is cancelled.
     pub(crate) fn new(stop: &CancellationToken) -> Self {
-        // A child token: a failing task ends this agent, but not an aggregator in the same process.
+        // The token is a child of `stop`: a failing task ends this agent, but not an aggregator in the same process.
         Self { stop: stop.child_token(), set: JoinSet::new(), names: HashMap::new() }
     }
 
@@ -105,9 +105,9 @@ impl Tasks {
 
     /// Waits until all tasks have ended. The first unexpected end stops the others and is returned.
     pub(crate) async fn join(mut self) -> Result<(), Failure> {
-        let mut first = Ok(());
-        while let Some(ended) = self.set.join_next_with_id().await {
-            let (id, cause) = match ended {
+        let mut first_failure = Ok(());
+        while let Some(task_result) = self.set.join_next_with_id().await {
+            let (id, cause) = match task_result {
                 Ok((_, Ok(()))) => continue,
                 Ok((id, Err(cause))) => (id, cause),
                 Err(error) => (error.id(), error.into()),
@@ -118,11 +118,11 @@ impl Tasks {
             // An agent that lost a part must not look healthy: the other parts are stopped, and the process ends with
             // an error.
             self.stop.cancel();
-            if first.is_ok() {
-                first = Err(failure);
+            if first_failure.is_ok() {
+                first_failure = Err(failure);
             }
         }
-        first
+        first_failure
     }
 }
 

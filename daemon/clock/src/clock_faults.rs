@@ -16,7 +16,7 @@ pub struct ClockFaults {
     pub drift_ppm: f64,
     /// Steps, in any order.
     pub steps: Vec<ClockFaultStep>,
-    /// True wall-clock time of the start, from which drift and steps count.
+    /// True wall-clock time at which the faults start; drift and steps count from then.
     pub since: WallTime,
 }
 
@@ -67,26 +67,26 @@ impl fmt::Display for ClockFaults {
             write!(f, ", drift {:+} ppm", self.drift_ppm)?;
         }
         for step in &self.steps {
-            let of = if step.clock.is_wall() { "" } else { " of the free-running clock" };
-            write!(f, ", step{of} {:+} ms after {} s", millis(step.by), step.at.seconds())?;
+            let clock = if step.clock.is_wall() { "" } else { " of the free-running clock" };
+            write!(f, ", step{clock} {:+} ms after {} s", millis(step.by), step.at.seconds())?;
         }
         Ok(())
     }
 }
 
 impl ClockFaults {
-    /// Returns the time that the wall clock shows when the true one shows `truth`.
+    /// Returns the time that the wall clock shows when the true wall clock shows `truth`.
     pub fn shown_wall(&self, truth: WallTime) -> WallTime {
         truth + self.wall_error_at(truth)
     }
 
-    /// Returns the error of the wall clock (shown minus true) when the true one shows `truth`.
+    /// Returns the error of the wall clock (shown minus true) when the true wall clock shows `truth`.
     pub fn wall_error_at(&self, truth: WallTime) -> Span {
         self.error_after(truth - self.since, SteppedClock::Wall)
     }
 
-    /// Returns the time that the free-running clock shows when the true one shows `truth` and showed `since` at the
-    /// start.
+    /// Returns the time that the free-running clock shows when the true free-running clock shows `truth`. `since` is the
+    /// time that the true clock showed at the start.
     pub fn shown_raw(&self, truth: RawTime, since: RawTime) -> RawTime {
         truth + self.error_after(truth - since, SteppedClock::Raw)
     }
@@ -99,7 +99,7 @@ impl ClockFaults {
         let steps = self.steps.iter().filter(|step| step.clock.is_wall());
         let mut starts: Vec<WallTime> = steps.map(|step| self.since + step.at).collect();
         starts.push(WallTime::from_unix_nanos(i64::MIN));
-        // From the last step backwards, because the last matching time is the result.
+        // The loop goes backwards from the last step, because the last matching time is the result.
         starts.sort_unstable_by(|a, b| b.cmp(a));
         let mut end = WallTime::from_unix_nanos(i64::MAX);
         for start in starts {
@@ -123,10 +123,10 @@ impl ClockFaults {
 
     /// Returns the true time at which the clock showed `shown_wall`, without steps.
     fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
-        let ahead = shown_wall - self.offset;
-        let elapsed = (ahead - self.since).nanos() as f64;
+        let without_offset = shown_wall - self.offset;
+        let elapsed = (without_offset - self.since).nanos() as f64;
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
-        ahead - Span::from_nanos(drift.round() as i64)
+        without_offset - Span::from_nanos(drift.round() as i64)
     }
 
     /// Returns the steps of a clock up to a time after the start.

@@ -68,7 +68,7 @@ pub enum DelaySource {
     None,
 }
 
-/// Reciprocal of a share: a verdict prevails if at least this share of the delays have it or a worse verdict.
+/// Reciprocal of the share of delays with a verdict, or a worse one, at which the verdict prevails.
 const MIN_SHARE_RECIPROCAL: u64 = 20;
 
 /// Degree to which a delay can be trusted.
@@ -109,12 +109,12 @@ impl Verdict {
         let mut counts: Vec<(Self, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
         let total: u64 = counts.iter().map(|(_, count)| count).sum();
         counts.sort_by_key(|(verdict, _)| std::cmp::Reverse(verdict.severity()));
-        let mut worse = 0_u64;
-        let found = counts.into_iter().find(|(_, count)| {
-            worse += count;
-            worse.saturating_mul(MIN_SHARE_RECIPROCAL) >= total
+        let mut worse_or_equal = 0_u64;
+        let prevailing = counts.into_iter().find(|(_, count)| {
+            worse_or_equal += count;
+            worse_or_equal.saturating_mul(MIN_SHARE_RECIPROCAL) >= total
         });
-        found.map(|(verdict, _)| verdict)
+        prevailing.map(|(verdict, _)| verdict)
     }
 }
 
@@ -176,7 +176,7 @@ pub struct OneWayDelay {
     pub bounds: Option<Interval>,
     /// Source of the offset that `value` and `bounds` follow from.
     pub source: DelaySource,
-    /// Degree to which they can be trusted.
+    /// Degree to which `value` and `bounds` can be trusted.
     pub verdict: Verdict,
 }
 
@@ -213,14 +213,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn verdict_of_many_ignores_few_bad_ones() {
-        let of = |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
+    fn prevailing_verdict_ignores_few_bad_delays() {
+        let verdict_with =
+            |bad: u64| Verdict::prevailing([(Verdict::Ok, 100 - bad), (Verdict::Stepped, bad)]);
         assert_eq!(
-            (of(4), of(5), Verdict::prevailing([])),
+            (verdict_with(4), verdict_with(5), Verdict::prevailing([])),
             (Some(Verdict::Ok), Some(Verdict::Stepped), None)
         );
-        let together = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
-        assert_eq!(Verdict::prevailing(together), Some(Verdict::Stale), "stale or worse");
+        let counts = [(Verdict::Ok, 94), (Verdict::Stale, 3), (Verdict::Inconsistent, 3)];
+        assert_eq!(Verdict::prevailing(counts), Some(Verdict::Stale), "stale or worse");
     }
 
     #[test]

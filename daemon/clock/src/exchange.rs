@@ -42,7 +42,7 @@ impl Exchange {
         (self.returned - self.sent) - (self.replied - self.received)
     }
 
-    /// Returns the bounds of the offset by this exchange alone, if the clocks do not drift during it.
+    /// Returns the bounds of the offset by this exchange alone. They assume that the clocks do not drift during the exchange.
     pub fn bounds(&self) -> Interval {
         Interval { lo: self.lower(), hi: self.upper() }
     }

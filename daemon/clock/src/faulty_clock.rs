@@ -11,12 +11,12 @@ pub struct FaultyClock {
     inner: SharedClock,
     identity: ClockIdentity,
     faults: ClockFaults,
-    /// Time of the true free-running clock at the start.
+    /// Time that the inner free-running clock showed when the faults started.
     raw_since: RawTime,
     step_counts: Mutex<StepCounts>,
 }
 
-/// Numbers of steps of the inner clock and of injected steps, as of the last query.
+/// Numbers of steps of the inner clock and of injected steps, and the size of the last step, as of the last query.
 #[derive(Debug, Default)]
 struct StepCounts {
     inner: u32,
@@ -40,13 +40,13 @@ impl FaultyClock {
         let inner = self.inner.wall_epoch();
         let elapsed = self.inner.wall() - self.faults.since;
         let steps = || self.faults.steps_within(elapsed, SteppedClock::Wall);
-        let due = steps().count() as u32;
+        let due_steps = steps().count() as u32;
         if inner > step_counts.inner {
             step_counts.inner = inner;
             step_counts.last_step = self.inner.last_step();
         }
-        if due > step_counts.injected {
-            step_counts.injected = due;
+        if due_steps > step_counts.injected {
+            step_counts.injected = due_steps;
             step_counts.last_step = steps().max_by_key(|step| step.at).map(|step| step.by);
         }
         step_counts
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn drift_affects_both_clocks_and_step_only_named_one() {
+    fn drift_affects_both_clocks_but_step_only_one() {
         let raw_step = ClockFaultStep { clock: SteppedClock::Raw, ..step(20, -39) };
         let faults = faults_with(&[step(10, 3000), raw_step]);
         let inner = Arc::new(ManualClock::new(faults.since, ClockIdentity::new("boot", "system")));
@@ -186,18 +186,19 @@ mod tests {
         fn true_time_is_recovered_from_shown_time(elapsed in 0i64..100_000_000_000, ppm in -500.0..500.0f64, by in 0i64..5000) {
             let faults = ClockFaults { drift_ppm: ppm, ..faults_with(&[step(60, 10), step(30, by)]) };
             let truth = faults.since + Span::from_nanos(elapsed);
-            let back = faults.true_wall(faults.shown_wall(truth));
-            prop_assert!((back - truth).abs() <= Span::from_nanos(1), "{}", back - truth);
+            let recovered = faults.true_wall(faults.shown_wall(truth));
+            prop_assert!((recovered - truth).abs() <= Span::from_nanos(1), "{}", recovered - truth);
         }
 
         #[test]
-        fn time_shown_twice_maps_to_later_one(elapsed in 0i64..60_000_000_000) {
+        fn time_shown_twice_maps_to_later_true_time(elapsed in 0i64..60_000_000_000) {
             let faults = faults_with(&[step(30, -10)]);
             let truth = faults.since + Span::from_nanos(elapsed);
-            let back = faults.true_wall(faults.shown_wall(truth));
-            let twice = (truth + Span::from_millis(10) - faults.since).nanos() >= 30_000_000_000 && elapsed < 30_000_000_000;
-            let later = truth + Span::from_millis(if twice { 10 } else { 0 });
-            prop_assert!((back - later).abs() <= Span::from_nanos(1000), "{}", back - later);
+            let recovered = faults.true_wall(faults.shown_wall(truth));
+            let is_before_step = elapsed < 30_000_000_000;
+            let is_shown_twice = is_before_step && elapsed + 10_000_000 >= 30_000_000_000;
+            let later = truth + Span::from_millis(if is_shown_twice { 10 } else { 0 });
+            prop_assert!((recovered - later).abs() <= Span::from_nanos(1000), "{}", recovered - later);
         }
     }
 

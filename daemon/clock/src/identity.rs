@@ -35,7 +35,7 @@ impl ClockIdentity {
     /// The initial time namespace (`PROC_TIME_INIT_INO` of Linux).
     const INITIAL_TIME_NAMESPACE: &'static str = "time:[4026531834]";
 
-    /// Creates an identity from two given parts, without a process.
+    /// Creates an identity from a boot id and a name of the clock, without a process.
     pub fn new(boot: &str, clock: &str) -> Self {
         Self { boot: boot.into(), clock: clock.into(), process: None }
     }
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn reads_on_one_machine_agree_but_named_clock_differs() {
+    fn identity_is_stable_but_other_clock_name_differs() {
         let a = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
         let b = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
         let other = ClockIdentity::from_system("clock_fault").expect("linux has a boot id");

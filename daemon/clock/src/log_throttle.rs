@@ -11,8 +11,8 @@ const LINE_INTERVAL: Span = Span::from_seconds(60);
 // A peer that invents kinds must not use up memory.
 const MAX_KINDS: usize = 256;
 
-/// Selects which of many similar events are logged: the first event at once, then one event per minute with the number of events
-/// since the last line.
+/// Selects which of many similar events are logged: the first event at once, then one event per minute with the number
+/// of events since the last line.
 #[derive(Debug, Default)]
 pub struct LogThrottle {
     kinds: HashMap<(String, Option<IpAddr>), KindCount>,
@@ -25,8 +25,8 @@ struct KindCount {
 }
 
 impl LogThrottle {
-    /// Counts an event by its kind and source address. Returns the number of events since the last line; `None` if that
-    /// was less than a minute ago.
+    /// Counts an event, whose kind is the pair of `reason` and `address`. Returns the number of events of this kind since
+    /// its last line; `None` if that line was written less than a minute ago.
     pub fn count(&mut self, reason: &str, address: Option<IpAddr>, now: MonoTime) -> Option<u64> {
         let mut key = (reason.to_owned(), address);
         if !self.kinds.contains_key(&key) && self.kinds.len() >= MAX_KINDS {
@@ -48,11 +48,12 @@ impl LogThrottle {
         Some(std::mem::take(&mut kind.unlogged))
     }
 
-    /// Removes kinds without a line for a minute. Returns the number of events since the last line of each kind that has
-    /// some, with its reason and address.
+    /// Removes the kinds whose last line is at least a minute old. Returns the reason, the address and the number of
+    /// unlogged events of each removed kind that has unlogged events.
     pub fn remove_expired(&mut self, now: MonoTime) -> Vec<(String, Option<IpAddr>, u64)> {
-        let old = self.kinds.extract_if(|_, kind| now - kind.logged_at >= LINE_INTERVAL);
-        old.filter(|(_, kind)| kind.unlogged > 0)
+        let expired = self.kinds.extract_if(|_, kind| now - kind.logged_at >= LINE_INTERVAL);
+        expired
+            .filter(|(_, kind)| kind.unlogged > 0)
             .map(|((reason, address), kind)| (reason, address, kind.unlogged))
             .collect()
     }
@@ -67,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_and_address_is_logged_once_a_minute() {
+    fn each_kind_and_address_is_logged_every_minute() {
         let mut refusals = LogThrottle::default();
         let here = "127.0.0.1".parse().ok();
         assert_eq!(refusals.count("taken", here, at(0)), Some(1));

@@ -54,8 +54,8 @@ struct Piece {
 
 impl Piece {
     fn error(&self, t: f64) -> f64 {
-        let away = t - self.start;
-        self.error + away * (self.drift + away * self.change / 2.0)
+        let elapsed = t - self.start;
+        self.error + elapsed * (self.drift + elapsed * self.change / 2.0)
     }
 
     fn drift(&self, t: f64) -> f64 {
@@ -89,13 +89,13 @@ impl SimulatedClock {
                 _ => random.between(-ppm_per_s, ppm_per_s),
             };
             let limit = (ppm.copysign(change) - drift) / change;
-            let lasts =
+            let duration =
                 (random.exponential(8.0) + 0.1).min(if change == 0.0 { f64::INFINITY } else { limit });
-            if lasts > 1e-3 {
+            if duration > 1e-3 {
                 let error = wall.error(t);
                 wall.pieces.push(Piece { start: t, error, drift: drift * 1e-6, change: change * 1e-15 });
-                t += lasts * 1e9;
-                drift += change * lasts;
+                t += duration * 1e9;
+                drift += change * duration;
             }
         }
         wall
@@ -133,9 +133,9 @@ impl SimulatedClock {
         let start = at.nanos() as f64;
         let current = self.piece(start);
         let (error, drift) = (current.error(start), current.drift(start));
-        let later = self.pieces.partition_point(|piece| piece.start < start);
-        self.pieces.insert(later, Piece { start, error, drift, change: current.change });
-        self.pieces[later..].iter_mut().for_each(|piece| piece.error += by.nanos() as f64);
+        let index = self.pieces.partition_point(|piece| piece.start < start);
+        self.pieces.insert(index, Piece { start, error, drift, change: current.change });
+        self.pieces[index..].iter_mut().for_each(|piece| piece.error += by.nanos() as f64);
         self
     }
 
@@ -175,7 +175,7 @@ pub(crate) struct Trip {
     pub(crate) up: Span,
     pub(crate) down: Span,
     /// End in nanoseconds of true time.
-    pub(crate) ended: f64,
+    pub(crate) end: f64,
     pub(crate) exchange: Exchange,
 }
 
@@ -192,17 +192,17 @@ impl Trip {
 
 impl HostClocks {
     /// Returns a trip that begins at a true time `t`, with its delays and its service time; all in nanoseconds.
-    pub(crate) fn trip(&self, t: f64, up: f64, served: f64, down: f64) -> Trip {
-        let (there, back) = (t + up, t + up + served);
+    pub(crate) fn trip(&self, t: f64, up: f64, service: f64, down: f64) -> Trip {
+        let (received, replied) = (t + up, t + up + service);
         Trip {
             up: Span::from_nanos(up as i64),
             down: Span::from_nanos(down as i64),
-            ended: back + down,
+            end: replied + down,
             exchange: Exchange {
                 sent: self.edge.shows(t),
-                received: self.cloud.shows(there),
-                replied: self.cloud.shows(back),
-                returned: self.edge.shows(back + down),
+                received: self.cloud.shows(received),
+                replied: self.cloud.shows(replied),
+                returned: self.edge.shows(replied + down),
                 uncertainty: Span::ZERO,
             },
         }
@@ -245,19 +245,19 @@ impl Path {
             if random.chance(if congested { 0.05 } else { 0.005 }) {
                 congested = !congested;
             }
-            let mut waits = || {
+            let mut waiting_time = || {
                 let burst = if congested { random.between(0.0, self.burst) } else { 0.0 };
                 let tail = if random.chance(0.03) { random.exponential(20.0 * self.jitter) } else { 0.0 };
                 burst + tail + random.exponential(self.jitter)
             };
-            let (up, down) = (self.up + waits(), self.down + waits());
-            let served = random.exponential(100e3);
+            let (up, down) = (self.up + waiting_time(), self.down + waiting_time());
+            let service = random.exponential(100e3);
             if !random.chance(self.loss) {
-                trips.push(host_clocks.trip(t, up.floor(), served.floor(), down.floor()));
+                trips.push(host_clocks.trip(t, up.floor(), service.floor(), down.floor()));
             }
             t += (1e9 / hz * random.between(0.5, 1.5)).floor();
         }
-        trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
+        trips.sort_by(|a, b| a.end.total_cmp(&b.end));
         trips
     }
 }

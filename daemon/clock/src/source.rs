@@ -52,16 +52,17 @@ pub trait Clock: Send + Sync + fmt::Debug {
     /// Reads the clocks in immediate succession. An interrupted reading is repeated.
     // A delay between the reads would look like a step.
     fn stamp(&self) -> Stamp {
-        let read =
+        let read_clocks =
             || PairedReading { before: self.raw(), between: (self.wall(), self.mono()), after: self.raw() };
-        let PairedReading { before, between: (wall, mono), .. } = PairedReading::read_uninterrupted(read);
+        let PairedReading { before, between: (wall, mono), .. } =
+            PairedReading::read_uninterrupted(read_clocks);
         Stamp { wall, mono, raw: before }
     }
 
     /// Returns the interval that contains the wall clock minus the free-running clock at this moment.
     fn wall_ahead(&self) -> Interval {
-        let read = || PairedReading { before: self.raw(), between: self.wall(), after: self.raw() };
-        let PairedReading { before, between, after } = PairedReading::read_uninterrupted(read);
+        let read_clocks = || PairedReading { before: self.raw(), between: self.wall(), after: self.raw() };
+        let PairedReading { before, between, after } = PairedReading::read_uninterrupted(read_clocks);
         let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
         // A hull, because a free-running clock with an injected step may go back between the two reads.
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
@@ -176,13 +177,13 @@ impl Clock for SystemClock {
     }
 
     fn readings(&self) -> Readings {
-        let read = || {
+        let read_clocks = || {
             let before = self.mono();
             let between = (self.wall(), self.raw(), MonoTime::from_nanos(read(BOOT)));
             PairedReading { before, between, after: self.mono() }
         };
         let PairedReading { before, between: (wall, raw, boot), .. } =
-            PairedReading::read_uninterrupted(read);
+            PairedReading::read_uninterrupted(read_clocks);
         Readings { wall, mono: before, raw, boot }
     }
 

@@ -1,6 +1,6 @@
 //! Instants on the clocks of a host, and the difference between two instants of one clock.
 //!
-//! All are signed 64-bit nanoseconds: ±292 years around the epoch. Arithmetic saturates, so that a nonsensical stamp
+//! All these types are signed 64-bit nanoseconds: ±292 years around the epoch. Arithmetic saturates, so that a nonsensical stamp
 //! from a peer cannot cause a panic.
 
 use std::fmt;
@@ -18,7 +18,7 @@ pub struct WallTime(i64);
 
 /// Instant of a host's monotonic clock (`CLOCK_MONOTONIC`): nanoseconds since an arbitrary moment near boot.
 ///
-/// It is never sent to another host; only differences are.
+/// It is never sent to another host; only differences between two instants are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct MonoTime(i64);
 

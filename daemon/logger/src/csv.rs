@@ -83,25 +83,29 @@ impl Columns {
 
     /// Adds columns for all nodes of a tree.
     pub fn add(&mut self, tree: &Tree) {
-        let mut after = 0;
+        let mut next_position = 0;
         let mut siblings = Siblings::default();
         let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.parent(tree, id, &paths) else { continue };
-            let occurrence = siblings.next(parent, &node.name);
+            let Some((parent, level)) = self.parent_segment(tree, id, &paths) else { continue };
+            let occurrence = siblings.count_occurrence(parent, &node.name);
             let key = (parent, node.name.clone(), occurrence);
-            let next = self.segments.len();
-            let at = *self.segment_indices.entry(key).or_insert(next);
-            if at == next {
-                self.insert(parent, &node.name, occurrence, after);
+            let new_index = self.segments.len();
+            let index = *self.segment_indices.entry(key).or_insert(new_index);
+            if index == new_index {
+                self.insert(parent, &node.name, occurrence, next_position);
             }
-            // A new column follows the column of the node before it in this tree.
-            after = self.order.iter().position(|other| *other == at).map_or(after, |position| position + 1);
-            self.segments[at].has_value |= has_value(tree, id);
+            // A new column follows the column of the previous node of this tree.
+            next_position = self
+                .order
+                .iter()
+                .position(|other| *other == index)
+                .map_or(next_position, |position| position + 1);
+            self.segments[index].has_value |= has_value(tree, id);
             if let Some(parent) = parent {
                 self.segments[parent].has_children = true;
             }
-            paths[id.index()] = Some((at, level));
+            paths[id.index()] = Some((index, level));
         }
     }
 
@@ -111,9 +115,9 @@ impl Columns {
         self.segments.push(Segment { parent, label, has_value: false, has_children: false });
     }
 
-    /// Returns the segment of a node's parent (`None` for the root) and the node's level; `None` if the node has no
+    /// Returns the segment of a node's parent (`None` if the parent is the root) and the node's level; `None` if the node has no
     /// column.
-    fn parent(
+    fn parent_segment(
         &self,
         tree: &Tree,
         id: NodeId,
@@ -130,16 +134,16 @@ impl Columns {
     /// Returns the unique names of the columns after `iteration`, each with its segment.
     fn headers(&self) -> Vec<(usize, String)> {
         // Different paths can give the same text when they are joined with `_`, but columns need unique names.
-        let mut used = HashSet::from([ITERATION.to_owned()]);
-        let with_value = self.order.iter().copied().filter(|at| self.segments[*at].has_value);
+        let mut used_headers = HashSet::from([ITERATION.to_owned()]);
+        let with_value = self.order.iter().copied().filter(|index| self.segments[*index].has_value);
         with_value
-            .map(|at| {
-                let segment = &self.segments[at];
+            .map(|index| {
+                let segment = &self.segments[index];
                 let mut labels = vec![segment.label.as_str()];
-                let mut above = segment.parent;
-                while let Some(parent) = above {
+                let mut ancestor = segment.parent;
+                while let Some(parent) = ancestor {
                     labels.push(&self.segments[parent].label);
-                    above = self.segments[parent].parent;
+                    ancestor = self.segments[parent].parent;
                 }
                 labels.reverse();
                 let mut path = labels.join("_");
@@ -148,11 +152,11 @@ impl Columns {
                 }
                 let mut header = path.clone();
                 let mut number = 2;
-                while !used.insert(header.clone()) {
+                while !used_headers.insert(header.clone()) {
                     header = format!("{path}_{number}");
                     number += 1;
                 }
-                (at, header)
+                (index, header)
             })
             .collect()
     }
@@ -163,7 +167,7 @@ impl Columns {
 struct Siblings<'a>(HashMap<(Option<usize>, &'a Name), usize>);
 
 impl<'a> Siblings<'a> {
-    fn next(&mut self, parent: Option<usize>, name: &'a Name) -> usize {
+    fn count_occurrence(&mut self, parent: Option<usize>, name: &'a Name) -> usize {
         let count = self.0.entry((parent, name)).or_default();
         *count += 1;
         *count
@@ -209,11 +213,11 @@ impl<W: io::Write> Table<W> {
         let mut siblings = Siblings::default();
         let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.columns.parent(tree, id, &paths) else { continue };
-            let key = (parent, node.name.clone(), siblings.next(parent, &node.name));
-            let Some(at) = self.columns.segment_indices.get(&key) else { continue };
-            paths[id.index()] = Some((*at, level));
-            if let (Some(column), Some(value)) = (self.column_of_segment.get(at), node.measure.value()) {
+            let Some((parent, level)) = self.columns.parent_segment(tree, id, &paths) else { continue };
+            let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
+            let Some(index) = self.columns.segment_indices.get(&key) else { continue };
+            paths[id.index()] = Some((*index, level));
+            if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {
                 self.cells[*column] = value.to_string();
             }
         }

@@ -77,7 +77,7 @@ impl Slug {
         &self.0
     }
 
-    /// Returns `any`, the placeholder until a peer has chosen.
+    /// Returns `any`, the placeholder for a model that the peer has not chosen yet.
     pub fn any() -> Self {
         Self("any".into())
     }
@@ -96,9 +96,13 @@ impl Slug {
 impl TryFrom<String> for Slug {
     type Error = InvalidName;
     fn try_from(name: String) -> Result<Self, InvalidName> {
-        let first = name.bytes().next().is_some_and(|byte| byte.is_ascii_alphanumeric());
-        let rest = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte));
-        if first && rest && name.len() <= 64 { Ok(Self(name.into())) } else { Err(InvalidName(name)) }
+        let starts_well = name.bytes().next().is_some_and(|byte| byte.is_ascii_alphanumeric());
+        let is_allowed = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"._-".contains(&byte));
+        if starts_well && is_allowed && name.len() <= 64 {
+            Ok(Self(name.into()))
+        } else {
+            Err(InvalidName(name))
+        }
     }
 }
 

@@ -19,16 +19,16 @@ pub enum Measure {
     Value(f64, Unit),
     /// Rate in bits per second.
     Throughput(Rate),
-    /// Tokens per second of a language model; `None` while it is open.
+    /// Tokens per second of a language model; `None` while the node is open.
     TokenRate(Option<f64>),
-    /// A kind declared by the user, with its name, unit and value; `None` while it is open.
+    /// A kind declared by the user: name, unit and value. The value is `None` while the node is open, or if the reading failed.
     Custom(Name, Unit, Option<f64>),
 }
 
 /// A rate with the interval that follows from its delay's interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
-    /// Estimate; `None` if the delay has none.
+    /// Estimate; `None` if the delay has no estimate.
     pub value: Option<f64>,
     /// Lower and upper bound. The upper bound is infinite if the delay's interval includes zero.
     pub bounds: Option<(f64, f64)>,
@@ -93,7 +93,7 @@ impl Measure {
         }
     }
 
-    /// Replaces NaN by an absent value, which means that the reading was tried and failed.
+    /// Replaces NaN, the result of a failed reading, by an absent value.
     #[must_use]
     pub(crate) fn without_nan(self) -> Self {
         match self {
@@ -111,9 +111,9 @@ impl Measure {
         }
     }
 
-    /// Checks whether the value is allowed in a tree. `at` is the node's position, for the error.
-    pub(crate) fn check(&self, at: usize) -> Result<(), TreeError> {
-        let (number, ordered) = match self {
+    /// Checks whether the value is allowed in a tree. `position` is the position of the node, for the error.
+    pub(crate) fn check(&self, position: usize) -> Result<(), TreeError> {
+        let (number, are_bounds_ordered) = match self {
             Self::Container | Self::Timer(_) => (None, true),
             Self::Transit(transit) => (
                 None,
@@ -125,9 +125,9 @@ impl Measure {
         };
         // Infinite values are allowed: they stay in the tree, and statistics ignore them.
         if number.is_some_and(f64::is_nan) {
-            return Err(TreeError::NotANumber(at));
+            return Err(TreeError::NotANumber(position));
         }
-        if ordered { Ok(()) } else { Err(TreeError::CrossedBounds(at)) }
+        if are_bounds_ordered { Ok(()) } else { Err(TreeError::CrossedBounds(position)) }
     }
 
     /// Returns the name of the kind: `container`, `timer`, `transit`, `value`, `throughput`, `token-rate`, or the

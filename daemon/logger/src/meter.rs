@@ -2,7 +2,7 @@
 
 use crate::{Name, Unit};
 
-/// An instrument that measures a quantity between two times: energy, a rise of temperature, cache misses.
+/// An instrument that measures a quantity between two times, for example energy, a rise of temperature, or cache misses.
 ///
 /// ```
 /// # use std::sync::Arc;

@@ -28,7 +28,7 @@ impl Name {
     /// Creates a name from a string constant.
     ///
     /// # Panics
-    /// If it is longer than [`MAX_NAME_BYTES`]; in a constant, this is a compile error.
+    /// If the name is longer than [`MAX_NAME_BYTES`]; in a constant, this is a compile error.
     pub const fn from_static(name: &'static str) -> Self {
         assert!(name.len() <= MAX_NAME_BYTES, "a name is longer than its limit");
         Self(Repr::Static(name))
@@ -135,7 +135,7 @@ impl<'de> Deserialize<'de> for Name {
                 f.write_str("a name")
             }
             fn visit_str<E: serde::de::Error>(self, name: &str) -> Result<Name, E> {
-                // Refused and not truncated, because two names of a peer could become equal.
+                // A long name is refused and not truncated, because two names of a peer could become equal.
                 if name.len() > MAX_NAME_BYTES {
                     return Err(E::custom(format_args!(
                         "a name has {} bytes, the limit is {MAX_NAME_BYTES}",

@@ -12,9 +12,9 @@ use crate::{
     stage,
 };
 
-/// Recorder of a tree on one host: opens and closes nodes below the innermost open one.
+/// Recorder of a tree on one host: opens and closes nodes below the innermost open node.
 ///
-/// It never exceeds [`crate::limits`]: nodes that do not fit are left out ([`NodeId::SKIPPED`]), their children are
+/// The tree never exceeds [`crate::limits`]. Nodes that do not fit are left out ([`NodeId::SKIPPED`]), their children are
 /// added to the innermost existing node, and their number is recorded as `skipped-nodes`.
 ///
 /// ```
@@ -37,14 +37,14 @@ pub struct Recorder {
     pub(crate) tree: Tree,
     host: HostIndex,
     /// Time of this host's anchor on its monotonic clock.
-    zero: MonoTime,
+    anchor_time: MonoTime,
     /// The innermost open node.
-    pub(crate) open: NodeId,
+    pub(crate) innermost: NodeId,
     /// Level of the innermost open node; the root is on level 1.
     pub(crate) level: usize,
     /// Number of nodes left out because the tree had reached its limits.
-    skipped: u32,
-    /// State on arrival of a tree that came from another host.
+    skipped_nodes: u32,
+    /// State of the tree on its arrival; `None` for a tree that was created here.
     resume_state: Option<ResumeState>,
 }
 
@@ -87,7 +87,9 @@ impl Recorder {
             return Err(TreeError::TooManyHosts(tree.anchors.len() + 1));
         }
         match tree.measure_mut(transit) {
-            Some(Measure::Transit(open)) if open.received.is_none() => open.received = Some(arrival.wall),
+            Some(Measure::Transit(transit)) if transit.received.is_none() => {
+                transit.received = Some(arrival.wall)
+            }
             _ => return Err(TreeError::NotInFlight(transit.index())),
         }
         // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
@@ -101,10 +103,19 @@ impl Recorder {
         clock: SharedClock,
         tree: Tree,
         host: HostIndex,
-        zero: MonoTime,
+        anchor_time: MonoTime,
         resume_state: Option<ResumeState>,
     ) -> Self {
-        Self { clock, tree, host, zero, open: NodeId::ROOT, level: 1, skipped: 0, resume_state }
+        Self {
+            clock,
+            tree,
+            host,
+            anchor_time,
+            innermost: NodeId::ROOT,
+            level: 1,
+            skipped_nodes: 0,
+            resume_state,
+        }
     }
 
     /// Returns the clock that the recorder reads.
@@ -124,14 +135,14 @@ impl Recorder {
 
     /// Converts a time of this host's monotonic clock to an offset from the anchor.
     pub fn offset(&self, at: MonoTime) -> Span {
-        at - self.zero
+        at - self.anchor_time
     }
 
     /// Opens a timer that closes when the guard is dropped. Nodes opened through the guard become its children.
     #[inline]
     pub fn time(&mut self, name: Name) -> TimerGuard<'_> {
-        let started = self.clock.mono();
-        self.enter(name, started, Measure::Timer(None))
+        let started_at = self.clock.mono();
+        self.enter(name, started_at, Measure::Timer(None))
     }
 
     /// Opens a timer that [`stop`](Self::stop) closes. For cases in which a guard cannot live long enough.
@@ -163,22 +174,22 @@ impl Recorder {
 
     /// Opens a container. Nodes opened through the guard become its children.
     pub fn container(&mut self, name: Name) -> TimerGuard<'_> {
-        let started = self.clock.mono();
-        self.enter(name, started, Measure::Container)
+        let started_at = self.clock.mono();
+        self.enter(name, started_at, Measure::Container)
     }
 
     /// Measures with a user's instrument until the guard is dropped. Nodes opened through the guard become its
     /// children.
     pub fn measure<M: Meter>(&mut self, name: Name, meter: M) -> MeterGuard<'_, M> {
-        let started = self.clock.mono();
+        let started_at = self.clock.mono();
         let measure = Measure::Custom(meter.kind(), meter.unit(), None);
-        MeterGuard::new(self.enter(name, started, measure), meter)
+        MeterGuard::new(self.enter(name, started_at, measure), meter)
     }
 
     /// Counts the tokens of a language model until the guard is dropped.
     pub fn tokens(&mut self, name: Name) -> TokenGuard<'_> {
-        let started = self.clock.mono();
-        TokenGuard::new(self.enter(name, started, Measure::TokenRate(None)), started)
+        let started_at = self.clock.mono();
+        TokenGuard::new(self.enter(name, started_at, Measure::TokenRate(None)), started_at)
     }
 
     /// Records a number. NaN is recorded as a failed reading.
@@ -201,8 +212,8 @@ impl Recorder {
 
     /// Closes the transit of a message that arrived here.
     pub fn end_transit(&mut self, transit: NodeId, at: WallTime) {
-        if let Some(Measure::Transit(open)) = self.tree.measure_mut(transit) {
-            open.received.get_or_insert(at);
+        if let Some(Measure::Transit(measure)) = self.tree.measure_mut(transit) {
+            measure.received.get_or_insert(at);
         }
     }
 
@@ -220,7 +231,7 @@ impl Recorder {
         if !fits {
             return Err(TreeError::TooManyNodes(self.tree.nodes.len() + tree.nodes().len()));
         }
-        self.tree.insert_tree(self.open, tree)
+        self.tree.insert_tree(self.innermost, tree)
     }
 
     /// Ends the recording. Nodes that are still open stay open.
@@ -235,42 +246,42 @@ impl Recorder {
         let ResumeState { base, closed } = self.resume_state?;
         self.record_skipped();
         let nodes = self.tree.nodes.split_off(base as usize);
-        // The first anchor that was added here is this host's own.
+        // The first anchor that was added here is the anchor of this host.
         let mut anchors = self.tree.anchors.drain(usize::from(self.host.0)..);
         let anchor = anchors.next()?;
         Some(TreeDelta { base, anchor, others: anchors.collect(), closed, nodes })
     }
 
-    /// Opens a node that becomes the innermost open one until its guard is dropped.
+    /// Opens a node that is the innermost open node until its guard is dropped.
     #[inline]
-    fn enter(&mut self, name: Name, started: MonoTime, measure: Measure) -> TimerGuard<'_> {
-        let (outer, outer_level) = (self.open, self.level);
-        let node = self.append_at(name, started, measure);
+    fn enter(&mut self, name: Name, started_at: MonoTime, measure: Measure) -> TimerGuard<'_> {
+        let (outer, outer_level) = (self.innermost, self.level);
+        let node = self.append_at(name, started_at, measure);
         // Children of a node that was left out are added to the node that is open now.
         if node != NodeId::SKIPPED {
-            self.open = node;
+            self.innermost = node;
             self.level += 1;
         }
-        TimerGuard { recorder: self, node, outer, outer_level, started }
+        TimerGuard { recorder: self, node, outer, outer_level, started_at }
     }
 
     /// Appends a child of the innermost open node, or counts it as skipped if the tree is full.
     #[inline]
     fn append_at(&mut self, name: Name, at: MonoTime, measure: Measure) -> NodeId {
         if self.tree.nodes.len() >= MAX_NODES - RESERVED_NODES || self.level >= MAX_DEPTH {
-            // Counted, not an error: a measurement must not fail because its tree is full.
-            self.skipped += 1;
+            // The node is counted and causes no error: a measurement must not fail because its tree is full.
+            self.skipped_nodes += 1;
             return NodeId::SKIPPED;
         }
         let start = self.offset(at);
-        self.tree.push(Node { parent: Some(self.open), name, host: self.host, start, measure })
+        self.tree.push(Node { parent: Some(self.innermost), name, host: self.host, start, measure })
     }
 
     /// Records the number of nodes that were left out.
     fn record_skipped(&mut self) {
-        if self.skipped > 0 {
+        if self.skipped_nodes > 0 {
             let start = self.offset(self.clock.mono());
-            let measure = Measure::Value(f64::from(self.skipped), Unit::NONE);
+            let measure = Measure::Value(f64::from(self.skipped_nodes), Unit::NONE);
             let (parent, name) = (Some(NodeId::ROOT), stage::SKIPPED_NODES);
             self.tree.push(Node { parent, name, host: self.host, start, measure });
         }

@@ -86,9 +86,9 @@ impl Transport {
         }
         // On the cloud, the anchor is the receipt of the upload, and the start of the download is on the same monotonic
         // clock.
-        let monotonic = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
+        let cloud_sent = tree.wall_start(node).filter(|_| node.host != HostIndex::EDGE);
         match transit.received {
-            Some(received) => self.sum += received - monotonic.unwrap_or(transit.sent),
+            Some(received) => self.sum += received - cloud_sent.unwrap_or(transit.sent),
             None => self.is_unfinished = true,
         }
     }
@@ -96,12 +96,12 @@ impl Transport {
     fn sum(&self) -> Option<Span> {
         // Without a reply to each upload the offset does not cancel.
         let is_paired = self.uploads > 0 && self.uploads == self.downloads && !self.is_unfinished;
-        // A negative sum means that the edge's wall clock was set back meanwhile.
+        // A negative sum means that the edge's wall clock was set back in between.
         Some(self.sum).filter(|sum| is_paired && !sum.is_negative())
     }
 
     fn round_trip(&self) -> Option<Span> {
-        // Both times are of the edge's clock. A negative difference means that the clock was set back meanwhile.
+        // Both times are of the edge's clock. A negative difference means that this clock was set back in between.
         let span = self.last_received? - self.first_sent?;
         (self.uploads == 1 && self.downloads == 1 && !span.is_negative()).then_some(span)
     }
@@ -120,23 +120,23 @@ impl Stages {
             };
             if node.name == stage::TOTAL {
                 total.add(span);
-            } else if let Some(at) = ORDER.iter().position(|name| *name == node.name) {
-                stages[at].add(span);
+            } else if let Some(index) = ORDER.iter().position(|name| *name == node.name) {
+                stages[index].add(span);
                 transport.add(tree, node);
             }
         }
-        let is_transit = |at: usize| ORDER[at] == stage::UPLOAD || ORDER[at] == stage::DOWNLOAD;
+        let is_transit = |index: usize| ORDER[index] == stage::UPLOAD || ORDER[index] == stage::DOWNLOAD;
         // The exact sum of both directions replaces their separate delays, which depend on the offset.
-        let exact = transport.sum();
-        let mut stages_total = Some(exact.unwrap_or(Span::ZERO));
-        for (at, stage) in stages.iter().enumerate() {
-            if stage.is_present && !(is_transit(at) && exact.is_some()) {
+        let exact_transport = transport.sum();
+        let mut stages_total = Some(exact_transport.unwrap_or(Span::ZERO));
+        for (index, stage) in stages.iter().enumerate() {
+            if stage.is_present && !(is_transit(index) && exact_transport.is_some()) {
                 stages_total = stages_total.and_then(|sum| Some(sum + stage.duration()?));
             }
         }
         Self {
             durations: stages.map(Stage::duration),
-            transport: exact,
+            transport: exact_transport,
             round_trip: transport.round_trip(),
             total: total.duration(),
             stages_total,
@@ -151,11 +151,11 @@ impl Stages {
 
     /// Returns the duration of the stage with a name.
     pub fn get(&self, name: &str) -> Option<Span> {
-        let at = ORDER.iter().position(|stage| stage == name)?;
-        self.durations[at]
+        let index = ORDER.iter().position(|stage| stage == name)?;
+        self.durations[index]
     }
 
-    /// Returns the sum of `upload` and `download`, which needs no offset; `None` unless the answer arrived.
+    /// Returns the sum of `upload` and `download`, which needs no offset; `None` if the answer has not arrived or the edge's clock was set back.
     pub const fn transport(&self) -> Option<Span> {
         self.transport
     }
@@ -197,43 +197,44 @@ mod tests {
         Arc::new(ManualClock::new(WallTime::from_unix_nanos(wall), ClockIdentity::new("b", "c")))
     }
 
-    fn pass(clocks: [&Arc<ManualClock>; 2], nanos: i64) {
+    fn advance(clocks: [&Arc<ManualClock>; 2], nanos: i64) {
         clocks.iter().for_each(|clock| clock.advance(Span::from_nanos(nanos)));
     }
 
     /// Returns the tree of an offloaded iteration in nanoseconds: 10 sensing, `up`, 20 inference, `down`, 5 actuation,
     /// 3 unattributed. The cloud's clock is ahead by `offset` and stepped by `step` while the sample is there.
-    fn offloaded(offset: i64, up: i64, down: i64, step: i64) -> Tree {
+    fn tree_of_offloaded_iteration(offset: i64, up: i64, down: i64, step: i64) -> Tree {
         let (edge, cloud) = (clock(1_000_000), clock(1_000_000 + offset));
         let both = [&edge, &cloud];
         let mut log = Recorder::new(Arc::<ManualClock>::clone(&edge), HostId::random());
         let started_at = log.clock().mono();
         {
             let _sensing = log.time(stage::SENSING);
-            pass(both, 10);
+            advance(both, 10);
         }
         let sent = log.clock().stamp();
         let upload = log.start_transit(stage::UPLOAD, sent);
-        pass(both, up);
+        advance(both, up);
         let (tree, arrival) = (log.tree().clone(), cloud_stamp(&cloud));
-        let there = Arc::<ManualClock>::clone(&cloud);
-        let mut remote = Recorder::resume(there, HostId::random(), tree, upload, arrival).expect("under way");
+        let cloud_clock = Arc::<ManualClock>::clone(&cloud);
+        let mut remote =
+            Recorder::resume(cloud_clock, HostId::random(), tree, upload, arrival).expect("under way");
         {
             let _inference = remote.time(stage::INFERENCE);
-            pass(both, 20);
+            advance(both, 20);
         }
         cloud.step_wall(Span::from_nanos(step));
         let download = remote.start_transit(stage::DOWNLOAD, cloud_stamp(&cloud));
         let delta = remote.into_tree_delta().expect("resumed");
-        pass(both, down);
+        advance(both, down);
         log.tree_mut().apply_delta(delta).expect("fits");
-        let back = log.clock().wall();
-        log.end_transit(download, back);
+        let arrived_at = log.clock().wall();
+        log.end_transit(download, arrived_at);
         {
             let _actuation = log.time(stage::ACTUATION);
-            pass(both, 5);
+            advance(both, 5);
         }
-        pass(both, 3);
+        advance(both, 3);
         let now = log.clock().mono();
         log.record_timer(stage::TOTAL, started_at, now);
         log.finish()
@@ -245,10 +246,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sum_is_exact_whatever_the_offset(
+        fn sum_is_exact_for_any_offset_and_step(
             offset in -1_i64 << 60..1 << 60, up in 0_i64..1 << 40, down in 0_i64..1 << 40, step in -1_i64 << 50..1 << 50,
         ) {
-            let stages = offloaded(offset, up, down, step).stages();
+            let stages = tree_of_offloaded_iteration(offset, up, down, step).stages();
             prop_assert_eq!((stages.get("upload"), stages.get("download")), (None, None));
             prop_assert_eq!(stages.transport(), Some(Span::from_nanos(up + down)));
             prop_assert_eq!(stages.round_trip(), Some(Span::from_nanos(up + 20 + down)));
@@ -299,8 +300,8 @@ mod tests {
     }
 
     #[test]
-    fn only_children_of_the_root_are_stages() {
-        let mut tree = offloaded(0, 1, 1, 0);
+    fn only_children_of_root_are_stages() {
+        let mut tree = tree_of_offloaded_iteration(0, 1, 1, 0);
         let sensing = tree.find(&["sensing"]).expect("recorded").0;
         tree.add(sensing, stage::INFERENCE, Span::ZERO, Measure::Timer(Some(Span::from_seconds(1))));
         tree.add(NodeId::ROOT, Name::from("extra"), Span::ZERO, Measure::Timer(Some(Span::from_seconds(1))));

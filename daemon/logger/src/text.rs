@@ -41,7 +41,7 @@ impl Tree {
 impl fmt::Display for Text<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let tree = self.0;
-        // Children in the order of opening. One pass is enough, because parents precede their children.
+        // The children of each node in the order in which they were opened. One pass is enough, because parents precede their children.
         let mut children = vec![Vec::new(); tree.nodes().len()];
         for (id, node) in tree.iter() {
             if let Some(parent) = node.parent {
@@ -108,8 +108,7 @@ fn write_bounds(f: &mut fmt::Formatter<'_>, lo: f64, hi: f64) -> fmt::Result {
     write_number(f, hi)
 }
 
-/// Writes whole numbers without decimals, and other numbers with four decimals or four significant digits if they are
-/// small.
+/// Writes whole numbers without decimals. Other numbers have four decimals; small numbers have four significant digits.
 fn write_number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
     if number == number.trunc() && number.abs() < 1e15 {
         return write!(f, "{number}");

@@ -95,7 +95,7 @@ pub struct TreeDelta {
 impl Tree {
     /// Creates a tree that contains a root container only.
     pub fn new(name: Name, anchor: Anchor) -> Self {
-        // Enough for the nodes of a usual iteration, so that recording does not reallocate.
+        // The capacity suffices for the nodes of a usual iteration, so that recording does not reallocate.
         let mut nodes = Vec::with_capacity(24);
         nodes.push(Node {
             parent: None,
@@ -145,11 +145,11 @@ impl Tree {
 
     /// Returns the node at a path of names below the root: `find(&["sensing", "capture"])`.
     pub fn find(&self, path: &[&str]) -> Option<(NodeId, &Node)> {
-        let mut at = (NodeId::ROOT, self.nodes.first()?);
+        let mut current = (NodeId::ROOT, self.nodes.first()?);
         for name in path {
-            at = self.children(at.0).find(|(_, node)| node.name == **name)?;
+            current = self.children(current.0).find(|(_, node)| node.name == **name)?;
         }
-        Some(at)
+        Some(current)
     }
 
     /// Returns the wall-clock time of a node's start on its own host's clock, without correction.
@@ -189,31 +189,31 @@ impl Tree {
         if delta.base as usize != base {
             return Err(TreeError::BaseMismatch { expected: delta.base as usize, actual: base });
         }
-        let (closed, at) = delta.closed;
+        let (transit_id, received_at) = delta.closed;
         // A peer may close only the transit with which it received the tree: it must still be open.
-        match self.nodes.get(closed.index()).map(|node| &node.measure) {
+        match self.nodes.get(transit_id.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
-            _ => return Err(TreeError::NotInFlight(closed.index())),
+            _ => return Err(TreeError::NotInFlight(transit_id.index())),
         }
-        let hosts = self.anchors.len();
-        // Appended before the check, because parents and hosts are checked against the whole tree.
+        let anchor_count = self.anchors.len();
+        // The nodes are appended before the check, because parents and hosts are checked against the whole tree.
         self.nodes.extend(delta.nodes);
         self.anchors.push(delta.anchor);
         self.anchors.extend(delta.others);
         if let Err(error) = self.check(base) {
             self.nodes.truncate(base);
-            self.anchors.truncate(hosts);
+            self.anchors.truncate(anchor_count);
             return Err(error);
         }
-        if let Some(Measure::Transit(transit)) = self.measure_mut(closed) {
-            transit.received = Some(at);
+        if let Some(Measure::Transit(transit)) = self.measure_mut(transit_id) {
+            transit.received = Some(received_at);
         }
         Ok(())
     }
 
-    /// Inserts a copy of another tree below a node. If it does not fit, this tree is unchanged.
-    pub(crate) fn insert_tree(&mut self, below: NodeId, other: &Self) -> Result<NodeId, TreeError> {
-        let (base, hosts) = (self.nodes.len(), self.anchors.len());
+    /// Inserts a copy of another tree below a node. If the other tree does not fit, this tree is unchanged.
+    pub(crate) fn insert_tree(&mut self, parent: NodeId, other: &Self) -> Result<NodeId, TreeError> {
+        let (base, anchor_count) = (self.nodes.len(), self.anchors.len());
         let root = NodeId(base as u32);
         let hosts_and_shifts: Vec<(HostIndex, Span)> =
             other.anchors.iter().map(|anchor| self.find_or_add_anchor(anchor)).collect();
@@ -222,18 +222,18 @@ impl Tree {
                 node.host = *host;
                 node.start += *shift;
             }
-            node.parent = Some(node.parent.map_or(below, |parent| NodeId(parent.0 + root.0)));
+            node.parent = Some(node.parent.map_or(parent, |own_parent| NodeId(own_parent.0 + root.0)));
             node
         }));
         self.check(base).inspect_err(|_| {
             self.nodes.truncate(base);
-            self.anchors.truncate(hosts);
+            self.anchors.truncate(anchor_count);
         })?;
         Ok(root)
     }
 
-    /// Returns the position of a host among the anchors, added if necessary, and how much later `anchor` is than the one
-    /// at that position.
+    /// Returns the position of the anchor of `anchor`'s host, which is added if the host has none. Also returns how much
+    /// later `anchor` is than the anchor at that position.
     fn find_or_add_anchor(&mut self, anchor: &Anchor) -> (HostIndex, Span) {
         // A host has one anchor only; its wall clock relates the two origins.
         if let Some(index) = self.anchors.iter().position(|existing| existing.host == anchor.host) {
@@ -278,7 +278,7 @@ impl Tree {
 
     /// Returns the level of a node, with the root on level 1; `None` below [`MAX_DEPTH`].
     ///
-    // Computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at most 32 steps per
+    // The level is computed from the ancestors and not stored, because trees are shallow: even a hostile tree costs at most 32 steps per
     // node.
     pub(crate) fn level(&self, id: NodeId) -> Option<usize> {
         let mut parent = self.nodes.get(id.index())?.parent;

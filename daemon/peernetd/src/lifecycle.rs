@@ -23,7 +23,7 @@ use peernet_cli::shutdown_request::ShutdownRequests;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LifecycleConfig {
-    /// Longest time for stopping; seconds, up to one day. After it the process ends without waiting further. Default: 10.
+    /// Longest time for stopping; seconds, up to one day. The process then ends without waiting further. Default: 10.
     pub(crate) shutdown_deadline_s: u64,
 }
 
@@ -41,7 +41,7 @@ impl LifecycleConfig {
     /// Checks the deadline.
     ///
     /// # Errors
-    /// If it is longer than one day.
+    /// If the deadline is longer than one day.
     pub(crate) fn check(&self) -> Result<(), DeadlineError> {
         match self.shutdown_deadline_s {
             ..=Self::MAX_DEADLINE_S => Ok(()),
@@ -100,7 +100,7 @@ impl Lifecycle {
     /// Installs the signal handlers.
     ///
     /// # Errors
-    /// If they cannot be installed.
+    /// If the signal handlers cannot be installed.
     pub(crate) fn new(config: &LifecycleConfig) -> io::Result<Self> {
         Ok(Self {
             parts: Vec::new(),
@@ -125,7 +125,7 @@ impl Lifecycle {
         let stop = CancellationToken::new();
         let part = start(stop.clone()).await.with_context(|| format!("cannot start the {name}"))?;
         let ended = CancellationToken::new();
-        // A drop guard, so that the token is cancelled even if the task panics.
+        // The guard cancels the token when it is dropped, even if the task panics.
         let guard = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
             let _guard = guard;
@@ -144,7 +144,7 @@ impl Lifecycle {
 
         let Self { parts, mut signals, deadline } = self;
         tokio::select! {
-            stopped = stop_in_reverse(parts, deadline) => exit = if stopped == Exit::Ok { exit } else { stopped },
+            stop_exit = stop_in_reverse(parts, deadline) => exit = if stop_exit == Exit::Ok { exit } else { stop_exit },
             name = signals.next() => {
                 warn!("received a second {name}: ending at once, without waiting for unfinished work");
                 exit = Exit::Software;

@@ -30,10 +30,10 @@ const DOMAIN: u16 = 77;
 const SOCKET_BUFFER_BYTES: usize = 4 << 20;
 
 /// Longest wait for an answer; the repair of a message takes some of it.
-const PATIENCE: Duration = Duration::from_secs(2);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Longest wait for the other end.
-const DISCOVERY: Duration = Duration::from_secs(30);
+const DISCOVERY_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Number of messages that each end keeps.
 const DEPTH: i32 = 16;
@@ -58,12 +58,12 @@ async fn main() -> anyhow::Result<()> {
 /// Bytes that are serialized already.
 struct Message(Bytes);
 
-struct Raw;
+struct RawAdapter;
 
 #[derive(Clone)]
 struct RawDecoder;
 
-impl SerializerAdapter<Message> for Raw {
+impl SerializerAdapter<Message> for RawAdapter {
     type Error = Infallible;
 
     fn output_encoding() -> RepresentationIdentifier {
@@ -75,7 +75,7 @@ impl SerializerAdapter<Message> for Raw {
     }
 }
 
-impl DeserializerAdapter<Message> for Raw {
+impl DeserializerAdapter<Message> for RawAdapter {
     type Error = Infallible;
     type Decoded = Message;
 
@@ -88,7 +88,7 @@ impl DeserializerAdapter<Message> for Raw {
     }
 }
 
-impl DefaultDecoder<Message> for Raw {
+impl DefaultDecoder<Message> for RawAdapter {
     type Decoder = RawDecoder;
     const DECODER: RawDecoder = RawDecoder;
 }
@@ -102,15 +102,15 @@ impl Decode<'_, Message> for RawDecoder {
 }
 
 /// Both directions of one end.
-struct Port {
-    writer: no_key::DataWriter<Message, Raw>,
-    reader: no_key::SimpleDataReader<Message, Raw>,
+struct Endpoint {
+    writer: no_key::DataWriter<Message, RawAdapter>,
+    reader: no_key::SimpleDataReader<Message, RawAdapter>,
     /// Participant, whose threads end with it.
     _participant: DomainParticipant,
 }
 
-impl Port {
-    fn open(out: &str, back: &str) -> anyhow::Result<Self> {
+impl Endpoint {
+    fn open(outgoing: &str, incoming: &str) -> anyhow::Result<Self> {
         let participant = DomainParticipantBuilder::new(DOMAIN)
             .same_host_loopback(true)
             .socket_receive_buffer_size(SOCKET_BUFFER_BYTES)
@@ -127,51 +127,53 @@ impl Port {
         let (publisher, subscriber) =
             (participant.create_publisher(&qos)?, participant.create_subscriber(&qos)?);
         Ok(Self {
-            writer: publisher.create_datawriter_no_key(&topic(out)?, None)?,
-            reader: subscriber.create_simple_datareader_no_key(&topic(back)?, None)?,
+            writer: publisher.create_datawriter_no_key(&topic(outgoing)?, None)?,
+            reader: subscriber.create_simple_datareader_no_key(&topic(incoming)?, None)?,
             _participant: participant,
         })
     }
 
     async fn send(&self, bytes: Bytes) -> anyhow::Result<()> {
-        let written = self.writer.async_write(Message(bytes), None).await;
-        written.map_err(|error| anyhow!("cannot send: {}", error.forget_data()))
+        let result = self.writer.async_write(Message(bytes), None).await;
+        result.map_err(|error| anyhow!("cannot send: {}", error.forget_data()))
     }
 
     async fn receive(&self) -> anyhow::Result<Bytes> {
-        let next = pin!(self.reader.as_async_stream()).next().await;
-        Ok(next.context("the participant has ended")??.into_value().0)
+        let sample = pin!(self.reader.as_async_stream()).next().await;
+        Ok(sample.context("the participant has ended")??.into_value().0)
     }
 }
 
 async fn serve() -> anyhow::Result<()> {
-    let port = Port::open("down", "up")?;
+    let endpoint = Endpoint::open("down", "up")?;
     loop {
-        let message = port.receive().await?;
+        let message = endpoint.receive().await?;
         // A message that the writer cannot accept in time is lost; the other end counts it.
-        let _lost = port.send(message).await;
+        let _lost = endpoint.send(message).await;
     }
 }
 
 async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
-    let port = Port::open("up", "down")?;
+    let endpoint = Endpoint::open("up", "down")?;
     // The message begins with its number.
     let mut message = vec![0x5a; length.max(size_of::<u64>())];
     let mut number = 0_u64;
-    let mut next = || {
+    let mut next_message = || {
         number += 1;
         message[..size_of::<u64>()].copy_from_slice(&number.to_le_bytes());
         Bytes::copy_from_slice(&message)
     };
-    timeout(DISCOVERY, async {
+    timeout(DISCOVERY_TIMEOUT, async {
         // A message that is sent before the other end is discovered does not arrive.
-        while timeout(Duration::from_millis(300), exchange(&port, next())).await.is_err() {}
+        while timeout(Duration::from_millis(300), exchange(&endpoint, next_message())).await.is_err() {}
     })
     .await
-    .map_err(|_| anyhow!("nobody answered within {} s; is `bare-dds serve` running?", DISCOVERY.as_secs()))?;
+    .map_err(|_| {
+        anyhow!("nobody answered within {} s; is `bare-dds serve` running?", DISCOVERY_TIMEOUT.as_secs())
+    })?;
     let mut round_trips = RoundTrips::new(seconds)?;
     while let Some(begin) = round_trips.next() {
-        match timeout(PATIENCE, exchange(&port, next())).await {
+        match timeout(ANSWER_TIMEOUT, exchange(&endpoint, next_message())).await {
             Ok(Ok(())) => round_trips.record(begin, Some(&[])),
             // The writer is full, or there is no answer.
             Ok(Err(_)) | Err(_) => round_trips.record(begin, None),
@@ -181,8 +183,8 @@ async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
 }
 
 /// Sends a message and waits for its answer; answers to earlier messages are skipped.
-async fn exchange(port: &Port, message: Bytes) -> anyhow::Result<()> {
-    port.send(message.clone()).await?;
-    while port.receive().await?[..size_of::<u64>()] != message[..size_of::<u64>()] {}
+async fn exchange(endpoint: &Endpoint, message: Bytes) -> anyhow::Result<()> {
+    endpoint.send(message.clone()).await?;
+    while endpoint.receive().await?[..size_of::<u64>()] != message[..size_of::<u64>()] {}
     Ok(())
 }

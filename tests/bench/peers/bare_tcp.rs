@@ -18,7 +18,7 @@ use serde_json::Value;
 use self::round_trips::RoundTrips;
 
 /// Length of the server's two stamps at the beginning of each answer, bytes.
-const STAMPS: usize = 16;
+const STAMPS_BYTES: usize = 16;
 
 fn main() -> anyhow::Result<()> {
     let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
@@ -42,12 +42,12 @@ fn serve(clock: &dyn Clock, address: &str) -> anyhow::Result<()> {
     let listener = TcpListener::bind(address).with_context(|| format!("cannot listen on {address}"))?;
     let (mut stream, _) = listener.accept()?;
     stream.set_nodelay(true)?;
-    let mut question = vec![0; read_size(&mut stream)?];
+    let mut request = vec![0; read_size(&mut stream)?];
     let mut answer = vec![0x5a; read_size(&mut stream)?];
-    while stream.read_exact(&mut question).is_ok() {
+    while stream.read_exact(&mut request).is_ok() {
         let received = clock.wall();
         answer[..8].copy_from_slice(&received.unix_nanos().to_le_bytes());
-        answer[8..STAMPS].copy_from_slice(&clock.wall().unix_nanos().to_le_bytes());
+        answer[8..STAMPS_BYTES].copy_from_slice(&clock.wall().unix_nanos().to_le_bytes());
         stream.write_all(&answer)?;
     }
     Ok(())
@@ -59,22 +59,22 @@ fn drive(
     (up, down): (usize, usize),
     seconds: u64,
 ) -> anyhow::Result<Value> {
-    if down < STAMPS {
-        bail!("an answer of {down} bytes has no room for its stamps; ask for {STAMPS} or more");
+    if down < STAMPS_BYTES {
+        bail!("an answer of {down} bytes has no room for its stamps; ask for {STAMPS_BYTES} or more");
     }
     let mut stream = TcpStream::connect(address).with_context(|| format!("cannot connect to {address}"))?;
     stream.set_nodelay(true)?;
     stream.write_all(&(up as u64).to_le_bytes())?;
     stream.write_all(&(down as u64).to_le_bytes())?;
-    let question = vec![0xa5; up];
+    let request = vec![0xa5; up];
     let mut answer = vec![0; down];
     let mut round_trips = RoundTrips::new(seconds)?;
     while let Some(begin) = round_trips.next() {
         let sent = clock.wall();
-        stream.write_all(&question)?;
+        stream.write_all(&request)?;
         stream.read_exact(&mut answer)?;
-        let done = clock.wall();
-        let (upload, download) = (stamp_at(&answer, 0)? - sent, done - stamp_at(&answer, 8)?);
+        let received = clock.wall();
+        let (upload, download) = (stamp_at(&answer, 0)? - sent, received - stamp_at(&answer, 8)?);
         round_trips.record(begin, Some(&[("upload", upload), ("download", download)]));
     }
     round_trips.figures()
@@ -86,7 +86,7 @@ fn read_size(stream: &mut TcpStream) -> anyhow::Result<usize> {
     Ok(usize::try_from(u64::from_le_bytes(bytes))?)
 }
 
-fn stamp_at(answer: &[u8], at: usize) -> anyhow::Result<WallTime> {
-    let bytes: [u8; 8] = answer[at..at + 8].try_into()?;
+fn stamp_at(answer: &[u8], offset: usize) -> anyhow::Result<WallTime> {
+    let bytes: [u8; 8] = answer[offset..offset + 8].try_into()?;
     Ok(WallTime::from_unix_nanos(i64::from_le_bytes(bytes)))
 }

@@ -29,8 +29,8 @@ use zeromq::{Message, Options, Socket, SocketType, TrySendError};
 
 /// Number of batches in flight, as in agents.
 const WINDOW: u32 = 32;
-const QUEUE: u32 = 8;
-const LOOK: Duration = Duration::from_millis(20);
+const QUEUE_MESSAGES: u32 = 8;
+const MAX_WAIT: Duration = Duration::from_millis(20);
 
 #[tokio::main]
 async fn main() -> anyhow::Result<()> {
@@ -38,13 +38,13 @@ async fn main() -> anyhow::Result<()> {
     let [address, iterations, round_trip, control] = &arguments[..] else {
         bail!("usage: event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off");
     };
-    let controlled = match control.as_str() {
+    let is_controlled = match control.as_str() {
         "on" => true,
         "off" => false,
-        other => bail!("{other:?} is neither on nor off"),
+        text => bail!("{text:?} is neither on nor off"),
     };
     let one_way = Duration::from_secs_f64(round_trip.parse::<f64>()? / 2e3);
-    let mut agent = Agent::new(one_way, controlled)?;
+    let mut agent = Agent::new(one_way, is_controlled)?;
     agent.fill(iterations.parse()?);
     let figures = agent.deliver(address).await?;
     #[expect(clippy::print_stdout, reason = "the result that was asked for")]
@@ -57,20 +57,20 @@ async fn main() -> anyhow::Result<()> {
 /// The sending end, its spool, and the messages that are delayed.
 struct Agent {
     clock: SystemClock,
-    machine: Sending,
+    state_machine: Sending,
     spool: VecDeque<SpooledBatch>,
     one_way: Duration,
-    controlled: bool,
+    is_controlled: bool,
     up: VecDeque<(Instant, Vec<u8>)>,
     down: VecDeque<(Instant, Bytes)>,
     /// Request for an echo that is to be answered here.
-    asked: Option<u64>,
+    requested_echo: Option<u64>,
     frames: u64,
     bytes: u64,
 }
 
 impl Agent {
-    fn new(one_way: Duration, controlled: bool) -> anyhow::Result<Self> {
+    fn new(one_way: Duration, is_controlled: bool) -> anyhow::Result<Self> {
         let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
         let config = SendingConfig {
             window: WINDOW,
@@ -81,67 +81,78 @@ impl Agent {
         };
         let spool = SpoolState::new(StreamId::random());
         let host = generate::host(HostId::random(), "edge");
-        let machine = Sending::new(config, host, HostSecret::random(), 1, spool);
+        let state_machine = Sending::new(config, host, HostSecret::random(), 1, spool);
         let (spool, up, down) = Default::default();
-        Ok(Self { clock, machine, spool, one_way, controlled, up, down, asked: None, frames: 0, bytes: 0 })
+        Ok(Self {
+            clock,
+            state_machine,
+            spool,
+            one_way,
+            is_controlled,
+            up,
+            down,
+            requested_echo: None,
+            frames: 0,
+            bytes: 0,
+        })
     }
 
     /// Measures and spools this number of iterations.
     fn fill(&mut self, iterations: u64) {
-        let (run, edge, cloud) = (RunId::random(), self.machine.host(), HostId::random());
+        let (run, edge, cloud) = (RunId::random(), self.state_machine.host(), HostId::random());
         let mut numbers = generate::Numbers::new(1);
-        self.machine.offer(&generate::run_started(run, "line", generate::at(0.0)), self.clock.stamp());
+        self.state_machine.offer(&generate::run_started(run, "line", generate::at(0.0)), self.clock.stamp());
         for number in 1..=iterations {
-            let at = generate::at(number as f64 * 1e-4);
-            let iteration = generate::iteration_at(run, number, (edge, cloud), at, &mut numbers);
-            self.machine.offer(&Event::Iteration(iteration), self.clock.stamp());
-            self.act();
+            let time = generate::at(number as f64 * 1e-4);
+            let iteration = generate::iteration_at(run, number, (edge, cloud), time, &mut numbers);
+            self.state_machine.offer(&Event::Iteration(iteration), self.clock.stamp());
+            self.execute_actions();
         }
-        self.machine.flush(self.clock.wall());
-        self.act();
+        self.state_machine.flush(self.clock.wall());
+        self.execute_actions();
     }
 
     /// Returns the next action of the state machine.
-    fn next(&mut self) -> Option<Action> {
+    fn next_action(&mut self) -> Option<Action> {
         loop {
-            let action = self.machine.next(self.clock.mono());
+            let action = self.state_machine.next(self.clock.mono());
             if action.is_some() {
                 return action;
             }
-            let bytes = self.asked.take()?;
-            self.machine.on_message(&ToAgent::Echo { bytes }, self.clock.stamp());
+            let bytes = self.requested_echo.take()?;
+            self.state_machine.on_message(&ToAgent::Echo { bytes }, self.clock.stamp());
         }
     }
 
     /// Executes the actions of the state machine.
-    fn act(&mut self) {
-        while let Some(action) = self.next() {
+    fn execute_actions(&mut self) {
+        while let Some(action) = self.next_action() {
             let now = self.clock.stamp();
             match action {
                 Action::Send(frame) => self.send(frame),
                 Action::Append { batches, .. } => {
                     self.spool.extend(batches);
-                    self.machine.on_appended(now);
+                    self.state_machine.on_appended(now);
                 }
                 Action::Load { from, bytes } => {
                     let batches = self.load(from, bytes);
-                    self.machine.on_loaded(batches, now);
+                    self.state_machine.on_loaded(batches, now);
                 }
                 Action::Delete { through, .. } => {
                     while self.spool.pop_front_if(|batch| batch.number <= through).is_some() {}
-                    self.machine.on_deleted();
+                    self.state_machine.on_deleted();
                 }
                 // Happens only if an aggregator has other batches of this stream.
-                Action::Renew { .. } => self.machine.on_renewed(now),
+                Action::Renew { .. } => self.state_machine.on_renewed(now),
             }
         }
     }
 
     fn send(&mut self, frame: Vec<u8>) {
-        if !self.controlled
+        if !self.is_controlled
             && let Ok(ToAggregator::Echo { bytes, .. }) = codec::decode(&frame)
         {
-            self.asked = Some(bytes);
+            self.requested_echo = Some(bytes);
             return;
         }
         self.frames += 1;
@@ -149,58 +160,58 @@ impl Agent {
         self.up.push_back((Instant::now() + self.one_way, frame));
     }
 
-    fn load(&self, from: u64, most: usize) -> Vec<SpooledBatch> {
+    fn load(&self, from: u64, max_bytes: usize) -> Vec<SpooledBatch> {
         let mut bytes = 0;
-        let wanted = self.spool.iter().skip_while(|batch| batch.number < from).take_while(|batch| {
+        let batches = self.spool.iter().skip_while(|batch| batch.number < from).take_while(|batch| {
             let first = bytes == 0;
             bytes += batch.body.len();
-            first || bytes <= most
+            first || bytes <= max_bytes
         });
-        wanted.cloned().collect()
+        batches.cloned().collect()
     }
 
     /// Sends all batches; measures the time from the connection to the last acknowledgement.
     async fn deliver(&mut self, address: &str) -> anyhow::Result<serde_json::Value> {
-        let options = Options::default().workload_profile(WorkloadProfile::Latency).send_hwm(QUEUE);
+        let options = Options::default().workload_profile(WorkloadProfile::Latency).send_hwm(QUEUE_MESSAGES);
         let socket = Socket::new(SocketType::Dealer, options);
         socket.connect(address).await.with_context(|| format!("cannot connect to {address}"))?;
-        let began = self.clock.mono();
-        self.machine.on_connected(began);
+        let begin = self.clock.mono();
+        self.state_machine.on_connected(begin);
         loop {
-            self.act();
-            if self.machine.is_idle() {
+            self.execute_actions();
+            if self.state_machine.is_idle() {
                 break;
             }
-            let blocked = self.depart(&socket)?;
-            let departs = self.up.front().filter(|_| !blocked).map(|(at, _)| *at);
-            let arrives = self.down.front().map(|(at, _)| *at);
-            let due = departs.into_iter().chain(arrives).min().unwrap_or_else(|| Instant::now() + LOOK);
+            let is_blocked = self.send_due(&socket)?;
+            let departure = self.up.front().filter(|_| !is_blocked).map(|(time, _)| *time);
+            let arrival = self.down.front().map(|(time, _)| *time);
+            let due = departure.into_iter().chain(arrival).min().unwrap_or_else(|| Instant::now() + MAX_WAIT);
             tokio::select! {
                 message = socket.recv() => {
                     let frame = message.context("the connection failed")?.part_bytes(0).unwrap_or_default();
                     self.down.push_back((Instant::now() + self.one_way, frame));
                 }
-                () = socket.wait_send_ready(), if blocked => {}
-                () = sleep_until(due) => self.machine.tick(self.clock.stamp()),
+                () = socket.wait_send_ready(), if is_blocked => {}
+                () = sleep_until(due) => self.state_machine.tick(self.clock.stamp()),
             }
-            while let Some((_, frame)) = self.down.pop_front_if(|(at, _)| *at <= Instant::now()) {
+            while let Some((_, frame)) = self.down.pop_front_if(|(time, _)| *time <= Instant::now()) {
                 let message: ToAgent =
                     codec::decode(&frame).context("the aggregator's message makes no sense")?;
-                self.machine.on_message(&message, self.clock.stamp());
+                self.state_machine.on_message(&message, self.clock.stamp());
             }
         }
-        let seconds = (self.clock.mono() - began).seconds();
+        let seconds = (self.clock.mono() - begin).seconds();
         Ok(json!({ "seconds": seconds, "frames": self.frames, "bytes": self.bytes }))
     }
 
     /// Sends the messages that are due. Returns whether the socket could not take all messages.
-    fn depart(&mut self, socket: &Socket) -> anyhow::Result<bool> {
-        while let Some((at, frame)) = self.up.pop_front_if(|(at, _)| *at <= Instant::now()) {
+    fn send_due(&mut self, socket: &Socket) -> anyhow::Result<bool> {
+        while let Some((time, frame)) = self.up.pop_front_if(|(time, _)| *time <= Instant::now()) {
             match socket.try_send(Message::single(frame)) {
                 Ok(()) => {}
                 Err(TrySendError::Full(message)) => {
                     let frame = message.into_bytes().map(Into::into).unwrap_or_default();
-                    self.up.push_front((at, frame));
+                    self.up.push_front((time, frame));
                     return Ok(true);
                 }
                 Err(error) => bail!("the connection failed: {error:?}"),

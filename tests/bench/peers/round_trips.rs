@@ -16,7 +16,7 @@ pub(crate) struct RoundTrips {
     start: MonoTime,
     /// Beginning of the first round trip that counts.
     begin: Option<MonoTime>,
-    begun: usize,
+    count: usize,
     lost: usize,
     /// Durations of the round trips, and of the stages that a driving end knows, by name.
     stages: BTreeMap<&'static str, Vec<Span>>,
@@ -27,17 +27,17 @@ impl RoundTrips {
     pub(crate) fn new(seconds: u64) -> anyhow::Result<Self> {
         let clock = SystemClock::new(ClockIdentity::from_system(ClockIdentity::SYSTEM)?);
         let (start, limit) = (clock.mono(), Span::from_seconds(i64::try_from(seconds)?));
-        Ok(Self { clock, limit, start, begin: None, begun: 0, lost: 0, stages: BTreeMap::new() })
+        Ok(Self { clock, limit, start, begin: None, count: 0, lost: 0, stages: BTreeMap::new() })
     }
 
     /// Returns the beginning of the next round trip; `None` if the time is over.
     pub(crate) fn next(&mut self) -> Option<MonoTime> {
         let now = self.clock.mono();
-        if self.begin.is_none() && (self.begun == WARM_UP || now - self.start > Span::from_seconds(1)) {
+        if self.begin.is_none() && (self.count == WARM_UP || now - self.start > Span::from_seconds(1)) {
             (self.begin, self.lost) = (Some(now), 0);
             self.stages.clear();
         }
-        self.begun += 1;
+        self.count += 1;
         self.begin.is_none_or(|begin| now - begin < self.limit).then_some(now)
     }
 
@@ -60,7 +60,7 @@ impl RoundTrips {
             bail!("no message was answered, {} were lost", self.lost)
         };
         let stages: Map<String, Value> =
-            self.stages.into_iter().map(|(name, spans)| (name.to_owned(), spread(spans))).collect();
+            self.stages.into_iter().map(|(name, spans)| (name.to_owned(), summarize(spans))).collect();
         Ok(json!({
             "iterations": answered,
             "seconds": elapsed.seconds(),
@@ -70,8 +70,8 @@ impl RoundTrips {
     }
 }
 
-fn spread(mut spans: Vec<Span>) -> Value {
+fn summarize(mut spans: Vec<Span>) -> Value {
     spans.sort_unstable();
-    let at = |percent: usize| spans.get(spans.len() * percent / 100).map(|span| span.seconds());
-    json!({ "count": spans.len(), "p50": at(50), "p99": at(99) })
+    let quantile = |percent: usize| spans.get(spans.len() * percent / 100).map(|span| span.seconds());
+    json!({ "count": spans.len(), "p50": quantile(50), "p99": quantile(99) })
 }

@@ -18,13 +18,13 @@ use tokio::time::timeout;
 use self::round_trips::RoundTrips;
 
 /// Capacity of each queue, messages.
-const QUEUE: usize = 16;
+const QUEUE_MESSAGES: usize = 16;
 
 /// Longest wait for an answer.
-const PATIENCE: Duration = Duration::from_secs(2);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Longest wait for the other end.
-const DISCOVERY: Duration = Duration::from_secs(30);
+const DISCOVERY_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Length of the head, bytes: length of the message, length of its text, and its number.
 const HEAD_BYTES: usize = 4 + 4 + 8;
@@ -42,19 +42,21 @@ async fn main() -> anyhow::Result<()> {
     }
 }
 
-struct Port {
+struct Endpoint {
     publisher: PublisherAny,
     subscriber: SubscriberAny,
     _node: NodeHandle,
 }
 
-impl Port {
-    async fn open(name: &str, out: &str, back: &str) -> anyhow::Result<Self> {
+impl Endpoint {
+    async fn open(name: &str, outgoing: &str, incoming: &str) -> anyhow::Result<Self> {
         let master = std::env::var("ROS_MASTER_URI").context("ROS_MASTER_URI is not set")?;
         let node = NodeHandle::new(&master, name).await.context("the master does not answer")?;
         Ok(Self {
-            publisher: node.advertise_any(out, "std_msgs/String", "string data", QUEUE, false).await?,
-            subscriber: node.subscribe_any(back, QUEUE).await?,
+            publisher: node
+                .advertise_any(outgoing, "std_msgs/String", "string data", QUEUE_MESSAGES, false)
+                .await?,
+            subscriber: node.subscribe_any(incoming, QUEUE_MESSAGES).await?,
             _node: node,
         })
     }
@@ -72,35 +74,37 @@ impl Port {
 }
 
 async fn serve() -> anyhow::Result<()> {
-    let mut port = Port::open("/roslibrust_serve", "/roslibrust_down", "/roslibrust_up").await?;
+    let mut endpoint = Endpoint::open("/roslibrust_serve", "/roslibrust_down", "/roslibrust_up").await?;
     loop {
-        let message = port.receive().await?;
-        port.publisher.publish(&message).await?;
+        let message = endpoint.receive().await?;
+        endpoint.publisher.publish(&message).await?;
     }
 }
 
 async fn drive(length: usize, seconds: u64) -> anyhow::Result<Value> {
-    let mut port = Port::open("/roslibrust_drive", "/roslibrust_up", "/roslibrust_down").await?;
-    let text = u32::try_from(length.max(8))?;
-    let mut message = [(text + 4).to_le_bytes(), text.to_le_bytes()].concat();
-    message.resize(8 + text as usize, 0x5a);
+    let mut endpoint = Endpoint::open("/roslibrust_drive", "/roslibrust_up", "/roslibrust_down").await?;
+    let text_bytes = u32::try_from(length.max(8))?;
+    let mut message = [(text_bytes + 4).to_le_bytes(), text_bytes.to_le_bytes()].concat();
+    message.resize(8 + text_bytes as usize, 0x5a);
     let mut number = 0_u64;
-    let search = async {
+    let discovery = async {
         // A message that is sent before the other end has subscribed does not arrive.
         loop {
             number += 1;
             message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());
-            if timeout(Duration::from_millis(300), port.exchange(&message)).await.is_ok() {
+            if timeout(Duration::from_millis(300), endpoint.exchange(&message)).await.is_ok() {
                 break;
             }
         }
     };
-    timeout(DISCOVERY, search).await.context("nobody answered; is `roslibrust-peer serve` running?")?;
+    timeout(DISCOVERY_TIMEOUT, discovery)
+        .await
+        .context("nobody answered; is `roslibrust-peer serve` running?")?;
     let mut round_trips = RoundTrips::new(seconds)?;
     while let Some(begin) = round_trips.next() {
         number += 1;
         message[8..HEAD_BYTES].copy_from_slice(&number.to_le_bytes());
-        match timeout(PATIENCE, port.exchange(&message)).await {
+        match timeout(ANSWER_TIMEOUT, endpoint.exchange(&message)).await {
             Ok(result) => {
                 result?;
                 round_trips.record(begin, Some(&[]));

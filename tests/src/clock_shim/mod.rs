@@ -66,10 +66,10 @@ impl ClockErrors {
     /// because a clock that was set back shows some times twice.
     pub fn truths(&self, shown: RawTime) -> Vec<RawTime> {
         let segments = self.segments();
-        let before =
+        let before_first_change =
             Segment { begin: RawTime::from_nanos(i64::MIN / 2), ahead: Span::ZERO, rate: 0.0, change: 0.0 };
-        let all: Vec<Segment> = std::iter::once(before).chain(segments).collect();
-        let ends = all.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
+        let segments: Vec<Segment> = std::iter::once(before_first_change).chain(segments).collect();
+        let ends = segments.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
         let truth = |(segment, end): (&Segment, RawTime)| {
             let mut truth = shown - segment.ahead;
             // The rate is far below one, so that the iteration converges quickly.
@@ -78,7 +78,7 @@ impl ClockErrors {
             }
             (segment.begin <= truth && truth < end).then_some(truth)
         };
-        all.iter().zip(ends).filter_map(truth).collect()
+        segments.iter().zip(ends).filter_map(truth).collect()
     }
 }
 
@@ -102,13 +102,13 @@ impl ClockShim {
         std::fs::create_dir_all(folder).expect("the temporary folder is writable");
         let (library, source) =
             (folder.join("shim.so"), concat!(env!("CARGO_MANIFEST_DIR"), "/src/clock_shim/shim.c"));
-        let built = Command::new("cc")
+        let compiler_output = Command::new("cc")
             .args(["-shared", "-fPIC", "-O2", "-Wall", "-Werror", source, "-o"])
             .arg(&library)
             .args(["-lm", "-ldl"])
             .output()
             .expect("the C compiler that Rust links with is installed");
-        assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+        assert!(compiler_output.status.success(), "{}", String::from_utf8_lossy(&compiler_output.stderr));
         let schedule = folder.join("schedule");
         let file = File::create(&schedule).expect("the temporary folder is writable");
         file.set_len((COUNT_BYTES + MAX_SEGMENTS * SEGMENT_BYTES) as u64)
@@ -155,19 +155,19 @@ impl ClockShim {
     /// the last change.
     ///
     /// # Panics
-    /// If it is not, or if the schedule is full.
+    /// If `begin` is in the past or not after the last change, or if the schedule is full.
     pub fn schedule_change_at(&self, begin: RawTime, step: Span, ppm: f64, ppm_per_s: f64) -> RawTime {
         let mut segments = self.errors.0.lock().unwrap_or_else(PoisonError::into_inner);
         let last = segments.last();
         assert!(last.is_none_or(|last| last.begin < begin), "a change must be later than the one before");
-        let before = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
-        let segment = Segment { begin, ahead: before + step, rate: ppm * 1e-6, change: ppm_per_s * 1e-15 };
+        let ahead = last.map_or(Span::ZERO, |last| last.ahead_at(begin));
+        let segment = Segment { begin, ahead: ahead + step, rate: ppm * 1e-6, change: ppm_per_s * 1e-15 };
         let number = segments.len();
         assert!(number < MAX_SEGMENTS, "a schedule has at most {MAX_SEGMENTS} changes");
-        let at = (COUNT_BYTES + number * SEGMENT_BYTES) as u64;
-        let written = self.file.write_all_at(&segment.bytes(), at);
-        let counted = written.and_then(|()| self.file.write_all_at(&(number as u64 + 1).to_ne_bytes(), 0));
-        counted.expect("the file has its full length");
+        let offset = (COUNT_BYTES + number * SEGMENT_BYTES) as u64;
+        let result = self.file.write_all_at(&segment.bytes(), offset);
+        let result = result.and_then(|()| self.file.write_all_at(&(number as u64 + 1).to_ne_bytes(), 0));
+        result.expect("the file has its full length");
         assert!(self.now() < begin, "the change was written after its start");
         segments.push(segment);
         begin
@@ -182,7 +182,7 @@ mod tests {
     fn process_under_shim_sees_scheduled_errors() {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         let shim = ClockShim::new(folder.path());
-        let shown = || {
+        let read_clock = || {
             let print_raw_clock = "import time; print(time.clock_gettime_ns(time.CLOCK_MONOTONIC_RAW))";
             let before = shim.now();
             let output =
@@ -193,11 +193,11 @@ mod tests {
             assert!(truths.iter().any(|truth| (before..shim.now()).contains(truth)), "{truths:?}");
             (before, RawTime::from_nanos(shown))
         };
-        let (before, right) = shown();
-        assert!(right > before);
+        let (before, shown) = read_clock();
+        assert!(shown > before);
         shim.schedule_change(Span::from_seconds(-600), 200.0, 3.0);
-        let (before, behind) = shown();
-        assert!(before - behind > Span::from_seconds(590));
+        let (before, shown) = read_clock();
+        assert!(before - shown > Span::from_seconds(590));
     }
 
     #[test]
@@ -211,9 +211,9 @@ mod tests {
         let errors = ClockErrors(Arc::new(Mutex::new(segments.to_vec())));
         for nanos in [10_000_000_000, 12_345_678_901, 17_900_000_000] {
             let truth = RawTime::from_nanos(nanos);
-            let found = errors.truths(truth + segments[0].ahead_at(truth));
-            assert_eq!(found.len(), 1, "{found:?}");
-            assert!((found[0] - truth).abs() <= Span::from_nanos(1), "{found:?}");
+            let truths = errors.truths(truth + segments[0].ahead_at(truth));
+            assert_eq!(truths.len(), 1, "{truths:?}");
+            assert!((truths[0] - truth).abs() <= Span::from_nanos(1), "{truths:?}");
         }
         assert_eq!(errors.truths(at(5)), [at(5)]);
         assert_eq!(errors.truths(at(19)).len(), 2, "set back by two seconds");

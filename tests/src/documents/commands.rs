@@ -2,22 +2,22 @@
 
 use super::Document;
 
-/// Our programs. Alone, or with one more word, they are names of commands in prose.
-const OURS: [&str; 4] = ["peernet", "peernetd", "PEERNet", "peernet_cli"];
+/// The programs of PEERNet. Alone, or with one more word, they are names of commands in prose.
+const OUR_PROGRAMS: [&str; 4] = ["peernet", "peernetd", "PEERNet", "peernet_cli"];
 
 impl Document {
-    /// Returns the command lines in blocks, fenced or indented by four spaces, and those in prose that run our
+    /// Returns the command lines in blocks, fenced or indented by four spaces, and those in prose that run one of our
     /// programs, a script of the checkout or a target of the Makefile.
     ///
     /// Comments, prompts and `sudo` are removed, continued lines joined, and words separated by single spaces.
     pub fn commands(&self) -> Vec<String> {
         let fenced = ["sh", "console"].into_iter().flat_map(|language| self.fenced(language));
-        let fenced = fenced.flat_map(|(_, block)| typed(&block));
-        let set_off: String =
+        let fenced = fenced.flat_map(|(_, block)| command_lines(&block));
+        let indented: String =
             self.prose().filter(|(_, line)| line.starts_with("    ")).map(end_line).collect();
-        let set_off = typed(&set_off).into_iter().filter(|line| !is_setting(line));
-        let inline = self.spans().into_iter().filter(|span| is_shown(span));
-        fenced.chain(set_off).chain(inline).collect()
+        let indented = command_lines(&indented).into_iter().filter(|line| !is_setting(line));
+        let inline = self.spans().into_iter().filter(|span| is_complete_command(span));
+        fenced.chain(indented).chain(inline).collect()
     }
 
     /// Returns the texts between back quotes, paragraph by paragraph, so that an unclosed quote affects its paragraph
@@ -34,10 +34,11 @@ fn end_line((_, line): (usize, &str)) -> String {
 }
 
 /// Returns the command lines of a block. If some lines begin with a prompt, only these count.
-fn typed(block: &str) -> Vec<String> {
+fn command_lines(block: &str) -> Vec<String> {
     let joined = block.replace("\\\n", " ");
-    let prompted = joined.lines().any(|line| line.starts_with("$ "));
-    let lines = joined.lines().filter_map(|line| if prompted { line.strip_prefix("$ ") } else { Some(line) });
+    let has_prompts = joined.lines().any(|line| line.starts_with("$ "));
+    let lines =
+        joined.lines().filter_map(|line| if has_prompts { line.strip_prefix("$ ") } else { Some(line) });
     let lines = lines.filter(|line| !line.trim_start().starts_with('#'));
     let lines = lines.map(|line| line.split(" # ").next().unwrap_or_default());
     let lines = lines.map(|line| single_spaced(line).trim_start_matches("sudo ").to_owned());
@@ -57,16 +58,16 @@ fn is_setting(line: &str) -> bool {
 
 /// Returns whether a text in prose is a complete command: `peernet run` is the name of a command, and
 /// `peernet --client …` stands for a group of commands.
-fn is_shown(span: &str) -> bool {
+fn is_complete_command(span: &str) -> bool {
     let words: Vec<&str> = span.split(' ').collect();
     let program = words[0];
-    let least = match program {
+    let min_words = match program {
         "make" => 2,
-        _ if OURS.contains(&program.rsplit('/').next().unwrap_or_default()) => 3,
+        _ if OUR_PROGRAMS.contains(&program.rsplit('/').next().unwrap_or_default()) => 3,
         _ if program.contains('/') && (program.ends_with(".sh") || program.ends_with(".py")) => 2,
         _ => return false,
     };
-    words.len() >= least && !words.contains(&"…")
+    words.len() >= min_words && !words.contains(&"…")
 }
 
 #[cfg(test)]

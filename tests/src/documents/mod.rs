@@ -54,11 +54,11 @@ impl Document {
 
     /// Returns the lines outside of fenced blocks, numbered from 1.
     pub fn prose(&self) -> impl Iterator<Item = (usize, &str)> {
-        let mut fenced = false;
+        let mut is_inside = false;
         self.text.lines().enumerate().filter_map(move |(index, line)| {
-            let fence = line.trim_start().starts_with("```");
-            fenced ^= fence;
-            (!fenced && !fence).then_some((index + 1, line))
+            let is_fence = line.trim_start().starts_with("```");
+            is_inside ^= is_fence;
+            (!is_inside && !is_fence).then_some((index + 1, line))
         })
     }
 
@@ -83,15 +83,15 @@ impl Document {
 
     /// Returns the blocks of a section that are indented by this number of spaces.
     pub fn indented(&self, section: &str, spaces: usize) -> Vec<String> {
-        let (indent, mut blocks, mut open) = (" ".repeat(spaces), Vec::<String>::new(), false);
+        let (indent, mut blocks, mut is_open) = (" ".repeat(spaces), Vec::<String>::new(), false);
         for line in self.section(section).lines() {
             match line.strip_prefix(&indent) {
-                Some(line) if open => blocks.last_mut().expect("one is open").extend([line, "\n"]),
+                Some(line) if is_open => blocks.last_mut().expect("one is open").extend([line, "\n"]),
                 Some(line) => blocks.push(format!("{line}\n")),
-                None if line.is_empty() && open => blocks.last_mut().expect("one is open").push('\n'),
+                None if line.is_empty() && is_open => blocks.last_mut().expect("one is open").push('\n'),
                 None => {}
             }
-            open = line.starts_with(&indent) || (open && line.is_empty());
+            is_open = line.starts_with(&indent) || (is_open && line.is_empty());
         }
         blocks
     }
@@ -116,20 +116,20 @@ impl Document {
     pub fn section(&self, name: &str) -> &str {
         let level = |line: &str| line.chars().take_while(|char| *char == '#').count();
         let mut headings = self.prose().filter(|(_, line)| line.starts_with('#'));
-        let (from, heading) = headings
+        let (heading_line, heading) = headings
             .find(|(_, line)| anchor(line) == name)
             .unwrap_or_else(|| panic!("{} has no section {name}", self.path.display()));
         let next = headings.find(|(_, line)| level(line) <= level(heading));
         let start = |number: usize| self.text.split_inclusive('\n').take(number - 1).map(str::len).sum();
-        &self.text[start(from)..next.map_or(self.text.len(), |(number, _)| start(number))]
+        &self.text[start(heading_line)..next.map_or(self.text.len(), |(number, _)| start(number))]
     }
 }
 
 /// Returns a heading's anchor as code hosts make it: lower case, without punctuation, with hyphens for spaces.
 fn anchor(heading: &str) -> String {
     let text = heading.trim_start_matches('#').trim().to_lowercase();
-    let kept = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
-    kept.map(|char| if char == ' ' { '-' } else { char }).collect()
+    let chars = text.chars().filter(|char| char.is_alphanumeric() || " -_".contains(*char));
+    chars.map(|char| if char == ' ' { '-' } else { char }).collect()
 }
 
 #[cfg(test)]

@@ -23,10 +23,10 @@ pub struct Capture {
 /// IPv4 packet that entered or left a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Packet {
-    /// Time according to the kernel's clock.
+    /// Time according to the kernel's wall clock.
     pub at: WallTime,
     /// `true` if it left the host; a forwarded packet is captured twice.
-    pub left: bool,
+    pub is_outgoing: bool,
     /// Source address.
     pub source: Ipv4Addr,
     /// Destination address.
@@ -46,8 +46,8 @@ impl Capture {
         let format = ["--interface", "any", "--linktype", "LINUX_SLL2", "--time-stamp-precision", "nano"];
         let buffers =
             ["--snapshot-length", Self::SNAPSHOT_LENGTH, "--buffer-size", "32768", "--immediate-mode", "-U"];
-        let rest = ["-Z", "root", "-n", "-w", &path, &filter];
-        let arguments = [&format[..], &buffers, &rest].concat();
+        let output = ["-Z", "root", "-n", "-w", &path, &filter];
+        let arguments = [&format[..], &buffers, &output].concat();
         let tcpdump = host.start(Path::new("tcpdump"), &arguments, folder, &[]);
         tcpdump.wait_for("listening on");
         Self {
@@ -70,12 +70,8 @@ impl Capture {
             packets.iter().any(|packet| packet.destination == END_MARKER).then_some(packets)
         });
         self.tcpdump.signal(Signal::INT);
-        let ended = self.tcpdump.wait_for_end();
-        assert!(
-            ended.log.contains("\n0 packets dropped by kernel"),
-            "the capture is incomplete: {}",
-            ended.log
-        );
+        let end = self.tcpdump.wait_for_end();
+        assert!(end.log.contains("\n0 packets dropped by kernel"), "the capture is incomplete: {}", end.log);
         packets.retain(|packet| packet.destination != END_MARKER);
         packets.sort_by_key(|packet| packet.at);
         packets
@@ -87,16 +83,16 @@ impl Capture {
 fn parse_packets(file: &[u8]) -> Option<Vec<Packet>> {
     const NANOSECONDS: u32 = 0xa1b2_3c4d;
     const LINUX_SLL2: u32 = 276;
-    let word = |at: usize| Some(u32::from_le_bytes(file.get(at..at + 4)?.try_into().ok()?));
+    let word = |offset: usize| Some(u32::from_le_bytes(file.get(offset..offset + 4)?.try_into().ok()?));
     if (word(0)?, word(20)?) != (NANOSECONDS, LINUX_SLL2) {
         return None;
     }
-    let (mut at, mut packets) = (24, Vec::new());
-    while at < file.len() {
-        let (seconds, nanos, length) = (word(at)?, word(at + 4)?, word(at + 8)? as usize);
+    let (mut offset, mut packets) = (24, Vec::new());
+    while offset < file.len() {
+        let (seconds, nanos, length) = (word(offset)?, word(offset + 4)?, word(offset + 8)? as usize);
         let stamp = WallTime::from_unix_nanos(i64::from(seconds) * 1_000_000_000 + i64::from(nanos));
-        packets.extend(parse_packet(stamp, file.get(at + 16..at + 16 + length)?));
-        at += 16 + length;
+        packets.extend(parse_packet(stamp, file.get(offset + 16..offset + 16 + length)?));
+        offset += 16 + length;
     }
     Some(packets)
 }
@@ -109,13 +105,13 @@ fn parse_packet(at: WallTime, bytes: &[u8]) -> Option<Packet> {
     if sll.get(..2)? != [0x08, 0x00] {
         return None;
     }
-    let address = |at: usize| Some(Ipv4Addr::from_octets(ip.get(at..at + 4)?.try_into().ok()?));
+    let address = |offset: usize| Some(Ipv4Addr::from_octets(ip.get(offset..offset + 4)?.try_into().ok()?));
     let header = usize::from(ip.first()? & 0x0f) * 4;
     let total = usize::from(u16::from_be_bytes(ip.get(2..4)?.try_into().ok()?));
     let payload = match ip.get(9)? {
         &TCP => total.saturating_sub(header + usize::from(ip.get(header + 12)? >> 4) * 4),
         _ => 0,
     };
-    let left = *sll.get(10)? == OUTGOING;
-    Some(Packet { at, left, source: address(12)?, destination: address(16)?, payload })
+    let is_outgoing = *sll.get(10)? == OUTGOING;
+    Some(Packet { at, is_outgoing, source: address(12)?, destination: address(16)?, payload })
 }

@@ -28,8 +28,8 @@ impl Host {
     /// # Panics
     /// If it cannot be started or fails.
     pub fn run(&self, program: &str, arguments: &[&str]) -> String {
-        let inside = ["netns", "exec", &self.namespace, program];
-        run("ip", &[&inside[..], arguments].concat())
+        let prefix = ["netns", "exec", &self.namespace, program];
+        run("ip", &[&prefix[..], arguments].concat())
     }
 
     /// Starts a program in this namespace.
@@ -43,10 +43,11 @@ impl Host {
         folder: &Path,
         environment: &[(&str, &str)],
     ) -> Process {
-        let inside = ["netns", "exec", &self.namespace].map(OsStr::new);
+        let prefix = ["netns", "exec", &self.namespace].map(OsStr::new);
         let arguments = arguments.iter().map(AsRef::as_ref);
-        let all: Vec<&OsStr> = inside.into_iter().chain([program.as_os_str()]).chain(arguments).collect();
-        Process::start(Path::new("ip"), &all, folder, environment)
+        let arguments: Vec<&OsStr> =
+            prefix.into_iter().chain([program.as_os_str()]).chain(arguments).collect();
+        Process::start(Path::new("ip"), &arguments, folder, environment)
     }
 
     /// Runs a closure in this namespace, on a separate thread. A socket that the closure creates stays in this namespace.
@@ -87,10 +88,10 @@ impl Host {
         self.shape(interface, &format!("{kbit_per_second}kbit"), "2kb", ["latency", "300ms"]);
     }
 
-    /// Adds a token bucket filter (tc-tbf(8)) to an interface; `bound` limits its queue.
-    fn shape(&self, interface: &str, rate: &str, burst: &str, bound: [&str; 2]) {
-        let [bound, value] = bound;
-        let filter = ["root", "tbf", "rate", rate, "burst", burst, bound, value];
+    /// Adds a token bucket filter (tc-tbf(8)) to an interface; `queue_limit` is an option of the filter and its value.
+    fn shape(&self, interface: &str, rate: &str, burst: &str, queue_limit: [&str; 2]) {
+        let [limit, value] = queue_limit;
+        let filter = ["root", "tbf", "rate", rate, "burst", burst, limit, value];
         self.run("tc", &[&["qdisc", "add", "dev", interface], &filter[..]].concat());
     }
 
@@ -142,10 +143,10 @@ impl Host {
 
     fn add_input_rule(&self, rule: &[&str]) {
         self.run("nft", &["add", "table", "inet", "test"]);
-        let chain = ["add", "chain", "inet", "test", "input"];
-        self.run("nft", &[&chain[..], &["{ type filter hook input priority 0 ; }"]].concat());
-        let on_the_path = ["add", "rule", "inet", "test", "input", "iifname", DATA_INTERFACE];
-        self.run("nft", &[&on_the_path[..], rule].concat());
+        let add_chain = ["add", "chain", "inet", "test", "input"];
+        self.run("nft", &[&add_chain[..], &["{ type filter hook input priority 0 ; }"]].concat());
+        let add_rule = ["add", "rule", "inet", "test", "input", "iifname", DATA_INTERFACE];
+        self.run("nft", &[&add_rule[..], rule].concat());
     }
 
     /// Captures the packets on all interfaces of this host from now on; `filter` is tcpdump's.

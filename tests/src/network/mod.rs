@@ -61,7 +61,7 @@ pub struct Network {
     edge: Host,
     cloud: Host,
     router: Option<Host>,
-    third: Option<Host>,
+    third_host: Option<Host>,
     /// Socket for commands to the wire.
     wire: Option<PathBuf>,
     slot: Slot,
@@ -132,15 +132,15 @@ impl Network {
             host.set_up(DATA_INTERFACE, host.address, 28);
             socket
         };
-        let plugs = format!("{}:{}", start_switch(&network.edge), start_switch(&network.cloud));
+        let switches = format!("{}:{}", start_switch(&network.edge), start_switch(&network.cloud));
         let loss = |name: &str, direction: WireProperties| format!("{name}{}", direction.loss_percent);
         let (up_delay, down_delay) = (up.delay("LR"), down.delay("RL"));
         let (up_loss, down_loss) = (loss("LR", up), loss("RL", down));
         let delays = ["-d", &up_delay, "-d", &down_delay, "-l", &up_loss, "-l", &down_loss];
         let fifo: &[&str] = if with_fifo { &[] } else { &["--nofifo"] };
         let commands = folder.join("wire");
-        let managed = ["--daemon", "-M", &commands.display().to_string()];
-        network.edge.run("wirefilter", &[&["-v", &plugs], &delays[..], fifo, &managed].concat());
+        let management = ["--daemon", "-M", &commands.display().to_string()];
+        network.edge.run("wirefilter", &[&["-v", &switches], &delays[..], fifo, &management].concat());
         network.wire = Some(commands);
         network
     }
@@ -158,10 +158,10 @@ impl Network {
             let mut answer = Vec::new();
             // Each answer ends with a code, which is 1000 for success, and a prompt.
             while !answer.windows(4).any(|code| code == b"1000") {
-                let mut part = [0; 256];
-                let length = stream.read(&mut part).expect("the wire answers");
+                let mut buffer = [0; 256];
+                let length = stream.read(&mut buffer).expect("the wire answers");
                 assert!(length > 0, "the wire answered {}", String::from_utf8_lossy(&answer));
-                answer.extend_from_slice(&part[..length]);
+                answer.extend_from_slice(&buffer[..length]);
             }
         }
     }
@@ -173,43 +173,43 @@ impl Network {
     /// As [`direct`](Self::direct).
     pub fn behind_nat() -> Self {
         let mut network = Self::routed();
-        let third = Host {
+        let third_host = Host {
             namespace: network.slot.name("third"),
             address: network.slot.address(50),
             test_address: network.slot.address(73),
         };
-        ip(&["netns", "add", &third.namespace]);
-        ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
-        third.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
-        network.add_control_interface(&third, "t");
+        ip(&["netns", "add", &third_host.namespace]);
+        ip(&["-n", &third_host.namespace, "link", "set", "lo", "up"]);
+        third_host.run("sysctl", &["-qw", "net.ipv4.tcp_congestion_control=reno"]);
+        network.add_control_interface(&third_host, "t");
         let (router, gateway) = (network.router(), network.slot.address(49));
-        veth(router, "third", &third, DATA_INTERFACE);
+        veth(router, "third", &third_host, DATA_INTERFACE);
         router.set_up("third", gateway, 30);
-        third.set_up(DATA_INTERFACE, third.address, 30);
+        third_host.set_up(DATA_INTERFACE, third_host.address, 30);
         let subnet = format!("{}/24", network.slot.address(0));
-        ip(&["-n", &third.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
+        ip(&["-n", &third_host.namespace, "route", "add", &subnet, "via", &gateway.to_string()]);
         router.run("nft", &["add", "table", "ip", "translation"]);
-        let chain = ["add", "chain", "ip", "translation", "out"];
-        router.run("nft", &[&chain[..], &["{ type nat hook postrouting priority 100 ; }"]].concat());
+        let add_chain = ["add", "chain", "ip", "translation", "out"];
+        router.run("nft", &[&add_chain[..], &["{ type nat hook postrouting priority 100 ; }"]].concat());
         router.run("nft", &["add", "rule", "ip", "translation", "out", "oifname", "cloud", "masquerade"]);
-        network.third = Some(third);
+        network.third_host = Some(third_host);
         network
     }
 
     /// Adds a third host with its own link to the cloud, so that its traffic does not use the measured path.
     #[must_use]
     pub fn with_third_host(mut self) -> Self {
-        let third = Host {
+        let third_host = Host {
             namespace: self.slot.name("third"),
             address: self.slot.address(98),
             test_address: self.slot.address(NO_ADDRESS),
         };
-        ip(&["netns", "add", &third.namespace]);
-        ip(&["-n", &third.namespace, "link", "set", "lo", "up"]);
-        veth(&self.cloud, "third", &third, DATA_INTERFACE);
+        ip(&["netns", "add", &third_host.namespace]);
+        ip(&["-n", &third_host.namespace, "link", "set", "lo", "up"]);
+        veth(&self.cloud, "third", &third_host, DATA_INTERFACE);
         self.cloud.set_up("third", self.cloud_address_for_third_host(), 30);
-        third.set_up(DATA_INTERFACE, third.address, 30);
-        self.third = Some(third);
+        third_host.set_up(DATA_INTERFACE, third_host.address, 30);
+        self.third_host = Some(third_host);
         self
     }
 
@@ -217,8 +217,8 @@ impl Network {
     ///
     /// # Panics
     /// If it does not exist.
-    pub fn third(&self) -> &Host {
-        self.third.as_ref().expect("a network with a third host")
+    pub fn third_host(&self) -> &Host {
+        self.third_host.as_ref().expect("a network with a third host")
     }
 
     /// Returns the address at which the third host reaches the cloud.
@@ -245,7 +245,7 @@ impl Network {
             edge: host("edge", 18, 65),
             cloud: host("cloud", if with_router { 34 } else { 19 }, 69),
             router: with_router.then(|| host("router", NO_ADDRESS, NO_ADDRESS)),
-            third: None,
+            third_host: None,
             wire: None,
             slot,
         };

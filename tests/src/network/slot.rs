@@ -56,9 +56,9 @@ impl Slot {
         format!("pt{}{role}", self.number)
     }
 
-    /// Returns an address.
-    pub(super) const fn address(&self, last: u8) -> Ipv4Addr {
-        Ipv4Addr::new(10, 213, self.number, last)
+    /// Returns the address with this last octet.
+    pub(super) const fn address(&self, last_octet: u8) -> Ipv4Addr {
+        Ipv4Addr::new(10, 213, self.number, last_octet)
     }
 
     /// Ends all processes in the namespaces of this number and removes the namespaces and their interfaces.
@@ -70,8 +70,8 @@ impl Slot {
         let namespaces = try_run("ip", &["netns", "list"]).unwrap_or_default();
         let names = namespaces.lines().filter_map(|line| line.split_whitespace().next());
         for namespace in names.filter(|name| name.starts_with(&self.prefix())) {
-            let inside = try_run("ip", &["netns", "pids", namespace]).unwrap_or_default();
-            for pid in inside.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
+            let pids = try_run("ip", &["netns", "pids", namespace]).unwrap_or_default();
+            for pid in pids.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
                 // A process that has just ended by itself needs no signal.
                 let _ = kill_process(pid, Signal::KILL);
             }

@@ -1,4 +1,4 @@
-//! Inverse of faulty clocks: from a shown time to the kernel's.
+//! Inverse of faulty clocks: conversion of a shown time to the time of the kernel's clock.
 
 use chrono::DateTime;
 use peernet_clock::{ClockFaultStep, ClockFaults, RawTime, Span, SteppedClock, WallTime};
@@ -84,7 +84,7 @@ impl HostClock {
         }
     }
 
-    /// Returns the error of this wall clock when the kernel's shows `truth`.
+    /// Returns the error of this wall clock when the kernel's wall clock shows `truth`.
     ///
     /// # Panics
     /// If the error is one of several.
@@ -93,7 +93,7 @@ impl HostClock {
         faults.wall_error_at(truth)
     }
 
-    /// Returns the time of the kernel's wall clock when this one showed `shown`.
+    /// Returns the time of the kernel's wall clock when this wall clock showed `shown`.
     ///
     /// # Panics
     /// If this clock never showed that time, because a step skipped it, or showed it twice.
@@ -103,13 +103,13 @@ impl HostClock {
         truths[0]
     }
 
-    /// Returns all times of the kernel's wall clock at which this one showed `shown`. A clock that was set back shows
+    /// Returns all times of the kernel's wall clock at which this wall clock showed `shown`. A clock that was set back shows
     /// some times twice.
     pub fn truths(&self, shown: WallTime) -> Vec<WallTime> {
         self.wall.iter().flat_map(|faults| truths(faults, shown)).collect()
     }
 
-    /// Returns all times of the kernel's free-running clock at which this host's showed `shown`, to one or two
+    /// Returns all times of the kernel's free-running clock at which this host's free-running clock showed `shown`, to one or two
     /// nanoseconds.
     pub fn raw_truths(&self, shown: RawTime) -> Vec<RawTime> {
         match &self.raw {
@@ -131,16 +131,16 @@ impl HostClock {
 /// Inverse of `ClockFaults::shown`.
 fn truths(faults: &ClockFaults, shown: WallTime) -> impl Iterator<Item = WallTime> {
     let steps = &faults.steps;
-    (0..=steps.len()).filter_map(move |passed| {
-        let stepped: Span = steps[..passed].iter().map(|step| step.by).sum();
+    (0..=steps.len()).filter_map(move |passed_steps| {
+        let stepped: Span = steps[..passed_steps].iter().map(|step| step.by).sum();
         let ahead = shown - faults.offset - stepped;
         let nanos = (ahead - faults.since).nanos() as f64;
         let drifted = nanos - nanos / (1.0 + faults.drift_ppm * 1e-6);
         let truth = ahead - Span::from_nanos(drifted.round() as i64);
         let elapsed = truth - faults.since;
-        let after = passed == 0 || steps[passed - 1].at <= elapsed;
-        let before = passed == steps.len() || elapsed < steps[passed].at;
-        (after && before).then_some(truth)
+        let is_after_last_step = passed_steps == 0 || steps[passed_steps - 1].at <= elapsed;
+        let is_before_next_step = passed_steps == steps.len() || elapsed < steps[passed_steps].at;
+        (is_after_last_step && is_before_next_step).then_some(truth)
     })
 }
 
@@ -157,35 +157,38 @@ mod tests {
         let clock = HostClock::new(faults.clone(), raw_since);
         for nanos in [0, 1, 19_999_999_999, 20_000_000_000, 20_000_000_001, 500_000_000_007] {
             let truth = since + Span::from_nanos(nanos);
-            let found = clock.truth(faults.shown_wall(truth));
-            assert!((found - truth).abs() <= Span::from_nanos(1), "{found:?} {truth:?}");
+            let computed = clock.truth(faults.shown_wall(truth));
+            assert!((computed - truth).abs() <= Span::from_nanos(1), "{computed:?} {truth:?}");
             assert_eq!(truth + clock.ahead(truth), faults.shown_wall(truth));
         }
         assert_eq!(HostClock::of_kernel().truth(since), since);
-        let mut back = faults.clone();
-        back.steps[0].by = Span::from_seconds(-3);
-        let clock_set_back = HostClock::new(back.clone(), raw_since);
+        let mut faults_set_back = faults.clone();
+        faults_set_back.steps[0].by = Span::from_seconds(-3);
+        let clock_set_back = HostClock::new(faults_set_back.clone(), raw_since);
         let at = |seconds| since + Span::from_seconds(seconds);
-        assert_eq!(clock_set_back.truths(back.shown_wall(at(21))).len(), 2);
-        assert_eq!(clock_set_back.truths(back.shown_wall(at(16))), [at(16)]);
-        let told = serde_json::json!({
+        assert_eq!(clock_set_back.truths(faults_set_back.shown_wall(at(21))).len(), 2);
+        assert_eq!(clock_set_back.truths(faults_set_back.shown_wall(at(16))), [at(16)]);
+        let report = serde_json::json!({
             "offset_s": -1.0, "drift_ppm": 100.0, "since": "2023-11-14T22:13:20.000000000Z",
             "steps": [{ "at_s": 20.0, "by_s": 3.0 }],
         });
-        let told = HostClock::from_report(&told, |_| raw_since).expect("the API's form");
+        let reported_clock = HostClock::from_report(&report, |_| raw_since).expect("the API's form");
         let later = since + Span::from_seconds(30);
-        assert_eq!(told.truth(faults.shown_wall(later)), clock.truth(faults.shown_wall(later)));
-        let mut jumped = faults.clone();
-        jumped.steps[0].clock = SteppedClock::Raw;
+        assert_eq!(reported_clock.truth(faults.shown_wall(later)), clock.truth(faults.shown_wall(later)));
+        let mut faults_with_raw_step = faults.clone();
+        faults_with_raw_step.steps[0].clock = SteppedClock::Raw;
         let truth = raw_since + Span::from_seconds(25);
-        for (description, times) in [(faults, [1, 1]), (jumped, [1, 0])] {
+        for (description, times) in [(faults, [1, 1]), (faults_with_raw_step, [1, 0])] {
             let clock = HostClock::new(description.clone(), raw_since);
             let shown = description.shown_raw(truth, raw_since);
             assert!(
-                clock.raw_truths(shown).iter().all(|found| (*found - truth).abs() <= Span::from_nanos(1))
+                clock
+                    .raw_truths(shown)
+                    .iter()
+                    .all(|computed| (*computed - truth).abs() <= Span::from_nanos(1))
             );
-            let left_out = raw_since + Span::from_seconds(20);
-            assert_eq!([shown, left_out].map(|shown| clock.raw_truths(shown).len()), times);
+            let skipped = raw_since + Span::from_seconds(20);
+            assert_eq!([shown, skipped].map(|shown| clock.raw_truths(shown).len()), times);
         }
     }
 }

@@ -21,8 +21,8 @@ pub struct Comparison {
     truths: Vec<Span>,
 }
 
-/// Error of the computed truth: the inverse of each clock's drift is rounded, and so are stored values.
-const INEXACT: Span = Span::from_nanos(3);
+/// Largest error of the computed truth: the inverse of each clock's drift is rounded, and so are stored values.
+const MAX_TRUTH_ERROR: Span = Span::from_nanos(3);
 
 /// Compares the uploads and the downloads.
 pub fn compare(iterations: &[Iteration], edge: &HostClock, cloud: &HostClock) -> (Comparison, Comparison) {
@@ -40,10 +40,10 @@ pub fn compare(iterations: &[Iteration], edge: &HostClock, cloud: &HostClock) ->
 }
 
 impl Comparison {
-    fn add(&mut self, of: &Iteration, delay: &Delay, sender: &HostClock, receiver: &HostClock) {
+    fn add(&mut self, iteration: &Iteration, delay: &Delay, sender: &HostClock, receiver: &HostClock) {
         let truth = truth(delay, sender, receiver);
         self.truths.push(truth);
-        let Iteration { run, number, .. } = of;
+        let Iteration { run, number, .. } = iteration;
         *self.verdicts.entry(delay.verdict.clone()).or_default() += 1;
         let (Some(value), Some((lo, hi))) = (delay.value, delay.bounds) else {
             self.without_value.push(format!("run {run}, iteration {number}: {} of {truth}", delay.verdict));
@@ -52,7 +52,7 @@ impl Comparison {
         self.compared += 1;
         self.errors.push((value - truth).abs());
         self.widths.push(hi - lo);
-        if truth + INEXACT < lo || hi + INEXACT < truth {
+        if truth + MAX_TRUTH_ERROR < lo || hi + MAX_TRUTH_ERROR < truth {
             self.outside.push(format!(
                 "run {run}, iteration {number}: {truth} is not in [{lo}, {hi}], {}",
                 delay.verdict
@@ -81,7 +81,7 @@ impl Comparison {
     }
 
     /// Formats all figures in one line.
-    pub fn in_words(&self) -> String {
+    pub fn summary(&self) -> String {
         format!(
             "{} compared, {} without a value, {} outside; true delay p50 {} p99 {}; error mean {} p50 {} p99 {} max {}; \
              interval's width p50 {} p99 {}; {:?}",
@@ -146,23 +146,23 @@ mod tests {
 
     #[test]
     fn interval_without_truth_is_detected() {
-        let at = WallTime::from_unix_nanos;
+        let wall_at = WallTime::from_unix_nanos;
         let delay = |raw: i64, lo, hi| Delay {
-            sent: at(1_000),
-            received: at(1_000 + raw),
+            sent: wall_at(1_000),
+            received: wall_at(1_000 + raw),
             raw: Some((RawTime::from_nanos(500), RawTime::from_nanos(500 + raw))),
             value: Some(Span::from_nanos(150)),
             bounds: Some((Span::from_nanos(lo), Span::from_nanos(hi))),
             verdict: "ok".into(),
             source: "in-band".into(),
         };
-        let one = |number, up, down| Iteration { run: 1, number, up, down };
+        let iteration = |number, up, down| Iteration { run: 1, number, up, down };
         let mut unknown = delay(150, 0, 0);
         unknown.bounds = None;
         let iterations = [
-            one(1, delay(150, 100, 200), delay(204, 100, 200)),
-            one(2, delay(110, 100, 200), delay(96, 100, 200)),
-            one(3, unknown, delay(203, 100, 200)),
+            iteration(1, delay(150, 100, 200), delay(204, 100, 200)),
+            iteration(2, delay(110, 100, 200), delay(96, 100, 200)),
+            iteration(3, unknown, delay(203, 100, 200)),
         ];
         let of_kernel = HostClock::of_kernel();
         let (up, down) = compare(&iterations, &of_kernel, &of_kernel);

@@ -53,14 +53,14 @@ ORDER BY t.run, t.iteration, name.text DESC";
 /// Reads all answered iterations of an aggregator's database.
 ///
 /// # Panics
-/// As [`ask`].
+/// As [`query_database`].
 pub fn iterations(database: &Path) -> Vec<Iteration> {
     let text = query_database(database, DELAYS);
     let rows: Vec<(u64, u64, &str, Delay)> =
         text.lines().map(|line| row(line).expect("twelve columns")).collect();
     let pairs = rows.windows(2).filter_map(|pair| {
-        let [(run, number, "upload", up), (_, other, "download", down)] = pair else { return None };
-        (number == other).then(|| Iteration {
+        let [(run, number, "upload", up), (_, next_number, "download", down)] = pair else { return None };
+        (number == next_number).then(|| Iteration {
             run: *run,
             number: *number,
             up: up.clone(),

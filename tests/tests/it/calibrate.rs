@@ -82,11 +82,11 @@ impl CalibratedHosts {
             .wait_for_end()
     }
 
-    /// Starts a calibration that runs until it is ended.
-    fn endless(&self) -> Process {
-        let endless = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
+    /// Starts a calibration that runs until it is interrupted.
+    fn start_endless_calibration(&self) -> Process {
+        let arguments = ["--sizes", "100,1kB,10kB", "--repeats", "1000000", "--seconds", "600"];
         let running =
-            self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], &endless[..]].concat());
+            self.peernet(&[&["calibrate", &self.peer, "--result-loc", "results"], &arguments[..]].concat());
         running.wait_for("s left");
         running
     }
@@ -106,9 +106,9 @@ fn calibration_is_right_despite_clock_errors() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", CLOUD);
     let sweep = ["--sizes", "100,1kB,10kB,100kB,1MB", "--repeats", "60", "--seconds", "50"];
-    let done = hosts.calibrate(&sweep);
-    assert_eq!(done.code(), 0, "{}", done.log);
-    assert!(done.log.contains("the intercepts, ") && done.log.contains("clock bounds"), "{}", done.log);
+    let first = hosts.calibrate(&sweep);
+    assert_eq!(first.code(), 0, "{}", first.log);
+    assert!(first.log.contains("the intercepts, ") && first.log.contains("clock bounds"), "{}", first.log);
 
     let study = hosts.results();
     assert_eq!(study["counts"], serde_json::json!({ "measured": 300, "warm_up": 10, "failed": 0 }));
@@ -116,9 +116,9 @@ fn calibration_is_right_despite_clock_errors() {
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
         let direction = &study[direction];
         // Both hosts read the same kernel's clock, so that the raw stamps without the injected second are the truth.
-        let over_samples =
+        let intercept =
             |path: &str| number(&direction["fits"].pointer(path).expect("a fit")["intercept"]["value"]);
-        let (reported, raw) = (over_samples("/samples/least_squares"), over_samples("/raw"));
+        let (reported, raw) = (intercept("/samples/least_squares"), intercept("/raw"));
         assert!(
             (raw - ahead).abs() < 0.5,
             "the published way sees the clocks' offset, {ahead} s, not {raw} s"
@@ -146,9 +146,9 @@ fn calibration_is_right_despite_clock_errors() {
     assert_eq!(samples.lines().count(), 311);
     assert_delays_within_bounds(&samples);
 
-    let again = hosts.calibrate(&sweep);
-    assert_eq!(again.code(), 64, "{}", again.log);
-    assert!(again.log.contains("--overwrite"), "{}", again.log);
+    let second = hosts.calibrate(&sweep);
+    assert_eq!(second.code(), 64, "{}", second.log);
+    assert!(second.log.contains("--overwrite"), "{}", second.log);
 }
 
 /// Checks every answered iteration, warm-up included: the raw delay without the injected second is the truth.
@@ -158,17 +158,17 @@ fn assert_delays_within_bounds(samples: &str) {
     let outcome = header.iter().position(|column| *column == "outcome").expect("the column is there");
     for row in rows.filter(|row| row[outcome] == "ok") {
         let cell = |name: String| {
-            let at = header.iter().position(|column| *column == name).expect("the column is there");
-            row[at].parse::<f64>().unwrap_or_else(|error| panic!("{name}: {error} in {row:?}"))
+            let index = header.iter().position(|column| *column == name).expect("the column is there");
+            row[index].parse::<f64>().unwrap_or_else(|error| panic!("{name}: {error} in {row:?}"))
         };
         for (stage, ahead) in [("upload", 1.0), ("download", -1.0)] {
             let [raw, lo, hi] = ["raw", "lo", "hi"].map(|column| cell(format!("{stage}-{column}")));
             let truth = raw - ahead;
-            // The interval is for the free-running clocks, the raw difference for the wall clocks, which are read up
-            // to 3 µs later.
-            const APART: f64 = 3e-6;
+            // The interval is for the free-running clocks, the raw difference for the wall clocks, which are read
+            // at most 3 µs later.
+            const MAX_READ_DISTANCE: f64 = 3e-6;
             assert!(
-                (lo - APART..=hi + APART).contains(&truth),
+                (lo - MAX_READ_DISTANCE..=hi + MAX_READ_DISTANCE).contains(&truth),
                 "{stage}: {truth} s lies outside of {lo} to {hi} in {row:?}"
             );
         }
@@ -184,8 +184,8 @@ fn ctrl_c_writes_partial_calibration() {
     let running = hosts.peernet(&arguments);
     running.wait_for("s left");
     running.signal(Signal::INT);
-    let ended = running.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
+    let end = running.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
     let study = hosts.results();
     assert_eq!(study["setting"]["interrupted"], true);
     assert!(number(&study["counts"]["measured"]) > 0.0, "{}", study["counts"]);
@@ -195,14 +195,14 @@ fn ctrl_c_writes_partial_calibration() {
 #[test]
 fn unsuitable_peer_is_refused_with_reason() {
     let hosts = CalibratedHosts::new();
-    let nobody = hosts.calibrate(&[]);
-    assert_eq!(nobody.code(), 69, "{}", nobody.log);
-    assert!(nobody.log.contains(&hosts.peer), "{}", nobody.log);
-    let few = hosts.calibrate(&["--sizes", "100,1kB"]);
-    assert_eq!(few.code(), 64, "{}", few.log);
-    let none = hosts.calibrate(&["--repeats", "0"]);
-    assert_eq!(none.code(), 64, "{}", none.log);
-    assert!(none.log.contains("at least 1"), "{}", none.log);
+    let without_peer = hosts.calibrate(&[]);
+    assert_eq!(without_peer.code(), 69, "{}", without_peer.log);
+    assert!(without_peer.log.contains(&hosts.peer), "{}", without_peer.log);
+    let too_few_sizes = hosts.calibrate(&["--sizes", "100,1kB"]);
+    assert_eq!(too_few_sizes.code(), 64, "{}", too_few_sizes.log);
+    let no_repeats = hosts.calibrate(&["--repeats", "0"]);
+    assert_eq!(no_repeats.code(), 64, "{}", no_repeats.log);
+    assert!(no_repeats.log.contains("at least 1"), "{}", no_repeats.log);
 
     let closed = CLOUD.replace("[serve]", "[serve]\ncalibration = false");
     let _cloud = hosts.start("closed.toml", &closed);
@@ -211,10 +211,10 @@ fn unsuitable_peer_is_refused_with_reason() {
     assert!(refused.log.contains("[serve] calibration = true"), "{}", refused.log);
     assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 
-    let wrong = hosts.deployment.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
-    let wrong = hosts.calibrate(&["--config", &wrong.display().to_string()]);
-    assert_eq!(wrong.code(), 78, "{}", wrong.log);
-    assert!(wrong.log.contains("max_drift"), "{}", wrong.log);
+    let file = hosts.deployment.write("wrong.toml", "[agent]\n[clock]\nmax_drift = 3\n");
+    let invalid = hosts.calibrate(&["--config", &file.display().to_string()]);
+    assert_eq!(invalid.code(), 78, "{}", invalid.log);
+    assert!(invalid.log.contains("max_drift"), "{}", invalid.log);
 }
 
 #[test]
@@ -222,21 +222,29 @@ fn foreign_port_is_distinguished_from_slow_peer() {
     let hosts = CalibratedHosts::new();
     let (_aggregator, _) = hosts.deployment.start_aggregator();
     let peer = format!("tcp://127.0.0.1:{}", hosts.deployment.events);
-    let slip = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).wait_for_end();
-    assert_eq!(slip.code(), 69, "{}", slip.log);
-    let told = format!("something listens at {peer} but does not answer like an agent's [serve]");
-    assert!(slip.log.contains(&told) && slip.log.contains("port of an aggregator"), "{}", slip.log);
-    assert!(!slip.log.contains("open_timeout_ms"), "there is nothing to set here: {}", slip.log);
+    let calibration = hosts.peernet(&["calibrate", &peer, "--result-loc", "results"]).wait_for_end();
+    assert_eq!(calibration.code(), 69, "{}", calibration.log);
+    let message = format!("something listens at {peer} but does not answer like an agent's [serve]");
+    assert!(
+        calibration.log.contains(&message) && calibration.log.contains("port of an aggregator"),
+        "{}",
+        calibration.log
+    );
+    assert!(
+        !calibration.log.contains("open_timeout_ms"),
+        "there is nothing to set here: {}",
+        calibration.log
+    );
 }
 
 #[test]
 fn calibration_size_beyond_peer_limit_is_refused() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", CLOUD);
-    let large = hosts.calibrate(&["--sizes", "1,2kB,100MB"]);
-    assert_eq!(large.code(), 69, "{}", large.log);
+    let calibration = hosts.calibrate(&["--sizes", "1,2kB,100MB"]);
+    assert_eq!(calibration.code(), 69, "{}", calibration.log);
     for part in ["payloads of 100 MB", "max_message_bytes", "67108864", "--sizes"] {
-        assert!(large.log.contains(part), "{part} is missing in\n{}", large.log);
+        assert!(calibration.log.contains(part), "{part} is missing in\n{}", calibration.log);
     }
     assert!(!hosts.deployment.folder().join("results").exists(), "there is nothing to keep");
 }
@@ -245,34 +253,34 @@ fn calibration_size_beyond_peer_limit_is_refused() {
 fn on_one_clock_bounds_are_exact() {
     let hosts = CalibratedHosts::new();
     let _cloud = hosts.start("cloud.toml", &CLOUD.replace("[clock_fault]\noffset_ms = 1000\n", ""));
-    let done = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
-    assert_eq!(done.code(), 0, "{}", done.log);
+    let calibration = hosts.calibrate(&["--sizes", "100,1kB,10kB", "--repeats", "20"]);
+    assert_eq!(calibration.code(), 0, "{}", calibration.log);
     assert_eq!(hosts.results()["verdict"]["kind"], "exact");
-    let exact = done.log.lines().filter(|line| line.contains(" exact")).count();
+    let exact_lines = calibration.log.lines().filter(|line| line.contains(" exact")).count();
     // Three sizes, the clock bounds in both directions, and the verdict.
-    assert_eq!(exact, 6, "{}", done.log);
+    assert_eq!(exact_lines, 6, "{}", calibration.log);
 }
 
 #[test]
 fn peer_with_new_clock_ends_the_calibration() {
     let hosts = CalibratedHosts::new();
     let cloud = hosts.start("cloud.toml", CLOUD);
-    let running = hosts.endless();
+    let running = hosts.start_endless_calibration();
     cloud.kill();
     running.wait_for("cloud is away");
     let _other = hosts.start("other.toml", &CLOUD.replace("offset_ms = 1000", "offset_ms = 300"));
-    let ended = running.wait_for_end();
-    assert_eq!(ended.code(), 69, "{}", ended.log);
+    let end = running.wait_for_end();
+    assert_eq!(end.code(), 69, "{}", end.log);
     for part in ["returned with another clock", "made wrong on purpose (offset +300 ms)"] {
-        assert!(ended.log.contains(part), "{part} is missing in\n{}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in\n{}", end.log);
     }
     let study = hosts.results();
     assert_eq!(
         (&study["setting"]["interrupted"], &study["setting"]["rehearsed"]),
         (&true.into(), &true.into())
     );
-    let why = study["setting"]["ended"].as_str().expect("it says why");
-    assert!(why.contains("another clock"), "{why}");
+    let reason = study["setting"]["ended"].as_str().expect("it says why");
+    assert!(reason.contains("another clock"), "{reason}");
     assert_eq!(study["clocks"]["steps"], 0);
     // The study contains no data of the second clock.
     let offset = number(&study["clocks"]["offset"]);
@@ -286,28 +294,28 @@ fn peer_with_new_clock_ends_the_calibration() {
 fn calibration_reports_interruption_of_peer() {
     let hosts = CalibratedHosts::new();
     // Another name for the system's clock, which is related by exchanges and is the same after a restart.
-    let same = CLOUD
+    let configuration = CLOUD
         .replace("[clock_fault]\noffset_ms = 1000\n", "")
         .replace("[probes]", "clock_identity = \"cloud\"\n\n[probes]");
-    let cloud = hosts.start("cloud.toml", &same);
-    let running = hosts.endless();
+    let cloud = hosts.start("cloud.toml", &configuration);
+    let running = hosts.start_endless_calibration();
     // The cloud is stopped first, so that a payload is certainly lost.
     cloud.signal(Signal::STOP);
     running.wait_for("cloud is away");
     cloud.kill();
     let lines = running.log().matches("s left").count();
-    let _again = hosts.start("cloud.toml", &same);
+    let _restarted = hosts.start("cloud.toml", &configuration);
     running.wait_for_nth("s left", lines + 1);
     running.signal(Signal::INT);
-    let ended = running.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("the peer went away once during the study and came back"), "{}", ended.log);
+    let end = running.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("the peer went away once during the study and came back"), "{}", end.log);
     let study = hosts.results();
     assert_eq!((&study["setting"]["reconnections"], &study["clocks"]["steps"]), (&1.into(), &0.into()));
     let lost = &study["failures"][0];
     assert_eq!(lost["outcome"], "lost", "{study:#}");
     assert!(lost["commonest_reason"].as_str().is_some_and(|reason| !reason.is_empty()), "{lost}");
-    assert!(ended.log.contains("payloads were not answered: "), "{}", ended.log);
+    assert!(end.log.contains("payloads were not answered: "), "{}", end.log);
 }
 
 #[test]
@@ -325,11 +333,11 @@ fn closed_output_causes_no_panic() {
     wait_until("the dashboard", || api.get("/healthz").filter(|(status, _)| *status == 200));
 
     let url = format!("http://127.0.0.1:{}", deployment.http);
-    let mut asked = start("peernet", &["status", "--url", &url]);
-    drop(asked.stdout.take());
-    let asked = asked.wait_with_output().expect("it ends");
-    let said = String::from_utf8_lossy(&asked.stderr);
-    assert_eq!((asked.status.code(), said.as_ref()), (Some(0), ""));
+    let mut status = start("peernet", &["status", "--url", &url]);
+    drop(status.stdout.take());
+    let status = status.wait_with_output().expect("it ends");
+    let errors = String::from_utf8_lossy(&status.stderr);
+    assert_eq!((status.status.code(), errors.as_ref()), (Some(0), ""));
 
     let pid = i32::try_from(daemon.id()).ok().and_then(Pid::from_raw).expect("a child has a pid");
     kill_process(pid, Signal::TERM).expect("it runs");
@@ -354,11 +362,11 @@ fn recompute_leaves_stored_run_unchanged() {
     let before = api.json(&format!("/api/v1/runs/{run}/stages"));
 
     let number = run.to_string();
-    let shown = hosts.peernet(&["recompute", &number, "--url", &url]).wait_for_end();
-    assert_eq!(shown.code(), 0, "{}", shown.log);
+    let recomputed = hosts.peernet(&["recompute", &number, "--url", &url]).wait_for_end();
+    assert_eq!(recomputed.code(), 0, "{}", recomputed.log);
     let faults = "wrong on purpose: cloud's (offset +1000 ms), the edge's (offset -500 ms)";
     for part in ["upload", "download", "before", "after", "nothing stored was changed", faults] {
-        assert!(shown.log.contains(part), "{part} is missing in\n{}", shown.log);
+        assert!(recomputed.log.contains(part), "{part} is missing in\n{}", recomputed.log);
     }
     let json = hosts.peernet(&["recompute", &number, "--url", &url, "--json"]).wait_for_end();
     let json: Value = serde_json::from_str(&json.log).unwrap_or_else(|error| panic!("{error}: {}", json.log));
@@ -373,7 +381,7 @@ fn recompute_leaves_stored_run_unchanged() {
     }
     assert_eq!(before, api.json(&format!("/api/v1/runs/{run}/stages")));
 
-    let unknown = hosts.peernet(&["recompute", "4711", "--url", &url]).wait_for_end();
-    assert_eq!(unknown.code(), 69, "{}", unknown.log);
-    assert!(unknown.log.contains("4711"), "{}", unknown.log);
+    let unknown_run = hosts.peernet(&["recompute", "4711", "--url", &url]).wait_for_end();
+    assert_eq!(unknown_run.code(), 69, "{}", unknown_run.log);
+    assert!(unknown_run.log.contains("4711"), "{}", unknown_run.log);
 }

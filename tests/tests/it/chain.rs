@@ -96,14 +96,14 @@ fn offloaded_picture_is_stored_with_all_stages() {
 #[test]
 fn stop_of_combined_process_loses_nothing() {
     let deployment = LoopbackDeployment::new();
-    let all = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
+    let configuration = std::fs::read_to_string(root().join("configs/all-in-one.toml"))
         .expect("the configuration is shipped");
-    let all = all
+    let configuration = configuration
         .replace("tcp://127.0.0.1:5550", "tcp://127.0.0.1:{events}")
         .replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}")
         .replace("127.0.0.1:8040", "127.0.0.1:{http}")
         .replace("models/quality-control", "{root}/models/quality-control");
-    deployment.write("all.toml", &all);
+    deployment.write("all.toml", &configuration);
     let api = peernet_tests::Api::on_port(deployment.http);
 
     let first = deployment.start("all.toml");
@@ -125,35 +125,36 @@ fn stop_of_combined_process_loses_nothing() {
         let numbers: Vec<usize> = iterations
             .iter()
             .filter_map(|iteration| iteration["number"].as_u64())
-            .map(|n| n as usize)
+            .map(|number| number as usize)
             .collect();
         assert_eq!(numbers, (1..=numbers.len()).collect::<Vec<_>>(), "contiguous from the first to the last");
         // On a busy machine the last iteration may be given up, which is counted as well.
-        let ended = ["ok", "failed", "lost", "timeout"].map(|outcome| number(&run["counts"], outcome));
-        let told = ended.iter().sum::<f64>() + number(run, "warm_up");
-        assert_eq!(told as usize, numbers.len(), "{run}");
+        let iterations_by_outcome =
+            ["ok", "failed", "lost", "timeout"].map(|outcome| number(&run["counts"], outcome));
+        let counted = iterations_by_outcome.iter().sum::<f64>() + number(run, "warm_up");
+        assert_eq!(counted as usize, numbers.len(), "{run}");
     }
     assert_eq!(second.stop().code(), 0);
 }
 
 #[test]
-fn status_command_lists_pipelines_and_exits_69_without_aggregator() {
+fn status_lists_pipelines_and_exits_69_without_aggregator() {
     let deployment = LoopbackDeployment::new();
     let url = format!("http://127.0.0.1:{}", deployment.http);
-    let peernet = || {
+    let run_status = || {
         let arguments = ["status", "--url", url.as_str()];
         Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end()
     };
-    let nobody = peernet();
-    assert_eq!(nobody.code(), 69, "{}", nobody.log);
-    assert!(nobody.log.contains("--url"), "{}", nobody.log);
+    let without_aggregator = run_status();
+    assert_eq!(without_aggregator.code(), 69, "{}", without_aggregator.log);
+    assert!(without_aggregator.log.contains("--url"), "{}", without_aggregator.log);
 
     let (_aggregator, api) = deployment.start_aggregator();
     let edge = deployment.start_agent("edge", EDGE);
     api.wait_until("/api/v1/pipelines/edge/offload", |pipeline| {
         (pipeline["state"] == "waiting").then_some(())
     });
-    let status = peernet();
+    let status = run_status();
     assert_eq!(status.code(), 0, "{}", status.log);
     assert!(status.log.contains("edge/offload") && status.log.contains("waiting"), "{}", status.log);
     assert_eq!(edge.stop().code(), 0);

@@ -38,13 +38,16 @@ fn page_api_and_metrics_show_connection() {
     assert!(up["bytes"].as_u64() >= Some(500_000) && down["bytes"].as_u64() >= Some(500_000), "{connection}");
     assert!(up["datagrams"].as_u64() >= Some(50) && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(up["lost_datagrams"].is_null() && down["retransmitted_datagrams"].is_null(), "{connection}");
-    let trip = &connection["transport_round_trip"];
-    assert!(trip["smoothed_s"].as_f64().is_some_and(|trip| trip > 0.0 && trip < 1.0), "{connection}");
+    let round_trip = &connection["transport_round_trip"];
+    assert!(
+        round_trip["smoothed_s"].as_f64().is_some_and(|round_trip| round_trip > 0.0 && round_trip < 1.0),
+        "{connection}"
+    );
     // The cloud's counts are older than those of the edge.
     let at_cloud = &connection["cloud"];
-    for (direction, counted) in [("up", up), ("down", down)] {
-        let told = at_cloud[direction]["bytes"].as_u64();
-        assert!(told > Some(100_000) && told <= counted["bytes"].as_u64(), "{connection}");
+    for (direction, edge_counts) in [("up", up), ("down", down)] {
+        let bytes = at_cloud[direction]["bytes"].as_u64();
+        assert!(bytes > Some(100_000) && bytes <= edge_counts["bytes"].as_u64(), "{connection}");
     }
     assert!(at_cloud["down"]["retransmitted_datagrams"].is_u64(), "the edge cannot know it: {connection}");
     assert!(at_cloud["transport_round_trip"]["smoothed_s"].is_f64(), "{connection}");
@@ -66,8 +69,8 @@ fn page_api_and_metrics_show_connection() {
     assert!(metrics.contains(&series.replace("link_transferred", "link_cloud_transferred")), "{metrics}");
 
     for process in [edge, cloud] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     // The totals of a connection are stored when it has ended.
     let database = deployment.folder().join("aggregator.sqlite");
@@ -112,9 +115,10 @@ fn lossy_link_shows_retransmissions() {
 
 #[test]
 fn page_api_metrics_show_lost_and_reordered_datagrams() {
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let testbed =
-        TwoHostTestbed::with_scheme("udp", |folder| Network::reordering_wire(folder, way(30), way(5)));
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let testbed = TwoHostTestbed::with_scheme("udp", |folder| {
+        Network::reordering_wire(folder, wire_direction(30), wire_direction(5))
+    });
     let _cloud = testbed.start_cloud("");
     let load = "load = { mode = \"rate\", hz = 20.0 }";
     let _edge = testbed.start_edge(&testbed.pipeline("offload", 20_000, load), &[]);
@@ -132,8 +136,8 @@ fn page_api_metrics_show_lost_and_reordered_datagrams() {
     assert!(up["duplicated_datagrams"].is_u64() && up["retransmitted_datagrams"].is_u64(), "{connection}");
     assert!(down["datagrams"].is_u64() && down["retransmitted_datagrams"].is_null(), "{connection}");
     assert!(connection["cloud"]["up"]["datagrams"].as_u64() > Some(100), "{connection}");
-    let trip = connection["transport_round_trip"]["smoothed_s"].as_f64();
-    assert!(trip.is_some_and(|trip| (0.03..1.0).contains(&trip)), "{connection}");
+    let round_trip = connection["transport_round_trip"]["smoothed_s"].as_f64();
+    assert!(round_trip.is_some_and(|round_trip| (0.03..1.0).contains(&round_trip)), "{connection}");
     assert_eq!(connection["interface"]["name"], "data");
     let remote = format!("{}:5551", testbed.network.cloud().address);
     assert_eq!(connection["remote_address"], remote.as_str());

@@ -17,10 +17,10 @@ fn answered_iterations(testbed: &TwoHostTestbed) -> u64 {
     ok.unwrap_or_default()
 }
 
-/// Waits until this many more iterations are answered.
-fn wait_until_answered(testbed: &TwoHostTestbed, more: u64) {
-    let enough = answered_iterations(testbed) + more;
-    wait_until("answers", || (answered_iterations(testbed) >= enough).then_some(()));
+/// Waits until this many further iterations are answered.
+fn wait_until_answered(testbed: &TwoHostTestbed, iterations: u64) {
+    let target = answered_iterations(testbed) + iterations;
+    wait_until("answers", || (answered_iterations(testbed) >= target).then_some(()));
 }
 
 /// Waits until one end of the only connection is at an address.
@@ -48,23 +48,23 @@ fn session_survives_small_mtu_and_moved_hosts() {
     let large = "session = { socket_buffer_bytes = 1073741824 }, model =";
     let edge = testbed.start_edge(&pipeline.replace("model =", large), &[]);
     wait_until_answered(&testbed, 20);
-    let capped = "the system caps the buffers of UDP sockets at ";
-    let said = edge.wait_for(capped);
-    assert!(said.contains("sysctl -w net.core.rmem_max=1073741824"), "{said}");
-    wait_until_page_contains(&testbed, capped);
-    let (here, there) = (testbed.network.edge(), testbed.network.cloud());
-    for host in [here, there] {
+    let warning = "the system caps the buffers of UDP sockets at ";
+    let output = edge.wait_for(warning);
+    assert!(output.contains("sysctl -w net.core.rmem_max=1073741824"), "{output}");
+    wait_until_page_contains(&testbed, warning);
+    let (edge_host, cloud_host) = (testbed.network.edge(), testbed.network.cloud());
+    for host in [edge_host, cloud_host] {
         host.set_mtu(DATA_INTERFACE, 1_280);
     }
     wait_until_answered(&testbed, 20);
 
-    let elsewhere = Ipv4Addr::from_bits(here.address.to_bits() + 8);
-    here.change_address(elsewhere);
-    wait_until_address_is(&testbed, "local_address", elsewhere);
+    let new_address = Ipv4Addr::from_bits(edge_host.address.to_bits() + 8);
+    edge_host.change_address(new_address);
+    wait_until_address_is(&testbed, "local_address", new_address);
     wait_until_answered(&testbed, 20);
-    let elsewhere = Ipv4Addr::from_bits(there.address.to_bits() + 8);
-    there.change_address(elsewhere);
-    wait_until_address_is(&testbed, "remote_address", elsewhere);
+    let new_address = Ipv4Addr::from_bits(cloud_host.address.to_bits() + 8);
+    cloud_host.change_address(new_address);
+    wait_until_address_is(&testbed, "remote_address", new_address);
     wait_until_answered(&testbed, 20);
     let (edge, cloud) = (edge.stop(), cloud.stop());
     assert_eq!((edge.code(), cloud.code()), (0, 0), "{}\n{}", edge.log, cloud.log);
@@ -78,13 +78,16 @@ fn pipeline_recovers_from_link_and_restart_faults() {
     let edge = testbed.start_edge(&testbed.pipeline("line", 20_000, LOAD), &[]);
     wait_until_answered(&testbed, 20);
 
-    let (path, cut) = (testbed.network.cloud(), Stopwatch::now());
-    path.drop_all();
-    let said = edge.wait_for("lost the connection to cloud");
-    assert!(said.contains("udp://") && said.contains("nothing was received from the peer for 5 s"), "{said}");
+    let (cloud_host, stopwatch) = (testbed.network.cloud(), Stopwatch::now());
+    cloud_host.drop_all();
+    let output = edge.wait_for("lost the connection to cloud");
+    assert!(
+        output.contains("udp://") && output.contains("nothing was received from the peer for 5 s"),
+        "{output}"
+    );
     // The session must survive a cut of ten seconds.
-    std::thread::sleep(Duration::from_secs(10).saturating_sub(cut.elapsed()));
-    path.clear_rules();
+    std::thread::sleep(Duration::from_secs(10).saturating_sub(stopwatch.elapsed()));
+    cloud_host.clear_rules();
     edge.wait_for_nth("connected to cloud", 2);
     wait_until_answered(&testbed, 20);
 
@@ -94,9 +97,9 @@ fn pipeline_recovers_from_link_and_restart_faults() {
     edge.wait_for_nth("connected to cloud", 3);
     wait_until_answered(&testbed, 20);
 
-    path.block_udp(5551);
+    cloud_host.block_udp(5551);
     edge.wait_for_nth("lost the connection to cloud", 3);
-    path.clear_rules();
+    cloud_host.clear_rules();
     edge.wait_for_nth("connected to cloud", 4);
     wait_until_answered(&testbed, 20);
     let runs = testbed.api.json("/api/v1/runs");
@@ -105,8 +108,9 @@ fn pipeline_recovers_from_link_and_restart_faults() {
 
 #[test]
 fn reduced_path_mtu_is_reported_and_session_continues() {
-    let way = WireProperties { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
-    let testbed = TwoHostTestbed::with_scheme("udp", |folder| Network::wire(folder, way, way));
+    let wire_direction = WireProperties { delay_ms: 0, jitter_ms: 0, loss_percent: 0 };
+    let testbed =
+        TwoHostTestbed::with_scheme("udp", |folder| Network::wire(folder, wire_direction, wire_direction));
     let _cloud = testbed.start_cloud("[serve.session]\ndatagram_bytes = 1400\n");
     let pipeline = testbed.pipeline("line", 20_000, LOAD);
     let pipeline = pipeline.replace("model =", "session = { datagram_bytes = 1400 }, model =");
@@ -114,10 +118,10 @@ fn reduced_path_mtu_is_reported_and_session_continues() {
     wait_until_answered(&testbed, 20);
 
     testbed.network.cloud().drop_longer(1_300);
-    let said = edge.wait_for("lost the connection to cloud");
+    let output = edge.wait_for("lost the connection to cloud");
     assert!(
-        said.contains("long datagrams do not arrive any more") && said.contains("datagram_bytes"),
-        "{said}"
+        output.contains("long datagrams do not arrive any more") && output.contains("datagram_bytes"),
+        "{output}"
     );
     edge.wait_for("continuing with 1200 bytes");
     edge.wait_for_nth("connected to cloud", 2);

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_tests::{Document, LoopbackDeployment, Process, onnxruntime, program, root};
 
-use crate::external::build;
+use crate::external::build_example;
 
 const REFERENCE: &str = "docs/configuration.md";
 
@@ -29,19 +29,19 @@ fn is_experiment(block: &str) -> bool {
 #[test]
 fn experiments_in_the_documents_pass_the_check() {
     let deployment = LoopbackDeployment::new();
-    let mut checked = Vec::new();
+    let mut checked_documents = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml").into_iter().filter(|(_, block)| is_experiment(block)) {
             let file = deployment.write("experiment.toml", &block);
             let arguments = [Path::new("run"), Path::new("--check"), &file];
-            let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-            assert_eq!(ended.code(), 0, "{}:{line}:\n{}", document.path.display(), ended.log);
-            checked.push(document.path.clone());
+            let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
+            assert_eq!(end.code(), 0, "{}:{line}:\n{}", document.path.display(), end.log);
+            checked_documents.push(document.path.clone());
         }
     }
     assert!(
-        checked.contains(&PathBuf::from("docs/experiments.md")),
-        "its example is a whole file: {checked:?}"
+        checked_documents.contains(&PathBuf::from("docs/experiments.md")),
+        "its example is a whole file: {checked_documents:?}"
     );
 }
 
@@ -52,28 +52,28 @@ fn complete_examples_pass_check_and_excerpts_parse() {
     for name in ["configs", "docs", "models", "onnxruntime"] {
         symlink(root().join(name), deployment.folder().join(name)).expect("the temporary folder is writable");
     }
-    build(deployment.folder());
-    let mut wrong = Vec::new();
+    build_example(deployment.folder());
+    let mut problems = Vec::new();
     for document in Document::all() {
         for (line, block) in document.fenced("toml") {
-            let at = format!("{}:{line}", document.path.display());
+            let position = format!("{}:{line}", document.path.display());
             let Some(name) = name(&block).filter(|_| !is_experiment(&block)) else {
                 if let Err(error) = toml::from_str::<toml::Table>(&block) {
-                    wrong.push(format!("{at}: {error}"));
+                    problems.push(format!("{position}: {error}"));
                 }
                 continue;
             };
             // The check binds this port, and a demo may be running.
             let block = block.replace("tcp://127.0.0.1:5551", "tcp://127.0.0.1:{data}");
             deployment.write(name, &block);
-            let ended = Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[])
+            let end = Process::start(&program("peernetd"), &["check", name], deployment.folder(), &[])
                 .wait_for_end();
-            if ended.code() != 0 {
-                wrong.push(format!("{at}:\n{}", ended.log));
+            if end.code() != 0 {
+                problems.push(format!("{position}:\n{}", end.log));
             }
         }
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 
     let reference = Document::read(REFERENCE).fenced("toml");
     assert!(!reference.is_empty(), "{REFERENCE} has no example");
@@ -87,7 +87,7 @@ fn complete_examples_pass_check_and_excerpts_parse() {
 
 #[test]
 fn links_lead_to_files_and_sections_that_exist() {
-    let mut broken = Vec::new();
+    let mut broken_links = Vec::new();
     for document in Document::all() {
         let folder = document.path.parent().expect("a file is in a folder");
         for (line, target) in document.links() {
@@ -96,14 +96,14 @@ fn links_lead_to_files_and_sections_that_exist() {
             }
             let (file, section) = target.split_once('#').unwrap_or((target, ""));
             let path = if file.is_empty() { document.path.clone() } else { folder.join(file) };
-            let found = root().join(&path).exists()
+            let exists = root().join(&path).exists()
                 && (section.is_empty() || Document::read(&path).anchors().iter().any(|name| name == section));
-            if !found {
-                broken.push(format!("{}:{line}: {target}", document.path.display()));
+            if !exists {
+                broken_links.push(format!("{}:{line}: {target}", document.path.display()));
             }
         }
     }
-    assert!(broken.is_empty(), "links that lead nowhere:\n{}", broken.join("\n"));
+    assert!(broken_links.is_empty(), "links that lead nowhere:\n{}", broken_links.join("\n"));
 }
 
 /// Sections of the reference, each with a file that has a key or value `zz` where the section describes keys or
@@ -145,16 +145,16 @@ const PROBES: [(&str, &str); 31] = [
     ("actuator", "[[pipeline]]\nactuator = { kind = \"zz\" }"),
 ];
 
-/// The corresponding list for experiments.
-const EXPERIMENTS: [(&str, &str); 4] = [
+/// The same as [`PROBES`] for experiments.
+const EXPERIMENT_PROBES: [(&str, &str); 4] = [
     ("experiment", "[experiment]\nzz = 1\n[pipeline]"),
     ("pipeline-and-the-agents-tables", "[experiment]\nname = 'e'\n[pipeline]\n[network]\nzz = 1"),
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nzz = 1"),
     ("axis", "[experiment]\nname = 'e'\n[pipeline]\n[[axis]]\nname = 'a'\n[[axis.value]]\nzz = 1"),
 ];
 
-/// The corresponding list for tables whose keys depend on their kind, which replaces `KIND`.
-const KINDS: [(&str, &str); 6] = [
+/// The same as [`PROBES`] for tables whose keys depend on their kind, which replaces `KIND`.
+const KIND_PROBES: [(&str, &str); 6] = [
     ("model", "[[model]]\nname = \"m\"\nkind = \"KIND\"\nzz = 1"),
     ("sensor", "[[pipeline]]\nsensor = { kind = \"KIND\", zz = 1 }"),
     ("transforms", "[[pipeline]]\ntransforms = [{ kind = \"KIND\", zz = 1 }]"),
@@ -166,53 +166,54 @@ const KINDS: [(&str, &str); 6] = [
 /// Runs a program's check on a file; returns the output.
 type Check = fn(&LoopbackDeployment, &str) -> String;
 
-fn configuration(deployment: &LoopbackDeployment, file: &str) -> String {
+fn check_configuration(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
     deployment.peernetd(&["check", "probe.toml"]).wait_for_end().log
 }
 
-fn experiment(deployment: &LoopbackDeployment, file: &str) -> String {
+fn check_experiment(deployment: &LoopbackDeployment, file: &str) -> String {
     deployment.write("probe.toml", file);
     let arguments = ["run", "--check", "probe.toml"];
     Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end().log
 }
 
 /// Returns the names that a check offers instead of `zz`.
-fn offered_names(said: &str) -> Vec<String> {
-    let told = ["unknown field `zz`, ", "unknown variant `zz`, "];
-    let known = told.iter().find_map(|told| said.split_once(told));
-    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{said}"));
+fn offered_names(output: &str) -> Vec<String> {
+    let messages = ["unknown field `zz`, ", "unknown variant `zz`, "];
+    let known = messages.iter().find_map(|message| output.split_once(message));
+    let (_, known) = known.unwrap_or_else(|| panic!("nothing is said about zz but\n{output}"));
     known.lines().take(1).flat_map(|known| known.split('`').skip(1).step_by(2)).map(str::to_owned).collect()
 }
 
 /// Returns the words that are missing in a section.
 fn undocumented_words(document: &Document, section: &str, words: &[String]) -> Vec<String> {
     let text = document.section(section);
-    let described = |word: &str| {
+    let is_described = |word: &str| {
         ["`WORD`", "\"WORD\"", "[WORD]"].iter().any(|form| text.contains(&form.replace("WORD", word)))
     };
-    let lacking = words.iter().filter(|word| !described(word));
-    lacking.map(|word| format!("{} {section}: {word}", document.path.display())).collect()
+    let undocumented = words.iter().filter(|word| !is_described(word));
+    undocumented.map(|word| format!("{} {section}: {word}", document.path.display())).collect()
 }
 
 #[test]
 fn reference_describes_every_key_and_kind() {
     let deployment = LoopbackDeployment::new();
     let mut missing = Vec::new();
-    let mut look = |document: &str, said: Check, probes: &[(&str, &str)]| {
+    let mut collect_missing = |document: &str, check: Check, probes: &[(&str, &str)]| {
         let document = Document::read(document);
         for (section, file) in probes {
-            missing.extend(undocumented_words(&document, section, &offered_names(&said(&deployment, file))));
+            missing.extend(undocumented_words(&document, section, &offered_names(&check(&deployment, file))));
         }
     };
-    look(REFERENCE, configuration, &PROBES);
-    look("docs/experiments.md", experiment, &EXPERIMENTS);
+    collect_missing(REFERENCE, check_configuration, &PROBES);
+    collect_missing("docs/experiments.md", check_experiment, &EXPERIMENT_PROBES);
     let reference = Document::read(REFERENCE);
-    for (section, file) in KINDS {
-        let of = |kind: &str| offered_names(&configuration(&deployment, &file.replace("KIND", kind)));
-        let kinds = of("zz");
+    for (section, file) in KIND_PROBES {
+        let keys_of =
+            |kind: &str| offered_names(&check_configuration(&deployment, &file.replace("KIND", kind)));
+        let kinds = keys_of("zz");
         missing.extend(undocumented_words(&reference, section, &kinds));
-        missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &of(kind))));
+        missing.extend(kinds.iter().flat_map(|kind| undocumented_words(&reference, section, &keys_of(kind))));
     }
     assert!(missing.is_empty(), "these are not described:\n{}", missing.join("\n"));
 }

@@ -37,7 +37,7 @@ struct Kind {
     /// Configuration that the kind's own file declares.
     config: Option<String>,
     /// File or folder of the kind.
-    own: PathBuf,
+    files: PathBuf,
     /// File in which it is registered.
     registration: PathBuf,
 }
@@ -45,9 +45,10 @@ struct Kind {
 impl Kind {
     /// Returns whether a path names the kind.
     fn is_named_by(&self, path: &Segments) -> bool {
-        let pair = |first: &str, second: &str| path.windows(2).any(|two| two[0] == first && two[1] == second);
-        pair(self.registry, &self.variant)
-            || pair(&self.parent, &self.module)
+        let contains_pair =
+            |first: &str, second: &str| path.windows(2).any(|pair| pair[0] == first && pair[1] == second);
+        contains_pair(self.registry, &self.variant)
+            || contains_pair(&self.parent, &self.module)
             || self.config.as_ref().is_some_and(|config| path.contains(config))
     }
 }
@@ -69,68 +70,68 @@ fn kinds(registry: &'static str, registration: &str) -> Vec<Kind> {
         }
         name => name.to_owned(),
     };
-    let mut found = Vec::new();
+    let mut kinds = Vec::new();
     for item in items(&registration) {
         match item {
             Item::Enum(item) if item.ident == registry => {
                 for variant in item.variants {
                     let field = variant.fields.iter().next().expect("a variant holds its configuration");
-                    let path = configuration(&field.ty);
+                    let path = configuration_path(&field.ty);
                     let [module, config] = &path[..] else { panic!("write module::Configuration: {path:?}") };
-                    found.push((variant.ident.to_string(), module.clone(), Some(config.clone())));
+                    kinds.push((variant.ident.to_string(), module.clone(), Some(config.clone())));
                 }
             }
             Item::Macro(item) if item.mac.path.is_ident("networks") => {
                 let tokens: Vec<TokenTree> = item.mac.tokens.into_iter().collect();
-                let at = |token: &TokenTree, text: &str| token.to_string() == text;
-                for line in tokens.split(|token| at(token, ";")).filter(|line| !line.is_empty()) {
-                    let after = |text| line.iter().skip_while(|token| !at(token, text)).nth(1);
-                    let before = line.iter().take_while(|token| !at(token, "=")).last();
+                let is_text = |token: &TokenTree, text: &str| token.to_string() == text;
+                for line in tokens.split(|token| is_text(token, ";")).filter(|line| !line.is_empty()) {
+                    let after = |text| line.iter().skip_while(|token| !is_text(token, text)).nth(1);
+                    let before = line.iter().take_while(|token| !is_text(token, "=")).last();
                     let [variant, module] =
                         [before, after("in")].map(|token| token.expect("is there").to_string());
-                    found.push((variant, module, None));
+                    kinds.push((variant, module, None));
                 }
             }
             _ => {}
         }
     }
     let kind = |(variant, module, config): (String, String, Option<String>)| {
-        let [alone, inside] = [folder.join(format!("{module}.rs")), folder.join(&module)];
-        let own = if alone.is_file() { alone } else { inside };
+        let [file, module_folder] = [folder.join(format!("{module}.rs")), folder.join(&module)];
+        let files = if file.is_file() { file } else { module_folder };
         // A configuration that several kinds share is declared elsewhere.
-        let config = config.filter(|config| declares(&own, config));
+        let config = config.filter(|config| declares(&files, config));
         let (parent, registration) = (parent.clone(), registration.clone());
-        Kind { registry, variant, parent, module, config, own, registration }
+        Kind { registry, variant, parent, module, config, files, registration }
     };
-    found.into_iter().map(kind).collect()
+    kinds.into_iter().map(kind).collect()
 }
 
 /// Returns the path of a kind's configuration: the type argument of `ModelTable<onnx::OnnxConfig>`.
-fn configuration(of: &Type) -> Segments {
-    let Type::Path(path) = of else { panic!("a configuration is named by a path") };
+fn configuration_path(table: &Type) -> Segments {
+    let Type::Path(path) = table else { panic!("a configuration is named by a path") };
     let inner = path.path.segments.iter().find_map(|segment| match &segment.arguments {
         PathArguments::AngleBracketed(inner) => inner.args.first(),
         _ => None,
     });
     match inner {
-        Some(GenericArgument::Type(inner)) => configuration(inner),
+        Some(GenericArgument::Type(inner)) => configuration_path(inner),
         _ => path.path.segments.iter().map(|segment| segment.ident.to_string()).collect(),
     }
 }
 
 /// Returns whether a file, or a file in a folder, declares a struct.
-fn declares(own: &Path, name: &str) -> bool {
-    let is_it = |item: &Item| matches!(item, Item::Struct(item) if item.ident == name);
-    sources(own).iter().any(|file| items(file).iter().any(is_it))
+fn declares(files: &Path, name: &str) -> bool {
+    let is_struct = |item: &Item| matches!(item, Item::Struct(item) if item.ident == name);
+    sources(files).iter().any(|file| items(file).iter().any(is_struct))
 }
 
 /// Returns the source files of a folder and of those below it, or the file itself, without test files.
-fn sources(at: &Path) -> Vec<PathBuf> {
-    if at.is_file() {
-        return vec![at.to_owned()];
+fn sources(path: &Path) -> Vec<PathBuf> {
+    if path.is_file() {
+        return vec![path.to_owned()];
     }
     let mut found = Vec::new();
-    for entry in fs::read_dir(at).unwrap_or_else(|error| panic!("{}: {error}", at.display())) {
+    for entry in fs::read_dir(path).unwrap_or_else(|error| panic!("{}: {error}", path.display())) {
         let path = entry.expect("is readable").path();
         let name = path.file_stem().and_then(|name| name.to_str()).unwrap_or_default();
         if name == "tests" {
@@ -162,29 +163,29 @@ fn kind_is_named_in_its_file_and_registration() {
         assert!(kinds.iter().any(|kind| kind.registry == registry), "{file} registers no {registry}");
     }
     let root = peernet_tests::root();
-    let (mut wrong, mut needed) = (Vec::new(), Vec::new());
+    let (mut problems, mut used_exceptions) = (Vec::new(), Vec::new());
     for file in all_sources() {
         let mut names = Names::default();
         items(&file).iter().for_each(|item| names.visit_item(item));
-        let elsewhere = |kind: &&Kind| !file.starts_with(&kind.own) && file != kind.registration;
-        for kind in kinds.iter().filter(elsewhere) {
+        let is_elsewhere = |kind: &&Kind| !file.starts_with(&kind.files) && file != kind.registration;
+        for kind in kinds.iter().filter(is_elsewhere) {
             let Some(path) = names.paths.iter().find(|path| kind.is_named_by(path)) else { continue };
             let exception = EXCEPTIONS
                 .iter()
-                .find(|(at, module, _)| *module == kind.module && file.starts_with(root.join(at)));
+                .find(|(path, module, _)| *module == kind.module && file.starts_with(root.join(path)));
             match exception {
-                Some(exception) => needed.push(exception),
-                None => wrong.push(format!("{}: {}", file.display(), path.join("::"))),
+                Some(exception) => used_exceptions.push(exception),
+                None => problems.push(format!("{}: {}", file.display(), path.join("::"))),
             }
         }
     }
     assert!(
-        wrong.is_empty(),
+        problems.is_empty(),
         "kinds are named outside their own files; ask through the trait of the extension point:\n{}",
-        wrong.join("\n")
+        problems.join("\n")
     );
     for exception in &EXCEPTIONS {
-        assert!(needed.contains(&exception), "this exception is needed no more: {exception:?}");
+        assert!(used_exceptions.contains(&exception), "this exception is needed no more: {exception:?}");
     }
 }
 
@@ -222,22 +223,22 @@ fn text_of_configurations_names_no_kind() {
     assert_eq!(kinds_in_text("let a = \"kind = 'a'\\nkind = \\\"b\\\"\";\n// kind = 'c'"), ["a", "b"]);
     assert_eq!(kinds_in_text("kind == \"a\"\n#[cfg(test)]\nmod tests { \"kind = 'b'\" }"), [""; 0]);
     let kinds: Vec<Kind> = REGISTRATIONS.iter().flat_map(|(registry, file)| kinds(registry, file)).collect();
-    let mut wrong = Vec::new();
+    let mut problems = Vec::new();
     for file in all_sources() {
-        let named = kinds_in_text(&fs::read_to_string(&file).expect("is readable"));
+        let names = kinds_in_text(&fs::read_to_string(&file).expect("is readable"));
         // A name that several extension points share may occur in the files of each.
-        let is_own = |kind: &Kind| file.starts_with(&kind.own) || file == kind.registration;
-        for name in named {
-            let mut same = kinds.iter().filter(|kind| kebab_case(&kind.variant) == name).peekable();
-            if same.peek().is_some() && !same.any(is_own) {
-                wrong.push(format!("{}: kind {name}", file.display()));
+        let is_own = |kind: &Kind| file.starts_with(&kind.files) || file == kind.registration;
+        for name in names {
+            let mut kinds_of_name = kinds.iter().filter(|kind| kebab_case(&kind.variant) == name).peekable();
+            if kinds_of_name.peek().is_some() && !kinds_of_name.any(is_own) {
+                problems.push(format!("{}: kind {name}", file.display()));
             }
         }
     }
     assert!(
-        wrong.is_empty(),
+        problems.is_empty(),
         "kinds are named outside their own files; give a kind's file a constructor:\n{}",
-        wrong.join("\n")
+        problems.join("\n")
     );
 }
 

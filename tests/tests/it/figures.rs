@@ -4,11 +4,13 @@ use std::path::Path;
 
 use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, program};
 
-use crate::results::of_the_published_program;
+use crate::results::write_published_results;
 
 /// Returns a deployment with results in which one upload took 9 s and all others about 18 ms.
 fn deployment() -> LoopbackDeployment {
-    of_the_published_program(|n| if n == 90 { 9.0 } else { 0.0175 + f64::from(n % 13) * 1e-4 })
+    write_published_results(
+        |iteration| if iteration == 90 { 9.0 } else { 0.0175 + f64::from(iteration % 13) * 1e-4 },
+    )
 }
 
 fn plot(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
@@ -21,20 +23,20 @@ fn read(path: &Path) -> String {
 }
 
 #[test]
-fn plot_writes_the_papers_figures_into_results_of_the_published_commands() {
+fn plot_draws_figures_of_paper_for_published_results() {
     let deployment = deployment();
-    let done = plot(&deployment, &["all/small", "--kind", "histograms"]);
-    assert_eq!(done.code(), 0, "{}", done.log);
+    let end = plot(&deployment, &["all/small", "--kind", "histograms"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let times = ["sensing-time", "upload-time", "inference-time", "download-time"];
     for stem in times.into_iter().chain(["upload-throughput", "download-throughput"]) {
         let png = deployment.folder().join(format!("all/small/{stem}.png"));
         assert!(std::fs::read(png).expect("written").starts_with(b"\x89PNG"), "{stem}");
-        assert!(done.log.contains(&format!("{stem}.svg")), "{}", done.log);
+        assert!(end.log.contains(&format!("{stem}.svg")), "{}", end.log);
     }
     let upload = read(&deployment.folder().join("all/small/upload-time.svg"));
     assert!(upload.contains("n = 200") && upload.contains("1 beyond 18.7 ms →"), "{upload}");
-    let words = read(&deployment.folder().join("all/small/upload-time-caption.txt"));
-    assert!(words.contains("n = 200 · left out: 5 warm-up"), "{words}");
+    let caption = read(&deployment.folder().join("all/small/upload-time-caption.txt"));
+    assert!(caption.contains("n = 200 · left out: 5 warm-up"), "{caption}");
     let pdf = std::fs::read(deployment.folder().join("all/small/upload-time.pdf")).expect("written");
     assert!(pdf.starts_with(b"%PDF"));
 }
@@ -42,16 +44,16 @@ fn plot_writes_the_papers_figures_into_results_of_the_published_commands() {
 #[test]
 fn several_runs_get_own_and_joint_figures() {
     let deployment = deployment();
-    let done = plot(&deployment, &["all", "--out", "figures"]);
-    assert_eq!(done.code(), 0, "{}", done.log);
+    let end = plot(&deployment, &["all", "--out", "figures"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let stacked = read(&deployment.folder().join("figures/stacked.svg"));
     assert!(
         ["small", "large", "inference", "Latency, ms"].iter().all(|text| stacked.contains(text)),
         "{stacked}"
     );
-    assert!(deployment.folder().join("figures/large/series.png").is_file(), "{}", done.log);
+    assert!(deployment.folder().join("figures/large/series.png").is_file(), "{}", end.log);
     assert!(!deployment.folder().join("all/large/series.png").exists(), "elsewhere means elsewhere");
-    assert!(!done.log.contains("payload"), "all messages have one size: {}", done.log);
+    assert!(!end.log.contains("payload"), "all messages have one size: {}", end.log);
 }
 
 #[test]
@@ -61,11 +63,11 @@ fn plot_names_runs_without_answers() {
     std::fs::create_dir(&folder).expect("made");
     let rows = "iteration,sensing,warm-up,outcome\n1,0.001,0,lost\n2,0.001,0,lost\n";
     std::fs::write(folder.join("data.csv"), rows).expect("written");
-    let done = plot(&deployment, &["all", "--out", "figures"]);
-    assert_eq!(done.code(), 0, "{}", done.log);
-    let told = "figures/silent: cannot draw series: no iteration was answered";
-    assert!(done.log.contains(told), "{}", done.log);
-    assert_eq!(done.log.matches("cannot draw").count(), 1, "others never are: {}", done.log);
+    let end = plot(&deployment, &["all", "--out", "figures"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let message = "figures/silent: cannot draw series: no iteration was answered";
+    assert!(end.log.contains(message), "{}", end.log);
+    assert_eq!(end.log.matches("cannot draw").count(), 1, "others never are: {}", end.log);
 }
 
 #[test]
@@ -79,8 +81,8 @@ fn plot_errors_are_named() {
         (&["all", "--y", "total"], 64, "use one of these kinds"),
     ];
     for (arguments, code, text) in cases {
-        let done = plot(&deployment, arguments);
-        assert_eq!(done.code(), code, "{arguments:?}: {}", done.log);
-        assert!(done.log.contains(text), "{arguments:?}: {}", done.log);
+        let end = plot(&deployment, arguments);
+        assert_eq!(end.code(), code, "{arguments:?}: {}", end.log);
+        assert!(end.log.contains(text), "{arguments:?}: {}", end.log);
     }
 }

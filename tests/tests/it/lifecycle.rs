@@ -35,14 +35,14 @@ impl Manager {
         Self { socket, path: path.display().to_string() }
     }
 
-    fn next(&self) -> String {
+    fn receive(&self) -> String {
         let mut message = [0; 4096];
         let length = self.socket.recv(&mut message).expect("the daemon tells the service manager");
         String::from_utf8_lossy(&message[..length]).into_owned()
     }
 
     fn wait_for(&self, state: &str) {
-        while !self.next().lines().any(|line| line == state) {}
+        while !self.receive().lines().any(|line| line == state) {}
     }
 }
 
@@ -62,8 +62,8 @@ fn service_manager_receives_ready_watchdog_and_stopping() {
     manager.wait_for("WATCHDOG=1");
     daemon.terminate();
     manager.wait_for("STOPPING=1");
-    let ended = daemon.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = daemon.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 #[test]
@@ -110,10 +110,10 @@ fn second_signal_ends_daemon_immediately() {
 #[test]
 fn version_contains_the_commit() {
     let deployment = LoopbackDeployment::new();
-    let ended = deployment.peernetd(&["--version"]).wait_for_end();
-    assert_eq!(ended.code(), 0);
-    let words: Vec<&str> = ended.log.split_whitespace().collect();
+    let end = deployment.peernetd(&["--version"]).wait_for_end();
+    assert_eq!(end.code(), 0);
+    let words: Vec<&str> = end.log.split_whitespace().collect();
     assert_eq!(words[0], "peernetd");
     assert_eq!(words[1], env!("CARGO_PKG_VERSION"));
-    assert!(words[2].starts_with('('), "{}", ended.log);
+    assert!(words[2].starts_with('('), "{}", end.log);
 }

@@ -21,14 +21,16 @@ fn edge(port: &str) -> String {
 
 #[test]
 fn two_addresses_are_served_concurrently() {
-    let (deployment, second) = (LoopbackDeployment::new(), free_port().to_string());
+    let (deployment, second_port) = (LoopbackDeployment::new(), free_port().to_string());
     let (_aggregator, api) = deployment.start_aggregator();
-    let cloud = deployment.start_agent("cloud", &CLOUD.replace("SECOND", &second));
-    for port in [deployment.data.to_string(), second.clone()] {
+    let cloud = deployment.start_agent("cloud", &CLOUD.replace("SECOND", &second_port));
+    for port in [deployment.data.to_string(), second_port.clone()] {
         cloud.wait_for(&format!("tcp://127.0.0.1:{port}"));
     }
-    let edges =
-        [deployment.start_agent("left", &edge("{data}")), deployment.start_agent("right", &edge(&second))];
+    let edges = [
+        deployment.start_agent("left", &edge("{data}")),
+        deployment.start_agent("right", &edge(&second_port)),
+    ];
 
     // Both pipelines still run when the answers of the second one are checked.
     for host in ["left", "right"] {
@@ -37,11 +39,11 @@ fn two_addresses_are_served_concurrently() {
         });
         let link = api.json(&format!("/api/v1/links/{host}~cloud"));
         assert_eq!((&link["network"], &link["connected"]), (&"zmq-tcp".into(), &true.into()), "{link}");
-        let same = api.json(&format!("/api/v1/links/{host}~cloud~zmq-tcp"));
-        assert_eq!(same["name"], link["name"], "the network may be named");
+        let link_by_network = api.json(&format!("/api/v1/links/{host}~cloud~zmq-tcp"));
+        assert_eq!(link_by_network["name"], link["name"], "the network may be named");
     }
     let hosts = api.json("/api/v1/hosts/cloud");
-    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second}", deployment.data);
+    let serves = format!("tcp://127.0.0.1:{}, tcp://127.0.0.1:{second_port}", deployment.data);
     assert_eq!(hosts["description"]["serves"], serves.as_str(), "{hosts}");
     for edge in edges {
         assert_eq!(edge.stop().code(), 0);
@@ -58,10 +60,10 @@ fn network_and_address_must_agree() {
     ] {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{tables}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        assert_eq!(ended.code(), 78, "{}", ended.log);
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        assert_eq!(end.code(), 78, "{}", end.log);
         for part in ["it.toml:", "zmq-udp", "zmq-tcp"] {
-            assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+            assert!(end.log.contains(part), "{part} is missing in:\n{}", end.log);
         }
     }
 }
@@ -69,7 +71,7 @@ fn network_and_address_must_agree() {
 #[test]
 fn wrong_lists_of_addresses_are_refused() {
     let deployment = LoopbackDeployment::new();
-    for (listen, said) in [
+    for (listen, output) in [
         ("[]", "the list is empty"),
         (
             "[\"tcp://127.0.0.1:7001\", \"tcp://127.0.0.1:7001\"]",
@@ -82,8 +84,8 @@ fn wrong_lists_of_addresses_are_refused() {
             "it.toml",
             &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n[serve]\nlisten = {listen}\n"),
         );
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        assert_eq!(ended.code(), 78, "{}", ended.log);
-        assert!(ended.log.contains(said) && ended.log.contains("serve.listen"), "{said} in {}", ended.log);
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        assert_eq!(end.code(), 78, "{}", end.log);
+        assert!(end.log.contains(output) && end.log.contains("serve.listen"), "{output} in {}", end.log);
     }
 }

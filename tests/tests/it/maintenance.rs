@@ -21,16 +21,16 @@ load = { mode = "rate", hz = 200.0 }
 "#;
 
 /// Starts aggregator and agent of a deployment; returns when some iterations are stored.
-fn measuring() -> (LoopbackDeployment, Process, Process, Api) {
+fn start_measuring() -> (LoopbackDeployment, Process, Process, Api) {
     let deployment = LoopbackDeployment::new();
     let (aggregator, api) = deployment.start_aggregator();
     let edge = deployment.start_agent("edge", EDGE);
-    wait_until("stored iterations", || (stored(&api) > 300).then_some(()));
+    wait_until("stored iterations", || (stored_iterations(&api) > 300).then_some(()));
     (deployment, aggregator, edge, api)
 }
 
 /// Returns the number of successful iterations of the first run.
-fn stored(api: &Api) -> u64 {
+fn stored_iterations(api: &Api) -> u64 {
     api.json("/api/v1/runs")["runs"][0]["counts"]["ok"].as_u64().unwrap_or_default()
 }
 
@@ -58,8 +58,8 @@ fn statistics(database: &Path) -> String {
 
 /// Changes a database that no process uses.
 fn change(database: &Path, sql: &str) {
-    let changed = Command::new("sqlite3").arg(database).arg(sql).status();
-    assert!(changed.is_ok_and(|status| status.success()), "{sql}");
+    let result = Command::new("sqlite3").arg(database).arg(sql).status();
+    assert!(result.is_ok_and(|status| status.success()), "{sql}");
 }
 
 /// Overwrites the beginning of a table's first page.
@@ -72,31 +72,32 @@ fn damage(file: &Path, table: &str) {
 
 #[test]
 fn backup_of_busy_aggregator_is_consistent() {
-    let (deployment, aggregator, edge, api) = measuring();
-    let before = stored(&api);
-    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(ended.log.contains("copy.sqlite"), "it says where the copy is: {}", ended.log);
-    let after = wait_until("more iterations", || Some(stored(&api)).filter(|now| *now > before + 100));
+    let (deployment, aggregator, edge, api) = start_measuring();
+    let before = stored_iterations(&api);
+    let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(end.log.contains("copy.sqlite"), "it says where the copy is: {}", end.log);
+    let after =
+        wait_until("more iterations", || Some(stored_iterations(&api)).filter(|now| *now > before + 100));
 
     // What one table counts is in the others: the copy contains nothing of a later time.
     let copy = deployment.folder().join("copy.sqlite");
-    let counted = number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
-    assert_eq!(number(&copy, "SELECT count(*) FROM iteration"), counted);
-    assert_eq!(number(&copy, "SELECT max(number) FROM iteration"), counted);
+    let iterations = number(&copy, "SELECT ok + failed + lost + timeout + warm_up FROM run");
+    assert_eq!(number(&copy, "SELECT count(*) FROM iteration"), iterations);
+    assert_eq!(number(&copy, "SELECT max(number) FROM iteration"), iterations);
     assert_eq!(number(&copy, "SELECT count(*) FROM node"), number(&copy, "SELECT sum(nodes) FROM host"));
     let ok = number(&copy, "SELECT ok FROM run");
     assert!((before..after).contains(&ok), "{before} ≤ {ok} < {after}");
     assert!(!deployment.folder().join("copy.sqlite.partial").exists());
-    let ended = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(ended.log.contains("healthy"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--full", "--database", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(end.log.contains("healthy"), "{}", end.log);
 
-    let again = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
-    assert_eq!(again.code(), 69, "{}", again.log);
-    assert!(again.log.contains("already exists"), "{}", again.log);
-    let nowhere = run(&deployment, &["backup", "--database", "none.sqlite", "other.sqlite"]);
-    assert_eq!(nowhere.code(), 69, "{}", nowhere.log);
+    let second_backup = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    assert_eq!(second_backup.code(), 69, "{}", second_backup.log);
+    assert!(second_backup.log.contains("already exists"), "{}", second_backup.log);
+    let missing_database = run(&deployment, &["backup", "--database", "none.sqlite", "other.sqlite"]);
+    assert_eq!(missing_database.code(), 69, "{}", missing_database.log);
     assert!(
         !deployment.folder().join("none.sqlite").exists()
             && !deployment.folder().join("other.sqlite").exists()
@@ -107,15 +108,15 @@ fn backup_of_busy_aggregator_is_consistent() {
 
 #[test]
 fn aggregator_continues_from_backup_and_reports_gap() {
-    let (deployment, aggregator, edge, api) = measuring();
-    let ended = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let then = stored(&api);
-    wait_until("more iterations", || (stored(&api) > then + 300).then_some(()));
+    let (deployment, aggregator, edge, api) = start_measuring();
+    let end = run(&deployment, &["backup", "--config", "aggregator.toml", "copy.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let before = stored_iterations(&api);
+    wait_until("more iterations", || (stored_iterations(&api) > before + 300).then_some(()));
     aggregator.kill();
     for file in ["aggregator.sqlite", "aggregator.sqlite-wal", "aggregator.sqlite-shm"] {
         // After a checkpoint the log does not exist.
-        let _gone = std::fs::remove_file(deployment.folder().join(file));
+        let _result = std::fs::remove_file(deployment.folder().join(file));
     }
     std::fs::rename(deployment.folder().join("copy.sqlite"), database(&deployment))
         .expect("the copy is there");
@@ -125,32 +126,31 @@ fn aggregator_continues_from_backup_and_reports_gap() {
     let missing =
         api.wait_until("/api/v1/hosts/edge", |host| host["stored"]["gaps"].as_u64().filter(|gaps| *gaps > 0));
     assert!(missing > 0);
-    let now = stored(&api);
-    wait_until("new iterations", || (stored(&api) > now + 100).then_some(()));
+    let now = stored_iterations(&api);
+    wait_until("new iterations", || (stored_iterations(&api) > now + 100).then_some(()));
     assert_eq!(edge.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
-    let ended = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
-    assert_eq!(ended.code(), 0, "a gap is known and no damage: {}", ended.log);
-    assert!(ended.log.contains("never arrived"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--config", "aggregator.toml"]);
+    assert_eq!(end.code(), 0, "a gap is known and no damage: {}", end.log);
+    assert!(end.log.contains("never arrived"), "{}", end.log);
 }
 
 #[test]
 fn doctor_exit_code_reports_damage() {
-    let (deployment, aggregator, edge, _api) = measuring();
+    let (deployment, aggregator, edge, _api) = start_measuring();
     // Both processes are running.
-    let ended = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let report: Value =
-        serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
+    let end = run(&deployment, &["doctor", "--json", "--config", "aggregator.toml"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let report: Value = serde_json::from_str(&end.log).unwrap_or_else(|error| panic!("{error}: {}", end.log));
     assert_eq!(report["healthy"], true);
     assert_eq!(report["database"]["integrity"]["problems"].as_array().map(Vec::len), Some(0));
     let node = report["database"]["tables"]
         .as_array()
-        .and_then(|tables| tables.iter().find(|one| one["table"] == "node"));
+        .and_then(|tables| tables.iter().find(|table| table["table"] == "node"));
     assert!(node.and_then(|node| node["rows"].as_u64()).is_some_and(|rows| rows > 1_000), "{report}");
-    let spool = run(&deployment, &["doctor", "--config", "edge.toml"]);
-    assert_eq!(spool.code(), 0, "{}", spool.log);
-    assert!(spool.log.contains("stream"), "{}", spool.log);
+    let doctor = run(&deployment, &["doctor", "--config", "edge.toml"]);
+    assert_eq!(doctor.code(), 0, "{}", doctor.log);
+    assert!(doctor.log.contains("stream"), "{}", doctor.log);
     assert_eq!(aggregator.stop().code(), 0);
     assert_eq!(edge.stop().code(), 0);
 
@@ -158,25 +158,24 @@ fn doctor_exit_code_reports_damage() {
     let file = deployment.folder().join("edge/spool.sqlite");
     let waiting = number(&file, "SELECT count(*) FROM batch");
     assert!(waiting > 0);
-    let ended = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
-    let report: Value =
-        serde_json::from_str(&ended.log).unwrap_or_else(|error| panic!("{error}: {}", ended.log));
-    assert_eq!((ended.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
+    let end = run(&deployment, &["doctor", "--json", "--spool", "edge/spool.sqlite"]);
+    let report: Value = serde_json::from_str(&end.log).unwrap_or_else(|error| panic!("{error}: {}", end.log));
+    assert_eq!((end.code(), report["spool"]["batches"].as_u64()), (0, Some(waiting)));
     change(
         &file,
         "UPDATE batch SET body = CAST(substr(body, 1, length(body) - 1) || x'ff' AS BLOB) \
          WHERE number = (SELECT max(number) FROM batch)",
     );
-    let ended = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
-    assert_eq!(ended.code(), 65, "{}", ended.log);
-    assert!(ended.log.contains("changed after they were spooled"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--spool", "edge/spool.sqlite"]);
+    assert_eq!(end.code(), 65, "{}", end.log);
+    assert!(end.log.contains("changed after they were spooled"), "{}", end.log);
 
-    let ended = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["backup", "--database", "aggregator.sqlite", "damaged.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     damage(&deployment.folder().join("damaged.sqlite"), "node");
-    let ended = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
-    assert_eq!(ended.code(), 65, "{}", ended.log);
-    assert!(ended.log.contains("damaged") && ended.log.contains("restore"), "{}", ended.log);
+    let end = run(&deployment, &["doctor", "--database", "damaged.sqlite"]);
+    assert_eq!(end.code(), 65, "{}", end.log);
+    assert!(end.log.contains("damaged") && end.log.contains("restore"), "{}", end.log);
     assert_eq!(run(&deployment, &["doctor", "--database", "none.sqlite"]).code(), 69);
     assert_eq!(run(&deployment, &["doctor"]).code(), 64);
     assert_eq!(run(&deployment, &["doctor", "--config", "none.toml"]).code(), 78);
@@ -184,14 +183,14 @@ fn doctor_exit_code_reports_damage() {
 
 #[test]
 fn database_has_one_writing_process() {
-    let (deployment, aggregator, edge, _api) = measuring();
-    let refused = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml"]);
-    assert_eq!(refused.code(), 69, "{}", refused.log);
+    let (deployment, aggregator, edge, _api) = start_measuring();
+    let rebuild = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml"]);
+    assert_eq!(rebuild.code(), 69, "{}", rebuild.log);
     let holder = format!("pid {}", aggregator.pid());
-    assert!(refused.log.contains("in use") && refused.log.contains(&holder), "{}", refused.log);
-    let other =
+    assert!(rebuild.log.contains("in use") && rebuild.log.contains(&holder), "{}", rebuild.log);
+    let second_aggregator =
         AGGREGATOR.replace("{events}", &free_port().to_string()).replace("{http}", &free_port().to_string());
-    deployment.write("other.toml", &other);
+    deployment.write("other.toml", &second_aggregator);
     let second = deployment.start("other.toml").wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("in use") && second.log.contains(&holder), "{}", second.log);
@@ -201,13 +200,13 @@ fn database_has_one_writing_process() {
     let path = database(&deployment);
     let before = statistics(&path);
     assert!(!before.is_empty());
-    let ended = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["rebuild-rollups", "--database", "aggregator.sqlite"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);
     change(&path, "DELETE FROM rollup");
-    let ended = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "1"]);
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(statistics(&path), before);
-    let unknown = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "99"]);
-    assert_eq!(unknown.code(), 64, "{}", unknown.log);
+    let unknown_run = run(&deployment, &["rebuild-rollups", "--config", "aggregator.toml", "--run", "99"]);
+    assert_eq!(unknown_run.code(), 64, "{}", unknown_run.log);
 }

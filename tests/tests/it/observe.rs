@@ -15,11 +15,11 @@ fn observer(name: &str, input: &str, output: &str, keys: &str) -> String {
 fn wait_for_finished_runs(api: &Api, pipelines: usize) -> Vec<(String, i64)> {
     api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
-        let done = runs.iter().filter(|run| run["reason"] == "finished");
-        let named: Vec<(String, i64)> = done
+        let finished = runs.iter().filter(|run| run["reason"] == "finished");
+        let finished_runs: Vec<(String, i64)> = finished
             .filter_map(|run| Some((run["pipeline"].as_str()?.to_owned(), run["number"].as_i64()?)))
             .collect();
-        (named.len() == pipelines).then_some(named)
+        (finished_runs.len() == pipelines).then_some(finished_runs)
     })
 }
 
@@ -77,27 +77,27 @@ fn chain_latencies_are_right_within_a_millisecond() {
     let mut sum = 0.0;
     for ((delay, ..), relay) in hops.iter().zip(&relays) {
         let seconds = wait_until(&format!("a median within a millisecond of {delay} ms"), || {
-            let (reported, taken) = (latency(&api, &format!("hop{delay}"))?, relay_delay(relay)?);
-            ((reported - taken).abs() < 1e-3).then_some(taken)
+            let (reported, relay_seconds) = (latency(&api, &format!("hop{delay}"))?, relay_delay(relay)?);
+            ((reported - relay_seconds).abs() < 1e-3).then_some(relay_seconds)
         });
-        let least: f64 = delay.parse().expect("a number");
-        assert!(seconds >= least * 1e-3, "{seconds}");
-        sum += least * 1e-3;
+        let delay_ms: f64 = delay.parse().expect("a number");
+        assert!(seconds >= delay_ms * 1e-3, "{seconds}");
+        sum += delay_ms * 1e-3;
     }
-    let (_, whole) = wait_for_finished_runs(&api, 1).remove(0);
+    let (_, whole_chain) = wait_for_finished_runs(&api, 1).remove(0);
     // A median of the API is within 1 % of the true one.
-    assert!(median(&api, whole, "total") >= sum * 0.99);
-    api.assert_stages_sum_to_total(whole, &["inference"]);
+    assert!(median(&api, whole_chain, "total") >= sum * 0.99);
+    api.assert_stages_sum_to_total(whole_chain, &["inference"]);
 
     // Rate and jitter of both topics, the age since the stamp, and the hosts of the publishers.
     for topic in ["input", "output"] {
-        let period = median(&api, whole, &format!("{topic}-period"));
+        let period = median(&api, whole_chain, &format!("{topic}-period"));
         assert!((period - 0.1).abs() < 2e-2, "{topic}: {period}");
-        assert!(median(&api, whole, &format!("{topic}-jitter")) < 0.05, "{topic}");
+        assert!(median(&api, whole_chain, &format!("{topic}-jitter")) < 0.05, "{topic}");
     }
     // The camera stamps its messages when it publishes them.
-    assert!(median(&api, whole, "output-age") >= sum * 0.99);
-    let run = api.json(&format!("/api/v1/runs/{whole}"));
+    assert!(median(&api, whole_chain, "output-age") >= sum * 0.99);
+    let run = api.json(&format!("/api/v1/runs/{whole_chain}"));
     let facts = run["facts"].to_string();
     for part in ["/camera (sensor_msgs/CompressedImage)", "/relay50 on this host", "header.stamp", "ROS 1"] {
         assert!(facts.contains(part), "{part} is missing in {facts}");
@@ -132,30 +132,30 @@ fn observation_continues_after_ros_restart() {
         "robot",
         &observer("chain", "/camera", "/out", "warm_up = { iterations = 0 }"),
     );
-    let state = |wanted: &str| {
+    let wait_for_state = |text: &str| {
         api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| {
-            pipeline.to_string().contains(wanted).then(|| pipeline["run"].clone())
+            pipeline.to_string().contains(text).then(|| pipeline["run"].clone())
         })
     };
-    state("no node publishes /camera; no node publishes /out");
+    wait_for_state("no node publishes /camera; no node publishes /out");
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
-    state("no node publishes /out");
+    wait_for_state("no node publishes /out");
     let relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
-    let ok = || answered_iterations(&api, "chain");
-    wait_until("iterations", || (ok() > 5).then_some(()));
+    let answered = || answered_iterations(&api, "chain");
+    wait_until("iterations", || (answered() > 5).then_some(()));
     let run = api.wait_until("/api/v1/pipelines/robot/chain", |pipeline| pipeline["run"].as_i64());
 
     relay.kill();
-    state("no node publishes /out");
+    wait_for_state("no node publishes /out");
     let _relay = ros.start_node(&["relay", "relay", "/camera", "/out", "2", "0"]);
-    assert_eq!(state("running"), run, "it is the same run");
+    assert_eq!(wait_for_state("running"), run, "it is the same run");
 
     ros.kill_master();
     agent.wait_for("the ROS master is not reachable");
     ros.start_master();
     agent.wait_for("the ROS master does not know the node any more");
-    let before = ok();
-    wait_until("iterations after the master was restarted", || (ok() > before).then_some(()));
+    let before = answered();
+    wait_until("iterations after the master was restarted", || (answered() > before).then_some(()));
     let incidents = api.json("/api/v1/incidents").to_string();
     for part in
         ["the run continues when messages arrive again", "both observed topics have a publisher again"]
@@ -170,10 +170,10 @@ fn topic_without_header_is_refused_with_advice() {
     let (deployment, ros) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
     let _nodes = [ros.start_node(&["talk", "one", "/one"]), ros.start_node(&["talk", "two", "/two"])];
-    let stamped = observer("stamped", "/one", "/two", "");
-    let ordered =
+    let by_stamp = observer("stamped", "/one", "/two", "");
+    let by_order =
         observer("ordered", "/one", "/two", "").replace("ros_version", "pair_by = \"order\", ros_version");
-    let _agent = ros.start_agent(&deployment, "robot", &(stamped + &ordered));
+    let _agent = ros.start_agent(&deployment, "robot", &(by_stamp + &by_order));
     api.wait_until("/api/v1/pipelines/robot/stamped", |pipeline| {
         let text = pipeline.to_string();
         (text.contains("has the type std_msgs/String") && text.contains("pair_by")).then_some(())
@@ -203,8 +203,8 @@ fn check_refuses_observation_of_ros_2() {
         let pipeline = observer("two", "/in", "/out", "").replace("ros_version = 1", keys);
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        (ended.code(), ended.log)
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        (end.code(), end.log)
     };
     let (code, log) = check("ros_version = 2, pair_by = \"sequence\"");
     assert_eq!(code, 78, "{log}");
@@ -229,13 +229,13 @@ fn observed_pipeline_refuses_keys_of_active_one() {
     let pipeline = observer("wrong", "/a", "/a", "load = { mode = \"rate\", hz = 1.0 }")
         .replace("timeout_ms", "sensor = { kind = \"synthetic\", size_bytes = 1 }\ntimeout_ms");
     deployment.write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-    assert_eq!(ended.code(), 78, "{}", ended.log);
+    let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+    assert_eq!(end.code(), 78, "{}", end.log);
     for part in [
         "pipeline[0].sensor: a pipeline that observes does not use sensor",
         "pipeline[0].load: a pipeline that observes does not use load",
         "pipeline[0].placement.output: output is the same topic as input",
     ] {
-        assert!(ended.log.contains(part), "{part} is missing in:\n{}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in:\n{}", end.log);
     }
 }

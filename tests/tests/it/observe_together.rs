@@ -11,15 +11,15 @@ use peernet_tests::{
 use serde_json::Value;
 
 /// Returns a pipeline that observes `/camera` and `/result` together with the agent at `peer`.
-fn robot(peer: &str, more: &str) -> String {
+fn robot_pipeline(peer: &str, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"detector\"\ntimeout_ms = 1000\nplacement = {{ kind = \"observe\", ros_version = 1, \
-         input = \"/camera\", output = \"/result\", peer = \"{peer}\", peer_pipeline = \"model\" }}\n{more}\n"
+         input = \"/camera\", output = \"/result\", peer = \"{peer}\", peer_pipeline = \"model\" }}\n{keys}\n"
     )
 }
 
 /// Returns the pipeline of the other agent.
-fn model(input: &str, output: &str) -> String {
+fn peer_pipeline(input: &str, output: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"model\"\nplacement = {{ kind = \"observe\", ros_version = 1, input = \"{input}\", \
          output = \"{output}\" }}\n"
@@ -48,16 +48,16 @@ fn count(api: &Api, run: i64, name: &str) -> u64 {
 }
 
 /// Returns the environment variables of ROS on a host.
-fn ros_environment(master: &Host, own: &Host) -> [(&'static str, String); 2] {
+fn ros_environment(master: &Host, host: &Host) -> [(&'static str, String); 2] {
     let uri = format!("http://{}:11311", master.address);
-    [("ROS_MASTER_URI", uri), ("ROS_IP", own.address.to_string())]
+    [("ROS_MASTER_URI", uri), ("ROS_IP", host.address.to_string())]
 }
 
 fn as_str_pairs<'a>(variables: &'a [(&'static str, String); 2]) -> [(&'a str, &'a str); 2] {
     [(variables[0].0, &variables[0].1), (variables[1].0, &variables[1].1)]
 }
 
-fn node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
+fn start_node(host: &Host, variables: &[(&'static str, String); 2], arguments: &[&str]) -> Process {
     let node = host.start(&program("ros1-node"), arguments, root(), &as_str_pairs(variables));
     node.wait_for("ready");
     node
@@ -69,7 +69,7 @@ struct RosOverWire {
     /// Environment variables of ROS on the edge and on the cloud.
     variables: [[(&'static str, String); 2]; 2],
     /// The node on the cloud.
-    answering: Process,
+    answering_node: Process,
     _camera: Process,
     _master: Process,
     testbed: TwoHostTestbed,
@@ -77,30 +77,38 @@ struct RosOverWire {
 
 impl RosOverWire {
     /// Starts the master, the camera, and the node on the cloud with these arguments.
-    fn new(answering: &[&str]) -> Self {
-        let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
-        let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way(30), way(5)));
+    fn new(node_arguments: &[&str]) -> Self {
+        let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+        let testbed =
+            TwoHostTestbed::new(|folder| Network::wire(folder, wire_direction(30), wire_direction(5)));
         let (edge, cloud) = (testbed.network.edge(), testbed.network.cloud());
-        let (on_edge, on_cloud) = (ros_environment(edge, edge), ros_environment(edge, cloud));
+        let (edge_environment, cloud_environment) =
+            (ros_environment(edge, edge), ros_environment(edge, cloud));
         let home = std::env::temp_dir().display().to_string();
-        let environment = [&as_str_pairs(&on_edge)[..], &[("ROS_HOME", home.as_str())]].concat();
+        let environment = [&as_str_pairs(&edge_environment)[..], &[("ROS_HOME", home.as_str())]].concat();
         let master = edge.start(Path::new("rosmaster"), &["--core", "-p", "11311"], root(), &environment);
         let address = edge.address;
         wait_until("the ROS master", || {
             edge.run_in_namespace(move || std::net::TcpStream::connect((address, 11311)).ok().map(drop))
         });
-        let camera = node(edge, &on_edge, &["camera", "camera", "/camera", "20"]);
-        let answering = node(cloud, &on_cloud, answering);
-        Self { variables: [on_edge, on_cloud], answering, _camera: camera, _master: master, testbed }
+        let camera = start_node(edge, &edge_environment, &["camera", "camera", "/camera", "20"]);
+        let answering_node = start_node(cloud, &cloud_environment, node_arguments);
+        Self {
+            variables: [edge_environment, cloud_environment],
+            answering_node,
+            _camera: camera,
+            _master: master,
+            testbed,
+        }
     }
 
     /// Starts the agent on the cloud, with these tables.
-    fn cloud(&self, tables: &str) -> Process {
+    fn start_cloud(&self, tables: &str) -> Process {
         self.testbed.start_cloud_with(tables, &as_str_pairs(&self.variables[1]))
     }
 
     /// Starts the agent on the edge, with these tables.
-    fn edge(&self, tables: &str) -> Process {
+    fn start_edge(&self, tables: &str) -> Process {
         self.testbed.start_edge(tables, &as_str_pairs(&self.variables[0]))
     }
 
@@ -108,29 +116,34 @@ impl RosOverWire {
     /// measurement. `clocks` are the edge's and the cloud's.
     fn assert_delays_contain_truth(
         &self,
-        what: &str,
+        case: &str,
         run: i64,
         iterations: &[Iteration],
         clocks: [&HostClock; 2],
     ) {
         let (up, down) = compare(iterations, clocks[0], clocks[1]);
         for (direction, comparison) in [("upload", &up), ("download", &down)] {
-            print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
+            print_line(&format!("{case}, {direction}: {}", comparison.summary()));
             assert!(comparison.outside.is_empty(), "{direction}:\n{}", comparison.outside.join("\n"));
-            assert!(comparison.compared >= 250, "{direction}: {}", comparison.in_words());
+            assert!(comparison.compared >= 250, "{direction}: {}", comparison.summary());
             // An asymmetric network cannot be distinguished from an offset: the estimate is wrong by half of the
             // difference.
-            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.in_words());
+            assert!(comparison.error(0.5) < Span::from_millis(14), "{direction}: {}", comparison.summary());
         }
         // True delays: the delay of the wire, and the time that programs on a busy machine add.
-        for (truth, least) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
-            let (least, most) = (Span::from_millis(least - 1), Span::from_millis(least + 15));
-            assert!(least < truth && truth < most, "{truth} is not between {least} and {most}");
+        for (truth, wire_ms) in [(up.truth(0.5), 30), (down.truth(0.5), 5)] {
+            let (min, max) = (Span::from_millis(wire_ms - 1), Span::from_millis(wire_ms + 15));
+            assert!(min < truth && truth < max, "{truth} is not between {min} and {max}");
         }
-        let taken = self.answering.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
-        let taken: f64 = taken.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
+        let node_delay =
+            self.answering_node.log().lines().rfind(|line| line.starts_with("median")).map(str::to_owned);
+        let node_delay: f64 =
+            node_delay.and_then(|line| line.split(' ').nth(1)?.parse().ok()).expect("a median");
         let inference = median(&self.testbed.api, run, "inference");
-        assert!((inference - taken * 1e-6).abs() < 3e-3, "{inference} s, and the node says {taken} us");
+        assert!(
+            (inference - node_delay * 1e-6).abs() < 3e-3,
+            "{inference} s, and the node says {node_delay} us"
+        );
         // The stages cover the whole time.
         assert!(self.testbed.api.mean(run, "unattributed").abs() < 1e-4);
         assert_eq!(self.testbed.api.figures(run, "upload-throughput"), None);
@@ -144,13 +157,13 @@ const KEYS: &str = "warm_up = { iterations = 20 }\nlimit = { iterations = 300 }"
 fn observed_delays_contain_truth_despite_clock_errors() {
     let scene = RosOverWire::new(&["relay", "model", "/camera", "/result", "20", "0"]);
     let testbed = &scene.testbed;
-    let wrong = |offset_ms: f64, drift_ppm: f64| {
+    let fault_table = |offset_ms: f64, drift_ppm: f64| {
         format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n")
     };
     // In the middle of the run the cloud's clock is stepped as well.
-    let stepped = wrong(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
-    let _cloud = scene.cloud(&(stepped + &model("/camera", "/result")));
-    let agent = scene.edge(&(wrong(-3_000.0, -20.0) + &robot(&testbed.peer(), KEYS)));
+    let faults = fault_table(5_000.0, 20.0) + "steps = [{ at_s = 10.0, by_ms = 2000.0 }]\n";
+    let _cloud = scene.start_cloud(&(faults + &peer_pipeline("/camera", "/result")));
+    let agent = scene.start_edge(&(fault_table(-3_000.0, -20.0) + &robot_pipeline(&testbed.peer(), KEYS)));
     let clocks = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
     let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
@@ -164,14 +177,14 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     let recomputed = testbed.api.json(&format!("/api/v1/runs/{run}/recomputed"));
     assert!(recomputed["samples"].as_u64() > Some(0), "{recomputed}");
     let stages = recomputed["stages"].as_array().expect("a list");
-    let width = |stage: &Value, when: &str| stage[when]["half_width"]["mean"].as_f64().expect("a width");
+    let width = |stage: &Value, time: &str| stage[time]["half_width"]["mean"].as_f64().expect("a width");
     assert_eq!(stages.len(), 2, "{recomputed}");
     assert!(stages.iter().all(|stage| width(stage, "after") <= width(stage, "before")), "{recomputed}");
 
     // The publisher on the other host must not be reported as one without an agent.
     let facts = detail["facts"].to_string();
-    let place = format!("/model at {}, where the peer measures", testbed.network.cloud().address);
-    for part in [place.as_str(), "/camera on this host", "cloud with its pipeline model"] {
+    let publisher = format!("/model at {}, where the peer measures", testbed.network.cloud().address);
+    for part in [publisher.as_str(), "/camera on this host", "cloud with its pipeline model"] {
         assert!(facts.contains(part), "{part} is missing in {facts}");
     }
     let placement = ["kind", "peer", "model"].map(|key| detail["placement"][key].as_str());
@@ -186,9 +199,9 @@ fn equal_sequence_numbers_keep_delays_true() {
     let testbed = &scene.testbed;
     let by_sequence =
         |pipeline: String| pipeline.replace("ros_version", "pair_by = \"sequence\", ros_version");
-    let ahead = "[clock_fault]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
-    let _cloud = scene.cloud(&(ahead.to_owned() + &by_sequence(model("/camera", "/result"))));
-    let agent = scene.edge(&by_sequence(robot(&testbed.peer(), KEYS)));
+    let fault = "[clock_fault]\noffset_ms = 5000.0\ndrift_ppm = 20.0\n";
+    let _cloud = scene.start_cloud(&(fault.to_owned() + &by_sequence(peer_pipeline("/camera", "/result"))));
+    let agent = scene.start_edge(&by_sequence(robot_pipeline(&testbed.peer(), KEYS)));
     let cloud = testbed.clock_of("cloud");
     let (run, detail) = wait_for_finished_run(&testbed.api);
     scene.assert_delays_contain_truth(
@@ -217,19 +230,20 @@ fn messages_that_the_peer_missed_are_counted() {
         ros.start_node(&["relay", "model", "/camera", "/result", "10", "0"]),
     ];
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\ncalibration = false\n";
-    let _rack = ros.start_agent(&deployment, "rack", &format!("{serve}{}", model("/copied", "/result")));
+    let _rack =
+        ros.start_agent(&deployment, "rack", &format!("{serve}{}", peer_pipeline("/copied", "/result")));
     let keys = "warm_up = { iterations = 0 }\nlimit = { iterations = 60 }";
-    let agent = ros.start_agent(&deployment, "robot", &robot("tcp://127.0.0.1:{data}", keys));
+    let agent = ros.start_agent(&deployment, "robot", &robot_pipeline("tcp://127.0.0.1:{data}", keys));
     api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
         pipeline.to_string().contains("no node publishes /camera").then_some(())
     });
     let _camera = ros.start_node(&["camera", "camera", "/camera", "20"]);
     let (run, detail) = wait_for_finished_run(&api);
     let ok = detail["counts"]["ok"].as_u64().expect("a count");
-    let (missing, known) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
+    let (missing, answered_by_peer) = (count(&api, run, "peer-input-missing"), count(&api, run, "inference"));
     // The rack's run may begin some messages after the robot's.
     assert!((15..=25).contains(&missing), "{missing} of {ok}");
-    assert_eq!((ok, missing + known), (60, 60), "{detail}");
+    assert_eq!((ok, missing + answered_by_peer), (60, 60), "{detail}");
     assert_eq!(count(&api, run, "peer-unanswered"), 0);
     assert_eq!(agent.stop().code(), 0);
 }
@@ -242,7 +256,7 @@ fn missing_peer_or_pipeline_is_named() {
         ros.start_node(&["camera", "camera", "/camera", "20"]),
         ros.start_node(&["relay", "model", "/camera", "/result", "5", "0"]),
     ];
-    let state = |parts: &[&str]| {
+    let wait_for_state = |parts: &[&str]| {
         api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| {
             let text = pipeline.to_string();
             parts.iter().all(|part| text.contains(part)).then_some(())
@@ -251,36 +265,37 @@ fn missing_peer_or_pipeline_is_named() {
     let agent = ros.start_agent(
         &deployment,
         "robot",
-        &robot("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"),
+        &robot_pipeline("tcp://127.0.0.1:{data}", "warm_up = { iterations = 0 }"),
     );
     let address = format!("tcp://127.0.0.1:{}", deployment.data);
-    state(&["cannot reach a cloud at", &address]);
+    wait_for_state(&["cannot reach a cloud at", &address]);
 
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
     let rack = |pipeline: &str| ros.start_agent(&deployment, "rack", &format!("{serve}{pipeline}"));
-    let blind = rack("");
-    state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
-    assert_eq!(blind.stop().code(), 0);
+    let rack_without_topics = rack("");
+    wait_for_state(&["refused the session: host rack observes no topics", "kind = \\\"observe\\\""]);
+    assert_eq!(rack_without_topics.stop().code(), 0);
 
-    let other = rack(&model("/camera", "/result").replace("\"model\"", "\"planner\""));
-    state(&[
+    let rack_with_other_pipeline =
+        rack(&peer_pipeline("/camera", "/result").replace("\"model\"", "\"planner\""));
+    wait_for_state(&[
         "host rack has no observing pipeline named model; its observing pipelines: planner; set peer_pipeline to one of them",
     ]);
-    assert_eq!(other.stop().code(), 0);
+    assert_eq!(rack_with_other_pipeline.stop().code(), 0);
 
-    let right = model("/camera", "/result");
-    let here = rack(&right);
-    state(&["running"]);
+    let pipeline = peer_pipeline("/camera", "/result");
+    let rack_process = rack(&pipeline);
+    wait_for_state(&["running"]);
     let run = api.wait_until("/api/v1/pipelines/robot/detector", |pipeline| pipeline["run"].as_i64());
     wait_until("iterations with the peer's stamps", || (count(&api, run, "inference") > 10).then_some(()));
 
     // The run continues without the peer, and with it again.
-    here.kill();
+    rack_process.kill();
     wait_until("iterations without the peer's stamps", || {
         (count(&api, run, "peer-unanswered") > 10).then_some(())
     });
     let before = count(&api, run, "inference");
-    let _again = rack(&right);
+    let _restarted = rack(&pipeline);
     wait_until("iterations with the peer's stamps again", || {
         (count(&api, run, "inference") > before + 10).then_some(())
     });
@@ -301,10 +316,10 @@ fn check_refuses_peer_without_message_key() {
     let check = |pipeline: &str| {
         deployment
             .write("it.toml", &format!("[agent]\nname = \"a\"\nstate_dir = \"{{folder}}/a\"\n{pipeline}"));
-        let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-        (ended.code(), ended.log)
+        let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+        (end.code(), end.log)
     };
-    let with_peer = robot("tcp://rack:5551", "");
+    let with_peer = robot_pipeline("tcp://rack:5551", "");
     assert_eq!(check(&with_peer).0, 0);
     let (code, log) = check(&with_peer.replace("peer =", "pair_by = \"order\", peer ="));
     assert_eq!(code, 78, "{log}");

@@ -27,19 +27,19 @@ const CODE: [&str; 10] = [
 const OTHER_NAMES: [&str; 2] = ["omq-tokio", "chronyc"];
 
 /// Adds all files and folders below a folder to `found`.
-fn below(folder: &Path, found: &mut Vec<PathBuf>) {
+fn add_paths(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("it can be listed") {
         let path = entry.expect("it can be listed").path();
         if path.is_dir() {
-            below(&path, found);
+            add_paths(&path, found);
         }
         found.push(path);
     }
 }
 
-fn code() -> Vec<PathBuf> {
+fn code_paths() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = CODE.iter().map(|folder| root().join(folder)).collect();
-    CODE.iter().for_each(|folder| below(&root().join(folder), &mut found));
+    CODE.iter().for_each(|folder| add_paths(&root().join(folder), &mut found));
     found
 }
 
@@ -49,15 +49,15 @@ fn quoted(text: &str) -> impl Iterator<Item = &str> {
 }
 
 /// Returns names of tests: lower-case letters, digits and at least two underscores.
-fn tests(text: &str) -> impl Iterator<Item = &str> {
-    let small = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    quoted(text).filter(move |code| code.matches('_').count() > 1 && code.chars().all(small))
+fn test_names(text: &str) -> impl Iterator<Item = &str> {
+    let is_name_character = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    quoted(text).filter(move |code| code.matches('_').count() > 1 && code.chars().all(is_name_character))
 }
 
 /// Returns the names of all functions in the code.
 fn functions() -> BTreeSet<String> {
     let mut functions = BTreeSet::new();
-    for file in code().iter().filter(|path| path.extension().is_some_and(|ending| ending == "rs")) {
+    for file in code_paths().iter().filter(|path| path.extension().is_some_and(|ending| ending == "rs")) {
         let text = fs::read_to_string(file).expect("it is text");
         let names = text.split("fn ").filter_map(|after| after.split_once(['(', '<']));
         functions.extend(names.map(|(name, _)| name.trim().to_owned()));
@@ -73,8 +73,8 @@ fn every_promise_names_tests_that_exist() {
     let mut promises = 0;
     for row in rows.filter(|line| line.starts_with('|')).skip(2) {
         promises += 1;
-        assert!(tests(row).next().is_some(), "no test keeps {row}");
-        for test in tests(row) {
+        assert!(test_names(row).next().is_some(), "no test keeps {row}");
+        for test in test_names(row) {
             assert!(functions.contains(test), "there is no test {test}: {row}");
         }
     }
@@ -83,22 +83,22 @@ fn every_promise_names_tests_that_exist() {
 
 #[test]
 fn paths_in_documents_exist() {
-    let code = code();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
-    let mut checked = 0;
+    let code_paths = code_paths();
+    let is_path_character = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+    let mut checked_paths = 0;
     for name in [ARCHITECTURE, DEPENDENCIES, GUARANTEES, "docs/development/protocol-versions.md"] {
         let document = Document::read(name);
         let paths = quoted(&document.text)
-            .filter(|code| code.trim_matches('/').contains('/') && code.chars().all(plain))
+            .filter(|code| code.trim_matches('/').contains('/') && code.chars().all(is_path_character))
             .filter(|path| !path.starts_with('/'));
         for path in paths {
-            checked += 1;
+            checked_paths += 1;
             let (file, module) = (Path::new(path), format!("{path}.rs"));
-            let leads = |there: &PathBuf| there.ends_with(file) || there.ends_with(&module);
-            assert!(code.iter().any(leads), "{name}: {path} does not exist");
+            let is_path = |candidate: &PathBuf| candidate.ends_with(file) || candidate.ends_with(&module);
+            assert!(code_paths.iter().any(is_path), "{name}: {path} does not exist");
         }
     }
-    assert!(checked > 20, "{checked}");
+    assert!(checked_paths > 20, "{checked_paths}");
 }
 
 #[test]
@@ -120,12 +120,12 @@ fn every_library_is_listed_with_its_reason() {
     let libraries = manifest["workspace"]["dependencies"].as_table().expect("it is a table");
     let document = Document::read(DEPENDENCIES);
     let rows = document.section("libraries").lines().filter(|line| line.starts_with('|')).skip(2);
-    let named: BTreeSet<&str> = rows.filter_map(|row| row.split('|').nth(2)).flat_map(quoted).collect();
-    let ours = |library: &&String| !library.starts_with("peernet-");
-    let unnamed: Vec<_> =
-        libraries.keys().filter(ours).filter(|name| !named.contains(name.as_str())).collect();
-    assert!(unnamed.is_empty(), "{DEPENDENCIES} does not say why these were chosen: {unnamed:?}");
-    let known = |name: &&&str| OTHER_NAMES.contains(*name) || libraries.contains_key(**name);
-    let gone: Vec<_> = named.iter().filter(|name| !known(name)).collect();
-    assert!(gone.is_empty(), "{DEPENDENCIES} names libraries that the workspace does not use: {gone:?}");
+    let listed: BTreeSet<&str> = rows.filter_map(|row| row.split('|').nth(2)).flat_map(quoted).collect();
+    let is_external = |library: &&String| !library.starts_with("peernet-");
+    let unlisted: Vec<_> =
+        libraries.keys().filter(is_external).filter(|name| !listed.contains(name.as_str())).collect();
+    assert!(unlisted.is_empty(), "{DEPENDENCIES} does not say why these were chosen: {unlisted:?}");
+    let is_known = |name: &&&str| OTHER_NAMES.contains(*name) || libraries.contains_key(**name);
+    let unused: Vec<_> = listed.iter().filter(|name| !is_known(name)).collect();
+    assert!(unused.is_empty(), "{DEPENDENCIES} names libraries that the workspace does not use: {unused:?}");
 }

@@ -9,15 +9,15 @@ use peernet_tests::{LoopbackDeployment, Process, ProcessEnd, SmallDisk, program}
 
 /// Returns a deployment with results of the published program: `all/small`, and `all/large`, which takes longer.
 /// `upload` is the duration of an iteration's upload, seconds.
-pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
+pub(crate) fn write_published_results(upload: impl Fn(u32) -> f64) -> LoopbackDeployment {
     let header = "iteration,sensing,upload,inference,download,download-bytes,download-logger-bytes,upload-bytes,\
                   upload-logger-bytes,upload-throughput,download-throughput\n";
     let deployment = LoopbackDeployment::new();
     for (name, seconds) in [("all/small", 0.005), ("all/large", 0.009)] {
-        let row = |n: u32| {
-            let (sensing, inference) = (seconds * 0.1, seconds + f64::from(n % 7) * 1e-5);
+        let row = |iteration: u32| {
+            let (sensing, inference) = (seconds * 0.1, seconds + f64::from(iteration % 7) * 1e-5);
             let rest = "0.0004,132.0,555.0,1343220.0,301.0,613000000.0,14810000.0";
-            format!("{n},{sensing},{},{inference},{rest}\n", upload(n))
+            format!("{iteration},{sensing},{},{inference},{rest}\n", upload(iteration))
         };
         let rows: String = std::iter::once(header.to_owned()).chain((1..=205).map(row)).collect();
         let folder = deployment.folder().join(name);
@@ -27,8 +27,8 @@ pub(crate) fn of_the_published_program(upload: impl Fn(u32) -> f64) -> LoopbackD
     deployment
 }
 
-fn folders() -> LoopbackDeployment {
-    of_the_published_program(|_| 0.0175)
+fn create_deployment() -> LoopbackDeployment {
+    write_published_results(|_| 0.0175)
 }
 
 fn compare(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
@@ -38,17 +38,21 @@ fn compare(deployment: &LoopbackDeployment, arguments: &[&str]) -> ProcessEnd {
 
 #[test]
 fn results_of_the_published_program_are_compared() {
-    let deployment = folders();
-    let done = compare(&deployment, &["all"]);
-    assert_eq!(done.code(), 0, "{}", done.log);
-    let lines: Vec<&str> = done.log.lines().collect();
+    let deployment = create_deployment();
+    let comparison = compare(&deployment, &["all"]);
+    assert_eq!(comparison.code(), 0, "{}", comparison.log);
+    let lines: Vec<&str> = comparison.log.lines().collect();
     let find =
         |beginning: &str| lines.iter().find(|line| line.starts_with(beginning)).copied().unwrap_or_default();
-    assert!(find("run ").contains("inference"), "{}", done.log);
-    assert!(find("small").ends_with(" *") && find("small").contains(" 200 "), "{}", done.log);
-    assert!(find("Smallest mean total (stages)").contains("the other line differs"), "{}", done.log);
+    assert!(find("run ").contains("inference"), "{}", comparison.log);
+    assert!(find("small").ends_with(" *") && find("small").contains(" 200 "), "{}", comparison.log);
+    assert!(find("Smallest mean total (stages)").contains("the other line differs"), "{}", comparison.log);
     // The differences of the two results: 4 ms and none.
-    assert!(find("A: large. B: small.").len() > 1 && find("inference ").contains("−4.0"), "{}", done.log);
+    assert!(
+        find("A: large. B: small.").len() > 1 && find("inference ").contains("−4.0"),
+        "{}",
+        comparison.log
+    );
 
     let file = compare(&deployment, &["all", "--format", "csv", "--out", "table.csv"]);
     assert_eq!((file.code(), file.log.trim()), (0, ""));
@@ -70,17 +74,17 @@ fn results_of_the_published_program_are_compared() {
 
 #[test]
 fn comparison_errors_are_named() {
-    let deployment = folders();
-    let nothing = compare(&deployment, &["nowhere"]);
-    assert_eq!(nothing.code(), 66, "{}", nothing.log);
-    assert!(nothing.log.contains("no results in nowhere: it does not exist"), "{}", nothing.log);
+    let deployment = create_deployment();
+    let missing = compare(&deployment, &["nowhere"]);
+    assert_eq!(missing.code(), 66, "{}", missing.log);
+    assert!(missing.log.contains("no results in nowhere: it does not exist"), "{}", missing.log);
     std::fs::write(deployment.folder().join("all/small/data.csv"), "iteration,sensing\n1,fast\n")
         .expect("written");
-    let broken = compare(&deployment, &["all"]);
-    assert_eq!(broken.code(), 65, "{}", broken.log);
-    assert!(broken.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", broken.log);
-    let unwritten = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
-    assert_eq!(unwritten.code(), 73, "{}", unwritten.log);
+    let invalid = compare(&deployment, &["all"]);
+    assert_eq!(invalid.code(), 65, "{}", invalid.log);
+    assert!(invalid.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", invalid.log);
+    let unwritable = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
+    assert_eq!(unwritable.code(), 73, "{}", unwritable.log);
 }
 
 fn row(iteration: u64) -> Row {
@@ -122,10 +126,10 @@ fn full_disk_keeps_rows_that_fit() {
     // All rows belong to one second, so that they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
     assert!(writer.finish().is_err(), "there is no room for all");
-    let there = numbers(&path);
-    assert_eq!(there, (1..=there.len() as u64).collect::<Vec<_>>());
+    let written = numbers(&path);
+    assert_eq!(written, (1..=written.len() as u64).collect::<Vec<_>>());
     let bytes = std::fs::metadata(&path).expect("it is there").len();
-    assert!(bytes > SIZE / 2, "{bytes} bytes in {} rows", there.len());
+    assert!(bytes > SIZE / 2, "{bytes} bytes in {} rows", written.len());
 }
 
 #[test]
@@ -139,10 +143,10 @@ fn full_disk_loses_no_row() {
     rows[..500].iter().for_each(|row| writer.write(row));
     disk.fill();
     rows[500..1500].iter().for_each(|row| writer.write(row));
-    let trouble = writer.write_error().expect("it is full").to_string();
-    assert!(trouble.contains("No space left on device"), "{trouble}");
-    let there = numbers(&path);
-    assert!((500..1500).contains(&there.len()), "a row went on to the last page: {}", there.len());
+    let error = writer.write_error().expect("it is full").to_string();
+    assert!(error.contains("No space left on device"), "{error}");
+    let written = numbers(&path);
+    assert!((500..1500).contains(&written.len()), "a row went on to the last page: {}", written.len());
 
     disk.free();
     writer.write(&rows[1500]);

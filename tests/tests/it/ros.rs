@@ -54,15 +54,15 @@ impl Robot {
     }
 
     fn publish<M: Message>(&self, topic: &str) -> Publisher {
-        let publishing =
+        let registration =
             self.node.publish(topic, TopicType::from_message::<M>(), PublisherOptions::default());
-        self.runtime.block_on(publishing).expect("the master answers")
+        self.runtime.block_on(registration).expect("the master answers")
     }
 
     fn subscribe<M: Message>(&self, topic: &str) -> Subscriber {
-        let subscribing =
+        let registration =
             self.node.subscribe(topic, TopicType::from_message::<M>(), SubscriberOptions::default());
-        self.runtime.block_on(subscribing).expect("the master answers")
+        self.runtime.block_on(registration).expect("the master answers")
     }
 
     fn send<M: Message>(&self, publisher: &Publisher, message: &M) {
@@ -77,7 +77,7 @@ impl Robot {
 }
 
 /// Writes the configuration of an agent that uses the ROS master, and starts it.
-fn agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
+fn start_agent(deployment: &LoopbackDeployment, tables: &str) -> Process {
     let head = "[agent]\nname = \"edge\"\nstate_dir = \"{folder}/edge\"\naggregator = \"tcp://127.0.0.1:{events}\"\n";
     deployment.write("edge.toml", &(head.to_owned() + tables));
     deployment.start_with(
@@ -106,16 +106,16 @@ fn topic_is_sensed_and_answers_are_published() {
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let camera = robot.publish::<CompressedImage>("/camera");
-    let mut seen = robot.subscribe::<UInt8MultiArray>("/seen");
-    let edge = agent(&deployment, ECHO);
+    let mut answers = robot.subscribe::<UInt8MultiArray>("/seen");
+    let edge = start_agent(&deployment, ECHO);
     robot.wait_for_subscriber(&camera);
-    robot.runtime.block_on(seen.wait_for_publishers(1)).expect("the node runs");
+    robot.runtime.block_on(answers.wait_for_publishers(1)).expect("the node runs");
     for number in 0..10_u8 {
         let stamp = Time::from_nanos(clock().wall().unix_nanos() - 20_000_000);
         let header = Header { stamp, ..Header::default() };
         let data = vec![number; 1_000_000].into();
         robot.send(&camera, &CompressedImage { header, format: "jpeg".into(), data });
-        let answer = robot.runtime.block_on(seen.recv()).expect("the node runs").bytes;
+        let answer = robot.runtime.block_on(answers.recv()).expect("the node runs").bytes;
         let answer = UInt8MultiArray::decode(WireForm::Ros1, answer).expect("is one");
         assert_eq!((answer.data.len(), answer.data[999_999]), (1_000_000, number));
     }
@@ -128,7 +128,7 @@ fn topic_is_sensed_and_answers_are_published() {
     assert_eq!(edge.stop().code(), 0);
 }
 
-const BUSY: &str = r#"
+const BUSY_PIPELINE: &str = r#"
 [[model]]
 name = "slow"
 kind = "sleep"
@@ -148,7 +148,7 @@ fn busy_pipeline_counts_dropped_messages() {
     let (_aggregator, api) = deployment.start_aggregator();
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
-    let edge = agent(&deployment, BUSY);
+    let edge = start_agent(&deployment, BUSY_PIPELINE);
     robot.wait_for_subscriber(&words);
     for number in 0..10 {
         robot.send(&words, &StringMessage { data: format!("word {number}") });
@@ -156,14 +156,14 @@ fn busy_pipeline_counts_dropped_messages() {
     let run = api.wait_for_finished_run();
     // One or two messages were sensed, the newest among them: the first one may have been replaced before the sensor
     // read it.
-    let taken = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
-    assert_eq!(taken + taken * api.mean(run, "dropped-samples"), 10.0);
+    let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
+    assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
     // Texts have no header, so that there is no capture time.
     assert!(api.figures(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }
 
-const ALONE: &str = r#"
+const SENSOR_ALONE: &str = r#"
 [[pipeline]]
 name = "listen"
 sensor = { kind = "ros", topic = "/words", type = "std_msgs/String", timeout_ms = 300 }
@@ -175,11 +175,11 @@ warm_up = { iterations = 0 }
 fn pipeline_waits_for_late_master() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
-    let edge = agent(&deployment, ALONE);
-    let incident = |text: &str| {
-        api.wait_until("/api/v1/incidents", |found| found.to_string().contains(text).then_some(()));
+    let edge = start_agent(&deployment, SENSOR_ALONE);
+    let wait_for_incident = |text: &str| {
+        api.wait_until("/api/v1/incidents", |incidents| incidents.to_string().contains(text).then_some(()));
     };
-    incident("start roscore there, or set ROS_MASTER_URI");
+    wait_for_incident("start roscore there, or set ROS_MASTER_URI");
     let robot = Robot::start(&deployment);
     let words = robot.publish::<StringMessage>("/words");
     robot.wait_for_subscriber(&words);
@@ -199,43 +199,47 @@ fn check(deployment: &LoopbackDeployment, sensor: &str, actuator: &str) -> (i32,
     let uri = uri(deployment.data);
     let environment = [("ROS_MASTER_URI", uri.as_str()), ("ROS_IP", "127.0.0.1")];
     let program = peernet_tests::program("peernetd");
-    let ended = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();
-    (ended.code(), ended.log)
+    let end = Process::start(&program, &["check", &file], deployment.folder(), &environment).wait_for_end();
+    (end.code(), end.log)
 }
 
 #[test]
 fn check_names_topic_errors() {
     let deployment = LoopbackDeployment::new();
     let [sensor, actuator] = ["topic = \"/words\", ros_version = 1", "topic = \"/answers\", ros_version = 1"];
-    let (code, said) = check(&deployment, "topic = \"/words\"", actuator);
-    assert_eq!(code, 78, "{said}");
+    let (code, output) = check(&deployment, "topic = \"/words\"", actuator);
+    assert_eq!(code, 78, "{output}");
     assert!(
-        said.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
-        "{said}"
+        output.contains("pipeline[0].sensor: the version of ROS is not configured; set ros_version = 1 or 2"),
+        "{output}"
     );
-    let (code, said) = check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
-    assert_eq!(code, 78, "{said}");
-    assert!(said.contains("`words` is not the name of a ROS message type"), "{said}");
+    let (code, output) =
+        check(&deployment, "topic = \"/words\", type = \"words\", ros_version = 1", actuator);
+    assert_eq!(code, 78, "{output}");
+    assert!(output.contains("`words` is not the name of a ROS message type"), "{output}");
     if !peernet_ros::ros2::IS_BUILT {
-        let (code, said) = check(&deployment, sensor, "topic = \"/answers\", ros_version = 2");
-        assert_eq!(code, 78, "{said}");
-        assert!(said.contains("pipeline[0].actuator: this build has no ROS 2"), "{said}");
+        let (code, output) = check(&deployment, sensor, "topic = \"/answers\", ros_version = 2");
+        assert_eq!(code, 78, "{output}");
+        assert!(output.contains("pipeline[0].actuator: this build has no ROS 2"), "{output}");
     }
     // A condition that may change in a moment is a note.
-    let (code, said) = check(&deployment, sensor, actuator);
-    assert_eq!(code, 0, "{said}");
-    assert!(said.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"), "{said}");
+    let (code, output) = check(&deployment, sensor, actuator);
+    assert_eq!(code, 0, "{output}");
+    assert!(
+        output.contains("note: pipeline[0].sensor: no ROS master answers at http://127.0.0.1:"),
+        "{output}"
+    );
     let robot = Robot::start(&deployment);
-    let (_, said) = check(&deployment, sensor, actuator);
-    assert!(said.contains("does not know topic /words yet; it knows no topic at all"), "{said}");
+    let (_, output) = check(&deployment, sensor, actuator);
+    assert!(output.contains("does not know topic /words yet; it knows no topic at all"), "{output}");
     let _words = robot.publish::<StringMessage>("/words");
     let _answers = robot.publish::<CompressedImage>("/answers");
-    let (code, said) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
-    assert_eq!(code, 0, "{said}");
+    let (code, output) = check(&deployment, &format!("{sensor}, type = \"sensor_msgs/Image\""), actuator);
+    assert_eq!(code, 0, "{output}");
     for part in [
         "pipeline[0].sensor: topic /words has the type std_msgs/String, not sensor_msgs/Image",
         "pipeline[0].actuator: topic /answers has the type sensor_msgs/CompressedImage, not std_msgs/String",
     ] {
-        assert!(said.contains(part), "{part} is missing in:\n{said}");
+        assert!(output.contains(part), "{part} is missing in:\n{output}");
     }
 }

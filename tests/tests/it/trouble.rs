@@ -19,7 +19,7 @@ inference_ms = 40
 postprocessing_ms = 0
 "#;
 
-fn edge(deployment: &LoopbackDeployment, name: &str, model: &str) -> Process {
+fn start_edge(deployment: &LoopbackDeployment, name: &str, model: &str) -> Process {
     deployment.start_agent(name, &EDGE.replace("MODEL", model))
 }
 
@@ -31,7 +31,7 @@ placement = { kind = "remote", peer = "tcp://127.0.0.1:{data}", model = "MODEL" 
 load = { mode = "rate", hz = 50.0 }
 "#;
 
-fn cloud(deployment: &LoopbackDeployment) -> Process {
+fn start_cloud(deployment: &LoopbackDeployment) -> Process {
     deployment.start_agent("cloud", CLOUD)
 }
 
@@ -49,19 +49,20 @@ fn count(api: &Api, host: &str, outcome: &str) -> u64 {
 fn pipeline_survives_late_and_restarted_cloud() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
-    let edge = edge(&deployment, "edge", "slow");
-    let said = edge.wait_for("cannot reach a cloud");
-    assert!(said.contains("continues automatically"), "{said}");
+    let edge = start_edge(&deployment, "edge", "slow");
+    let output = edge.wait_for("cannot reach a cloud");
+    assert!(output.contains("continues automatically"), "{output}");
 
-    let first = cloud(&deployment);
+    let first = start_cloud(&deployment);
     peernet_tests::wait_until("answers", || (count(&api, "edge", "ok") > 20).then_some(()));
     assert_eq!(edge.log().matches("cannot reach a cloud").count(), 1, "said once:\n{}", edge.log());
 
     first.kill();
-    let lost =
-        peernet_tests::wait_until("lost iterations", || Some(count(&api, "edge", "lost")).filter(|n| *n > 0));
+    let lost = peernet_tests::wait_until("lost iterations", || {
+        Some(count(&api, "edge", "lost")).filter(|count| *count > 0)
+    });
     let answered = count(&api, "edge", "ok");
-    let second = cloud(&deployment);
+    let second = start_cloud(&deployment);
     peernet_tests::wait_until("answers again", || (count(&api, "edge", "ok") > answered + 20).then_some(()));
 
     let runs = api.json("/api/v1/runs");
@@ -77,20 +78,20 @@ fn pipeline_survives_late_and_restarted_cloud() {
 #[test]
 fn unknown_model_error_lists_models() {
     let deployment = LoopbackDeployment::new();
-    let cloud = cloud(&deployment);
+    let cloud = start_cloud(&deployment);
     cloud.wait_for("ready");
-    let edge = edge(&deployment, "edge", "classifier");
-    let said = edge.wait_for("classifier");
-    let said = if said.contains("echo") { said } else { edge.wait_for("echo") };
-    assert!(said.contains("echo") && said.contains("slow"), "{said}");
+    let edge = start_edge(&deployment, "edge", "classifier");
+    let output = edge.wait_for("classifier");
+    let output = if output.contains("echo") { output } else { edge.wait_for("echo") };
+    assert!(output.contains("echo") && output.contains("slow"), "{output}");
     assert_eq!(edge.stop().code(), 0);
 }
 
 #[test]
 fn agents_deliver_to_late_aggregator() {
     let deployment = LoopbackDeployment::new();
-    let cloud = cloud(&deployment);
-    let edge = edge(&deployment, "edge", "echo");
+    let cloud = start_cloud(&deployment);
+    let edge = start_edge(&deployment, "edge", "echo");
     edge.wait_for("connected to cloud");
     edge.wait_for("aggregator");
     let (aggregator, api) = deployment.start_aggregator();
@@ -107,7 +108,7 @@ fn agents_deliver_to_late_aggregator() {
         .as_array()
         .expect("a list")
         .iter()
-        .filter_map(|i| i["number"].as_u64())
+        .filter_map(|iteration| iteration["number"].as_u64())
         .collect();
     assert_eq!(numbers, (1..=100).collect::<Vec<u64>>());
     let detail = api.json("/api/v1/runs/1");
@@ -119,8 +120,8 @@ fn agents_deliver_to_late_aggregator() {
 fn duplicate_host_name_and_crashed_host_are_reported() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
-    let cloud = cloud(&deployment);
-    let first = edge(&deployment, "edge", "echo");
+    let cloud = start_cloud(&deployment);
+    let first = start_edge(&deployment, "edge", "echo");
     peernet_tests::wait_until("stored iterations", || (count(&api, "edge", "ok") > 0).then_some(()));
 
     // The same file with another folder for its state.
@@ -128,17 +129,17 @@ fn duplicate_host_name_and_crashed_host_are_reported() {
     let state = deployment.folder().display().to_string();
     deployment.write("impostor.toml", &file.replace(&format!("{state}/edge"), &format!("{state}/impostor")));
     let impostor = deployment.start("impostor.toml");
-    let said = impostor.wait_for("refused");
-    assert!(said.contains("edge"), "{said}");
+    let output = impostor.wait_for("refused");
+    assert!(output.contains("edge"), "{output}");
     assert_eq!(impostor.stop().code(), 0);
 
     first.kill();
-    let again = edge(&deployment, "edge", "echo");
+    let second = start_edge(&deployment, "edge", "echo");
     peernet_tests::wait_until("the second run", || {
         let runs = api.json("/api/v1/runs");
         (runs["runs"].as_array()?.len() == 2).then_some(())
     });
-    assert_eq!(again.stop().code(), 0);
+    assert_eq!(second.stop().code(), 0);
     assert_eq!(cloud.stop().code(), 0);
 }
 
@@ -148,11 +149,11 @@ fn broken_picture_gives_one_failed_iteration() {
     let (_aggregator, api) = deployment.start_aggregator();
     let pictures = deployment.folder().join("pictures");
     std::fs::create_dir(&pictures).expect("the temporary folder is writable");
-    let good = peernet_tests::root().join("models/quality-control/pictures/part-0001.jpg");
-    std::fs::copy(&good, pictures.join("1.jpg")).expect("the demo's pictures are there");
+    let picture = peernet_tests::root().join("models/quality-control/pictures/part-0001.jpg");
+    std::fs::copy(&picture, pictures.join("1.jpg")).expect("the demo's pictures are there");
     std::fs::write(pictures.join("2.jpg"), b"this is not a picture")
         .expect("the temporary folder is writable");
-    std::fs::copy(&good, pictures.join("3.jpg")).expect("the demo's pictures are there");
+    std::fs::copy(&picture, pictures.join("3.jpg")).expect("the demo's pictures are there");
     let edge = deployment.start_agent(
         "edge",
         r#"

@@ -169,16 +169,19 @@ fn paragraphs(document: &Document) -> Vec<(usize, String)> {
 
 #[test]
 fn paragraphs_of_documents_are_short() {
-    let mut long = Vec::new();
+    let mut long_paragraphs = Vec::new();
     for document in Document::all() {
         for (number, text) in paragraphs(&document) {
             let words = text.split_whitespace().count();
             if words > MAX_PARAGRAPH_WORDS {
-                long.push(format!("{}:{number}: {words} words", document.path.display()));
+                long_paragraphs.push(format!("{}:{number}: {words} words", document.path.display()));
             }
         }
     }
-    assert!(long.is_empty(), "paragraphs of more than {MAX_PARAGRAPH_WORDS} words: {long:#?}");
+    assert!(
+        long_paragraphs.is_empty(),
+        "paragraphs of more than {MAX_PARAGRAPH_WORDS} words: {long_paragraphs:#?}"
+    );
 }
 
 fn is_accepted(subject: &str) -> bool {
@@ -197,8 +200,8 @@ fn commit_hook_accepts_area_and_summary_only() {
     ] {
         assert!(is_accepted(subject), "{subject}");
     }
-    let long = format!("agent: {}", "x".repeat(80));
-    for subject in ["Agent: name it", "name the peer", "agent: Name it", "agent: name it.", &long] {
+    let long_subject = format!("agent: {}", "x".repeat(80));
+    for subject in ["Agent: name it", "name the peer", "agent: Name it", "agent: name it.", &long_subject] {
         assert!(!is_accepted(subject), "{subject}");
     }
 }

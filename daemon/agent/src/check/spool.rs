@@ -89,10 +89,10 @@ mod tests {
         assert!(problems(state, &notes).is_empty(), "it is made at the start");
         for (content, objection) in [("", ""), ("notes", "not a spool"), ("SQLite format 3", "")] {
             std::fs::write(&notes, content).expect("it can be written");
-            let found = problems(state, &notes).join(" ");
+            let problem_texts = problems(state, &notes).join(" ");
             assert!(
-                found.contains(objection) && found.is_empty() == objection.is_empty(),
-                "{content:?}: {found}"
+                problem_texts.contains(objection) && problem_texts.is_empty() == objection.is_empty(),
+                "{content:?}: {problem_texts}"
             );
         }
         let own = state.join("spool.sqlite");

@@ -142,9 +142,9 @@ pub(super) fn check_clock_fault(report: &mut Report, clock_fault: &ClockFaultCon
     let mut previous: Option<&ClockFaultStepConfig> = None;
     report.check_max("clock_fault.steps", clock_fault.steps.len() as u64, MAX_FAULT_STEPS);
     for (index, step) in clock_fault.steps.iter().enumerate() {
-        let at = format!("clock_fault.steps[{index}]");
-        report.check_range(&format!("{at}.by_ms"), step.by_ms, -MAX_FAULT_MS, MAX_FAULT_MS);
-        report.check_positive(&format!("{at}.at_s"), step.at_s, MAX_FAULT_S);
+        let prefix = format!("clock_fault.steps[{index}]");
+        report.check_range(&format!("{prefix}.by_ms"), step.by_ms, -MAX_FAULT_MS, MAX_FAULT_MS);
+        report.check_positive(&format!("{prefix}.at_s"), step.at_s, MAX_FAULT_S);
         // Both clocks may be stepped at the same moment, as when a virtual machine was paused.
         let is_in_order = |previous: &ClockFaultStepConfig| {
             previous.at_s < step.at_s || (previous.at_s == step.at_s && previous.clock != step.clock)
@@ -154,7 +154,7 @@ pub(super) fn check_clock_fault(report: &mut Report, clock_fault: &ClockFaultCon
                 "{} s is not after the step before, at {} s; put them in the order of time",
                 step.at_s, previous.at_s
             );
-            report.add(format!("{at}.at_s"), text);
+            report.add(format!("{prefix}.at_s"), text);
         }
         previous = Some(step);
     }
@@ -256,7 +256,8 @@ mod tests {
         assert_eq!(clock_fault(&steps("10", "10")), ["clock_fault.steps[1].at_s"]);
         let both = "steps = [{ at_s = 10, by_ms = 39 }, { at_s = 10, by_ms = 39, clock = \"raw\" }]";
         assert!(clock_fault(both).is_empty());
-        let many: Vec<String> = (1..=1001).map(|at| format!("{{ at_s = {at}, by_ms = 1 }}")).collect();
+        let many: Vec<String> =
+            (1..=1001).map(|prefix| format!("{{ at_s = {prefix}, by_ms = 1 }}")).collect();
         assert_eq!(clock_fault(&format!("steps = [{}]", many.join(", "))), ["clock_fault.steps"]);
         assert_eq!(
             clock_fault("offset_ms = inf\ndrift_ppm = nan"),

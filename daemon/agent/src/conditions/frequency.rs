@@ -16,12 +16,12 @@ const ADVICE: &str = "set it to `performance` for the measurement: `sudo cpupowe
 /// load, the same work takes longer after a pause than in a busy loop, so latency depends on the rate.
 pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
     let mut governors = BTreeMap::<String, u32>::new();
-    let mut fixed = true;
+    let mut are_fixed = true;
     for processor in processors(&settings.sys) {
         let folder = processor.join("cpufreq");
         let Some(governor) = read_text(&folder.join("scaling_governor")) else { continue };
         *governors.entry(governor).or_default() += 1;
-        fixed &= is_fixed(&folder);
+        are_fixed &= is_fixed(&folder);
     }
     if governors.is_empty() {
         return Some(Finding::unknown(
@@ -29,15 +29,15 @@ pub(super) fn governor(settings: &InspectionSettings) -> Option<Finding> {
             "the kernel does not report the governor (usual in virtual machines)",
         ));
     }
-    let steady = governors.keys().all(|governor| governor == "performance");
+    let is_performance = governors.keys().all(|governor| governor == "performance");
     let names = match governors.len() {
         1 => governors.into_keys().next().unwrap_or_default(),
         _ => {
-            let each = governors.iter().map(|(governor, count)| format!("{governor} on {count}"));
-            each.collect::<Vec<_>>().join(", ")
+            let entries = governors.iter().map(|(governor, count)| format!("{governor} on {count}"));
+            entries.collect::<Vec<_>>().join(", ")
         }
     };
-    Some(match (steady, fixed) {
+    Some(match (is_performance, are_fixed) {
         (true, _) => Finding::good(ABOUT, names),
         (false, true) => {
             Finding::good(ABOUT, format!("{names}, with the lowest frequency raised to the highest"))

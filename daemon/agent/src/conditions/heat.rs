@@ -20,16 +20,16 @@ const THROTTLING_DEVICES: [&str; 6] =
 /// Grades all signs of throttling: active now is bad, earlier since the start of the host is doubtful.
 pub(super) fn throttling(settings: &InspectionSettings) -> Vec<Finding> {
     let sys = &settings.sys;
-    let mut is_known = false;
-    let mut found = Vec::new();
-    for look in [active_cooling_devices, zones_near_trip_point, firmware_flags, throttle_counters] {
-        if let Some(findings) = look(sys) {
-            is_known = true;
-            found.extend(findings);
+    let mut has_source = false;
+    let mut findings = Vec::new();
+    for find in [active_cooling_devices, zones_near_trip_point, firmware_flags, throttle_counters] {
+        if let Some(new_findings) = find(sys) {
+            has_source = true;
+            findings.extend(new_findings);
         }
     }
-    match (found.is_empty(), is_known) {
-        (false, _) => found,
+    match (findings.is_empty(), has_source) {
+        (false, _) => findings,
         (true, true) => vec![Finding::good(ABOUT, "none, neither now nor since the host was started")],
         (true, false) => {
             vec![Finding::unknown(ABOUT, "the kernel does not report it (usual in virtual machines)")]
@@ -65,67 +65,69 @@ fn active_cooling_devices(sys: &Path) -> Option<Vec<Finding>> {
 /// Finds thermal zones at or near a trip point, above which the kernel slows the host down.
 fn zones_near_trip_point(sys: &Path) -> Option<Vec<Finding>> {
     let mut has_zones = false;
-    let mut found = Vec::new();
+    let mut findings = Vec::new();
     for zone in list_entries(&sys.join("class/thermal"), "thermal_zone") {
         let Some(celsius) = read_value::<f64>(&zone.join("temp")).map(|millis| millis / 1e3) else {
             continue;
         };
-        let passive = list_entries(&zone, "trip_point_").into_iter().filter(|path| {
+        let passive_types = list_entries(&zone, "trip_point_").into_iter().filter(|path| {
             path.to_string_lossy().ends_with("_type") && read_text(path).as_deref() == Some("passive")
         });
-        let points = passive.filter_map(|path| {
-            let at = path.to_string_lossy().replace("_type", "_temp");
-            read_value::<f64>(Path::new(&at)).map(|millis| millis / 1e3).filter(|celsius| *celsius > 0.0)
+        let trip_points = passive_types.filter_map(|path| {
+            let temperature_file = path.to_string_lossy().replace("_type", "_temp");
+            read_value::<f64>(Path::new(&temperature_file))
+                .map(|millis| millis / 1e3)
+                .filter(|celsius| *celsius > 0.0)
         });
-        let Some(point) = points.min_by(f64::total_cmp) else { continue };
+        let Some(point) = trip_points.min_by(f64::total_cmp) else { continue };
         has_zones = true;
         let name = read_text(&zone.join("type")).unwrap_or_else(|| "a sensor".to_owned());
-        let heat = format!("{name} is at {celsius:.0} °C; the host is throttled from {point:.0} °C on");
+        let text = format!("{name} is at {celsius:.0} °C; the host is throttled from {point:.0} °C on");
         if celsius >= point {
-            found.push(Finding::graded(ABOUT, Grade::Bad, heat, COOLING_ADVICE));
+            findings.push(Finding::graded(ABOUT, Grade::Bad, text, COOLING_ADVICE));
         } else if celsius >= point - TRIP_POINT_MARGIN_CELSIUS {
-            found.push(Finding::graded(ABOUT, Grade::Doubtful, heat, COOLING_ADVICE));
+            findings.push(Finding::graded(ABOUT, Grade::Doubtful, text, COOLING_ADVICE));
         }
     }
-    has_zones.then_some(found)
+    has_zones.then_some(findings)
 }
 
-/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 that since the
-/// board was started (documentation of `vcgencmd get_throttled`).
+/// Reads the flags of a Raspberry Pi's firmware: bits 0 to 3 are the current state, bits 16 to 19 say what has occurred
+/// since the board was started (documentation of `vcgencmd get_throttled`).
 fn firmware_flags(sys: &Path) -> Option<Vec<Finding>> {
     let bits = read_text(&sys.join("devices/platform/soc/soc:firmware/get_throttled"))?;
     let bits = u32::from_str_radix(bits.trim_start_matches("0x"), 16).ok()?;
-    let named = |shift: u32| {
+    let flag_names = |shift: u32| {
         let names = ["under-voltage", "frequency capped", "throttled", "soft temperature limit"];
-        let set = names.into_iter().enumerate().filter(|(bit, _)| bits >> shift & 1 << bit != 0);
-        set.map(|(_, name)| name).collect::<Vec<_>>().join(", ")
+        let set_flags = names.into_iter().enumerate().filter(|(bit, _)| bits >> shift & 1 << bit != 0);
+        set_flags.map(|(_, name)| name).collect::<Vec<_>>().join(", ")
     };
-    let (now, before) = (named(0), named(16));
-    Some(if !now.is_empty() {
+    let (current_flags, earlier_flags) = (flag_names(0), flag_names(16));
+    Some(if !current_flags.is_empty() {
         let advice = "use the power supply meant for the board, cool it, and repeat the run";
-        vec![Finding::graded(ABOUT, Grade::Bad, format!("the firmware reports {now} now"), advice)]
-    } else if !before.is_empty() {
-        let found = format!("the firmware reports {before} since the board was started");
+        vec![Finding::graded(ABOUT, Grade::Bad, format!("the firmware reports {current_flags} now"), advice)]
+    } else if !earlier_flags.is_empty() {
+        let found = format!("the firmware reports {earlier_flags} since the board was started");
         vec![Finding::graded(ABOUT, Grade::Doubtful, found, OBSERVING_ADVICE)]
     } else {
         Vec::new()
     })
 }
 
-/// Reads the counters since the host was started: Intel's per core and package, Tegra's of over-current events.
+/// Reads the counters since the host was started: on Intel per core and package, on Tegra of over-current events.
 fn throttle_counters(sys: &Path) -> Option<Vec<Finding>> {
     let cores = processors(sys).into_iter().map(|processor| processor.join("thermal_throttle"));
     let counters = cores
         .flat_map(|folder| ["core_throttle_count", "package_throttle_count"].map(|name| folder.join(name)));
-    let boards = list_entries(&sys.join("class/hwmon"), "hwmon").into_iter().flat_map(|folder| {
+    let board_counters = list_entries(&sys.join("class/hwmon"), "hwmon").into_iter().flat_map(|folder| {
         list_entries(&folder, "oc").into_iter().filter(|path| path.to_string_lossy().ends_with("_event_cnt"))
     });
-    let counts: Vec<u64> = counters.chain(boards).filter_map(|path| read_value(&path)).collect();
+    let counts: Vec<u64> = counters.chain(board_counters).filter_map(|path| read_value(&path)).collect();
     let count = counts.into_iter().max()?;
-    let found = || format!("the processor was throttled {count} times since the host was started");
+    let text = || format!("the processor was throttled {count} times since the host was started");
     Some(if count == 0 {
         Vec::new()
     } else {
-        vec![Finding::graded(ABOUT, Grade::Doubtful, found(), OBSERVING_ADVICE)]
+        vec![Finding::graded(ABOUT, Grade::Doubtful, text(), OBSERVING_ADVICE)]
     })
 }

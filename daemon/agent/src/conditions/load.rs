@@ -20,7 +20,7 @@ const STEAL_DOUBTFUL: f64 = 0.01;
 const STEAL_BAD: f64 = 0.05;
 
 /// Grades the number of runnable threads of other processes: the mean of a few counts (proc_loadavg(5)).
-// The load averages of the kernel still include processes that ended a minute ago, such as the previous run.
+// The load averages of the kernel are unsuitable: they still include processes that ended a minute ago, such as the previous run.
 pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "competing load";
     let mut sum = 0;
@@ -58,27 +58,27 @@ fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
 /// parentheses).
 fn own_threads(settings: &InspectionSettings) -> u32 {
     let threads = list_entries(&settings.proc.join("self/task"), "").into_iter();
-    let runs = |path: &std::path::PathBuf| {
+    let is_runnable = |path: &std::path::PathBuf| {
         read_text(&path.join("stat")).is_some_and(|stat| {
             stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
         })
     };
-    u32::try_from(threads.filter(runs).count()).unwrap_or(u32::MAX)
+    u32::try_from(threads.filter(is_runnable).count()).unwrap_or(u32::MAX)
 }
 
 /// Returns the percentage of the last 10 s in which some thread waited for a processor (kernel documentation,
 /// accounting/psi).
 fn pressure(settings: &InspectionSettings) -> Option<f64> {
     let pressure = read_text(&settings.proc.join("pressure/cpu"))?;
-    let some = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
-    some.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
+    let some_line = pressure.lines().find_map(|line| line.strip_prefix("some "))?;
+    some_line.split_ascii_whitespace().find_map(|field| field.strip_prefix("avg10=")?.parse().ok())
 }
 
 /// Grades the CPU quota of a container (cgroup v2, `cpu.max`). When the quota is used up, the kernel stops the process
 /// until the next period, which looks like a slow model.
 pub(super) fn cpu_quota(settings: &InspectionSettings) -> Option<Finding> {
-    let own = read_text(&settings.proc.join("self/cgroup"))?;
-    let path = own.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
+    let cgroups = read_text(&settings.proc.join("self/cgroup"))?;
+    let path = cgroups.lines().find_map(|line| line.strip_prefix("0::"))?.trim_start_matches('/').to_owned();
     let max = read_text(&settings.sys.join("fs/cgroup").join(path).join("cpu.max"))?;
     let (quota, period) = max.split_once(' ')?;
     let (quota, period): (f64, f64) = (quota.parse().ok()?, period.parse().ok()?);
@@ -102,9 +102,9 @@ pub(super) fn steal_time(settings: &InspectionSettings) -> Option<Finding> {
     let times = stat.lines().find_map(|line| line.strip_prefix("cpu "))?;
     let times: Vec<u64> = times.split_ascii_whitespace().filter_map(|ticks| ticks.parse().ok()).collect();
     // Guest time is included in user time.
-    let (steal, all) = (*times.get(7)?, times.iter().take(8).sum::<u64>());
-    (steal > 0 && all > 0).then_some(())?;
-    let share = steal as f64 / all as f64;
+    let (steal, total) = (*times.get(7)?, times.iter().take(8).sum::<u64>());
+    (steal > 0 && total > 0).then_some(())?;
+    let share = steal as f64 / total as f64;
     let found = format!(
         "other virtual machines had its processors for {:.1} % of the time since it was started",
         share * 100.0

@@ -1,6 +1,6 @@
 //! Kind of the machine: hardware, a virtual machine or a container.
 //!
-//! It is detected by the same signs as in `systemd-detect-virt`.
+//! The kind is detected by the same signs as in `systemd-detect-virt`.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use super::{Finding, InspectionSettings};
 const GROUPS: [&str; 5] = ["docker", "kubepods", "libpod", "lxc", "containerd"];
 
 /// Marker files that container managers create in the root of each container, with the name of the manager.
-const MARKS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
+const MARKERS: [(&str, &str); 2] = [(".dockerenv", "docker"), ("run/.containerenv", "podman")];
 
 /// Prefixes of the vendor or product names of virtual machines.
 const VIRTUAL_PRODUCTS: [&str; 17] = [
@@ -58,23 +58,24 @@ pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     }
 }
 
-/// Returns vendor and product by the firmware.
+/// Returns the names of the vendor and the product that the firmware reports; names that it does not report are left out.
 fn products(sys: &Path) -> Vec<String> {
-    let named = |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
-    [named("sys_vendor"), named("product_name")].into_iter().flatten().collect()
+    let read_name =
+        |name: &str| read_text(&sys.join("class/dmi/id").join(name)).filter(|text| !text.is_empty());
+    [read_name("sys_vendor"), read_name("product_name")].into_iter().flatten().collect()
 }
 
 /// Returns whether the host is a virtual machine; `None` if there is no sign, for example on ARM servers.
 fn is_virtual(settings: &InspectionSettings, products: &[String]) -> Option<bool> {
     // Amazon also rents bare-metal machines, whose vendor name is the same.
     let is_bare_metal = products.iter().any(|name| name.ends_with(".metal"));
-    let is_named =
+    let has_virtual_name =
         products.iter().any(|name| VIRTUAL_PRODUCTS.iter().any(|product| name.starts_with(product)));
     let has_hypervisor = read_text(&settings.sys.join("hypervisor/type")).is_some_and(|kind| kind != "none");
     let by_processor = processor_flag(&settings.proc);
     let by_tree = device_tree_is_virtual(&settings.proc.join("device-tree"));
     let signs = [by_processor, by_tree];
-    if has_hypervisor || (is_named && !is_bare_metal) || signs.contains(&Some(true)) {
+    if has_hypervisor || (has_virtual_name && !is_bare_metal) || signs.contains(&Some(true)) {
         return Some(true);
     }
     (is_bare_metal || signs.contains(&Some(false))).then_some(false)
@@ -98,12 +99,13 @@ fn device_tree_is_virtual(tree: &Path) -> Option<bool> {
 
 /// Returns the container manager, if the host is a container.
 fn container(settings: &InspectionSettings) -> Option<String> {
-    let named = read_text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
-    let marked = || {
-        let found = MARKS.iter().find(|(file, _)| settings.root.join(file).exists());
-        found.map(|(_, manager)| (*manager).to_owned())
+    let stated_manager =
+        read_text(&settings.root.join("run/systemd/container")).filter(|name| !name.is_empty());
+    let manager_by_marker = || {
+        let marker = MARKERS.iter().find(|(file, _)| settings.root.join(file).exists());
+        marker.map(|(_, manager)| (*manager).to_owned())
     };
-    named.or_else(marked).or_else(|| {
+    stated_manager.or_else(manager_by_marker).or_else(|| {
         let groups = read_text(&settings.proc.join("self/cgroup"))?;
         // `0::/system.slice/docker-1f0c.scope`
         let parts = groups.lines().filter_map(|line| line.splitn(3, ':').nth(2));
@@ -116,6 +118,7 @@ fn container(settings: &InspectionSettings) -> Option<String> {
 /// as `docker.service`.
 fn is_of_container(part: &str, manager: &str) -> bool {
     let Some(rest) = part.strip_prefix("cri-").unwrap_or(part).strip_prefix(manager) else { return false };
-    let follows = |mark: &str| rest.starts_with(mark);
-    !part.ends_with(".service") && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(follows))
+    let starts_with = |ending: &str| rest.starts_with(ending);
+    !part.ends_with(".service")
+        && (rest.is_empty() || ["-", ".slice", ".payload"].into_iter().any(starts_with))
 }

@@ -70,34 +70,34 @@ impl InspectionSettings {
     }
 }
 
-/// Grades the free space at a path, which need not exist yet. `purpose` says what is written there.
+/// Grades the free space for the data that `purpose` names, at a path or at its nearest existing parent.
 pub fn free_space(purpose: &str, path: &Path, host: &str) -> Condition {
     disk::free_space_of(purpose, path).with_host(host)
 }
 
 /// Inspects this host, whose name is `host`. Blocks, for less than 50 ms on most hosts.
 pub fn inspect_host(settings: &InspectionSettings, host: &str) -> Vec<Condition> {
-    let mut found = Vec::new();
-    found.extend(frequency::governor(settings));
-    found.extend(heat::throttling(settings));
-    found.push(load::competing_threads(settings));
-    found.extend(load::cpu_quota(settings));
-    found.extend(load::steal_time(settings));
-    found.extend(memory::swap(settings));
-    found.extend(disk::free_space(settings));
+    let mut findings = Vec::new();
+    findings.extend(frequency::governor(settings));
+    findings.extend(heat::throttling(settings));
+    findings.push(load::competing_threads(settings));
+    findings.extend(load::cpu_quota(settings));
+    findings.extend(load::steal_time(settings));
+    findings.extend(memory::swap(settings));
+    findings.extend(disk::free_space(settings));
     if settings.network {
-        found.extend(wireless::power_save(settings));
+        findings.extend(wireless::power_save(settings));
     }
-    found.push(machine::machine_kind(settings));
-    found.into_iter().map(|finding| finding.with_host(host)).collect()
+    findings.push(machine::machine_kind(settings));
+    findings.into_iter().map(|finding| finding.with_host(host)).collect()
 }
 
-/// Inspects this host without blocking. If that takes longer than [`TIMEOUT`], the result is a single unknown condition.
+/// Inspects this host without blocking. If the inspection takes longer than [`TIMEOUT`] or panics, the result is a single unknown condition.
 pub(crate) async fn inspect_host_in_time(settings: InspectionSettings, host: String) -> Vec<Condition> {
     let name = host.clone();
     let inspection = tokio::task::spawn_blocking(move || inspect_host(&settings, &name));
     let reason = match tokio::time::timeout(TIMEOUT, inspection).await {
-        Ok(Ok(found)) => return found,
+        Ok(Ok(conditions)) => return conditions,
         Ok(Err(_)) => {
             "the inspection of the host panicked; see the log for the location in the code".to_owned()
         }

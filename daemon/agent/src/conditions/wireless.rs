@@ -16,11 +16,11 @@ const ABOUT: &str = "Wi-Fi power save";
 ///
 /// The state is available only through nl80211, which `iw` queries. Without `iw` it is unknown.
 pub(super) fn power_save(settings: &InspectionSettings) -> Vec<Finding> {
-    let up = |path: &std::path::PathBuf| read_text(&path.join("operstate")).as_deref() == Some("up");
+    let is_up = |path: &std::path::PathBuf| read_text(&path.join("operstate")).as_deref() == Some("up");
     let interfaces = list_entries(&settings.sys.join("class/net"), "")
         .into_iter()
         .filter(|path| is_wireless(path))
-        .filter(up);
+        .filter(is_up);
     interfaces.map(|path| inspect_interface(settings, &path)).collect()
 }
 
@@ -51,6 +51,6 @@ fn query_power_save(iw: &Path, interface: &str) -> Option<String> {
         .output()
         .ok()
         .filter(|output| output.status.success())?;
-    let printed = String::from_utf8_lossy(&iw_output.stdout);
-    printed.lines().next().map(|line| line.trim().to_owned())
+    let text = String::from_utf8_lossy(&iw_output.stdout);
+    text.lines().next().map(|line| line.trim().to_owned())
 }

@@ -3,7 +3,7 @@
 use peernet_clock::{ClockFaultStep, ClockFaults, Span, SteppedClock, WallTime};
 use serde::{Deserialize, Serialize};
 
-/// `[clock_fault]`: clock faults on purpose, to check that they do not change the reported delays.
+/// `[clock_fault]`: faults that are injected into the clocks, to check that they do not change the reported delays.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClockFaultConfig {

@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 /// Largest number of addresses. Each has its own connections, sessions and memory.
 const MAX_ADDRESSES: usize = 16;
 
-/// Addresses to listen on: at least one, without duplicates. A single one is written without brackets.
+/// Addresses to listen on: at least one, without duplicates. A single address is serialised without brackets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ListenAddresses(Vec<Address>);
 
@@ -23,7 +23,7 @@ pub enum ListenAddressesError {
     /// The list has more than 16 addresses.
     #[error("{0} addresses are too many; at most {MAX_ADDRESSES}")]
     TooMany(usize),
-    /// An address occurs twice. Port 0 may, because it is a different free port each time.
+    /// An address occurs twice. An address with port 0 may occur twice, because it stands for a different free port each time.
     #[error("the list contains {0} twice; remove one of them")]
     Twice(Address),
 }
@@ -40,12 +40,12 @@ impl ListenAddresses {
         if addresses.len() > MAX_ADDRESSES {
             return Err(ListenAddressesError::TooMany(addresses.len()));
         }
-        let twice = |at: &usize| {
-            (addresses[*at].port() != 0 || addresses[*at].domain().is_some())
-                && addresses[..*at].contains(&addresses[*at])
+        let is_duplicate = |index: &usize| {
+            (addresses[*index].port() != 0 || addresses[*index].domain().is_some())
+                && addresses[..*index].contains(&addresses[*index])
         };
-        if let Some(at) = (1..addresses.len()).find(twice) {
-            return Err(ListenAddressesError::Twice(addresses[at].clone()));
+        if let Some(index) = (1..addresses.len()).find(is_duplicate) {
+            return Err(ListenAddressesError::Twice(addresses[index].clone()));
         }
         Ok(Self(addresses))
     }
@@ -83,7 +83,7 @@ impl<'de> Deserialize<'de> for ListenAddresses {
 }
 
 /// Visitor that reads an address or a list.
-// Not an untagged enum, whose error would not say what is wrong with an address.
+// An untagged enum would be shorter, but its error would not say what is wrong with an address.
 struct OneOrSeveral;
 
 impl<'de> Visitor<'de> for OneOrSeveral {

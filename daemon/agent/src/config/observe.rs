@@ -108,12 +108,12 @@ impl ObserveConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PairBy {
-    /// Both have the same `header.stamp`.
+    /// Both messages have the same `header.stamp`.
     #[default]
     Stamp,
-    /// Both have the same sequence number, `header.seq`. ROS 1 only.
+    /// Both messages have the same sequence number, `header.seq`. ROS 1 only.
     Sequence,
-    /// The output message belongs to the oldest input message without one.
+    /// The output message belongs to the oldest input message that has no output message yet.
     Order,
 }
 
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn sequence_numbers_of_ros_2_are_refused_with_the_alternatives() {
+    fn sequence_numbers_are_refused_in_ros_2() {
         let error = config(PairBy::Sequence).resolve_version(|_| None).expect_err("there are none");
         assert_eq!(error.key(), "pair_by");
         for part in ["no sequence number", "pair_by = \"stamp\"", "\"order\""] {

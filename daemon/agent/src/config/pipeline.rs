@@ -33,14 +33,14 @@ pub struct PipelineConfig {
     #[serde(default)]
     pub load: LoadConfig,
     /// Largest number of iterations in flight; with `mode = "closed"` it is always one. The same number of further
-    /// starts may wait; older ones are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
-    #[serde(default = "four")]
+    /// starts may wait; older starts are skipped and counted (`skipped-starts`). At most 4096. Default: 4.
+    #[serde(default = "default_max_in_flight")]
     pub max_in_flight: NonZeroUsize,
     /// Longest wait for an answer; milliseconds, up to a day. Later answers count as `timeout`. Default: 5000.
-    #[serde(default = "five_seconds")]
+    #[serde(default = "default_timeout_ms")]
     pub timeout_ms: NonZeroU64,
     /// Deadline of an iteration, from its intended start to its end; milliseconds, up to `timeout_ms`. An iteration
-    /// that takes longer or has no answer missed it. Default: no deadline.
+    /// that takes longer or has no answer missed its deadline. Default: no deadline.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadline_ms: Option<NonZeroU64>,
     /// Iterations that are recorded but left out of statistics.
@@ -64,7 +64,7 @@ pub struct PipelineConfig {
 }
 
 impl PipelineConfig {
-    /// Returns a copy without the values of `env`, which may be secret. It still contains the arguments of programs.
+    /// Returns a copy without the values of `env`, which may be secret. The copy still contains the arguments of programs.
     pub(crate) fn redacted(&self) -> Self {
         let mut redacted = self.clone();
         if let Some(sensor) = &mut redacted.sensor {
@@ -198,7 +198,7 @@ pub struct Limit {
     /// Number of iterations, without the warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<NonZeroU64>,
-    /// Number of iterations, including the warm-up: the published `--iterations`. If the warm-up is as long, the run
+    /// Number of iterations, including the warm-up. If all of these iterations are warm-up, the run
     /// has rows but no statistics.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total: Option<NonZeroU64>,
@@ -218,10 +218,10 @@ impl Limit {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StartMode {
-    /// It starts with the agent.
+    /// The pipeline starts with the agent.
     #[default]
     Boot,
-    /// It is checked and shown, but not started.
+    /// The pipeline is checked and shown, but not started.
     Manual,
 }
 
@@ -245,10 +245,10 @@ impl PipelineConfig {
     }
 }
 
-const fn four() -> NonZeroUsize {
+const fn default_max_in_flight() -> NonZeroUsize {
     const { NonZeroUsize::new(4).expect("above 0") }
 }
 
-const fn five_seconds() -> NonZeroU64 {
+const fn default_timeout_ms() -> NonZeroU64 {
     const { NonZeroU64::new(5000).expect("above 0") }
 }

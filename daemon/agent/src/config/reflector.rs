@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// Address of a STAMP reflector: `udp://HOST` or `udp://HOST:PORT`. Without a port it is 862 (RFC 8762, section 4.1).
+/// Address of a STAMP reflector: `udp://HOST` or `udp://HOST:PORT`. The default port is 862 (RFC 8762, section 4.1).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ReflectorAddress {
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_that_are_no_addresses_are_refused_with_the_form() {
+    fn invalid_address_is_refused_with_valid_form() {
         for text in [
             "10.0.0.7:862",
             "tcp://10.0.0.7:862",

@@ -13,7 +13,7 @@
 //! not use the file, and a file whose spool was deleted can be removed.
 //!
 //! Batches that were sent while the spool could not be written are also recorded. Only the aggregator knows which of
-//! them it stored, so the next process queries it before it reports a loss (`peernet_stream`, `unresolved.rs`).
+//! these batches it stored, so the next process queries the aggregator before it reports a loss (`peernet_stream`, `unresolved.rs`).
 
 mod abandoned;
 mod owner;
@@ -50,12 +50,12 @@ const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 const RECORD_BYTES: usize = 128;
 /// Offset of the total in the header.
 const TOTAL_OFFSET: u64 = 8;
-// A record contains: total number of events, time of the last one, number of the run's events (8 bytes each), run id,
+// A record contains: total number of events, time of the last event, number of the run's events (8 bytes each), run id,
 // length of the pipeline's name, and the name.
 const NUMBERS_BYTES: usize = 24;
 const NAME_OFFSET: usize = NUMBERS_BYTES + 16;
 /// Offset of the slots for batches that were sent without being in the spool. The batch's number selects the slot. Each
-/// slot has five numbers: the process, the number of the batch, and three counts up to it.
+/// slot has five numbers: the process, the number of the batch, and three counts up to and including the batch.
 const SENT_OFFSET: usize = RECORD_BYTES * (1 + MAX_COUNTED_RUNS);
 const SENT_RECORD_BYTES: usize = 40;
 /// Offset of the identity of the spool that the counts belong to.
@@ -75,10 +75,10 @@ struct CountFile {
     total: u64,
     /// Index of the record and number of events of each run in progress.
     runs: BTreeMap<RunId, (usize, u64)>,
-    /// Indices of unused records.
-    free: Vec<usize>,
+    /// Indices of the unused records.
+    unused_records: Vec<usize>,
     /// The last recorded batch that was sent without being in the spool.
-    sent: Option<SentUnspooled>,
+    last_sent: Option<SentUnspooled>,
     /// `true` once a write has failed.
     has_failed: bool,
 }
@@ -101,61 +101,69 @@ impl EventCounter {
         let owner = owner.encode();
         bytes[OWNER_OFFSET..OWNER_OFFSET + owner.len()].copy_from_slice(&owner);
         file.write_all_at(&bytes, 0)?;
-        let free = (1..=MAX_COUNTED_RUNS).rev().collect();
-        let count_file =
-            CountFile { file, name, total: 0, runs: BTreeMap::new(), free, sent: None, has_failed: false };
+        let unused_records = (1..=MAX_COUNTED_RUNS).rev().collect();
+        let count_file = CountFile {
+            file,
+            name,
+            total: 0,
+            runs: BTreeMap::new(),
+            unused_records,
+            last_sent: None,
+            has_failed: false,
+        };
         Ok(Self(Some(Arc::new(Mutex::new(count_file)))))
     }
 
     /// Returns the name of the file, by which the next process finds it.
     pub(crate) fn name(&self) -> Option<String> {
-        self.counting().map(|count_file| count_file.name.clone())
+        self.lock_file().map(|count_file| count_file.name.clone())
     }
 
     /// Counts an event that is about to be queued.
     pub(crate) fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>, now: WallTime) {
-        if let Some(mut count_file) = self.counting() {
-            let written = count_file.count(pipeline, run, now);
-            count_file.check(written);
+        if let Some(mut count_file) = self.lock_file() {
+            let result = count_file.count(pipeline, run, now);
+            count_file.log_first_failure(result);
         }
     }
 
     /// Records a batch that is about to be sent without being in the spool.
     pub(crate) fn record_sent_unspooled(&self, sent: SentUnspooled) {
-        if let Some(mut count_file) = self.counting().filter(|count_file| count_file.sent != Some(sent)) {
-            count_file.sent = Some(sent);
+        if let Some(mut count_file) = self.lock_file().filter(|count_file| count_file.last_sent != Some(sent))
+        {
+            count_file.last_sent = Some(sent);
             let SentUnspooled { process, number, batched, reported_drops, events } = sent;
             let bytes = [process, number, batched, reported_drops, events].map(u64::to_be_bytes).concat();
             // The slots are a ring: a batch overwrites the older batch in its slot.
-            let place = SENT_OFFSET as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_RECORD_BYTES as u64;
-            let written = count_file.file.write_all_at(&bytes, place);
-            count_file.check(written);
+            let offset = SENT_OFFSET as u64 + number % MAX_SENT_UNSPOOLED as u64 * SENT_RECORD_BYTES as u64;
+            let result = count_file.file.write_all_at(&bytes, offset);
+            count_file.log_first_failure(result);
         }
     }
 
-    /// Frees the record of an ended run if `events`, the number that the spool accounts for, is the number of all its
-    /// events. Returns whether the record is free.
+    /// Frees the record of an ended run if the spool accounts for all events of the run. `events` is the number of events
+    /// that the spool accounts for. Returns whether the record is free.
     pub(crate) fn release(&self, run: RunId, events: u64) -> bool {
-        let Some(mut count_file) = self.counting() else { return true };
-        let Some((place, counted)) = count_file.runs.get(&run).copied() else { return true };
-        if counted == events {
-            let written = count_file.release(run, place);
-            count_file.check(written);
+        let Some(mut count_file) = self.lock_file() else { return true };
+        let Some((record_index, counted_events)) = count_file.runs.get(&run).copied() else { return true };
+        if counted_events == events {
+            let result = count_file.release(run, record_index);
+            count_file.log_first_failure(result);
         }
-        counted == events
+        counted_events == events
     }
 
     /// Creates the file again, with the same counts, if it was deleted.
     pub(crate) fn recreate_if_deleted(&self) {
-        if let Some(mut count_file) = self.counting() {
-            let written = count_file.recreate_if_deleted();
-            count_file.check(written);
+        if let Some(mut count_file) = self.lock_file() {
+            let result = count_file.recreate_if_deleted();
+            count_file.log_first_failure(result);
         }
     }
 
     /// Returns the number of all events; `None` if events are not counted.
     pub(crate) fn total(&self) -> Option<u64> {
-        self.counting().map(|count_file| count_file.total)
+        self.lock_file().map(|count_file| count_file.total)
     }
 
     /// Removes the file, once no counted event can be lost any more.
@@ -165,7 +173,7 @@ impl EventCounter {
         }
     }
 
-    fn counting(&self) -> Option<MutexGuard<'_, CountFile>> {
+    fn lock_file(&self) -> Option<MutexGuard<'_, CountFile>> {
         self.0.as_ref().map(|count_file| count_file.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
@@ -177,25 +185,27 @@ impl CountFile {
         // To count an event with a single write, the total is written to the record of its run. The largest total of all
         // records is the current one.
         let Some(run) = run else { return self.file.write_all_at(&numbers, TOTAL_OFFSET) };
-        if let Some((place, events)) = self.runs.get_mut(&run) {
+        if let Some((record_index, events)) = self.runs.get_mut(&run) {
             *events += 1;
             let numbers = [&numbers[..], &events.to_be_bytes()].concat();
-            return self.file.write_all_at(&numbers, (*place * RECORD_BYTES) as u64);
+            return self.file.write_all_at(&numbers, (*record_index * RECORD_BYTES) as u64);
         }
-        let Some(place) = self.free.pop() else { return self.file.write_all_at(&numbers, TOTAL_OFFSET) };
-        self.runs.insert(run, (place, 1));
+        let Some(record_index) = self.unused_records.pop() else {
+            return self.file.write_all_at(&numbers, TOTAL_OFFSET);
+        };
+        self.runs.insert(run, (record_index, 1));
         let name = pipeline.map_or("", Slug::as_str).as_bytes();
         let length = u8::try_from(name.len()).unwrap_or_default();
         let record = [&numbers[..], &1_u64.to_be_bytes(), run.as_bytes(), &[length], name].concat();
-        self.file.write_all_at(&record, (place * RECORD_BYTES) as u64)
+        self.file.write_all_at(&record, (record_index * RECORD_BYTES) as u64)
     }
 
-    fn release(&mut self, run: RunId, place: usize) -> io::Result<()> {
+    fn release(&mut self, run: RunId, record_index: usize) -> io::Result<()> {
         // The total is written to the header first, because the record may have the newest total.
         self.file.write_all_at(&self.total.to_be_bytes(), TOTAL_OFFSET)?;
-        self.file.write_all_at(&[0; RECORD_BYTES], (place * RECORD_BYTES) as u64)?;
+        self.file.write_all_at(&[0; RECORD_BYTES], (record_index * RECORD_BYTES) as u64)?;
         self.runs.remove(&run);
-        self.free.push(place);
+        self.unused_records.push(record_index);
         Ok(())
     }
 
@@ -217,8 +227,8 @@ impl CountFile {
     }
 
     /// Logs the first failed write.
-    fn check(&mut self, written: io::Result<()>) {
-        if let Err(error) = written
+    fn log_first_failure(&mut self, result: io::Result<()>) {
+        if let Err(error) = result
             && !std::mem::replace(&mut self.has_failed, true)
         {
             tracing::warn!(
@@ -231,7 +241,7 @@ impl CountFile {
 }
 
 /// Creates an empty file and locks it.
-// Locked before anything is written, because a complete file without a lock belongs to a process that has ended.
+// The file is locked before anything is written, because a complete file without a lock belongs to a process that has ended.
 fn create_file(name: &str) -> io::Result<File> {
     let path = Path::new(SHARED_MEMORY).join(name);
     let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
@@ -249,7 +259,7 @@ fn open_owned_file(name: &str) -> Option<File> {
     (metadata.is_file() && metadata.uid() == rustix::process::geteuid().as_raw()).then_some(file)
 }
 
-/// Reads the identity of the spool from a file of counts; `None` for any other file, and for one of an earlier
+/// Reads the identity of the spool from a file of counts; `None` for any other file, and for a file of an earlier
 /// version.
 fn read_owner(file: &File) -> Option<CountOwner> {
     let (mut magic, mut owner) = ([0; MAGIC.len()], [0; OWNER_BYTES]);
@@ -274,19 +284,20 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
     file.read_exact_at(&mut bytes, 0).ok()?;
     let is_ours = match read_owner(&file) {
         Some(owner) => owner.is_same_file(spool),
-        // Files of earlier releases do not name their spool. Only the spool knows their random name.
+        // Files of earlier releases do not contain the identity of their spool. But only their spool contains their random
+        // name, so that the file belongs to this spool.
         None => bytes.starts_with(MAGIC_WITHOUT_OWNER),
     };
     if !is_ours {
         return None;
     }
-    let (runs, sent) = bytes.split_at(SENT_OFFSET);
-    let (head, records) = runs.split_at(RECORD_BYTES);
-    let number = |bytes: &[u8], at: usize| {
-        bytes[at..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes)).unwrap_or_default()
+    let (header_and_runs, sent_batches) = bytes.split_at(SENT_OFFSET);
+    let (header, records) = header_and_runs.split_at(RECORD_BYTES);
+    let number = |bytes: &[u8], offset: usize| {
+        bytes[offset..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes)).unwrap_or_default()
     };
-    let time = |bytes: &[u8], at: usize| WallTime::from_unix_nanos(number(bytes, at).cast_signed());
-    let sent = sent.chunks_exact(SENT_RECORD_BYTES).map(|sent| SentUnspooled {
+    let time = |bytes: &[u8], offset: usize| WallTime::from_unix_nanos(number(bytes, offset).cast_signed());
+    let sent = sent_batches.chunks_exact(SENT_RECORD_BYTES).map(|sent| SentUnspooled {
         process: number(sent, 0),
         number: number(sent, 8),
         batched: number(sent, 16),
@@ -294,23 +305,24 @@ pub(crate) fn read(name: &str, spool: &CountOwner) -> Option<CountedEvents> {
         events: number(sent, 32),
     });
     let sent = sent.filter(|sent| sent.number > 0).collect();
-    let mut counted = CountedEvents { total: number(head, 8), last: time(head, 16), sent, runs: Vec::new() };
+    let mut counted_events =
+        CountedEvents { total: number(header, 8), last: time(header, 16), sent, runs: Vec::new() };
     for record in records.chunks_exact(RECORD_BYTES) {
-        let (all, last, events) = (number(record, 0), time(record, 8), number(record, 16));
+        let (total, last, events) = (number(record, 0), time(record, 8), number(record, 16));
         // A record without events is free.
         if events == 0 {
             continue;
         }
         // The largest total is the newest one (see `CountFile::count`).
-        if all >= counted.total {
-            (counted.total, counted.last) = (all, last);
+        if total >= counted_events.total {
+            (counted_events.total, counted_events.last) = (total, last);
         }
         let run = record[NUMBERS_BYTES..].first_chunk().map(|id| RunId::from_bytes(*id))?;
         let name = record[NAME_OFFSET + 1..].get(..record[NAME_OFFSET].into());
         let pipeline = name.and_then(|name| std::str::from_utf8(name).ok()?.parse().ok());
-        counted.runs.push(CountedRun { run, pipeline, events, last });
+        counted_events.runs.push(CountedRun { run, pipeline, events, last });
     }
-    Some(counted)
+    Some(counted_events)
 }
 
 /// Removes the file of this name in shared memory.

@@ -90,7 +90,7 @@ impl EventQueue {
         let Some(event) = self.send_to_tap(Event::Iteration(iteration)) else { return };
         let Some(queue_sender) = &self.outbox else { return };
         queue_sender.count(Some(pipeline), Some(run));
-        // Checking the capacity and sending are two steps. Between them each other thread may use one reserved place;
+        // Checking the capacity and sending are two steps. Between these steps each other thread may use one reserved place;
         // there are more reserved places than threads.
         let has_capacity = queue_sender.queue.capacity() > RESERVED_CAPACITY;
         if !has_capacity || queue_sender.queue.try_send(event).is_err() {
@@ -122,7 +122,7 @@ impl EventQueue {
 }
 
 impl QueueSender {
-    /// Counts an event. Called before the event is queued, because from then on a kill of the process can lose it.
+    /// Counts an event. Called before the event is queued, because a kill of the process can lose a queued event.
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         self.counter.count(pipeline, run, self.overflow.clock.wall());
     }

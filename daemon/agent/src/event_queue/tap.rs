@@ -10,24 +10,24 @@ use tokio::sync::mpsc;
 #[derive(Clone, Debug)]
 pub(crate) struct EventTap {
     listener: mpsc::Sender<Event>,
-    missed: Arc<AtomicU64>,
+    missed_events: Arc<AtomicU64>,
 }
 
 impl EventTap {
     pub(crate) fn new(listener: mpsc::Sender<Event>) -> Self {
-        Self { listener, missed: Arc::default() }
+        Self { listener, missed_events: Arc::default() }
     }
 
     /// Sends an event, or counts it as missed if the channel is full.
     pub(super) fn offer(&self, event: Event) {
         if self.listener.try_send(event).is_err() {
-            self.missed.fetch_add(1, Ordering::Relaxed);
+            self.missed_events.fetch_add(1, Ordering::Relaxed);
         }
     }
 
     /// Returns the number of events that did not fit into the channel.
-    pub(crate) fn missed(&self) -> u64 {
-        self.missed.load(Ordering::Relaxed)
+    pub(crate) fn missed_events(&self) -> u64 {
+        self.missed_events.load(Ordering::Relaxed)
     }
 }
 
@@ -55,9 +55,9 @@ mod tests {
         let (first, second) = (ended(), ended());
         event_queue.push_event(None, first.clone());
         event_queue.push_event(None, second.clone());
-        assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(first), 1));
+        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(first), 1));
         event_queue.push_event(None, second.clone());
-        assert_eq!((listener.try_recv().ok(), tap.missed()), (Some(second), 1));
+        assert_eq!((listener.try_recv().ok(), tap.missed_events()), (Some(second), 1));
     }
 
     #[test]

@@ -8,8 +8,9 @@ use super::claim::{Claim, GROWTH_PPM, SourceReport};
 
 /// Reference id of a chronyd that follows only its own clock (`local`).
 const LOCAL: &str = "7F7F0101";
-/// Smallest rate at which chrony widens its own bound (`maxclockerror`), parts per million.
-const MAX_CLOCK_ERROR_PPM: f64 = 1.0;
+/// Default of chrony's option `maxclockerror`, parts per million. chrony widens its bound at this rate in addition to the
+/// measured rates.
+const DEFAULT_MAX_CLOCK_ERROR_PPM: f64 = 1.0;
 
 /// Reason why a line is not an output of `chronyc -c tracking`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -26,15 +27,16 @@ pub(super) struct Tracking {
     reference: String,
     stratum: u32,
     /// Time of chrony's latest measurement, as printed.
-    pub(super) measured: String,
-    /// Error of the clock by chrony's estimate: its reading minus true time.
+    pub(super) measured_at: String,
+    /// Error of the clock by chrony's estimate: the reading of the clock minus true time.
     error: Span,
-    /// Bound of the error of that estimate.
+    /// Largest error of this estimate.
     bound: Span,
     /// Rate at which the bound grows, parts per million.
     growth_ppm: f64,
-    synchronised: bool,
-    local: bool,
+    is_synchronised: bool,
+    /// `true` if chronyd follows only its own clock.
+    is_local: bool,
 }
 
 impl Tracking {
@@ -42,8 +44,22 @@ impl Tracking {
     /// residual frequency, skew, root delay, root dispersion, update interval, leap status (chronyc(1), `tracking`).
     pub(super) fn parse(line: &str) -> Result<Self, TrackingError> {
         let fields: Vec<&str> = line.trim().split(',').collect();
-        let [id, name, stratum, measured, system_time, _, _, _, residual, skew, delay, dispersion, _, leap] =
-            fields[..]
+        let [
+            id,
+            name,
+            stratum,
+            measured_at,
+            system_time,
+            _,
+            _,
+            _,
+            residual,
+            skew,
+            delay,
+            dispersion,
+            _,
+            leap,
+        ] = fields[..]
         else {
             return Err(TrackingError::FieldCount(fields.len()));
         };
@@ -57,13 +73,13 @@ impl Tracking {
         Ok(Self {
             reference: if name.is_empty() { id } else { name }.to_owned(),
             stratum: stratum.parse().map_err(|_| invalid("stratum", stratum))?,
-            measured: measured.to_owned(),
+            measured_at: measured_at.to_owned(),
             // Positive means "slow of NTP time": the clock's reading is less than true time.
             error: -Span::from_seconds_f64(number("system time", system_time)?),
             bound: Span::from_seconds_f64(dispersion.abs() + delay.abs() / 2.0),
-            growth_ppm: (growth + MAX_CLOCK_ERROR_PPM).max(GROWTH_PPM),
-            synchronised: leap != "Not synchronised",
-            local: id == LOCAL,
+            growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(GROWTH_PPM),
+            is_synchronised: leap != "Not synchronised",
+            is_local: id == LOCAL,
         })
     }
 
@@ -73,7 +89,7 @@ impl Tracking {
     /// first term is known, and chrony slews the clock towards zero. Therefore the interval spans from the estimate to
     /// zero, extended by the other two terms at both ends.
     pub(super) fn to_report(&self, at: MonoTime) -> SourceReport {
-        let claim = (self.synchronised && !self.local).then(|| Claim {
+        let claim = (self.is_synchronised && !self.is_local).then(|| Claim {
             at,
             error: Interval {
                 lo: self.error.min(Span::ZERO) - self.bound,
@@ -82,8 +98,8 @@ impl Tracking {
             growth_ppm: self.growth_ppm,
         });
         let text = match self {
-            Self { synchronised: false, .. } => "chrony, not synchronised".to_owned(),
-            Self { local: true, .. } => "chrony, local reference only".to_owned(),
+            Self { is_synchronised: false, .. } => "chrony, not synchronised".to_owned(),
+            Self { is_local: true, .. } => "chrony, local reference only".to_owned(),
             Self { stratum, reference, .. } => format!("chrony, stratum {stratum}, to {reference}"),
         };
         SourceReport { source: DelaySource::Chrony, claim, text }
@@ -95,37 +111,48 @@ pub(super) fn report_without_claim(reason: &impl fmt::Display) -> SourceReport {
     SourceReport { source: DelaySource::Chrony, claim: None, text: format!("chrony, {reason}") }
 }
 
-/// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until its
-/// next one.
+/// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until it
+/// measures again.
 #[derive(Debug, Default)]
 pub(super) struct CurrentAnswers {
     epoch: u32,
-    /// `None` if answers are current. After a step `Some` with the time of the last measurement before it, which is `None`
-    /// until the first answer after the step.
-    outdated: Option<Option<String>>,
+    state: AnswerState,
+}
+
+/// State of chrony's answers after the last step of the clock.
+#[derive(Debug, Default)]
+enum AnswerState {
+    /// The answers are current.
+    #[default]
+    Current,
+    /// chrony has not answered since the step.
+    Stepped,
+    /// chrony still repeats the measurement of this time, which it made before the step.
+    Repeating(String),
 }
 
 impl CurrentAnswers {
-    /// Accepts answers in `epoch` of the clock.
+    /// Creates a state in which answers are current as long as the clock's epoch is `epoch`.
     pub(super) const fn new(epoch: u32) -> Self {
-        Self { epoch, outdated: None }
+        Self { epoch, state: AnswerState::Current }
     }
 
-    /// Returns whether `tracking`, which was read in `epoch` at the latest, was measured since the last step.
+    /// Returns whether `tracking` was measured after the last step of the clock. `epoch` is the epoch of the clock, read
+    /// after `tracking`.
     pub(super) fn accepts(&mut self, tracking: &Tracking, epoch: u32) -> bool {
         if self.epoch != epoch {
             self.epoch = epoch;
-            self.outdated = Some(None);
+            self.state = AnswerState::Stepped;
         }
-        match &self.outdated {
-            None => true,
-            Some(Some(measured)) if *measured != tracking.measured => {
-                self.outdated = None;
+        match &self.state {
+            AnswerState::Current => true,
+            AnswerState::Repeating(measured_at) if *measured_at != tracking.measured_at => {
+                self.state = AnswerState::Current;
                 true
             }
-            Some(Some(_)) => false,
-            Some(None) => {
-                self.outdated = Some(Some(tracking.measured.clone()));
+            AnswerState::Repeating(_) => false,
+            AnswerState::Stepped => {
+                self.state = AnswerState::Repeating(tracking.measured_at.clone());
                 false
             }
         }
@@ -141,15 +168,15 @@ mod tests {
     const OWN_CLOCK: &str = "7F7F0101,,10,1795179451.641823310,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,0.000000000,0.000000000,0.0,Normal\n";
     const NOT_SYNCHRONISED: &str = "00000000,,0,0.000000000,0.000000000,0.000000000,0.000000000,0.000,0.000,0.000,1.000000000,1.000000000,0.0,Not synchronised\n";
 
-    fn answer(line: &str) -> SourceReport {
+    fn report(line: &str) -> SourceReport {
         Tracking::parse(line).expect("chronyc printed it").to_report(MonoTime::from_nanos(0))
     }
 
     #[test]
     fn slow_clock_has_negative_error() {
-        let answer = answer(BIASED);
-        assert_eq!(answer.text, "chrony, stratum 11, to 127.0.0.1");
-        let claim = answer.claim.expect("chrony was synchronised");
+        let report = report(BIASED);
+        assert_eq!(report.text, "chrony, stratum 11, to 127.0.0.1");
+        let claim = report.claim.expect("chrony was synchronised");
         let bound = Span::from_nanos(7896 + 5846 / 2);
         assert_eq!(claim.error, Interval { lo: Span::from_nanos(-49_999_367) - bound, hi: bound });
         assert!((claim.growth_ppm - GROWTH_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
@@ -158,17 +185,17 @@ mod tests {
     #[test]
     fn fast_clock_has_positive_error_that_grows_with_skew() {
         let line = "50505300,PPS,1,1795179452.5,-0.002,0,0,0,-4.0,30.0,0.001,0.0005,16.0,Normal";
-        let claim = answer(line).claim.expect("chrony was synchronised");
+        let claim = report(line).claim.expect("chrony was synchronised");
         assert_eq!(claim.error, Interval { lo: Span::from_millis(-1), hi: Span::from_millis(3) });
         assert!((claim.growth_ppm - 35.0).abs() < 1e-9, "{}", claim.growth_ppm);
     }
 
     #[test]
     fn unsynchronised_chrony_claims_nothing() {
-        for (line, why) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "local reference")] {
-            let answer = answer(line);
-            assert_eq!(answer.claim, None);
-            assert!(answer.text.contains(why), "{}", answer.text);
+        for (line, text) in [(NOT_SYNCHRONISED, "not synchronised"), (OWN_CLOCK, "local reference")] {
+            let report = report(line);
+            assert_eq!(report.claim, None);
+            assert!(report.text.contains(text), "{}", report.text);
         }
     }
 
@@ -184,7 +211,7 @@ mod tests {
     #[test]
     fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
-        let after = Tracking { measured: "1795179453.193074185".to_owned(), ..before.clone() };
+        let after = Tracking { measured_at: "1795179453.193074185".to_owned(), ..before.clone() };
         let mut current_answers = CurrentAnswers::new(0);
         assert!(current_answers.accepts(&before, 0));
         assert!(!current_answers.accepts(&before, 1), "the clock was stepped");

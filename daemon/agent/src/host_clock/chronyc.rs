@@ -12,9 +12,9 @@ use super::chrony::{CurrentAnswers, Tracking, TrackingError, report_without_clai
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
-/// Longest time that `chronyc` may take. Its own timeout, if chronyd does not answer, is longer.
+/// Longest time that `chronyc` may take. If chronyd does not answer, `chronyc` itself would wait longer.
 pub(super) const CHRONYC_TIMEOUT: Duration = Duration::from_secs(2);
-/// Largest number of bytes of its output that are read; a line has about 150.
+/// Largest number of bytes of the output of `chronyc` that are read. A line has about 150 bytes.
 const MAX_OUTPUT: u64 = 4096;
 
 /// Reason why chrony cannot be queried.
@@ -55,7 +55,7 @@ impl Chronyc {
 
     /// Queries chrony; `None` if it is not installed on this host.
     pub(super) async fn query(&mut self) -> Option<SourceReport> {
-        match self.track().await {
+        match self.query_tracking().await {
             Ok(answer) => Some(answer),
             Err(ChronycError::Run { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
                 if !self.has_logged_absence {
@@ -71,31 +71,31 @@ impl Chronyc {
         }
     }
 
-    async fn track(&mut self) -> Result<SourceReport, ChronycError> {
-        let at = self.clock.mono();
+    async fn query_tracking(&mut self) -> Result<SourceReport, ChronycError> {
+        let queried_at = self.clock.mono();
         let command = || self.command.clone();
-        let printed = tokio::time::timeout(CHRONYC_TIMEOUT, self.print()).await;
-        let (status, output, errors) = printed
+        let result = tokio::time::timeout(CHRONYC_TIMEOUT, self.run_command()).await;
+        let (status, output, errors) = result
             .map_err(|_| ChronycError::Timeout)?
             .map_err(|source| ChronycError::Run { command: command(), source })?;
         if !status.success() {
-            let printed = [errors, output].into_iter().find(|line| !line.is_empty());
-            return Err(match printed {
-                Some(printed) => ChronycError::Printed(printed),
+            let message = [errors, output].into_iter().find(|line| !line.is_empty());
+            return Err(match message {
+                Some(message) => ChronycError::Printed(message),
                 None => ChronycError::Failed { command: command(), status },
             });
         }
         let tracking = Tracking::parse(&output);
         let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
         if self.current_answers.accepts(&tracking, self.clock.wall_epoch()) {
-            Ok(tracking.to_report(at))
+            Ok(tracking.to_report(queried_at))
         } else {
             Err(ChronycError::Outdated)
         }
     }
 
     /// Runs `chronyc`. Returns its exit status and the first lines of its output and its errors.
-    async fn print(&self) -> io::Result<(ExitStatus, String, String)> {
+    async fn run_command(&self) -> io::Result<(ExitStatus, String, String)> {
         let mut child = Command::new(&self.command)
             .args(&self.arguments)
             .args(["-n", "-c", "tracking"])
@@ -111,7 +111,7 @@ impl Chronyc {
     }
 }
 
-/// Returns the first line of a pipe, which is read to its end.
+/// Reads a pipe up to its end, or up to [`MAX_OUTPUT`] bytes. Returns the first line.
 async fn first_line(pipe: Option<impl AsyncRead + Unpin>) -> io::Result<String> {
     let mut bytes = Vec::new();
     if let Some(pipe) = pipe {

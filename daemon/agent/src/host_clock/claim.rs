@@ -29,7 +29,7 @@ pub(super) struct Claim {
 
 impl Claim {
     /// Returns the interval at a later time.
-    pub(super) fn at(&self, now: MonoTime) -> Interval {
+    pub(super) fn error_at(&self, now: MonoTime) -> Interval {
         let age = now - self.at;
         let growth = Span::from_nanos((age.nanos().max(0) as f64 * self.growth_ppm * 1e-6).ceil() as i64);
         Interval { lo: self.error.lo - growth, hi: self.error.hi + growth }
@@ -48,34 +48,34 @@ pub(super) struct ClaimSummary {
     pub(super) is_contradictory: bool,
 }
 
-/// Combines reports into the summary that holds at `until`, the time at which the next summary replaces it.
+/// Combines reports into a summary that holds until `until`, the time at which the next summary replaces it.
 pub(super) fn combine(reports: &[SourceReport], until: MonoTime) -> ClaimSummary {
     let claims: Vec<(&SourceReport, Interval)> =
-        reports.iter().filter_map(|report| Some((report, report.claim?.at(until)))).collect();
-    let words = |reports: &mut dyn Iterator<Item = &SourceReport>| {
+        reports.iter().filter_map(|report| Some((report, report.claim?.error_at(until)))).collect();
+    let join_texts = |reports: &mut dyn Iterator<Item = &SourceReport>| {
         reports.map(|report| report.text.as_str()).collect::<Vec<_>>().join("; ")
     };
-    let narrowest = claims.iter().min_by_key(|(_, error)| error.width());
-    let common = claims.iter().map(|(_, error)| Some(*error));
-    let common = common.reduce(|a, b| a?.intersection(b?));
-    let (Some((narrowest, _)), Some(common)) = (narrowest, common) else {
+    let narrowest_claim = claims.iter().min_by_key(|(_, error)| error.width());
+    let intersection = claims.iter().map(|(_, error)| Some(*error));
+    let intersection = intersection.reduce(|a, b| a?.intersection(b?));
+    let (Some((narrowest_claim, _)), Some(intersection)) = (narrowest_claim, intersection) else {
         let text = match reports {
             [] => "no source of claims is configured".to_owned(),
-            reports => words(&mut reports.iter()),
+            reports => join_texts(&mut reports.iter()),
         };
         return ClaimSummary { text, ..ClaimSummary::default() };
     };
-    let Some(error) = common else {
-        let each: Vec<String> = claims
+    let Some(error) = intersection else {
+        let descriptions: Vec<String> = claims
             .iter()
             .map(|(report, error)| format!("{}: error {} to {}", report.text, error.lo, error.hi))
             .collect();
-        let text = format!("claims contradict each other, none is used ({})", each.join("; "));
+        let text = format!("claims contradict each other, none is used ({})", descriptions.join("; "));
         return ClaimSummary { discipline: None, text, is_contradictory: true };
     };
     ClaimSummary {
-        discipline: Some(Discipline { source: narrowest.source, error }),
-        text: words(&mut claims.iter().map(|(report, _)| *report)),
+        discipline: Some(Discipline { source: narrowest_claim.source, error }),
+        text: join_texts(&mut claims.iter().map(|(report, _)| *report)),
         is_contradictory: false,
     }
 }
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn claim_widens_with_age() {
         let claim = report(DelaySource::Kernel, Some((-1, 1))).claim.expect("it was given one");
-        let later = claim.at(MonoTime::from_nanos(10_000_000_000));
+        let later = claim.error_at(MonoTime::from_nanos(10_000_000_000));
         let expected = Span::from_micros(1000 + 150);
         assert_eq!(later, Interval { lo: -expected, hi: expected });
     }

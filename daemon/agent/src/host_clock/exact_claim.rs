@@ -5,12 +5,13 @@ use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTi
 /// Half the width of the claim.
 const BOUND: Span = Span::from_micros(1);
 
-/// Returns a claim that contains the clock's error at `truth`. Unless the clock is stepped, it also contains the error at
-/// any time from `around` before to `around` after, because messages that were stamped before the claim use it, too.
-pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, around: Span) -> Discipline {
-    let now = description.wall_error_at(truth);
-    let drift = Span::from_nanos((around.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
-    let error = Interval { lo: now - drift - BOUND, hi: now + drift + BOUND };
+/// Returns a claim that contains the clock's error at `truth`. Unless the clock is stepped, the claim also contains the
+/// error at any time within `reach` before or after `truth`, because it is also used for messages that were stamped
+/// before it.
+pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, reach: Span) -> Discipline {
+    let current_error = description.wall_error_at(truth);
+    let drift = Span::from_nanos((reach.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);
+    let error = Interval { lo: current_error - drift - BOUND, hi: current_error + drift + BOUND };
     Discipline { source: DelaySource::Kernel, error }
 }
 
@@ -28,17 +29,17 @@ mod tests {
             steps: vec![ClockFaultStep::wall_step(Span::from_seconds(20), Span::from_seconds(3))],
             since: WallTime::from_unix_nanos(1_700_000_000_000_000_000),
         };
-        let around = Span::from_seconds(2);
+        let reach = Span::from_seconds(2);
         for seconds in [0, 10, 19, 21, 100_000] {
             let truth = description.since + Span::from_seconds(seconds);
-            let claim = exact_claim(&description, truth, around).error;
+            let claim = exact_claim(&description, truth, reach).error;
             assert!(claim.width() <= Span::from_micros(202), "{claim:?}");
             let (stepped_ahead, stepped_before) = (seconds == 19, seconds == 21);
-            for moment in [truth - around, truth, truth + around] {
+            for moment in [truth - reach, truth, truth + reach] {
                 let error = description.wall_error_at(moment);
-                let within = claim.lo <= error && error <= claim.hi;
-                let across = (stepped_ahead && moment > truth) || (stepped_before && moment < truth);
-                assert!(within || across, "{seconds}: {error} in {claim:?}");
+                let is_inside = claim.lo <= error && error <= claim.hi;
+                let is_across_step = (stepped_ahead && moment > truth) || (stepped_before && moment < truth);
+                assert!(is_inside || is_across_step, "{seconds}: {error} in {claim:?}");
             }
         }
     }

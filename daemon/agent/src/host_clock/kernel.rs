@@ -30,17 +30,17 @@ fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
 
 /// Returns the bound of the error, and the state as a text.
 fn error_bound(state: Timex) -> (Option<Span>, String) {
-    let Timex { synchronised, max_error_us, estimated_error_us } = state;
-    if !synchronised {
+    let Timex { is_synchronised, max_error_us, estimated_error_us } = state;
+    if !is_synchronised {
         return (None, "kernel, not synchronised".to_owned());
     }
-    // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. A `maxerror` that consists of the kernel's own
-    // growth only means that the daemon states no error.
+    // chrony, ntpd and ntpd-rs set both `maxerror` and `esterror`. If `maxerror` consists of the kernel's own growth only,
+    // the daemon states no error.
     if max_error_us % KERNEL_GROWTH_US != 0 {
         return (Some(Span::from_micros(max_error_us)), "kernel, synchronised".to_owned());
     }
     if estimated_error_us == 0 {
-        // systemd-timesyncd sets both to zero, whether the error is microseconds or tens of milliseconds.
+        // systemd-timesyncd sets both fields to zero, whether the error is microseconds or tens of milliseconds.
         return (None, "kernel, synchronised by a daemon that states no error".to_owned());
     }
     // phc2sys sets only `maxerror` to zero, at each update, once a second or more often.
@@ -52,8 +52,12 @@ fn error_bound(state: Timex) -> (Option<Span>, String) {
 mod tests {
     use super::*;
 
-    fn judged(synchronised: bool, max_error_us: i64, estimated_error_us: i64) -> (Option<Span>, String) {
-        let state = Timex { synchronised, max_error_us, estimated_error_us };
+    fn bound_and_text(
+        is_synchronised: bool,
+        max_error_us: i64,
+        estimated_error_us: i64,
+    ) -> (Option<Span>, String) {
+        let state = Timex { is_synchronised, max_error_us, estimated_error_us };
         let answer = report_from(Ok(state), MonoTime::from_nanos(0));
         (answer.claim.map(|claim| claim.error.hi), answer.text)
     }
@@ -61,27 +65,30 @@ mod tests {
     #[test]
     fn stated_bound_of_daemon_is_used() {
         assert_eq!(
-            judged(true, 27_503, 311),
+            bound_and_text(true, 27_503, 311),
             (Some(Span::from_micros(27_503)), "kernel, synchronised".to_owned())
         );
     }
 
     #[test]
     fn unsynchronised_kernel_claims_nothing() {
-        assert_eq!(judged(false, 16_000_000, 16_000_000), (None, "kernel, not synchronised".to_owned()));
+        assert_eq!(
+            bound_and_text(false, 16_000_000, 16_000_000),
+            (None, "kernel, not synchronised".to_owned())
+        );
     }
 
     #[test]
-    fn growth_without_daemons_estimate_is_no_bound() {
-        let (bound, text) = judged(true, 123_000, 0);
+    fn growth_without_estimate_is_no_bound() {
+        let (bound, text) = bound_and_text(true, 123_000, 0);
         assert_eq!(bound, None);
         assert!(text.contains("states no error"), "{text}");
     }
 
     #[test]
-    fn ptp_clock_is_believed_within_one_second_of_growth() {
-        assert_eq!(judged(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
-        assert_eq!(judged(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
+    fn ptp_clock_has_bound_of_one_second_of_growth() {
+        assert_eq!(bound_and_text(true, 0, 16_000_000).0, Some(Span::from_micros(500)));
+        assert_eq!(bound_and_text(true, 1000, 16_000_000).0, Some(Span::from_micros(1000)));
     }
 
     #[test]

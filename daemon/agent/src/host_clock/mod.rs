@@ -90,7 +90,7 @@ pub(crate) async fn run(
     let clocksource = Clocksource::from_sysfs(Path::new(InspectionSettings::SYSFS));
     let vmclock = Vmclock::open_all(Path::new("/dev"));
     let mut monitor = HostClockMonitor::new(config.max_drift_ppm, clock.clone(), clocksource, vmclock);
-    let checking = async {
+    let check_loop = async {
         let mut ticks = interval(CHECK_INTERVAL);
         let mut checks = 0_u32;
         loop {
@@ -98,52 +98,52 @@ pub(crate) async fn run(
             monitor.check(&incidents);
             checks = checks.wrapping_add(1);
             let (wall_epoch, raw) = (clock.wall_epoch(), raw_clock(&clock, monitor.clocksource().to_owned()));
-            publish.send_if_modified(|known| {
-                let is_disturbed = known.epoch != wall_epoch
-                    || known.raw.as_ref().is_none_or(|known| known.epoch != raw.epoch);
+            publish.send_if_modified(|published| {
+                let is_disturbed = published.epoch != wall_epoch
+                    || published.raw.as_ref().is_none_or(|published| published.epoch != raw.epoch);
                 if is_disturbed {
-                    known.epoch = wall_epoch;
-                    known.discipline = None;
-                    "not queried since the clock was disturbed".clone_into(&mut known.text);
+                    published.epoch = wall_epoch;
+                    published.discipline = None;
+                    "not queried since the clock was disturbed".clone_into(&mut published.text);
                 }
-                let between = if known.discipline.is_some() {
+                let checks_between = if published.discipline.is_some() {
                     CHECKS_BETWEEN_CLAIMS
                 } else {
                     CHECKS_BETWEEN_ANNOUNCEMENTS
                 };
-                let is_due = checks.is_multiple_of(between);
-                known.raw = Some(raw);
+                let is_due = checks.is_multiple_of(checks_between);
+                published.raw = Some(raw);
                 is_disturbed || is_due
             });
         }
     };
-    let querying = async {
-        let truth = Arc::new(SystemClock::new(clock.identity().clone()));
-        let mut sources = ClaimSources::new(&config, faults.as_ref(), clock.clone(), truth);
+    let query_loop = async {
+        let true_clock = Arc::new(SystemClock::new(clock.identity().clone()));
+        let mut sources = ClaimSources::new(&config, faults.as_ref(), clock.clone(), true_clock);
         let mut ticks = interval(sources.interval());
         loop {
             ticks.tick().await;
-            let before = (clock.wall_epoch(), clock.epoch());
+            let epochs = (clock.wall_epoch(), clock.epoch());
             let summary = sources.query().await;
             // An answer from before a step says nothing about the clock after it.
-            if (clock.wall_epoch(), clock.epoch()) == before {
-                publish.send_if_modified(|known| {
-                    let (epoch, raw_epoch) = before;
-                    let new = known.epoch != epoch
-                        || known.discipline != summary.discipline
-                        || known.text != summary.text;
-                    known.epoch = epoch;
-                    known.discipline = summary.discipline;
-                    known.text = summary.text;
-                    if let Some(raw) = &mut known.raw {
+            if (clock.wall_epoch(), clock.epoch()) == epochs {
+                publish.send_if_modified(|published| {
+                    let (epoch, raw_epoch) = epochs;
+                    let is_new = published.epoch != epoch
+                        || published.discipline != summary.discipline
+                        || published.text != summary.text;
+                    published.epoch = epoch;
+                    published.discipline = summary.discipline;
+                    published.text = summary.text;
+                    if let Some(raw) = &mut published.raw {
                         (raw.epoch, raw.wall_ahead) = (raw_epoch, clock.wall_ahead());
                     }
-                    new
+                    is_new
                 });
             }
         }
     };
-    stop.run_until_cancelled(async { tokio::join!(checking, querying) }).await;
+    stop.run_until_cancelled(async { tokio::join!(check_loop, query_loop) }).await;
 }
 
 fn interval(period: Duration) -> tokio::time::Interval {

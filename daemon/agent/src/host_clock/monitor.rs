@@ -21,7 +21,7 @@ pub(super) struct HostClockMonitor {
     watch: ClockWatch,
     max_drift_ppm: f64,
     wall_epoch: u32,
-    slew_reported: Option<MonoTime>,
+    last_slew_report: Option<MonoTime>,
     clocksource: Clocksource,
     /// Name of the clocksource at the last check.
     clocksource_name: String,
@@ -42,7 +42,7 @@ impl HostClockMonitor {
             watch,
             max_drift_ppm,
             wall_epoch,
-            slew_reported: None,
+            last_slew_report: None,
             clocksource,
             clocksource_name,
             vmclock,
@@ -54,13 +54,14 @@ impl HostClockMonitor {
         &self.clocksource_name
     }
 
-    /// Checks all clocks once. Afterwards [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one if the
-    /// wall clock was disturbed, and [`Clock::epoch`](peernet_clock::Clock::epoch) if the free-running clock was.
+    /// Checks all clocks once. If the wall clock was disturbed,
+    /// [`Clock::wall_epoch`](peernet_clock::Clock::wall_epoch) is a new one afterwards. If the free-running clock was
+    /// disturbed, [`Clock::epoch`](peernet_clock::Clock::epoch) is a new one afterwards.
     pub(super) fn check(&mut self, incidents: &Incidents) {
         let readings = self.clock.readings();
         let disturbances = self.watch.compare(readings);
-        // The clock itself begins a new epoch after a step. After a slew or a sleep this does, because earlier claims no
-        // longer hold.
+        // The clock itself begins a new epoch after a step. After a slew or a sleep the new epoch begins here, because
+        // earlier claims no longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }
@@ -70,8 +71,9 @@ impl HostClockMonitor {
             .then(|| self.clock.last_step())
             .flatten();
         self.wall_epoch = wall_epoch;
-        let all = disturbances.into_iter().chain(small_step.map(Disturbance::Step));
-        let mut texts: Vec<String> = all.filter_map(|odd| self.describe(odd, readings.mono)).collect();
+        let all_disturbances = disturbances.into_iter().chain(small_step.map(Disturbance::Step));
+        let mut texts: Vec<String> =
+            all_disturbances.filter_map(|disturbance| self.describe(disturbance, readings.mono)).collect();
         texts.extend(self.check_clocksource());
         texts.extend(self.check_vmclock());
         for text in texts {
@@ -87,9 +89,9 @@ impl HostClockMonitor {
             return None;
         }
         self.begin_epochs();
-        let before = std::mem::replace(&mut self.clocksource_name, name);
+        let old_name = std::mem::replace(&mut self.clocksource_name, name);
         Some(format!(
-            "this host's clocksource changed from {before} to {}; {RAW_CONSEQUENCE}",
+            "this host's clocksource changed from {old_name} to {}; {RAW_CONSEQUENCE}",
             self.clocksource_name
         ))
     }
@@ -122,9 +124,10 @@ impl HostClockMonitor {
                 ))
             }
             Disturbance::Slew(ppm) => {
-                let due = self.slew_reported.is_none_or(|reported| now - reported >= SLEW_REPORT_INTERVAL);
-                due.then(|| {
-                    self.slew_reported = Some(now);
+                let is_due =
+                    self.last_slew_report.is_none_or(|reported_at| now - reported_at >= SLEW_REPORT_INTERVAL);
+                is_due.then(|| {
+                    self.last_slew_report = Some(now);
                     let direction = if ppm < 0.0 { "slower" } else { "faster" };
                     format!(
                         "this host's wall clock runs {:.0} ppm {direction} than usual against its free-running clock, more than \
@@ -134,8 +137,8 @@ impl HostClockMonitor {
                     )
                 })
             }
-            Disturbance::Suspend(slept) => {
-                Some(format!("this host slept for {:.3} s; {RAW_CONSEQUENCE}", slept.seconds()))
+            Disturbance::Suspend(duration) => {
+                Some(format!("this host slept for {:.3} s; {RAW_CONSEQUENCE}", duration.seconds()))
             }
         }
     }
@@ -172,9 +175,9 @@ mod tests {
             let since = WallTime::from_unix_nanos(1_700_000_000_000_000_000);
             let identity = ClockIdentity::new("boot", "clock");
             let manual = Arc::new(ManualClock::new(since, identity.clone()));
-            let drifts = ClockFaults { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
+            let faults = ClockFaults { offset: Span::ZERO, drift_ppm, steps: Vec::new(), since };
             let inner = Arc::clone(&manual) as SharedClock;
-            let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, drifts));
+            let clock: SharedClock = Arc::new(FaultyClock::new(inner, identity, faults));
             let (listener, events) = mpsc::channel(100);
             let event_queue = EventQueue::discarding().with_tap(Some(EventTap::new(listener)));
             let incidents = Incidents::new(Arc::clone(&clock), event_queue);
@@ -187,7 +190,7 @@ mod tests {
             Self { manual, clock, monitor, incidents, events, sys, vmclock }
         }
 
-        /// Checks ten times a second.
+        /// Checks the clocks ten times a second for `seconds` seconds.
         fn check_for(&mut self, seconds: usize) {
             for _ in 0..seconds * 10 {
                 self.manual.advance(Span::from_millis(100));
@@ -195,7 +198,7 @@ mod tests {
             }
         }
 
-        fn reported(&mut self) -> Vec<String> {
+        fn take_reported_texts(&mut self) -> Vec<String> {
             let mut texts = Vec::new();
             while let Ok(Event::Incident(incident)) = self.events.try_recv() {
                 assert_eq!(incident.kind, IncidentKind::ClockStep);
@@ -209,18 +212,18 @@ mod tests {
     fn step_is_reported_with_direction_and_size() {
         let mut testbed = ClockTestbed::new(40.0);
         testbed.check_for(1);
-        assert!(testbed.reported().is_empty());
+        assert!(testbed.take_reported_texts().is_empty());
         for (by, words) in [
             (Span::from_seconds(3), "forward by 3.000 s"),
             (Span::from_millis(-250), "back by 0.250 s"),
             (Span::from_micros(30), "forward by 0.030 ms"),
         ] {
-            let before = testbed.clock.wall_epoch();
+            let old_epoch = testbed.clock.wall_epoch();
             testbed.manual.step_wall(by);
             testbed.check_for(1);
-            let reported = testbed.reported();
+            let reported = testbed.take_reported_texts();
             assert!(matches!(&reported[..], [text] if text.contains(words)), "{words}: {reported:?}");
-            assert_eq!(testbed.clock.wall_epoch(), before + 1, "one step, one epoch");
+            assert_eq!(testbed.clock.wall_epoch(), old_epoch + 1, "one step, one epoch");
         }
     }
 
@@ -228,25 +231,25 @@ mod tests {
     fn drift_within_limit_is_not_reported() {
         let mut testbed = ClockTestbed::new(40.0);
         testbed.check_for(60);
-        assert_eq!((testbed.reported().len(), testbed.clock.wall_epoch()), (0, 0));
+        assert_eq!((testbed.take_reported_texts().len(), testbed.clock.wall_epoch()), (0, 0));
     }
 
     #[test]
-    fn slew_begins_epochs_and_is_reported_once_a_minute() {
+    fn slew_begins_epochs_with_one_report_per_minute() {
         let mut testbed = ClockTestbed::new(0.0);
-        let slewed = |testbed: &mut ClockTestbed, seconds: i64| {
+        let slew_for = |testbed: &mut ClockTestbed, seconds: i64| {
             for _ in 0..seconds * 10 {
                 testbed.manual.slew_wall(Span::from_micros(-25));
                 testbed.manual.advance(Span::from_millis(100));
                 testbed.monitor.check(&testbed.incidents);
             }
         };
-        slewed(&mut testbed, 50);
-        let reported = testbed.reported();
+        slew_for(&mut testbed, 50);
+        let reported = testbed.take_reported_texts();
         assert!(matches!(&reported[..], [text] if text.contains("ppm slower than usual")), "{reported:?}");
         assert!(testbed.clock.wall_epoch() > 5, "{}", testbed.clock.wall_epoch());
-        slewed(&mut testbed, 60);
-        assert_eq!(testbed.reported().len(), 1);
+        slew_for(&mut testbed, 60);
+        assert_eq!(testbed.take_reported_texts().len(), 1);
         assert_eq!(testbed.clock.epoch(), 0, "the free-running clock was not interrupted");
     }
 
@@ -255,7 +258,7 @@ mod tests {
         let mut testbed = ClockTestbed::new(0.0);
         testbed.manual.sleep(Span::from_seconds(7));
         testbed.check_for(1);
-        let reported = testbed.reported();
+        let reported = testbed.take_reported_texts();
         assert!(matches!(&reported[..], [text] if text.contains("slept for 7.000 s")), "{reported:?}");
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (1, 1));
 
@@ -263,19 +266,19 @@ mod tests {
         std::fs::create_dir_all(file.parent().expect("it has one")).expect("made");
         std::fs::write(&file, "hpet\n").expect("written");
         testbed.check_for(1);
-        let reported = testbed.reported();
+        let reported = testbed.take_reported_texts();
         assert!(matches!(&reported[..], [text] if text.contains("changed from  to hpet")), "{reported:?}");
         assert_eq!((testbed.clock.epoch(), testbed.clock.wall_epoch()), (2, 2));
     }
 
     #[test]
-    fn disruption_by_hypervisor_begins_new_epoch_of_both_clocks() {
+    fn hypervisor_disruption_begins_epoch_of_both_clocks() {
         let mut testbed = ClockTestbed::new(0.0);
         testbed.check_for(1);
-        assert!(testbed.reported().is_empty());
+        assert!(testbed.take_reported_texts().is_empty());
         disrupt(&testbed.vmclock, 0, 8);
         testbed.check_for(1);
-        let reported = testbed.reported();
+        let reported = testbed.take_reported_texts();
         assert!(
             matches!(&reported[..], [text] if text.contains("reports that the hypervisor disrupted") && text.contains("vmclock0")),
             "{reported:?}"

@@ -18,7 +18,7 @@ const EXACT_INTERVAL: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub(super) struct ClaimSources {
     clock: SharedClock,
-    truth: SharedClock,
+    true_clock: SharedClock,
     period: Duration,
     claims: Claims,
     is_contradictory: bool,
@@ -35,12 +35,12 @@ enum Claims {
 }
 
 impl ClaimSources {
-    /// Creates the configured sources. `truth` is the clock without injected faults.
+    /// Creates the configured sources. `true_clock` is the clock without injected faults.
     pub(super) fn new(
         config: &ClockConfig,
         faults: Option<&ClockFaultConfig>,
         clock: SharedClock,
-        truth: SharedClock,
+        true_clock: SharedClock,
     ) -> Self {
         let mut period = config.discipline_interval();
         let is_configured = |source| config.discipline.contains(&source);
@@ -55,27 +55,26 @@ impl ClaimSources {
                 chronyc: is_configured(DisciplineSource::Chrony).then(|| Chronyc::new(config, clock.clone())),
             },
         };
-        Self { clock, truth, period, claims, is_contradictory: false }
+        Self { clock, true_clock, period, claims, is_contradictory: false }
     }
 
-    /// Returns the interval at which to query.
+    /// Returns the interval at which the sources have to be queried.
     pub(super) const fn interval(&self) -> Duration {
         self.period
     }
 
-    /// Queries all sources. The summary holds until the next one is announced.
+    /// Queries all sources. The returned summary holds until the next summary is announced.
     pub(super) async fn query(&mut self) -> ClaimSummary {
-        let ahead = Span::from(self.period + CLAIM_MARGIN);
+        let validity = Span::from(self.period + CLAIM_MARGIN);
         let summary = match &mut self.claims {
             Claims::None => ClaimSummary {
                 text: "clock fault injection, claims nothing".to_owned(),
                 ..ClaimSummary::default()
             },
             Claims::Exact => ClaimSummary {
-                discipline: self
-                    .clock
-                    .injected_faults()
-                    .map(|description| exact_claim::exact_claim(description, self.truth.wall(), ahead)),
+                discipline: self.clock.injected_faults().map(|description| {
+                    exact_claim::exact_claim(description, self.true_clock.wall(), validity)
+                }),
                 text: "clock fault injection, claims its error exactly".to_owned(),
                 is_contradictory: false,
             },
@@ -88,7 +87,7 @@ impl ClaimSources {
                 if *kernel {
                     reports.push(kernel::query(now));
                 }
-                combine(&reports, now + ahead)
+                combine(&reports, now + validity)
             }
         };
         if summary.is_contradictory && !self.is_contradictory {

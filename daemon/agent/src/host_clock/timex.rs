@@ -7,7 +7,7 @@ use std::mem::MaybeUninit;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Timex {
     /// `true` if a daemon keeps the clock synchronised (`STA_UNSYNC` is not set).
-    pub(super) synchronised: bool,
+    pub(super) is_synchronised: bool,
     /// `maxerror` in microseconds.
     pub(super) max_error_us: i64,
     /// `esterror` in microseconds.
@@ -17,8 +17,8 @@ pub(super) struct Timex {
 /// Reads the state of the kernel's clock. Needs no privilege.
 pub(super) fn read() -> io::Result<Timex> {
     #[expect(unsafe_code, reason = "libc's adjtimex has no safe wrapper")]
-    // SAFETY: `timex` consists of integers, for which all bits zero is a valid value; the pointer is to a complete
-    // one on our stack. So `modes` is zero, with which the call changes nothing and fills in the structure.
+    // SAFETY: `timex` consists of integers, for which all bits zero is a valid value. The pointer is to a complete
+    // structure on our stack. Its field `modes` is zero, so that the call only fills in the structure and changes nothing.
     let (state, timex) = unsafe {
         let mut timex = MaybeUninit::<libc::timex>::zeroed();
         let state = libc::adjtimex(timex.as_mut_ptr());
@@ -28,7 +28,7 @@ pub(super) fn read() -> io::Result<Timex> {
         return Err(io::Error::last_os_error());
     }
     Ok(Timex {
-        synchronised: timex.status & libc::STA_UNSYNC == 0 && state != libc::TIME_ERROR,
+        is_synchronised: timex.status & libc::STA_UNSYNC == 0 && state != libc::TIME_ERROR,
         #[allow(clippy::useless_conversion, reason = "the fields are narrower on 32-bit machines")]
         max_error_us: i64::from(timex.maxerror),
         #[allow(clippy::useless_conversion, reason = "the fields are narrower on 32-bit machines")]

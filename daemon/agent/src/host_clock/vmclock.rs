@@ -11,7 +11,7 @@ const VERSION: u16 = 1;
 /// Length in bytes of the structure up to the end of the marker: magic, size (32 bits each), version (16), two bytes
 /// about the counter, sequence count (32), marker (64).
 const BYTES: usize = 24;
-/// Number of attempts to read a structure that is being changed. If all fail, it is read at the next check.
+/// Number of attempts to read a structure that is being changed. If all fail, the structure is read at the next check.
 const ATTEMPTS: u32 = 8;
 
 /// The devices, and their markers at the last check.
@@ -29,11 +29,12 @@ struct Device {
 }
 
 impl Vmclock {
-    /// Opens the devices `vmclock*` in a folder, such as `/dev`. A device that cannot be read is logged. Most hosts have
-    /// none.
+    /// Opens the devices `vmclock*` in a folder, such as `/dev`. A device that cannot be read is logged. Most hosts have no
+    /// such device.
     pub(crate) fn open_all(dev: &Path) -> Self {
         let entries = std::fs::read_dir(dev).into_iter().flatten().flatten();
-        let named = entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("vmclock"));
+        let device_entries =
+            entries.filter(|entry| entry.file_name().to_string_lossy().starts_with("vmclock"));
         let open = |path: PathBuf| match File::open(&path) {
             Ok(file) => Some(Device { path, file, marker: None }),
             Err(error) => {
@@ -45,7 +46,8 @@ impl Vmclock {
                 None
             }
         };
-        let mut vmclock = Self { devices: named.map(|entry| entry.path()).filter_map(open).collect() };
+        let mut vmclock =
+            Self { devices: device_entries.map(|entry| entry.path()).filter_map(open).collect() };
         // The markers at the start are the baseline.
         let _ = vmclock.find_disrupted_device();
         vmclock
@@ -58,8 +60,8 @@ impl Vmclock {
         for device in &mut self.devices {
             match read(&device.file) {
                 Ok(Some(marker)) => {
-                    let before = device.marker.replace(marker);
-                    if before.is_some_and(|before| before != marker) {
+                    let previous = device.marker.replace(marker);
+                    if previous.is_some_and(|previous| previous != marker) {
                         disrupted = Some(device.path.as_path());
                     }
                 }
@@ -74,18 +76,18 @@ impl Vmclock {
 
 /// Reads the marker; `None` while the structure is being changed.
 ///
-/// The sequence count is odd during a change, and different after it.
+/// The sequence count is odd during a change of the structure, and has another value after the change.
 // Linux copies the structure consistently for a reader. The count is checked nevertheless, for other providers of the
 // file.
 fn read(file: &File) -> io::Result<Option<u64>> {
-    let mut before = read_structure(file)?;
+    let mut previous = read_structure(file)?;
     for _ in 0..ATTEMPTS {
-        let after = read_structure(file)?;
-        if before == after && sequence(&after).is_multiple_of(2) {
-            let [.., a, b, c, d, e, f, g, h] = after;
+        let current = read_structure(file)?;
+        if previous == current && sequence(&current).is_multiple_of(2) {
+            let [.., a, b, c, d, e, f, g, h] = current;
             return Ok(Some(u64::from_le_bytes([a, b, c, d, e, f, g, h])));
         }
-        before = after;
+        previous = current;
     }
     Ok(None)
 }

@@ -11,26 +11,26 @@ const MAX_TRANSIT: Span = Span::from_seconds(1);
 pub(super) struct AnnouncedClock {
     clock: PeerClock,
     /// Time of the announcement, by this host's free-running clock.
-    at: RawTime,
+    announced_at: RawTime,
     /// `true` if the free-running clock is related, `false` if the wall clock is.
     is_free_running: bool,
     /// Latest known epoch of the related clock.
     epoch: u32,
-    /// `true` if the announced claims were made before this epoch.
-    outdated: bool,
+    /// `true` if the announced claims were made before the latest known epoch.
+    is_outdated: bool,
 }
 
 impl AnnouncedClock {
     pub(super) fn new(clock: PeerClock, is_free_running: bool, at: RawTime) -> Self {
         let epoch = epoch_of(&clock, is_free_running).unwrap_or(0);
-        Self { clock, at, is_free_running, epoch, outdated: false }
+        Self { clock, announced_at: at, is_free_running, epoch, is_outdated: false }
     }
 
     /// Handles an announcement. Returns the epoch of the related clock if it is new.
     pub(super) fn announce(&mut self, clock: PeerClock, at: RawTime) -> Option<u32> {
         let epoch = epoch_of(&clock, self.is_free_running);
-        (self.clock, self.at) = (clock, at);
-        self.outdated = epoch.is_some_and(|announced| announced < self.epoch);
+        (self.clock, self.announced_at) = (clock, at);
+        self.is_outdated = epoch.is_some_and(|announced| announced < self.epoch);
         epoch.filter(|announced| *announced > self.epoch)
     }
 
@@ -40,7 +40,7 @@ impl AnnouncedClock {
         let is_new = epoch > self.epoch;
         if is_new {
             self.epoch = epoch;
-            self.outdated =
+            self.is_outdated =
                 epoch_of(&self.clock, self.is_free_running).is_none_or(|announced| announced < epoch);
         }
         is_new
@@ -67,15 +67,18 @@ impl AnnouncedClock {
     /// The daemon's claim is about the wall clock. The announcement contains the difference of the wall clock and the
     /// free-running clock. Since then the free-running clock may have drifted from true time by the drift limit.
     pub(super) fn claim(&self, now: RawTime, max_drift_ppm: f64) -> Option<Discipline> {
-        let claim = self.clock.discipline.filter(|_| !self.outdated)?;
+        let claim = self.clock.discipline.filter(|_| !self.is_outdated)?;
         if !self.is_free_running {
             return Some(claim);
         }
-        let ahead = self.clock.raw.as_ref()?.wall_ahead;
-        let age = (now - self.at).max(Span::ZERO) + MAX_TRANSIT;
+        let wall_ahead = self.clock.raw.as_ref()?.wall_ahead;
+        let age = (now - self.announced_at).max(Span::ZERO) + MAX_TRANSIT;
         let drift = Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
         let Interval { lo, hi } = claim.error;
-        Some(Discipline { error: Interval { lo: lo - ahead.hi - drift, hi: hi - ahead.lo + drift }, ..claim })
+        Some(Discipline {
+            error: Interval { lo: lo - wall_ahead.hi - drift, hi: hi - wall_ahead.lo + drift },
+            ..claim
+        })
     }
 }
 
@@ -105,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn claim_about_wall_clock_becomes_wider_one_about_free_running_clock() {
+    fn claim_widens_when_related_to_free_running_clock() {
         let at = RawTime::from_nanos(0);
         let announced = AnnouncedClock::new(claiming(0), true, at);
         let claim = announced.claim(at + Span::from_seconds(9), 100.0).expect("it has one");
@@ -116,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn claim_made_before_interruption_is_void_until_next_one() {
+    fn claim_from_before_interruption_is_void() {
         let at = RawTime::from_nanos(0);
         let mut announced = AnnouncedClock::new(claiming(0), true, at);
         assert!(announced.begin_epoch(1) && !announced.begin_epoch(1));

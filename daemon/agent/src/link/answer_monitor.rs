@@ -1,4 +1,4 @@
-//! Decides whether the probes of a link are shown as answered, and with which reason if not. No I/O.
+//! Decides whether the probes of a link are shown as answered, and determines the shown reason if they are not. No I/O.
 
 use peernet_clock::{LogThrottle, MonoTime};
 use peernet_logger::Slug;
@@ -14,7 +14,7 @@ const UNANSWERED_AFTER: u32 = 3;
 /// Reason that is shown when answers come too late.
 const LATE_ANSWERS: &str = "answers arrive more than 2 s after their probes, which count as lost";
 
-/// Decides from the results of probes to one reflector whether they are shown as answered.
+/// Decides from the results of the probes to one reflector whether the probes are shown as answered.
 #[derive(Debug)]
 pub(super) struct AnswerMonitor {
     /// Name of the cloud, for the log.
@@ -24,15 +24,15 @@ pub(super) struct AnswerMonitor {
     /// Number of probes that were sent and are neither answered nor lost.
     in_flight: u32,
     /// Number of consecutive lost probes.
-    lost: u32,
+    consecutive_losses: u32,
     /// Shown state from the time before the answers stopped.
     answered_state: Option<Probing>,
     /// Reason of the latest refusal since the last accepted answer.
-    refused: Option<&'static str>,
+    refusal_reason: Option<&'static str>,
     /// Number of refusals since the last accepted answer.
     refusals: u32,
-    /// Number of answers that came too late since the last accepted one.
-    late: u32,
+    /// Number of answers that came too late since the last accepted answer.
+    late_answers: u32,
     /// Limits log lines, so that a sender of invalid packets cannot fill the log.
     log: LogThrottle,
 }
@@ -45,11 +45,11 @@ impl AnswerMonitor {
             peer,
             has_key,
             in_flight: 0,
-            lost: 0,
+            consecutive_losses: 0,
             answered_state: None,
-            refused: None,
+            refusal_reason: None,
             refusals: 0,
-            late: 0,
+            late_answers: 0,
             log,
         }
     }
@@ -60,81 +60,82 @@ impl AnswerMonitor {
     }
 
     /// Handles the result of a probe, and updates the shown state.
-    pub(super) fn record(&mut self, result: &ProbeResult, now: MonoTime, shown: &mut Probing) {
+    pub(super) fn record(&mut self, result: &ProbeResult, now: MonoTime, shown_state: &mut Probing) {
         match result {
             ProbeResult::Sent => self.in_flight = self.in_flight.saturating_add(1),
             ProbeResult::Lost => {
                 self.in_flight = self.in_flight.saturating_sub(1);
-                self.lost = self.lost.saturating_add(1);
-                if self.lost >= UNANSWERED_AFTER
-                    && let Probing::On { address, .. } = &*shown
+                self.consecutive_losses = self.consecutive_losses.saturating_add(1);
+                if self.consecutive_losses >= UNANSWERED_AFTER
+                    && let Probing::On { address, .. } = &*shown_state
                 {
-                    let unanswered = self.unanswered(address.clone());
-                    self.answered_state = Some(std::mem::replace(shown, unanswered));
+                    let unanswered_state = self.unanswered_state(address.clone());
+                    self.answered_state = Some(std::mem::replace(shown_state, unanswered_state));
                 }
             }
             ProbeResult::Answered(_) | ProbeResult::Stepped(_) => {
                 self.in_flight = self.in_flight.saturating_sub(1);
-                (self.lost, self.refused, self.refusals, self.late) = (0, None, 0, 0);
-                if let Some(on) = self.answered_state.take() {
-                    *shown = on;
+                (self.consecutive_losses, self.refusal_reason, self.refusals, self.late_answers) =
+                    (0, None, 0, 0);
+                if let Some(answered_state) = self.answered_state.take() {
+                    *shown_state = answered_state;
                 }
             }
-            ProbeResult::Refused(why) => {
+            ProbeResult::Refused(reason) => {
                 self.refusals = self.refusals.saturating_add(1);
-                self.refused = Some(why);
-                if let Some(times) = self.log.count(why, None, now) {
+                self.refusal_reason = Some(reason);
+                if let Some(times) = self.log.count(reason, None, now) {
                     tracing::warn!(
                         peer = %self.peer, times,
-                        "a reply to a probe was refused: {why} (logged at most once a minute, with the count)"
+                        "a reply to a probe was refused: {reason} (logged at most once a minute, with the count)"
                     );
                 }
-                if let Probing::Unanswered { address, .. } = &*shown {
-                    *shown = self.unanswered(address.clone());
+                if let Probing::Unanswered { address, .. } = &*shown_state {
+                    *shown_state = self.unanswered_state(address.clone());
                 }
             }
             ProbeResult::Late => {
-                self.late = self.late.saturating_add(1);
-                if let Probing::Unanswered { address, .. } = &*shown {
-                    *shown = self.unanswered(address.clone());
+                self.late_answers = self.late_answers.saturating_add(1);
+                if let Probing::Unanswered { address, .. } = &*shown_state {
+                    *shown_state = self.unanswered_state(address.clone());
                 }
             }
             ProbeResult::Refined(_) => {}
         }
     }
 
-    fn unanswered(&self, address: String) -> Probing {
-        let reason = unanswered_reason(self.has_key, self.refused);
-        if self.refused.is_none() && self.late > 0 {
-            let reason = Some(format!("{LATE_ANSWERS} ({} late)", self.late));
+    fn unanswered_state(&self, address: String) -> Probing {
+        let reason = unanswered_reason(self.has_key, self.refusal_reason);
+        if self.refusal_reason.is_none() && self.late_answers > 0 {
+            let reason = Some(format!("{LATE_ANSWERS} ({} late)", self.late_answers));
             return Probing::Unanswered { address, reason };
         }
-        let counted = |reason| match self.refusals {
+        let with_count = |reason| match self.refusals {
             0 => reason,
             refusals => format!("{reason} ({refusals} refused)"),
         };
-        Probing::Unanswered { address, reason: reason.map(counted) }
+        Probing::Unanswered { address, reason: reason.map(with_count) }
     }
 }
 
 /// Returns the probable reason why probes are not answered, from `has_key` (this end has a configured key) and the
 /// latest refusal. `None` if there is no sign of a reason; the port may be blocked.
-fn unanswered_reason(has_key: bool, refused: Option<&str>) -> Option<String> {
-    match (has_key, refused) {
+fn unanswered_reason(has_key: bool, refusal_reason: Option<&str>) -> Option<String> {
+    match (has_key, refusal_reason) {
         // These answers are authentic if there is a key.
-        (_, Some(why @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
-            "{why}; the address of the data must lead to the same machine over UDP: check forwarded ports and load balancers"
+        (_, Some(reason @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
+            "{reason}; the address of the data must lead to the same machine over UDP: check forwarded ports and load balancers"
         )),
-        (_, Some(why @ (ALTERED_REPLY_TLVS | ALTERED_PROBE_TLVS | NO_ORIGIN))) => {
-            Some(format!("the replies are {why}"))
+        (_, Some(reason @ (ALTERED_REPLY_TLVS | ALTERED_PROBE_TLVS | NO_ORIGIN))) => {
+            Some(format!("the replies are {reason}"))
         }
         (false, None) => None,
         (true, None) => Some("no answer; with [probes] key_file both ends need the same key".to_owned()),
-        (true, Some(why)) => Some(format!(
-            "the replies are {why}; with [probes] key_file both ends need the same key, and the other end seems to have no \
+        (true, Some(reason)) => Some(format!(
+            "the replies are {reason}; with [probes] key_file both ends need the same key, and the other end seems to have no \
              key or another one"
         )),
-        (false, Some(why)) => Some(format!("the replies are refused: {why}")),
+        (false, Some(reason)) => Some(format!("the replies are refused: {reason}")),
     }
 }
 
@@ -143,30 +144,34 @@ mod tests {
     use super::*;
 
     #[test]
-    fn late_answers_are_named_as_reason_and_not_refused() {
+    fn late_answers_are_a_reason_without_refusal() {
         let mut monitor = AnswerMonitor::new("cloud".parse().expect("a name"), true);
         let address = "udp://10.0.0.3:862".to_owned();
-        let mut shown = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
+        let mut shown_state = Probing::On { address, rate_hz: 10.0, stamps: "kernel".into() };
         let now = MonoTime::from_nanos(0);
         for _ in 0..UNANSWERED_AFTER {
-            monitor.record(&ProbeResult::Sent, now, &mut shown);
-            monitor.record(&ProbeResult::Lost, now, &mut shown);
+            monitor.record(&ProbeResult::Sent, now, &mut shown_state);
+            monitor.record(&ProbeResult::Lost, now, &mut shown_state);
         }
-        monitor.record(&ProbeResult::Late, now, &mut shown);
-        let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
+        monitor.record(&ProbeResult::Late, now, &mut shown_state);
+        let Probing::Unanswered { reason: Some(reason), .. } = &shown_state else {
+            panic!("{shown_state:?}")
+        };
         assert!(reason.contains("(1 late)") && !reason.contains("refused"), "{reason}");
-        monitor.record(&ProbeResult::Refused(NOT_PEERNET), now, &mut shown);
-        let Probing::Unanswered { reason: Some(reason), .. } = &shown else { panic!("{shown:?}") };
+        monitor.record(&ProbeResult::Refused(NOT_PEERNET), now, &mut shown_state);
+        let Probing::Unanswered { reason: Some(reason), .. } = &shown_state else {
+            panic!("{shown_state:?}")
+        };
         assert!(reason.contains(NOT_PEERNET), "{reason}");
     }
 
     #[test]
-    fn key_is_named_where_it_may_be_the_reason() {
+    fn key_is_named_as_possible_reason() {
         assert_eq!(unanswered_reason(false, None), None);
-        for refused in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
-            let reason = unanswered_reason(true, refused).expect("something is known");
+        for refusal_reason in [None, Some("not authenticated by the key"), Some("shorter than a reply")] {
+            let reason = unanswered_reason(true, refusal_reason).expect("something is known");
             assert!(reason.contains("both ends need the same key"), "{reason}");
-            assert!(refused.is_none_or(|refused| reason.contains(refused)), "{reason}");
+            assert!(refusal_reason.is_none_or(|refusal_reason| reason.contains(refusal_reason)), "{reason}");
         }
         for another in [WRONG_PROCESS, NOT_PEERNET, ALTERED_REPLY_TLVS, ALTERED_PROBE_TLVS, NO_ORIGIN] {
             let reason = unanswered_reason(true, Some(another)).expect("something is known");

@@ -47,7 +47,7 @@ pub(super) struct ClockStateChanges {
     /// `true` if the cloud's wall clock was stepped or slewed; no delay depends on it.
     pub(super) is_cloud_wall_set: bool,
     pub(super) jump: Option<SuspectedJump>,
-    pub(super) excess: Option<ExcessSkew>,
+    pub(super) excess_skew: Option<ExcessSkew>,
     pub(super) lost_proof: Option<LostProof>,
 }
 
@@ -114,17 +114,18 @@ impl LinkClockState {
         &mut self,
         network: &NetworkName,
         observation: &ExchangeObservation,
-        [there, back]: [MessageDelay; 2],
+        [up_message, down_message]: [MessageDelay; 2],
         now: Stamp,
     ) -> ([OneWayDelay; 2], ClockStateChanges) {
         let mut changes = self.advance_second(now);
         let JudgedExchange { learned, up, down } =
             self.update_relation(epochs_of(observation), |relation| relation.judge(observation));
         // The stored raw value is the difference of the wall clocks, also if other clocks are related.
-        let (up, down) = (OneWayDelay { raw: there.raw, ..up }, OneWayDelay { raw: back.raw, ..down });
+        let (up, down) =
+            (OneWayDelay { raw: up_message.raw, ..up }, OneWayDelay { raw: down_message.raw, ..down });
         self.handle_learn_result(learned, observation, now, &mut changes);
-        self.second.add_delay(network, Direction::Up, &up, there.bits);
-        self.second.add_delay(network, Direction::Down, &down, back.bits);
+        self.second.add_delay(network, Direction::Up, &up, up_message.bits);
+        self.second.add_delay(network, Direction::Down, &down, down_message.bits);
         ([up, down], changes)
     }
 
@@ -157,15 +158,19 @@ impl LinkClockState {
         let is_down_current =
             |down: &Crossing| is_current(&down.sender, &self.cloud) && is_current(&down.receiver, &self.edge);
         if let Some(down) = down.filter(|down| is_up_current && is_down_current(down)) {
-            let [there, back] = self.relation.reception_differences(up.times(), down.times());
-            return [Some(up.with_raw_difference(there)), Some(down.with_raw_difference(back))];
+            let [up_difference, down_difference] =
+                self.relation.reception_differences(up.times(), down.times());
+            return [
+                Some(up.with_raw_difference(up_difference)),
+                Some(down.with_raw_difference(down_difference)),
+            ];
         }
         let judge = |crossing: &Crossing, is_current: bool, direction| {
             let (sent, received) = crossing.times();
             if is_current {
                 crossing.with_raw_difference(self.relation.reception_difference(direction, sent, received))
             } else {
-                crossing.stepped()
+                crossing.stepped_delay()
             }
         };
         [
@@ -199,12 +204,12 @@ impl LinkClockState {
                 // A step of this host's clock is between its stamps, so the relation learns only the step.
                 self.update_relation((*epoch, None), |relation| relation.restart_after_edge_step(*epoch));
             }
-            // The exchange was counted as answered before.
+            // The probe was counted as answered before.
             ProbeResult::Refined(observation) => {
                 self.learn(observation, now, &mut changes);
             }
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // It was counted as lost before.
+            // The probe was counted as lost before.
             ProbeResult::Late => {}
         }
         changes
@@ -222,10 +227,10 @@ impl LinkClockState {
     }
 
     /// Handles the loss of the proof that both processes read one clock.
-    pub(super) fn handle_lost_proof(&mut self, why: NotProven, now: RawTime) -> ClockStateChanges {
+    pub(super) fn handle_lost_proof(&mut self, reason: NotProven, now: RawTime) -> ClockStateChanges {
         self.reject_same_clock();
         ClockStateChanges {
-            lost_proof: self.reports.report_lost_proof(why, now),
+            lost_proof: self.reports.report_lost_proof(reason, now),
             ..ClockStateChanges::default()
         }
     }
@@ -245,14 +250,14 @@ impl LinkClockState {
 
     /// Handles an announcement of the cloud about its clocks.
     pub(super) fn handle_cloud_announcement(&mut self, clock: PeerClock, now: RawTime) -> ClockStateChanges {
-        let before = self.cloud.wall_epoch();
+        let old_epoch = self.cloud.wall_epoch();
         if let Some(epoch) = self.cloud.announce(clock, now) {
             self.update_relation((0, Some(epoch)), |relation| relation.restart_after_cloud_step(epoch));
         }
         self.update_disciplines(now);
         let is_free_running = self.relation.settings().clocks == RelatedClocks::Raw;
         ClockStateChanges {
-            is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > before,
+            is_cloud_wall_set: is_free_running && self.cloud.wall_epoch() > old_epoch,
             ..ClockStateChanges::default()
         }
     }
@@ -285,8 +290,8 @@ impl LinkClockState {
     /// Returns the sample of a network's previous second if it is available, otherwise the sample of the current second so far.
     pub(super) fn latest_sample(&self, network: &NetworkName, now: Stamp) -> ClockSample {
         let previous = self.second.end() - Span::from_seconds(1);
-        let current = now.wall.unix_seconds() == self.second.at;
-        let last = self.window.last_second(network).filter(|last| current && last.at == previous);
+        let is_current = now.wall.unix_seconds() == self.second.at;
+        let last = self.window.last_second(network).filter(|last| is_current && last.at == previous);
         // After a step the new offset must not appear in the window that precedes the step.
         let offset = || self.relation.offset(now.raw, now.wall).filter(|_| !self.window.is_void());
         last.cloned().unwrap_or_else(|| self.sample(network, now, offset()))
@@ -316,15 +321,15 @@ impl LinkClockState {
         (edge, cloud): (u32, Option<u32>),
         update: impl FnOnce(&mut Relation) -> T,
     ) -> T {
-        let before = self.relation.counts().restarts;
+        let restarts_before = self.relation.counts().restarts;
         let result = update(&mut self.relation);
-        let edge_new = self.edge.begin_epoch(edge);
-        let cloud_new = self.cloud.begin_epoch(cloud.unwrap_or(0));
-        let restarted = self.relation.counts().restarts > before;
-        if restarted {
+        let has_new_edge_epoch = self.edge.begin_epoch(edge);
+        let has_new_cloud_epoch = self.cloud.begin_epoch(cloud.unwrap_or(0));
+        let is_restarted = self.relation.counts().restarts > restarts_before;
+        if is_restarted {
             self.window.make_void();
         }
-        self.reports.record_steps(restarted, (edge_new, cloud_new));
+        self.reports.record_steps(is_restarted, (has_new_edge_epoch, has_new_cloud_epoch));
         result
     }
 
@@ -340,22 +345,22 @@ impl LinkClockState {
         match learned {
             LearnResult::Refused(_) => return,
             LearnResult::Accepted => {}
-            LearnResult::Restarted(moved) => {
-                let limit = |doubt| match doubt {
+            LearnResult::Restarted(movement) => {
+                let limit = |violation| match violation {
                     ViolatedLimit::Drift => settings.max_drift_ppm,
                     ViolatedLimit::DriftChange => settings.max_drift_change_ppm_per_s,
                 };
-                let doubt = self.relation.violated_limit().map(|doubt| (doubt, limit(doubt)));
-                changes.restart = self.reports.report_restart(moved, doubt).or(changes.restart.take());
+                let violation = self.relation.violated_limit().map(|violation| (violation, limit(violation)));
+                changes.restart = self.reports.report_restart(movement, violation).or(changes.restart.take());
             }
-            LearnResult::Jumped(moved) => {
-                let jump = self.reports.report_jump(moved, observation.exchange.returned);
+            LearnResult::Jumped(movement) => {
+                let jump = self.reports.report_jump(movement, observation.exchange.returned);
                 changes.jump = jump.or(changes.jump.take());
             }
         }
         let proven = self.relation.excess_skew();
-        let excess = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
-        changes.excess = self.reports.report_excess_skew(excess).or(changes.excess.take());
+        let excess_skew = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
+        changes.excess_skew = self.reports.report_excess_skew(excess_skew).or(changes.excess_skew.take());
         self.second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }
 
@@ -384,7 +389,7 @@ impl LinkClockState {
             let sample = |network| self.sample(network, at, offset.cloned());
             let samples: Vec<ClockSample> = networks.into_iter().map(sample).collect();
             changes.samples.extend_from_slice(&samples);
-            // For live updates, which show the last complete second.
+            // Live updates show the last complete second.
             self.window.set_last_second(samples);
         }
         self.networks.close_second();
@@ -436,8 +441,8 @@ impl LinkClockState {
 
 /// Returns the edge's clocks at the wall-clock time `at`, shortly before `now`.
 fn edge_time(now: Stamp, at: WallTime) -> Stamp {
-    let since = (now.wall - at).max(Span::ZERO).min(MAX_OVERDUE);
-    Stamp { wall: at, raw: now.raw - since, ..now }
+    let elapsed = (now.wall - at).max(Span::ZERO).min(MAX_OVERDUE);
+    Stamp { wall: at, raw: now.raw - elapsed, ..now }
 }
 
 /// Returns the epochs of edge and cloud in an exchange. An exchange may arrive before the announcement of a new epoch.

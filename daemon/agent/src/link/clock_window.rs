@@ -11,13 +11,13 @@ pub(super) struct ClockWindow {
     /// `true` if the relation was restarted. The next window starts when the current second is closed.
     is_void: bool,
     /// Samples of the last closed second, one for each network in use; empty if the window is void.
-    last: Vec<ClockSample>,
+    last_samples: Vec<ClockSample>,
 }
 
 impl ClockWindow {
     /// Creates a window without seconds.
     pub(super) fn new() -> Self {
-        Self { id: Uuid::new_v4().as_u64_pair().0, is_void: false, last: Vec::new() }
+        Self { id: Uuid::new_v4().as_u64_pair().0, is_void: false, last_samples: Vec::new() }
     }
 
     /// Returns the random id of the window.
@@ -33,18 +33,18 @@ impl ClockWindow {
     /// Makes the window void. Its last second is not shown any more.
     pub(super) fn make_void(&mut self) {
         self.is_void = true;
-        self.last.clear();
+        self.last_samples.clear();
     }
 
     /// Sets the samples of the last closed second, one for each network in use.
     pub(super) fn set_last_second(&mut self, samples: Vec<ClockSample>) {
         if !self.is_void {
-            self.last = samples;
+            self.last_samples = samples;
         }
     }
 
     /// Returns the sample of the last second over a network.
     pub(super) fn last_second(&self, network: &NetworkName) -> Option<&ClockSample> {
-        self.last.iter().find(|last| last.network == *network)
+        self.last_samples.iter().find(|sample| sample.network == *network)
     }
 }

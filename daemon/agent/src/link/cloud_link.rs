@@ -53,7 +53,7 @@ pub(crate) struct CloudLink {
 pub(super) struct LinkedCloud {
     pub(super) id: HostId,
     pub(super) name: Slug,
-    /// Identity of its clock.
+    /// Identity of the cloud's clock.
     pub(super) clock: ClockIdentity,
     /// Kind of the clocks that the relation relates.
     pub(super) clocks: RelatedClocks,
@@ -70,8 +70,9 @@ impl CloudLink {
             LinkClockState::new((accepted.host, accepted.name.clone()), relation, announcements, now);
         // The announcement of the latest interruption may not have arrived yet.
         clock_state.begin_epoch_of_edge(clock.epoch());
-        let named = shared.probes.reflectors.get(&accepted.name);
-        let reflector = named.map(|address| NamedReflector::new(address.clone(), shared.relation));
+        let reflector_address = shared.probes.reflectors.get(&accepted.name);
+        let reflector =
+            reflector_address.map(|address| NamedReflector::new(address.clone(), shared.relation));
         let link = Self {
             shared: Arc::clone(shared),
             cloud: LinkedCloud {
@@ -197,25 +198,25 @@ impl CloudLink {
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
-        let before = *self.same_clock.borrow();
+        let was_proven = *self.same_clock.borrow() == Some(true);
         let mut changes = ClockStateChanges::default();
         match proof {
             Ok(()) => {
                 lock(&self.clock_state).confirm_same_clock();
-                if before != Some(true) {
+                if !was_proven {
                     tracing::info!(peer = %self.cloud.name, "both processes read the same clock; delays are exact");
                 }
             }
-            Err(why) if before == Some(true) => {
-                tracing::debug!(peer = %self.cloud.name, "delays are estimated from now on: {why}");
-                changes = lock(&self.clock_state).handle_lost_proof(why, now.raw);
+            Err(reason) if was_proven => {
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated from now on: {reason}");
+                changes = lock(&self.clock_state).handle_lost_proof(reason, now.raw);
             }
-            Err(why) => {
+            Err(reason) => {
                 lock(&self.clock_state).reject_same_clock();
-                tracing::debug!(peer = %self.cloud.name, "delays are estimated: {why}");
+                tracing::debug!(peer = %self.cloud.name, "delays are estimated: {reason}");
             }
         }
-        // Sent after the clock state was updated, because a receiver may have a delay judged at once.
+        // The result is sent after the clock state was updated, because a receiver may have a delay judged at once.
         self.same_clock.send_replace(Some(is_proven));
         self.adjust_pace(now.mono);
         self.report(changes);
@@ -224,8 +225,8 @@ impl CloudLink {
     /// Waits until it is known whether both processes read one clock, at most [`FIRST_PROOF_TIMEOUT`].
     pub(crate) async fn wait_for_first_proof(&self) {
         let mut same_clock = self.same_clock.subscribe();
-        let first = same_clock.wait_for(Option::is_some);
-        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, first).await.is_err() {
+        let first_result = same_clock.wait_for(Option::is_some);
+        if tokio::time::timeout(FIRST_PROOF_TIMEOUT, first_result).await.is_err() {
             tracing::debug!(peer = %self.cloud.name, "no answer yet whether both processes read the same clock");
         }
     }
@@ -270,7 +271,7 @@ impl CloudLink {
 
     /// Returns the live state: a link for each network in use.
     pub(super) fn live(&self) -> Vec<LinkLive> {
-        // Cloned, so that sessions need not wait to join while statistics are read.
+        // The list is cloned, so that sessions can join while the statistics are read.
         let sessions = self.sessions.borrow().clone();
         let mut networks: BTreeMap<NetworkName, Vec<Slug>> = BTreeMap::new();
         for session in &sessions {
@@ -284,7 +285,8 @@ impl CloudLink {
         let connections = lock(&self.connections).read_for(&sessions, clock.mono());
         let now = clock.stamp();
         let rate_hz = self.pace.rate_hz();
-        let reflector = self.reflector.as_ref().map(|it| it.live(rate_hz, now, clock.wall_ahead()));
+        let reflector =
+            self.reflector.as_ref().map(|reflector| reflector.live(rate_hz, now, clock.wall_ahead()));
         let clock_state = lock(&self.clock_state);
         let (edge, cloud) = clock_state.describe_clocks();
         let link = |(network, mut pipelines): (NetworkName, Vec<Slug>)| {
@@ -324,8 +326,8 @@ impl CloudLink {
             changes.restart.map(|restart| restart_text(restart, edge, cloud)),
             changes.jump.map(|jump| jump_text(jump, edge, cloud)),
             changes.is_cloud_wall_set.then(|| wall_set_text(cloud)),
-            changes.excess.map(|excess| excess_text(excess, edge, cloud)),
-            changes.lost_proof.map(|lost| lost_proof_text(&lost, edge, cloud)),
+            changes.excess_skew.map(|excess_skew| excess_text(excess_skew, edge, cloud)),
+            changes.lost_proof.map(|lost_proof| lost_proof_text(&lost_proof, edge, cloud)),
         ];
         for text in texts.into_iter().flatten() {
             let subject = IncidentSubject { peer: Some(self.cloud.id), ..IncidentSubject::default() };
@@ -346,8 +348,8 @@ fn raw_difference(tree: &Tree, transit: NodeId) -> Option<Span> {
 /// clock.
 fn transport(log: &Recorder, up: NodeId, down: NodeId, arrived: Stamp) -> Option<Span> {
     let tree = log.tree();
-    let waited = log.offset(arrived.mono) - tree.get(up)?.start;
+    let waiting_time = log.offset(arrived.mono) - tree.get(up)?.start;
     // The starts of the cloud's nodes count from the arrival of the message. A negative result means that the cloud's
     // times are wrong.
-    Some(waited - tree.get(down)?.start).filter(|span| !span.is_negative())
+    Some(waiting_time - tree.get(down)?.start).filter(|span| !span.is_negative())
 }

@@ -1,6 +1,6 @@
 //! The open connections of a link, for live updates.
 //!
-//! The outbox's thread reads them once a second, in less than 30 µs each. No sample waits for it. All counts are totals
+//! The outbox's thread reads the connections once a second, in less than 30 µs each. No sample waits for that. All counts are totals
 //! since the connection was opened; readers compute rates.
 
 use std::collections::BTreeMap;
@@ -11,10 +11,10 @@ use peernet_stream::{Connection, NetworkInterface};
 
 use super::shared::Session;
 
-/// Age at which statistics are read again. Each reading asks the kernel, and live updates are more frequent.
+/// Age at which statistics are read again. Each reading queries the kernel, and live updates are more frequent.
 const MAX_AGE: Span = Span::from_seconds(1);
 
-/// Connections as they were last read.
+/// Connections of a link, with the statistics that were last read.
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     read_at: Option<MonoTime>,

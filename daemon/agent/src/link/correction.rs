@@ -5,8 +5,8 @@ use peernet_logger::{Measure, Name, NodeId, Rate, Tree, stage};
 
 /// Sets the delay of a transit that has arrived, and adds the throughput that follows from it.
 pub(crate) fn correct(tree: &mut Tree, transit: NodeId, direction: Direction, delay: OneWayDelay) {
-    let Some(Measure::Transit(found)) = tree.measure_mut(transit) else { return };
-    found.delay = Some(delay);
+    let Some(Measure::Transit(transit_measure)) = tree.measure_mut(transit) else { return };
+    transit_measure.delay = Some(delay);
     let start = tree.get(transit).map(|node| node.start).unwrap_or_default();
     if let Some(bits) = bits(tree, direction) {
         let throughput = match direction {
@@ -37,10 +37,10 @@ fn value(tree: &Tree, name: &Name) -> Option<f64> {
 fn rate(bits: f64, delay: &OneWayDelay) -> Rate {
     // A delay of zero, which a coarse clock can show, gives no rate; a lower bound of zero gives an infinite upper
     // bound of the rate.
-    let over = |seconds: f64| if seconds > 0.0 { bits / seconds } else { f64::INFINITY };
+    let rate_over = |seconds: f64| if seconds > 0.0 { bits / seconds } else { f64::INFINITY };
     Rate {
-        value: delay.value.map(|delay| over(delay.seconds())).filter(|rate| rate.is_finite()),
-        bounds: delay.bounds.map(|bounds| (over(bounds.hi.seconds()), over(bounds.lo.seconds()))),
+        value: delay.value.map(|delay| rate_over(delay.seconds())).filter(|rate| rate.is_finite()),
+        bounds: delay.bounds.map(|bounds| (rate_over(bounds.hi.seconds()), rate_over(bounds.lo.seconds()))),
     }
 }
 
@@ -76,12 +76,12 @@ mod tests {
         let (mut tree, up, down) = exchange();
         correct(&mut tree, up, Direction::Up, OneWayDelay::same_clock(UP));
         correct(&mut tree, down, Direction::Down, OneWayDelay::same_clock(Span::from_millis(1)));
-        let found = |name| tree.find(&[name]).map(|(_, node)| &node.measure);
-        assert_eq!(found("upload").and_then(Measure::value), Some(0.002));
-        assert_eq!(found("download").and_then(Measure::value), Some(0.001));
-        let Some(Measure::Throughput(rate)) = found("upload-throughput") else { panic!("{tree:?}") };
+        let measure_of = |name| tree.find(&[name]).map(|(_, node)| &node.measure);
+        assert_eq!(measure_of("upload").and_then(Measure::value), Some(0.002));
+        assert_eq!(measure_of("download").and_then(Measure::value), Some(0.001));
+        let Some(Measure::Throughput(rate)) = measure_of("upload-throughput") else { panic!("{tree:?}") };
         assert_eq!((rate.value, rate.bounds), (Some(4e6), Some((4e6, 4e6))));
-        assert_eq!(found("download-throughput"), None, "no size, no throughput");
+        assert_eq!(measure_of("download-throughput"), None, "no size, no throughput");
     }
 
     #[test]

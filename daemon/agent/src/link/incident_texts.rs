@@ -6,9 +6,9 @@ use peernet_logger::Slug;
 use super::reports::{ExcessSkew, LostProof, Restart, SuspectedJump};
 use crate::incidents::format_step_size;
 
-/// Returns the text of a restart: whose clock was stepped, and by how much.
+/// Returns the text of a restart. It names the host whose clock was stepped and the size of the step.
 pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> String {
-    let whose = match (restart.edge, restart.cloud) {
+    let cause = match (restart.edge, restart.cloud) {
         (true, false) => format!("the clock of {edge} was stepped or slewed"),
         (false, true) => format!("the clock of {cloud} was stepped or slewed"),
         (true, true) => format!("the clocks of {edge} and {cloud} were stepped or slewed"),
@@ -16,30 +16,32 @@ pub(super) fn restart_text(restart: Restart, edge: &Slug, cloud: &Slug) -> Strin
             format!("the clock of {edge} or {cloud} was stepped or slewed, which neither host reported")
         }
     };
-    let moved = restart.moved.map_or_else(String::new, |moved| {
-        // `moved` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock that moved.
+    let movement_text = restart.movement.map_or_else(String::new, |movement| {
+        // `movement` is the change of the cloud's clock minus the change of the edge's clock. The text names the clock that
+        // moved.
         let is_edge = restart.edge && !restart.cloud;
-        let (moved, moved_host, other) = if is_edge { (-moved, edge, cloud) } else { (moved, cloud, edge) };
-        let direction = if moved.is_negative() { "back" } else { "forward" };
-        let size = format_step_size(moved);
-        format!("; the clock of {moved_host} moved {size} {direction} against that of {other}")
+        let (movement, moved_host, other_host) =
+            if is_edge { (-movement, edge, cloud) } else { (movement, cloud, edge) };
+        let direction = if movement.is_negative() { "back" } else { "forward" };
+        let size = format_step_size(movement);
+        format!("; the clock of {moved_host} moved {size} {direction} against that of {other_host}")
     });
-    let consequence = match restart.doubt {
+    let consequence = match restart.violation {
         None => "the clock relation is estimated again".to_owned(),
-        Some((doubt, limit)) => {
-            let seem = match doubt {
+        Some((violation, limit)) => {
+            let seeming_violation = match violation {
                 ViolatedLimit::Drift => "drift apart faster than [clock] max_drift_ppm",
                 ViolatedLimit::DriftChange => {
                     "change their drift faster than [clock] max_drift_change_ppm_per_s"
                 }
             };
             format!(
-                "this happened repeatedly within a minute: the clocks seem to {seem} = {limit}; delays have no value until this \
+                "this happened repeatedly within a minute: the clocks seem to {seeming_violation} = {limit}; delays have no value until this \
                  has stopped"
             )
         }
     };
-    format!("{whose}{moved}; {consequence}")
+    format!("{cause}{movement_text}; {consequence}")
 }
 
 /// Returns the text about a cloud's wall clock that was set or drifted away, on which no delay depends.
@@ -52,27 +54,27 @@ pub(super) fn wall_set_text(cloud: &Slug) -> String {
 
 /// Returns the text of a suspected jump, with both possible causes.
 pub(super) fn jump_text(jump: SuspectedJump, edge: &Slug, cloud: &Slug) -> String {
-    let direction = if jump.moved.is_negative() { "back" } else { "forward" };
-    let size = format_step_size(jump.moved);
-    let others = unreported_text(jump.unreported);
+    let direction = if jump.movement.is_negative() { "back" } else { "forward" };
+    let size = format_step_size(jump.movement);
+    let unreported = unreported_text(jump.unreported);
     format!(
-        "the clock of {cloud} seems to have jumped {size} {direction} against that of {edge}{others}: either the path between \
+        "the clock of {cloud} seems to have jumped {size} {direction} against that of {edge}{unreported}: either the path between \
          them changed, or a clock jumped without a detected step, as when a virtual machine is paused or moved; the intervals \
          of delays allow for both, and are wider until the window is full again"
     )
 }
 
 /// Returns the text of a lost proof that both processes read one clock, with the reason.
-pub(super) fn lost_proof_text(lost: &LostProof, edge: &Slug, cloud: &Slug) -> String {
-    let others = unreported_text(lost.unreported);
+pub(super) fn lost_proof_text(lost_proof: &LostProof, edge: &Slug, cloud: &Slug) -> String {
+    let unreported = unreported_text(lost_proof.unreported);
     format!(
-        "it is no longer proven that the processes of {edge} and {cloud} read the same clock{others}: {}; delays between them \
+        "it is no longer proven that the processes of {edge} and {cloud} read the same clock{unreported}: {}; delays between them \
          are estimated until it is proven again",
-        lost.why
+        lost_proof.reason
     )
 }
 
-/// Returns the text about events that were not reported since the last report.
+/// Returns the text about the number of events that were not reported since the last report.
 fn unreported_text(unreported: u32) -> String {
     match unreported {
         0 => String::new(),
@@ -101,7 +103,7 @@ mod tests {
     #[test]
     fn lost_proof_names_both_hosts_and_reason() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = lost_proof_text(&LostProof { why: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
+        let text = lost_proof_text(&LostProof { reason: NotProven::PeerTime, unreported: 1 }, &edge, &cloud);
         for part in ["the processes of robot and desk", "once more", "a preloaded library", "estimated"] {
             assert!(text.contains(part), "{text}");
         }
@@ -110,8 +112,12 @@ mod tests {
     #[test]
     fn restart_names_host_and_size() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let by =
-            |nanos, edge, cloud| Restart { moved: Some(Span::from_nanos(nanos)), edge, cloud, doubt: None };
+        let by = |nanos, edge, cloud| Restart {
+            movement: Some(Span::from_nanos(nanos)),
+            edge,
+            cloud,
+            violation: None,
+        };
         for (restart, begin, expected) in [
             (
                 by(-3_000_007_000, true, false),
@@ -128,20 +134,21 @@ mod tests {
             let text = restart_text(restart, &edge, &cloud);
             assert!(text.starts_with(begin) && text.contains(expected), "{text}");
         }
-        for (doubt, key) in [
+        for (violation, key) in [
             ((ViolatedLimit::Drift, 50.0), "max_drift_ppm = 50;"),
             ((ViolatedLimit::DriftChange, 1.0), "max_drift_change_ppm_per_s = 1;"),
         ] {
-            let restart = Restart { moved: None, edge: false, cloud: false, doubt: Some(doubt) };
+            let restart = Restart { movement: None, edge: false, cloud: false, violation: Some(violation) };
             let text = restart_text(restart, &edge, &cloud);
             assert!(text.contains("robot or desk") && text.contains(key), "{text}");
         }
     }
 
     #[test]
-    fn jump_names_explanations_and_number_of_unreported_ones() {
+    fn jump_text_names_causes_and_unreported_jumps() {
         let (edge, cloud): (Slug, Slug) = ("robot".parse().expect("a name"), "desk".parse().expect("a name"));
-        let text = jump_text(SuspectedJump { moved: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
+        let text =
+            jump_text(SuspectedJump { movement: Span::from_millis(-39), unreported: 11 }, &edge, &cloud);
         for part in ["desk seems to have jumped 0.039 s back", "11 times more", "path", "clock jumped"] {
             assert!(text.contains(part), "{text}");
         }

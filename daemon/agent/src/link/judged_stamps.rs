@@ -43,11 +43,11 @@ impl Crossing {
 
     /// Returns the delay of a message during whose transit a clock was interrupted. Only the difference of the wall
     /// clocks is known.
-    pub(super) fn stepped(&self) -> OneWayDelay {
+    pub(super) fn stepped_delay(&self) -> OneWayDelay {
         OneWayDelay::stepped(self.receiver.wall - self.sender.wall, peernet_clock::DelaySource::None)
     }
 
-    /// Returns the delay with the difference of the wall clocks as its raw value, also if other clocks are related.
+    /// Returns the delay with the difference of the wall clocks as its raw value, even if other clocks are related.
     pub(super) fn with_raw_difference(&self, delay: OneWayDelay) -> OneWayDelay {
         OneWayDelay { raw: self.receiver.wall - self.sender.wall, ..delay }
     }
@@ -64,21 +64,25 @@ impl Crossing {
 pub(crate) struct EpochWatch {
     epoch: u32,
     /// Time at which the epoch was first seen. Earlier stamps may be from before the interruption.
-    since: MonoTime,
+    first_seen: MonoTime,
 }
 
 impl EpochWatch {
     pub(crate) fn new(clock: &dyn Clock) -> Self {
-        Self { epoch: clock.epoch(), since: clock.mono() }
+        Self { epoch: clock.epoch(), first_seen: clock.mono() }
     }
 
     /// Returns a stamp that was made a moment ago, with its epoch.
     pub(crate) fn stamp(&mut self, clock: &dyn Clock, stamp: Stamp) -> HostStamp {
         let epoch = clock.epoch();
         if epoch != self.epoch {
-            *self = Self { epoch, since: clock.mono() };
+            *self = Self { epoch, first_seen: clock.mono() };
         }
-        HostStamp { wall: stamp.wall, raw: stamp.raw, epoch: (stamp.mono >= self.since).then_some(epoch) }
+        HostStamp {
+            wall: stamp.wall,
+            raw: stamp.raw,
+            epoch: (stamp.mono >= self.first_seen).then_some(epoch),
+        }
     }
 }
 

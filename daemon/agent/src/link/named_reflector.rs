@@ -1,6 +1,6 @@
 //! A reflector that the configuration names for a cloud (`[probes] reflectors`).
 //!
-//! Its clock is independent of the cloud's clock. Therefore it has a separate relation, between this host's free-running
+//! The clock of the reflector is independent of the cloud's clock. Therefore the reflector has a separate relation, between this host's free-running
 //! clock and the reflector's wall clock.
 
 use std::collections::VecDeque;
@@ -30,7 +30,7 @@ const MAX_TRIPS: usize = 100;
 pub(super) struct NamedReflector {
     address: ReflectorAddress,
     probing: Mutex<Probing>,
-    answered: Mutex<ReflectorAnswers>,
+    answers: Mutex<ReflectorAnswers>,
 }
 
 impl NamedReflector {
@@ -39,7 +39,7 @@ impl NamedReflector {
         Self {
             address,
             probing: Mutex::new(Probing::Off("not started yet".to_owned())),
-            answered: Mutex::new(ReflectorAnswers::new(settings)),
+            answers: Mutex::new(ReflectorAnswers::new(settings)),
         }
     }
 
@@ -60,7 +60,7 @@ impl NamedReflector {
         loop {
             tokio::select! {
                 Some(result) = received_results.recv() => {
-                    lock(&self.answered).take(&result);
+                    lock(&self.answers).record(&result);
                     monitor.record(&result, shared.host.clock.mono(), &mut lock(&self.probing));
                 }
                 never = &mut probing => match never {},
@@ -68,19 +68,19 @@ impl NamedReflector {
         }
     }
 
-    /// Returns the live state at `now`. `ahead` is the lead of this host's wall clock over its free-running clock.
-    pub(super) fn live(&self, rate_hz: f64, now: Stamp, ahead: Interval) -> ReflectorLive {
+    /// Returns the live state at `now`. `wall_ahead` is the lead of this host's wall clock over its free-running clock.
+    pub(super) fn live(&self, rate_hz: f64, now: Stamp, wall_ahead: Interval) -> ReflectorLive {
         let mut probing = lock(&self.probing).clone();
         if let Probing::On { rate_hz: shown, .. } = &mut probing {
             *shown = rate_hz;
         }
-        let answered = lock(&self.answered);
+        let answers = lock(&self.answers);
         ReflectorLive {
             address: self.address.to_string(),
             probing,
-            probes: answered.probes,
-            round_trip: answered.round_trip(),
-            offset: answered.wall_offset(now, ahead),
+            probes: answers.probes,
+            round_trip: answers.round_trip(),
+            offset: answers.wall_offset(now, wall_ahead),
         }
     }
 }
@@ -103,13 +103,13 @@ impl ReflectorAnswers {
         Self { relation, probes: ProbeCounts::default(), trips: VecDeque::new() }
     }
 
-    fn take(&mut self, result: &ProbeResult) {
+    fn record(&mut self, result: &ProbeResult) {
         let probes = &mut self.probes;
         match result {
             ProbeResult::Sent => probes.sent = probes.sent.saturating_add(1),
             ProbeResult::Lost => probes.lost = probes.lost.saturating_add(1),
             ProbeResult::Refused(_) => probes.refused = probes.refused.saturating_add(1),
-            // It was counted as lost before.
+            // The probe was counted as lost before.
             ProbeResult::Late => {}
             ProbeResult::Stepped(epoch) => {
                 probes.answered = probes.answered.saturating_add(1);
@@ -138,15 +138,20 @@ impl ReflectorAnswers {
         Some(RoundTrip { min: *trips.first()?, median: *trips.get(trips.len() / 2)? })
     }
 
-    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `ahead`, the lead
+    /// Returns the offset of the reflector's wall clock to this host's: the relation's offset minus `wall_ahead`, the lead
     /// of this host's wall clock over its free-running one.
-    fn wall_offset(&self, now: Stamp, ahead: Interval) -> Option<Offset> {
+    fn wall_offset(&self, now: Stamp, wall_ahead: Interval) -> Option<Offset> {
         let offset = self.relation.offset(now.raw, now.wall)?;
-        let of_walls = |from: Interval| Interval { lo: from.lo - ahead.hi, hi: from.hi - ahead.lo };
+        let between_wall_clocks =
+            |from: Interval| Interval { lo: from.lo - wall_ahead.hi, hi: from.hi - wall_ahead.lo };
         Some(Offset {
-            estimate: offset.estimate - ahead.middle(),
-            bounds: of_walls(offset.bounds),
-            sources: offset.sources.iter().map(|(source, interval)| (*source, of_walls(*interval))).collect(),
+            estimate: offset.estimate - wall_ahead.middle(),
+            bounds: between_wall_clocks(offset.bounds),
+            sources: offset
+                .sources
+                .iter()
+                .map(|(source, interval)| (*source, between_wall_clocks(*interval)))
+                .collect(),
             // The relation's rate is against the free-running clock. The rate against the wall clock differs and
             // changes when it is slewed.
             skew_ppm: None,
@@ -161,15 +166,15 @@ mod tests {
 
     use super::*;
 
-    /// Returns an exchange at a time with a clock that is `ahead`, over a path of 2 ms there and 1 ms back; all in
+    /// Returns an exchange at a time with a clock that is `wall_ahead`, over a path of 2 ms there and 1 ms back; all in
     /// milliseconds.
-    fn exchange(at: i64, ahead: i64) -> ProbeResult {
+    fn exchange(at: i64, wall_ahead: i64) -> ProbeResult {
         let raw = |millis: i64| RawTime::from_nanos(millis * 1_000_000);
         ProbeResult::Answered(ExchangeObservation {
             exchange: Exchange {
                 sent: raw(at),
-                received: raw(at + ahead + 2),
-                replied: raw(at + ahead + 2),
+                received: raw(at + wall_ahead + 2),
+                replied: raw(at + wall_ahead + 2),
                 returned: raw(at + 3),
                 uncertainty: Span::ZERO,
             },
@@ -189,15 +194,15 @@ mod tests {
             ..Stamp::default()
         };
         // This host's wall clock is 5 s ahead of its free-running one, to a millisecond.
-        let ahead = Interval { lo: millis(5_000), hi: millis(5_001) };
-        assert_eq!(answers.wall_offset(now, ahead), None);
+        let wall_ahead = Interval { lo: millis(5_000), hi: millis(5_001) };
+        assert_eq!(answers.wall_offset(now, wall_ahead), None);
         for at in [100, 400, 700, 990] {
-            answers.take(&ProbeResult::Sent);
-            answers.take(&exchange(at, 5_000 + 70));
+            answers.record(&ProbeResult::Sent);
+            answers.record(&exchange(at, 5_000 + 70));
         }
-        answers.take(&ProbeResult::Refused("shorter than a reply"));
-        answers.take(&ProbeResult::Lost);
-        let offset = answers.wall_offset(now, ahead).expect("known");
+        answers.record(&ProbeResult::Refused("shorter than a reply"));
+        answers.record(&ProbeResult::Lost);
+        let offset = answers.wall_offset(now, wall_ahead).expect("known");
         assert_eq!(offset.verdict, Verdict::Ok);
         assert!(offset.bounds.contains(millis(70)) && offset.bounds.contains(offset.estimate), "{offset:?}");
         assert!(offset.bounds.width() < millis(5), "{offset:?}");

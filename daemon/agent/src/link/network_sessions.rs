@@ -16,7 +16,7 @@ pub(super) struct NetworkSessions(BTreeMap<NetworkName, Sessions>);
 /// Sessions over one network.
 #[derive(Debug, Default)]
 struct Sessions {
-    open: usize,
+    open_sessions: usize,
     /// Number of seconds closed since the last session ended.
     closed_seconds: u8,
 }
@@ -25,20 +25,20 @@ impl NetworkSessions {
     /// Records that a session over this network was opened.
     pub(super) fn join(&mut self, network: &NetworkName) {
         let sessions = self.0.entry(network.clone()).or_default();
-        (sessions.open, sessions.closed_seconds) = (sessions.open + 1, 0);
+        (sessions.open_sessions, sessions.closed_seconds) = (sessions.open_sessions + 1, 0);
     }
 
     /// Records that a session over this network has ended.
     pub(super) fn leave(&mut self, network: &NetworkName) {
         if let Some(sessions) = self.0.get_mut(network) {
-            sessions.open = sessions.open.saturating_sub(1);
+            sessions.open_sessions = sessions.open_sessions.saturating_sub(1);
         }
     }
 
     /// Records that a second was closed for these networks.
     pub(super) fn close_second(&mut self) {
-        for ended in self.0.values_mut().filter(|sessions| sessions.open == 0) {
-            ended.closed_seconds = ended.closed_seconds.saturating_add(1);
+        for ended_networks in self.0.values_mut().filter(|sessions| sessions.open_sessions == 0) {
+            ended_networks.closed_seconds = ended_networks.closed_seconds.saturating_add(1);
         }
         self.take_ended(LINGER_SECONDS);
     }
@@ -46,14 +46,15 @@ impl NetworkSessions {
     /// Removes and returns the networks without sessions for which at least `closed_seconds` seconds were closed since
     /// their last session. If no network has a session, none is removed.
     pub(super) fn take_ended(&mut self, closed_seconds: u8) -> Vec<NetworkName> {
-        if self.0.values().all(|sessions| sessions.open == 0) {
+        if self.0.values().all(|sessions| sessions.open_sessions == 0) {
             return Vec::new();
         }
-        let is_ended = |sessions: &Sessions| sessions.open == 0 && sessions.closed_seconds >= closed_seconds;
-        let ended = self.0.iter().filter(|(_, sessions)| is_ended(sessions));
-        let ended: Vec<NetworkName> = ended.map(|(network, _)| network.clone()).collect();
+        let is_ended =
+            |sessions: &Sessions| sessions.open_sessions == 0 && sessions.closed_seconds >= closed_seconds;
+        let ended_networks = self.0.iter().filter(|(_, sessions)| is_ended(sessions));
+        let ended_networks: Vec<NetworkName> = ended_networks.map(|(network, _)| network.clone()).collect();
         self.0.retain(|_, sessions| !is_ended(sessions));
-        ended
+        ended_networks
     }
 
     /// Returns the networks in the order of their names.

@@ -29,13 +29,13 @@ impl ProbePace {
         *lock(&self.last_data) = now;
     }
 
-    /// Sets the rate: the full one while the link carries data, otherwise the idle one.
+    /// Sets the rate: the full rate while the link carries data, otherwise the idle rate.
     // If both ends read one clock, nothing is estimated: probes at the idle rate check that the path works and that the
     // clock is the same.
     pub(super) fn adjust(&self, probes: &ProbeSettings, is_same_clock: bool, now: MonoTime) {
         let is_busy = now - *lock(&self.last_data) < IDLE_AFTER;
-        let wanted = if is_busy && !is_same_clock { probes.rate_hz } else { probes.idle_rate_hz };
-        self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, wanted).total_cmp(&wanted).is_ne());
+        let new_rate = if is_busy && !is_same_clock { probes.rate_hz } else { probes.idle_rate_hz };
+        self.rate_hz.send_if_modified(|rate| std::mem::replace(rate, new_rate).total_cmp(&new_rate).is_ne());
     }
 
     /// Returns the current probes per second.

@@ -31,7 +31,7 @@ pub(super) struct ProbeTarget {
     pub(super) host: String,
     pub(super) port: u16,
     pub(super) key: Option<Key>,
-    /// Number of the process that must answer; `None` accepts any.
+    /// Random number of the process that must answer; `None` if any process may answer.
     pub(super) instance: Option<u64>,
     pub(super) clocks: RelatedClocks,
 }
@@ -85,9 +85,10 @@ impl ProbeTarget {
 
     async fn open(&self, shared: &Shared) -> Result<(Prober, SocketAddr), ProbingError> {
         let host = &self.host;
-        let found = tokio::net::lookup_host((host.as_str(), self.port)).await;
-        let mut found = found.map_err(|source| ProbingError::Lookup { host: host.clone(), source })?;
-        let target = found.next().ok_or_else(|| ProbingError::NoAddress { host: host.clone() })?;
+        let lookup_result = tokio::net::lookup_host((host.as_str(), self.port)).await;
+        let mut addresses =
+            lookup_result.map_err(|source| ProbingError::Lookup { host: host.clone(), source })?;
+        let target = addresses.next().ok_or_else(|| ProbingError::NoAddress { host: host.clone() })?;
         let config = ProberConfig {
             target,
             key: self.key.clone(),

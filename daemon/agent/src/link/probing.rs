@@ -1,5 +1,5 @@
-//! The task of a link. It sends probes, passes on the announcements of both hosts' clocks, has a common clock proven, and
-//! closes each second.
+//! The task of a link. It sends probes, passes on the announcements of both hosts' clocks, runs the proof that both hosts
+//! read one clock, and closes each second.
 
 use std::convert::Infallible;
 use std::pin::pin;
@@ -40,34 +40,34 @@ async fn run_over_session(
 ) {
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
-    let (mut peer, mut own) = (session.clock.clone(), link.shared.host.host_clock.clone());
-    peer.mark_changed();
-    own.mark_changed();
+    let (mut peer_clock, mut own_clock) = (session.clock.clone(), link.shared.host.host_clock.clone());
+    peer_clock.mark_changed();
+    own_clock.mark_changed();
     let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);
     let mut probing = pin!(probe(link, &session, results));
     let clock = &link.shared.host.clock;
     let mut proving = pin!(prove(&session.clock_peers, clock, |proof| link.set_same_clock(proof)));
     let mut monitor = AnswerMonitor::new(link.cloud.name.clone(), link.shared.probes.key.is_some());
     loop {
-        let second = pin!(tokio::time::sleep(until_next_second(clock.wall().unix_nanos())));
+        let end_of_second = pin!(tokio::time::sleep(time_to_next_second(clock.wall().unix_nanos())));
         tokio::select! {
             biased;
-            changed = sessions.changed() => {
+            change = sessions.changed() => {
                 let is_oldest = sessions.borrow_and_update().first().is_some_and(|first| first.id == id);
-                if changed.is_err() || !is_oldest {
+                if change.is_err() || !is_oldest {
                     break;
                 }
             }
-            Ok(()) = own.changed() => {
-                let clock = own.borrow_and_update().clone();
+            Ok(()) = own_clock.changed() => {
+                let clock = own_clock.borrow_and_update().clone();
                 link.handle_edge_announcement(clock);
             }
-            clock = next_announcement(&mut peer) => link.handle_cloud_announcement(clock),
+            clock = next_announcement(&mut peer_clock) => link.handle_cloud_announcement(clock),
             Some(result) = received_results.recv() => {
                 link.handle_probe_result(&result, authenticated);
                 monitor.record(&result, link.shared.host.clock.mono(), &mut lock(&link.probing));
             }
-            () = second => link.advance_second(),
+            () = end_of_second => link.advance_second(),
             never = &mut proving => match never {},
             never = &mut probing => match never {},
         }
@@ -83,7 +83,7 @@ async fn run_over_session(
     link.settle_sessions();
 }
 
-/// Waits for the cloud's next announcement of its clocks; for ever after the end of the session.
+/// Waits for the cloud's next announcement of its clocks. After the end of the session it waits for ever.
 async fn next_announcement(clock: &mut watch::Receiver<PeerClock>) -> PeerClock {
     match clock.changed().await {
         Ok(()) => clock.borrow_and_update().clone(),
@@ -93,7 +93,7 @@ async fn next_announcement(clock: &mut watch::Receiver<PeerClock>) -> PeerClock 
 
 /// Probes the cloud of a session as long as the future is polled. Sets the link's `probing` state.
 async fn probe(link: &CloudLink, session: &Session, results: mpsc::Sender<ProbeResult>) -> Infallible {
-    let Some(port) = session.probes else {
+    let Some(port) = session.probe_port else {
         *lock(&link.probing) = Probing::Off(format!("{} answers no probes", link.cloud.name));
         return std::future::pending().await;
     };
@@ -108,8 +108,8 @@ async fn probe(link: &CloudLink, session: &Session, results: mpsc::Sender<ProbeR
     target.probe(&link.shared, &link.pace, &link.probing, results).await
 }
 
-/// Returns the time to the next full second of the same clock.
-fn until_next_second(unix_nanos: i64) -> Duration {
+/// Returns the time from a reading of a clock to the next full second of that clock.
+fn time_to_next_second(unix_nanos: i64) -> Duration {
     const SECOND: i64 = 1_000_000_000;
     Duration::from_nanos((SECOND - unix_nanos.rem_euclid(SECOND)).unsigned_abs())
 }
@@ -119,9 +119,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn next_second_is_later_by_one_second_at_most() {
-        assert_eq!(until_next_second(0), Duration::from_secs(1));
-        assert_eq!(until_next_second(1_999_999_999), Duration::from_nanos(1));
-        assert_eq!(until_next_second(-1), Duration::from_nanos(1));
+    fn next_second_begins_within_one_second() {
+        assert_eq!(time_to_next_second(0), Duration::from_secs(1));
+        assert_eq!(time_to_next_second(1_999_999_999), Duration::from_nanos(1));
+        assert_eq!(time_to_next_second(-1), Duration::from_nanos(1));
     }
 }

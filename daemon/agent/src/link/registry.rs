@@ -33,7 +33,7 @@ struct Inner {
     /// Tracker of the tasks: one for each link, which ends with the link's last session.
     tasks: TaskTracker,
     /// First panic of one of these tasks.
-    panicked: watch::Sender<Option<LinkPanic>>,
+    first_panic: watch::Sender<Option<LinkPanic>>,
     next_session: AtomicU64,
     /// Number of sessions that have ended.
     ended_sessions: AtomicU64,
@@ -44,7 +44,7 @@ struct Inner {
 pub struct Cloud {
     /// Random identifier of the host; stays the same when the host is renamed.
     pub id: HostId,
-    /// Version of its program.
+    /// Version of the host's program.
     pub version: String,
     /// Hardware of the host.
     pub hardware: Hardware,
@@ -57,7 +57,7 @@ pub(crate) struct LinkPanic {
     peer: Slug,
 }
 
-/// A session's membership in a link. The link ends when the last one is dropped.
+/// Membership of a session in a link. The link ends when the membership of its last session is dropped.
 #[derive(Debug)]
 pub(crate) struct LinkedSession {
     link: Arc<CloudLink>,
@@ -75,7 +75,7 @@ impl Links {
             by_cloud: Mutex::default(),
             serving_cloud: Mutex::default(),
             tasks: TaskTracker::new(),
-            panicked: watch::Sender::new(None),
+            first_panic: watch::Sender::new(None),
             next_session: AtomicU64::new(0),
             ended_sessions: AtomicU64::new(0),
         }))
@@ -98,39 +98,41 @@ impl Links {
         };
         lock(&self.0.serving_cloud).insert(pipeline.clone(), cloud);
         let clocks = session.clocks();
-        let own = self.0.shared.host.clock.identity();
-        // Only free-running clocks can be proven to be one, and only if both hosts use the same name for their clock.
-        let may_be_same = clocks == RelatedClocks::Raw && own.may_share_clock_with(&accepted.clock);
-        let clock_socket = clock_socket.filter(|_| may_be_same);
-        let joining = Session {
+        let own_identity = self.0.shared.host.clock.identity();
+        // Only two free-running clocks can be proven to be one clock, and only if both hosts use the same name for their clock.
+        let may_share_clock =
+            clocks == RelatedClocks::Raw && own_identity.may_share_clock_with(&accepted.clock);
+        let clock_socket = clock_socket.filter(|_| may_share_clock);
+        let new_session = Session {
             id: self.0.next_session.fetch_add(1, Ordering::Relaxed),
             pipeline: pipeline.clone(),
             network: NetworkName::from(address.network()),
             host: cloud_host(session, address),
-            probes: accepted.probes,
+            probe_port: accepted.probes,
             instance: accepted.instance,
             probe_key: accepted.probe_key,
             clock: session.peer_clock(),
             clock_peers: clock_socket.map(|socket| socket.into_peers(session.id())).unwrap_or_default(),
             statistics: session.statistics_reader(),
         };
-        let (id, network) = (joining.id, joining.network.clone());
-        let mut open = self.lock_links();
-        let known = open.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
-        let link = match known {
+        let (id, network) = (new_session.id, new_session.network.clone());
+        let mut links_by_cloud = self.lock_links();
+        let existing_link =
+            links_by_cloud.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
+        let link = match existing_link {
             Some(link) => {
-                link.join(joining);
+                link.join(new_session);
                 Arc::clone(link)
             }
             None => {
                 let link = Arc::new(CloudLink::new(&self.0.shared, accepted, clocks));
-                link.join(joining);
-                open.insert(accepted.host, Arc::clone(&link));
+                link.join(new_session);
+                links_by_cloud.insert(accepted.host, Arc::clone(&link));
                 self.0.tasks.spawn(self.clone().supervise(Arc::clone(&link)));
                 link
             }
         };
-        drop(open);
+        drop(links_by_cloud);
         LinkedSession { link, links: self.clone(), session: id, network }
     }
 
@@ -141,7 +143,7 @@ impl Links {
 
     /// Returns the live state of all links.
     pub(crate) fn live(&self) -> Vec<LinkLive> {
-        // Cloned, so that sessions can open and close while the links are read.
+        // The list is cloned, so that sessions can open and close while the links are read.
         let links: Vec<_> = self.lock_links().values().cloned().collect();
         links.iter().flat_map(|link| link.live()).collect()
     }
@@ -156,8 +158,8 @@ impl Links {
     /// # Errors
     /// When one of the tasks panicked.
     pub(crate) async fn run(self, stop: CancellationToken) -> Result<(), LinkPanic> {
-        let mut panicked = self.0.panicked.subscribe();
-        let is_over = async {
+        let mut first_panic = self.0.first_panic.subscribe();
+        let all_sessions_ended = async {
             stop.cancelled().await;
             self.0.tasks.close();
             self.0.tasks.wait().await;
@@ -165,11 +167,11 @@ impl Links {
         tokio::select! {
             biased;
             // A link without its task would silently lose its clock relation, so a panic of the task ends the agent.
-            panic = panicked.wait_for(Option::is_some) => match panic {
+            panic = first_panic.wait_for(Option::is_some) => match panic {
                 Ok(panic) => panic.clone().map_or(Ok(()), Err),
                 Err(_) => Ok(()),
             },
-            () = is_over => Ok(()),
+            () = all_sessions_ended => Ok(()),
         }
     }
 
@@ -177,7 +179,7 @@ impl Links {
     async fn supervise(self, link: Arc<CloudLink>) {
         let peer = link.name().clone();
         if AssertUnwindSafe(probing::run_link_task(link)).catch_unwind().await.is_err() {
-            self.0.panicked.send_replace(Some(LinkPanic { peer }));
+            self.0.first_panic.send_replace(Some(LinkPanic { peer }));
         }
     }
 
@@ -204,11 +206,13 @@ impl std::ops::Deref for LinkedSession {
 
 impl Drop for LinkedSession {
     fn drop(&mut self) {
-        // Locked during both steps: a session that opens in between must not join a link that is being removed.
-        let mut open = self.links.lock_links();
-        let is_over = self.link.leave(self.session, &self.network);
-        if is_over && open.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link)) {
-            open.remove(&self.link.cloud.id);
+        // The links are locked during both steps: a session that opens in between must not join a link that is being removed.
+        let mut links_by_cloud = self.links.lock_links();
+        let all_sessions_ended = self.link.leave(self.session, &self.network);
+        if all_sessions_ended
+            && links_by_cloud.get(&self.link.cloud.id).is_some_and(|link| Arc::ptr_eq(link, &self.link))
+        {
+            links_by_cloud.remove(&self.link.cloud.id);
         }
         self.links.0.ended_sessions.fetch_add(1, Ordering::Relaxed);
     }
@@ -217,8 +221,8 @@ impl Drop for LinkedSession {
 /// Returns the host that answers probes: the host of the address, or for the address of a name service the host at the other
 /// end of the connection.
 fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String {
-    let connected = address.listener_name().and_then(|_| session.statistics_reader().addresses());
-    connected.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
+    let remote_addresses = address.listener_name().and_then(|_| session.statistics_reader().addresses());
+    remote_addresses.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }
 
 /// Returns whether the accepted session is with the same process and clock as the link, so that the link's relation is

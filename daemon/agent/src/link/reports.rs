@@ -14,9 +14,9 @@ const SESSION_END: Span = Span::from_seconds(1);
 #[derive(Debug, Default)]
 pub(super) struct ClockReports {
     /// Whether the edge's clock was stepped since the last restart, and whether the cloud's clock was.
-    stepped: (bool, bool),
+    stepped_clocks: (bool, bool),
     /// `true` if the last restart was reported as a violated assumption.
-    is_in_doubt: bool,
+    has_reported_violation: bool,
     /// `true` once it was reported that the exchanges prove a skew beyond the limit.
     is_excess_reported: bool,
     jumps: ReportLimit,
@@ -35,7 +35,7 @@ struct ReportLimit {
 
 impl ReportLimit {
     /// Returns the number of events since the last report if a report is allowed; otherwise counts this event.
-    fn unreported_before(&mut self, at: RawTime) -> Option<u32> {
+    fn try_report(&mut self, at: RawTime) -> Option<u32> {
         if self.last_report.is_some_and(|last| (at - last).abs() < REPORT_INTERVAL) {
             self.unreported = self.unreported.saturating_add(1);
             return None;
@@ -47,41 +47,46 @@ impl ReportLimit {
 
 impl ClockReports {
     /// Records whose clock was stepped. A step without a restart is recorded only if another step is already recorded.
-    pub(super) const fn record_steps(&mut self, restarted: bool, (edge, cloud): (bool, bool)) {
-        let is_recorded = restarted || self.stepped.0 || self.stepped.1;
-        self.stepped.0 |= is_recorded && edge;
-        self.stepped.1 |= is_recorded && cloud;
+    pub(super) const fn record_steps(&mut self, is_restarted: bool, (edge, cloud): (bool, bool)) {
+        let is_recorded = is_restarted || self.stepped_clocks.0 || self.stepped_clocks.1;
+        self.stepped_clocks.0 |= is_recorded && edge;
+        self.stepped_clocks.1 |= is_recorded && cloud;
     }
 
-    /// Returns the report of a restart that moved the offset by `moved`. `doubt` is the assumption that the clocks
+    /// Returns the report of a restart that moved the offset by `movement`. `violation` is the assumption that the clocks
     /// seem to violate, with its limit.
     pub(super) fn report_restart(
         &mut self,
-        moved: Option<Span>,
-        doubt: Option<(ViolatedLimit, f64)>,
+        movement: Option<Span>,
+        violation: Option<(ViolatedLimit, f64)>,
     ) -> Option<Restart> {
-        let (edge, cloud) = std::mem::take(&mut self.stepped);
-        // Clocks beyond the limit cause several restarts per second. Only the first one is reported, until the clocks are
+        let (edge, cloud) = std::mem::take(&mut self.stepped_clocks);
+        // Clocks beyond the limit cause several restarts per second. Only the first restart is reported, until the clocks are
         // within the limit again.
-        let was_in_doubt = std::mem::replace(&mut self.is_in_doubt, doubt.is_some());
-        (doubt.is_none() || !was_in_doubt).then_some(Restart { moved, edge, cloud, doubt })
+        let had_reported_violation = std::mem::replace(&mut self.has_reported_violation, violation.is_some());
+        (violation.is_none() || !had_reported_violation).then_some(Restart {
+            movement,
+            edge,
+            cloud,
+            violation,
+        })
     }
 
     /// Returns the report of a jump that is suspected at `at`, unless another jump was reported shortly before.
-    pub(super) fn report_jump(&mut self, moved: Span, at: RawTime) -> Option<SuspectedJump> {
-        let unreported = self.jumps.unreported_before(at)?;
-        Some(SuspectedJump { moved, unreported })
+    pub(super) fn report_jump(&mut self, movement: Span, at: RawTime) -> Option<SuspectedJump> {
+        let unreported = self.jumps.try_report(at)?;
+        Some(SuspectedJump { movement, unreported })
     }
 
     /// Returns the report of a lost proof, unless another lost proof was reported shortly before. A proof that was lost with its
     /// connection is reported by [`report_ended_proof`](Self::report_ended_proof), if the session continues without it.
-    pub(super) fn report_lost_proof(&mut self, why: NotProven, at: RawTime) -> Option<LostProof> {
-        if let NotProven::Ended(_) = why {
-            self.ended_proof = Some((why, at));
+    pub(super) fn report_lost_proof(&mut self, reason: NotProven, at: RawTime) -> Option<LostProof> {
+        if let NotProven::Ended(_) = reason {
+            self.ended_proof = Some((reason, at));
             return None;
         }
-        let unreported = self.lost_proofs.unreported_before(at)?;
-        Some(LostProof { why, unreported })
+        let unreported = self.lost_proofs.try_report(at)?;
+        Some(LostProof { reason, unreported })
     }
 
     /// Records that the common clock is proven again.
@@ -91,9 +96,9 @@ impl ClockReports {
 
     /// Returns the report of a proof whose connection ended more than [`SESSION_END`] ago.
     pub(super) fn report_ended_proof(&mut self, now: RawTime) -> Option<LostProof> {
-        let (why, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
-        let unreported = self.lost_proofs.unreported_before(at)?;
-        Some(LostProof { why, unreported })
+        let (reason, at) = self.ended_proof.take_if(|(_, at)| (now - *at).abs() >= SESSION_END)?;
+        let unreported = self.lost_proofs.try_report(at)?;
+        Some(LostProof { reason, unreported })
     }
 
     /// Returns the report of a skew that is proven to be beyond the limit: once, until the skew is within the limit again.
@@ -107,7 +112,7 @@ impl ClockReports {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct SuspectedJump {
     /// Size of the jump.
-    pub(super) moved: Span,
+    pub(super) movement: Span,
     /// Number of suspected jumps since the last report that were not reported.
     pub(super) unreported: u32,
 }
@@ -115,7 +120,7 @@ pub(super) struct SuspectedJump {
 /// Loss of the proof that both processes read one clock.
 #[derive(Debug)]
 pub(super) struct LostProof {
-    pub(super) why: NotProven,
+    pub(super) reason: NotProven,
     /// Number of lost proofs since the last report that were not reported.
     pub(super) unreported: u32,
 }
@@ -133,14 +138,14 @@ pub(super) struct ExcessSkew {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Restart {
     /// Change of the offset, if it is known.
-    pub(super) moved: Option<Span>,
+    pub(super) movement: Option<Span>,
     /// `true` if the edge's clock is known to have been stepped.
     pub(super) edge: bool,
     /// `true` if the cloud's clock is known to have been stepped.
     pub(super) cloud: bool,
     /// Assumption that the clocks more probably violate, with its limit in parts per million or parts per million per
     /// second.
-    pub(super) doubt: Option<(ViolatedLimit, f64)>,
+    pub(super) violation: Option<(ViolatedLimit, f64)>,
 }
 
 #[cfg(test)]
@@ -158,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn lost_proofs_are_reported_once_a_minute_with_their_number() {
+    fn lost_proofs_are_counted_in_reports_per_minute() {
         let mut reports = ClockReports::default();
         let mut unreported =
             |millis| reports.report_lost_proof(NotProven::PeerTime, at(millis)).map(|lost| lost.unreported);
@@ -174,12 +179,12 @@ mod tests {
     }
 
     #[test]
-    fn proof_that_ends_with_its_session_is_not_reported() {
+    fn proof_that_ends_with_session_is_unreported() {
         let mut reports = ClockReports::default();
         assert!(reports.report_lost_proof(ended(), at(0)).is_none());
         assert!(reports.report_ended_proof(at(999)).is_none(), "the session may still end");
         let lost = reports.report_ended_proof(at(1_000)).expect("the session continues");
-        assert!(matches!(lost, LostProof { why: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
+        assert!(matches!(lost, LostProof { reason: NotProven::Ended(_), unreported: 0 }), "{lost:?}");
         assert!(reports.report_ended_proof(at(2_000)).is_none(), "it is reported once");
 
         assert!(reports.report_lost_proof(ended(), at(100_000)).is_none());

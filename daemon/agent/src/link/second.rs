@@ -15,8 +15,9 @@ pub(super) struct Second {
     pub(super) probes: ProbeCounts,
     /// `true` if all probes are authenticated; `None` without probes.
     pub(super) authenticated: Option<bool>,
-    /// Exchange with the best upper bound of the offset; `lower` is the exchange with the best lower bound.
+    /// Exchange with the best upper bound of the offset.
     pub(super) upper: Option<Exchange>,
+    /// Exchange with the best lower bound of the offset.
     pub(super) lower: Option<Exchange>,
     trips: Downsampled<Span>,
     min_trip: Option<Span>,
@@ -58,7 +59,7 @@ impl Second {
         WallTime::from_unix_nanos(self.at.saturating_add(1).saturating_mul(1_000_000_000))
     }
 
-    /// Returns whether nothing happened.
+    /// Returns whether there were neither probes nor exchanges nor delays.
     pub(super) fn is_empty(&self) -> bool {
         self.upper.is_none() && self.probes == ProbeCounts::default() && self.delays.is_empty()
     }
@@ -67,13 +68,14 @@ impl Second {
     /// because a bound widens by the drift since then.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
-        let lower_than = |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
-        if self.upper.as_ref().is_none_or(lower_than) {
+        let is_lower_than =
+            |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
+        if self.upper.as_ref().is_none_or(is_lower_than) {
             self.upper = Some(*exchange);
         }
-        let higher_than =
+        let is_higher_than =
             |best: &Exchange| exchange.lower() - drift(best.returned - exchange.returned) > best.lower();
-        if self.lower.as_ref().is_none_or(higher_than) {
+        if self.lower.as_ref().is_none_or(is_higher_than) {
             self.lower = Some(*exchange);
         }
     }
@@ -126,8 +128,8 @@ impl Second {
 
 impl Delays {
     fn add(&mut self, delay: &OneWayDelay, bits: Option<f64>) {
-        if let Some(at) = Verdict::ALL.iter().position(|verdict| *verdict == delay.verdict) {
-            self.verdicts[at] = self.verdicts[at].saturating_add(1);
+        if let Some(index) = Verdict::ALL.iter().position(|verdict| *verdict == delay.verdict) {
+            self.verdicts[index] = self.verdicts[index].saturating_add(1);
         }
         if let (Some(value), Some(bounds)) = (delay.value, delay.bounds) {
             let rate = bits.filter(|_| value > Span::ZERO).map(|bits| bits / value.seconds());

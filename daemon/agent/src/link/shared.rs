@@ -71,8 +71,8 @@ impl ProbeSettings {
 
     /// Returns the key for the probes of a session: the configured key, or else the key that came with the session.
     pub(super) fn key_for(&self, session: &Session) -> Option<Key> {
-        let given = || session.probe_key.map(|key| Key::from_bytes(key.as_bytes()));
-        self.key.clone().or_else(given)
+        let session_key = || session.probe_key.map(|key| Key::from_bytes(key.as_bytes()));
+        self.key.clone().or_else(session_key)
     }
 }
 
@@ -85,7 +85,7 @@ pub(super) struct Session {
     /// Host name or address of the cloud.
     pub(super) host: String,
     /// UDP port of the cloud's probe reflector.
-    pub(super) probes: Option<u16>,
+    pub(super) probe_port: Option<u16>,
     /// Random number of the process that serves the session.
     pub(super) instance: u64,
     /// Key from the cloud to authenticate probes.

@@ -59,14 +59,14 @@ impl PipelineLiveState {
         self.lock().placement = placement;
     }
 
-    /// Adds an iteration that is not warm-up and ended within the second `at` (Unix time).
-    pub(crate) fn record(&self, at: i64, outcome: &Outcome, tree: &Tree) {
-        self.lock().ring.record(at, outcome, tree);
+    /// Adds an iteration that is not warm-up. It ended within the second `unix_second` (Unix time).
+    pub(crate) fn record(&self, unix_second: i64, outcome: &Outcome, tree: &Tree) {
+        self.lock().ring.record(unix_second, outcome, tree);
     }
 
     fn live(&self) -> (PipelineLive, SentSeconds) {
         let fields = self.lock();
-        let (seconds, shown) = fields.ring.changed();
+        let (seconds, sent_seconds) = fields.ring.changed_seconds();
         let live = PipelineLive {
             pipeline: self.pipeline.clone(),
             state: fields.state.clone(),
@@ -75,7 +75,7 @@ impl PipelineLiveState {
             load: self.load.clone(),
             seconds,
         };
-        (live, shown)
+        (live, sent_seconds)
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveFields> {
@@ -97,10 +97,10 @@ impl LiveStatistics {
         Self(states.into())
     }
 
-    /// Returns every pipeline with the seconds that changed since the last receipt that was marked as sent.
+    /// Returns every pipeline with the seconds that changed since they were last marked as sent, and a receipt for them.
     pub(crate) fn snapshot(&self) -> (Vec<PipelineLive>, Receipt) {
-        let (pipelines, shown) = self.0.iter().map(|live_state| live_state.live()).unzip();
-        (pipelines, Receipt(shown))
+        let (pipelines, sent_seconds) = self.0.iter().map(|live_state| live_state.live()).unzip();
+        (pipelines, Receipt(sent_seconds))
     }
 
     /// Returns the time since which a pipeline waits for its sensor; `None` if it does not wait.
@@ -110,12 +110,12 @@ impl LiveStatistics {
 
     /// Marks the seconds of a receipt as sent.
     pub(crate) fn mark_sent(&self, receipt: &Receipt) {
-        for (live_state, shown) in self.0.iter().zip(&receipt.0) {
-            live_state.lock().ring.mark_sent(shown);
+        for (live_state, sent_seconds) in self.0.iter().zip(&receipt.0) {
+            live_state.lock().ring.mark_sent(sent_seconds);
         }
     }
 
-    /// Marks all seconds as not sent, because the receiver was restarted and has none.
+    /// Marks all seconds as not sent, because the receiver was restarted and has no seconds.
     pub(crate) fn mark_all_unsent(&self) {
         for live_state in self.0.iter() {
             live_state.lock().ring.mark_all_unsent();

@@ -9,10 +9,10 @@ use super::second_statistics::SecondStatistics;
 
 /// Largest number of seconds in the ring.
 const MAX_SECONDS: usize = 64;
-/// Largest number of seconds in one update. After an outage the newest are sent first.
+/// Largest number of seconds in one update. After an outage the newest seconds are sent first.
 const MAX_SENT_SECONDS: usize = 8;
-/// Largest number of seconds by which an iteration may end before the newest second. Iterations are recorded when they
-/// end, so a larger difference means that the wall clock was set back.
+/// Largest number of seconds between the newest second and an earlier second in which an iteration ends. Iterations are
+/// recorded when they end, so a larger number means that the wall clock was set back.
 const MAX_BACKWARD_S: i64 = 1;
 
 /// Statistics of the seconds in which an iteration ended, oldest first.
@@ -39,14 +39,14 @@ impl Ring {
 
     fn second_at(&mut self, at: i64) -> &mut SecondStatistics {
         if self.seconds.back().is_some_and(|newest| at < newest.at - MAX_BACKWARD_S) {
-            // Seconds that occur again after the clock was set back replace the earlier ones.
+            // Seconds that occur again after the clock was set back replace the earlier seconds.
             self.seconds.retain(|second| second.at < at);
         }
-        let after = self.seconds.iter().rposition(|second| second.at <= at);
-        let index = match after {
+        let last_not_later = self.seconds.iter().rposition(|second| second.at <= at);
+        let index = match last_not_later {
             Some(index) if self.seconds[index].at == at => index,
-            other => {
-                let mut index = other.map_or(0, |index| index + 1);
+            not_later => {
+                let mut index = not_later.map_or(0, |index| index + 1);
                 self.seconds.insert(index, SecondStatistics::new(at));
                 // The new second itself stays, because the caller writes to it.
                 if self.seconds.len() > MAX_SECONDS && index > 0 {
@@ -60,7 +60,7 @@ impl Ring {
     }
 
     /// Returns the seconds that changed since they were last sent, newest first.
-    pub(super) fn changed(&self) -> (Vec<Second>, SentSeconds) {
+    pub(super) fn changed_seconds(&self) -> (Vec<Second>, SentSeconds) {
         let changed = self
             .seconds
             .iter()
@@ -111,13 +111,13 @@ mod tests {
     }
 
     #[test]
-    fn shown_second_is_complete_and_repeated_only_after_change() {
+    fn sent_second_is_repeated_only_after_change() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));
         ring.record(11, &Outcome::Ok, &tree(6));
         ring.record(11, &Outcome::Timeout(String::new()), &tree(500));
 
-        let (seconds, sent) = ring.changed();
+        let (seconds, sent) = ring.changed_seconds();
         assert_eq!(seconds.iter().map(|second| second.at).collect::<Vec<_>>(), [11, 10]);
         assert_eq!((seconds[0].counts.ok, seconds[0].counts.timeout), (1, 1));
         let (name, upload) = &seconds[0].values[0];
@@ -125,15 +125,15 @@ mod tests {
         assert_eq!(seconds[0].bounds[0].1.moments.max, 0.0, "one clock: the bound is exact");
         assert_eq!(seconds[0].verdicts, [("upload".into(), "ok".into(), 1)]);
 
-        assert_eq!(ring.changed().0.len(), 2, "not handed on: still to be shown");
+        assert_eq!(ring.changed_seconds().0.len(), 2, "not handed on: still to be shown");
         ring.record(11, &Outcome::Ok, &tree(8));
         ring.mark_sent(&sent);
-        let (seconds, _) = ring.changed();
+        let (seconds, _) = ring.changed_seconds();
         assert_eq!((seconds.len(), seconds[0].at, seconds[0].counts.ok), (1, 11, 2));
     }
 
     #[test]
-    fn second_without_answers_names_deadline_without_samples() {
+    fn second_without_answers_still_names_deadline() {
         let mut ring = Ring::default();
         let with_deadline = |missed: f64| {
             let mut tree = tree(4);
@@ -145,14 +145,14 @@ mod tests {
         ring.record(10, &Outcome::Ok, &with_deadline(1.0));
         ring.record(11, &Outcome::Timeout(String::new()), &with_deadline(1.0));
         ring.record(12, &Outcome::Timeout(String::new()), &tree(4));
-        let known = |second: &Second| {
-            let found = second.values.iter().find(|(name, _)| name == "deadline-missed");
-            found.map(|(_, summary)| (summary.count(), summary.moments.mean))
+        let deadline_summary = |second: &Second| {
+            let summary = second.values.iter().find(|(name, _)| name == "deadline-missed");
+            summary.map(|(_, summary)| (summary.count(), summary.moments.mean))
         };
-        let (seconds, _) = ring.changed();
-        assert_eq!(known(&seconds[2]), Some((2, 0.5)));
-        assert_eq!(known(&seconds[1]).map(|(count, _)| count), Some(0));
-        assert_eq!((seconds[1].values.len(), known(&seconds[0])), (1, None));
+        let (seconds, _) = ring.changed_seconds();
+        assert_eq!(deadline_summary(&seconds[2]), Some((2, 0.5)));
+        assert_eq!(deadline_summary(&seconds[1]).map(|(count, _)| count), Some(0));
+        assert_eq!((seconds[1].values.len(), deadline_summary(&seconds[0])), (1, None));
     }
 
     #[test]
@@ -173,7 +173,7 @@ mod tests {
         ring.record(10, &Outcome::Ok, &inconsistent);
         ring.record(10, &Outcome::Ok, &tree(-1));
 
-        let second = &ring.changed().0[0];
+        let second = &ring.changed_seconds().0[0];
         assert_eq!(second.counts.ok, 3);
         assert_eq!((second.values[0].1.count(), second.values[0].1.moments.mean), (1, 0.004));
         assert_eq!((second.bounds[0].1.count(), second.bounds[0].1.moments.max), (1, 0.0));
@@ -188,17 +188,20 @@ mod tests {
             ring.record(at, &Outcome::Ok, &tree(1));
         }
         assert_eq!(ring.seconds.len(), MAX_SECONDS);
-        let mut seen = Vec::new();
+        let mut sent_times = Vec::new();
         loop {
-            let (seconds, sent) = ring.changed();
+            let (seconds, sent) = ring.changed_seconds();
             if seconds.is_empty() {
                 break;
             }
             assert!(seconds.len() <= MAX_SENT_SECONDS);
-            seen.extend(seconds.iter().map(|second| second.at));
+            sent_times.extend(seconds.iter().map(|second| second.at));
             ring.mark_sent(&sent);
         }
-        assert!(seen.iter().copied().eq((1000 - MAX_SECONDS as i64..1000).rev()), "newest first: {seen:?}");
+        assert!(
+            sent_times.iter().copied().eq((1000 - MAX_SECONDS as i64..1000).rev()),
+            "newest first: {sent_times:?}"
+        );
     }
 
     #[test]
@@ -209,13 +212,13 @@ mod tests {
         }
         ring.record(4999, &Outcome::Ok, &tree(1));
         assert_eq!(ring.seconds.len(), 11, "two that ended at nearly the same time");
-        let of = |ring: &Ring| {
+        let counts_by_second = |ring: &Ring| {
             ring.seconds.iter().map(|second| (second.at, second.second().counts.ok)).collect::<Vec<_>>()
         };
         ring.record(4995, &Outcome::Ok, &tree(1));
         ring.record(4996, &Outcome::Ok, &tree(1));
-        assert_eq!(of(&ring), (4990..=4996).map(|at| (at, 1)).collect::<Vec<_>>());
+        assert_eq!(counts_by_second(&ring), (4990..=4996).map(|at| (at, 1)).collect::<Vec<_>>());
         ring.record(1400, &Outcome::Ok, &tree(1));
-        assert_eq!(of(&ring), [(1400, 1)]);
+        assert_eq!(counts_by_second(&ring), [(1400, 1)]);
     }
 }

@@ -17,9 +17,9 @@ const MAX_NAMES: usize = 64;
 #[derive(Debug)]
 pub(super) struct SecondStatistics {
     pub(super) at: i64,
-    /// Version of the ring at the last change of this second. The receiver has it up to `sent_version`.
+    /// Version of the ring at the last change of this second.
     pub(super) version: u64,
-    pub(super) sent_version: u64,
+    /// Version of this second that was last sent.
     counts: OutcomeCounts,
     values: Summaries,
     bounds: Summaries,
@@ -73,9 +73,11 @@ impl SecondStatistics {
             self.bounds.record(0, &node.name, half_width(bounds));
         }
         let verdict = delay.verdict.name();
-        let counted =
-            self.verdicts.iter_mut().find(|(name, given, _)| *name == node.name && *given == verdict);
-        if let Some((_, _, count)) = counted {
+        let existing_count = self
+            .verdicts
+            .iter_mut()
+            .find(|(name, other_verdict, _)| *name == node.name && *other_verdict == verdict);
+        if let Some((_, _, count)) = existing_count {
             *count += 1;
         } else if self.verdicts.len() < MAX_NAMES {
             self.verdicts.push((node.name.clone(), Name::from_static(verdict), 1));
@@ -104,7 +106,7 @@ fn half_width(bounds: Interval) -> f64 {
 struct Summaries(Vec<(Name, Summary)>);
 
 impl Summaries {
-    /// Adds a value and returns the probable index of the next name, which is the next call's `hint`.
+    /// Adds a value. Returns the probable index of the next name, which is the `hint` of the next call.
     // The trees of a pipeline nearly always have their nodes in the same order, so the first comparison finds the name.
     fn record(&mut self, hint: usize, name: &Name, value: f64) -> usize {
         let Some(index) = self.find_or_add(hint, name) else { return hint };
@@ -114,14 +116,14 @@ impl Summaries {
 
     /// Returns the index of a name, which is added if it is new; `None` if it is new and there are [`MAX_NAMES`] names.
     fn find_or_add(&mut self, hint: usize, name: &Name) -> Option<usize> {
-        let found = match self.0.get(hint) {
-            Some((known, _)) if known == name => Some(hint),
-            _ => self.0.iter().position(|(known, _)| known == name),
+        let index = match self.0.get(hint) {
+            Some((existing_name, _)) if existing_name == name => Some(hint),
+            _ => self.0.iter().position(|(existing_name, _)| existing_name == name),
         };
-        if found.is_none() && self.0.len() < MAX_NAMES {
+        if index.is_none() && self.0.len() < MAX_NAMES {
             self.0.push((name.clone(), Summary::default()));
             return Some(self.0.len() - 1);
         }
-        found
+        index
     }
 }

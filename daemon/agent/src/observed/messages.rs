@@ -15,7 +15,7 @@ pub(super) const VERSION: u32 = 1;
 /// Largest number of messages in a request.
 pub(crate) const MAX_KEYS: usize = 256;
 
-/// Longest request or answer in bytes: several times the size of [`MAX_KEYS`] keys, and short enough not to delay the
+/// Longest request or answer in bytes. It is several times the size of [`MAX_KEYS`] keys, and so short that it does not delay the
 /// receiver's other peers.
 const MAX_BYTES: usize = 256 << 10;
 
@@ -41,7 +41,7 @@ pub(crate) struct StampAnswer {
 /// Stamps of an input message and of the output message that belongs to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct ObservedPair {
-    /// Key by which both are paired.
+    /// Key by which both messages are paired.
     pub(crate) key: i64,
     /// Stamp of the input message; `None` if it was not received.
     input: Option<WireStamp>,
@@ -165,7 +165,7 @@ fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
     if part.bytes.len() > MAX_BYTES {
         return Err(StampMessageError::TooLong(part.bytes.len()));
     }
-    // Read first, because a document of another version may have other fields.
+    // The version is read first, because a document of another version may have other fields.
     let Versioned { version } = serde_json::from_slice(&part.bytes)?;
     if version != VERSION {
         return Err(StampMessageError::Version(version));

@@ -31,7 +31,7 @@ pub(crate) struct ObservedPipeline {
 }
 
 impl ObservedPipelines {
-    /// Returns the observing pipelines of a host that serves; none if it does not serve, because no peer can query it.
+    /// Returns the observing pipelines of a host that serves. Without `[serve]` the result is empty, because no peer can query the host.
     pub(crate) fn from_config(config: &AgentConfig) -> Self {
         let pipeline = |pipeline: &PipelineConfig| match &pipeline.placement {
             PlacementConfig::Observe(observed) if pipeline.start == StartMode::Boot => {
@@ -40,8 +40,8 @@ impl ObservedPipelines {
             }
             _ => None,
         };
-        let served = config.serve.iter().flat_map(|_| config.pipelines.iter().filter_map(pipeline));
-        Self(Arc::new(served.collect()))
+        let served_pipelines = config.serve.iter().flat_map(|_| config.pipelines.iter().filter_map(pipeline));
+        Self(Arc::new(served_pipelines.collect()))
     }
 
     /// Returns a pipeline, if peers can query it.

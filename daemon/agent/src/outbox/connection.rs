@@ -12,7 +12,7 @@ use zeromq::{
 };
 
 /// Number of messages that the socket buffers. It is small, because a live update waits behind them.
-const QUEUE: u32 = 8;
+const MAX_QUEUED_MESSAGES: u32 = 8;
 const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 /// Time without received data after which the peer counts as unreachable.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -20,7 +20,7 @@ const SILENCE_TIMEOUT: Duration = Duration::from_secs(5);
 const DIAGNOSIS_TIMEOUT: Duration = Duration::from_secs(1);
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
 /// Reconnect interval of the library, so long that the library never reconnects: its queue may have old messages.
-const NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
+const RECONNECT_NEVER: Duration = Duration::from_secs(365 * 24 * 3600);
 
 /// Reason why a connection failed or ended.
 #[derive(Debug, thiserror::Error)]
@@ -63,14 +63,14 @@ impl Connection {
     pub(super) async fn open(address: &Address) -> Result<Self, ConnectionError> {
         let options = Options::default()
             .workload_profile(WorkloadProfile::Latency)
-            .send_hwm(QUEUE)
+            .send_hwm(MAX_QUEUED_MESSAGES)
             .max_message_size(peernet_stream::codec::MAX_MESSAGE_BYTES)
             .heartbeat_interval(HEARTBEAT_INTERVAL)
             .heartbeat_timeout(SILENCE_TIMEOUT)
-            // Without it TCP would repeat unacknowledged data for many minutes on a dead link.
+            // Without this timeout TCP would repeat unacknowledged data for many minutes on a dead link.
             .tcp_user_timeout(SILENCE_TIMEOUT)
             .handshake_timeout(HANDSHAKE_TIMEOUT)
-            .reconnect(ReconnectPolicy::Fixed(NEVER))
+            .reconnect(ReconnectPolicy::Fixed(RECONNECT_NEVER))
             // Batches that are lost with the connection are sent again.
             .linger(Duration::ZERO);
         let socket = Socket::try_new(SocketType::Dealer, options)?;
@@ -91,7 +91,7 @@ impl Connection {
         }
     }
 
-    /// Passes a frame to the socket; returns it if the socket's queue is full.
+    /// Passes a frame to the socket. If the socket's queue is full, returns the frame as an error.
     pub(super) fn send(&self, frame: Vec<u8>) -> Result<(), Vec<u8>> {
         match self.socket.try_send(Message::single(frame)) {
             Err(TrySendError::Full(message)) => Err(message.into_bytes().map(Into::into).unwrap_or_default()),
@@ -103,16 +103,16 @@ impl Connection {
     /// Passes frames to the socket in order, and waits while the socket's queue is full.
     pub(super) async fn deliver(&self, frames: Vec<Vec<u8>>) {
         for mut frame in frames {
-            while let Err(back) = self.send(frame) {
+            while let Err(unsent) = self.send(frame) {
                 self.socket.wait_send_ready().await;
-                frame = back;
+                frame = unsent;
             }
         }
     }
 
-    /// Waits for the next message, or for the end of the connection. Returns `None` if sending was `blocked` and the
-    /// socket can take frames again. Cancel-safe.
-    pub(super) async fn receive(&mut self, blocked: bool) -> Result<Option<Message>, ConnectionError> {
+    /// Waits for the next message, or for the end of the connection. With `is_blocked` it also waits for space in the
+    /// socket's queue, and returns `None` once there is space. Cancel-safe.
+    pub(super) async fn receive(&mut self, is_blocked: bool) -> Result<Option<Message>, ConnectionError> {
         loop {
             tokio::select! {
                 biased;
@@ -122,7 +122,7 @@ impl Connection {
                     Ok(_) => {}
                     Err(error) => return Err(error.into()),
                 },
-                () = self.socket.wait_send_ready(), if blocked => return Ok(None),
+                () = self.socket.wait_send_ready(), if is_blocked => return Ok(None),
             }
         }
     }

@@ -38,21 +38,21 @@ impl ConnectionState {
     /// Starts a connection attempt after a pause.
     pub(super) fn dial(address: &Address, pause: Duration) -> Self {
         let address = address.clone();
-        let dialling = async move {
+        let connecting = async move {
             tokio::time::sleep(pause).await;
             Connection::open(&address).await
         };
-        Self::Dialling(dialling.boxed())
+        Self::Dialling(connecting.boxed())
     }
 
-    /// Waits for the next event, including [`ConnectionEvent::SendReady`] if sending is `blocked`. Cancel-safe.
-    pub(super) async fn next(&mut self, blocked: bool) -> ConnectionEvent {
+    /// Waits for the next event. [`ConnectionEvent::SendReady`] is returned only if `is_blocked`. Cancel-safe.
+    pub(super) async fn next(&mut self, is_blocked: bool) -> ConnectionEvent {
         match self {
-            Self::Dialling(dialling) => match dialling.await {
+            Self::Dialling(connecting) => match connecting.await {
                 Ok(connection) => ConnectionEvent::Connected(connection),
                 Err(reason) => ConnectionEvent::Failed(reason),
             },
-            Self::Open(connection) => match connection.receive(blocked).await {
+            Self::Open(connection) => match connection.receive(is_blocked).await {
                 // A message that is not a single frame is invalid; decoding reports it.
                 Ok(Some(message)) => ConnectionEvent::Message(message.part_bytes(0).unwrap_or_default()),
                 Ok(None) => ConnectionEvent::SendReady,

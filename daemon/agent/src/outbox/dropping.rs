@@ -3,21 +3,24 @@
 use peernet_clock::{MonoTime, Span};
 
 const REPORT_INTERVAL: Span = Span::from_seconds(60);
-/// Time without a further loss after which a period of losses is over.
-const OVER_AFTER: Span = Span::from_seconds(5);
+/// Time without a further dropped event after which a period of losses is over.
+const MAX_QUIET_TIME: Span = Span::from_seconds(5);
 
 /// Watches the number of dropped events.
 #[derive(Debug, Default)]
 pub(super) struct DroppingWatch {
-    seen: Option<u64>,
+    /// Total number of dropped events at the last update.
+    last_total: Option<u64>,
     period: Option<DroppingPeriod>,
 }
 
 /// A period in which events are dropped.
 #[derive(Clone, Copy, Debug)]
 struct DroppingPeriod {
-    before: u64,
-    last: MonoTime,
+    /// Total number of dropped events before the period.
+    total_before: u64,
+    /// Time at which the last dropped event was noticed.
+    last_drop: MonoTime,
     reported_at: MonoTime,
 }
 
@@ -31,21 +34,22 @@ pub(super) enum DroppingReport {
 }
 
 impl DroppingWatch {
-    /// Updates the total number of dropped events at `now`, and returns a report if one is due.
+    /// Updates the total number of dropped events (`dropped`) at `now`. Returns a report if a report is due.
     pub(super) fn update(&mut self, dropped: u64, now: MonoTime) -> Option<DroppingReport> {
-        let seen = self.seen.replace(dropped).unwrap_or(dropped);
+        let last_total = self.last_total.replace(dropped).unwrap_or(dropped);
         match &mut self.period {
-            None if dropped > seen => {
-                self.period = Some(DroppingPeriod { before: seen, last: now, reported_at: now });
-                Some(DroppingReport::Dropping(dropped - seen))
+            None if dropped > last_total => {
+                self.period =
+                    Some(DroppingPeriod { total_before: last_total, last_drop: now, reported_at: now });
+                Some(DroppingReport::Dropping(dropped - last_total))
             }
             None => None,
             Some(period) => {
-                if dropped > seen {
-                    period.last = now;
+                if dropped > last_total {
+                    period.last_drop = now;
                 }
-                let count = dropped - period.before;
-                if now - period.last >= OVER_AFTER {
+                let count = dropped - period.total_before;
+                if now - period.last_drop >= MAX_QUIET_TIME {
                     self.period = None;
                     return Some(DroppingReport::Ended(count));
                 }
@@ -63,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dropping_is_reported_at_start_each_minute_and_end() {
+    fn dropping_is_reported_at_begin_minutes_and_end() {
         let at = |seconds: i64| MonoTime::from_nanos(0) + Span::from_seconds(seconds);
         let mut dropping = DroppingWatch::default();
         // Events that were dropped before the start are not reported.

@@ -47,8 +47,8 @@ use crate::runs::Runs;
 use crate::tasks::{Failure, FailureCause};
 
 /// Largest number of batches of usual length in flight.
-// Enough to keep the aggregator busy for a round trip and a write to its disk, and few enough that a live update behind
-// them is still current.
+// The number keeps the aggregator busy for a round trip and a write to its disk. It is so small that a live update behind
+// these batches is still current.
 const WINDOW: u32 = 32;
 /// Number of events in memory that is reserved for events other than iterations.
 const RESERVE: u64 = 1024;
@@ -56,7 +56,7 @@ const RESERVE: u64 = 1024;
 /// Opens the spool of this host; returns `None` without an aggregator.
 ///
 /// # Errors
-/// When it cannot be opened.
+/// When the spool cannot be opened.
 pub(crate) async fn open_spool(
     config: &AgentConfig,
     host: HostId,
@@ -109,15 +109,15 @@ impl Outbox {
         let process = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);
         let machine = Sending::new(sending_config(config), description, secret, process, state);
-        let (publish, accounting) = watch::channel(machine.accounting());
+        let (publish_accounting, accounting) = watch::channel(machine.accounting());
         let ((stop, stop_receiver), ended) = (oneshot::channel(), CancellationToken::new());
         let spool = SpoolTask::start(file, config.spool.sync_interval());
-        let sender = Sender::new(machine, spool, receiver, publish, reports, clock, (runs, live));
-        // Boxed, because the future contains the large state machine.
+        let sender = Sender::new(machine, spool, receiver, publish_accounting, reports, clock, (runs, live));
+        // The future is boxed, because it contains the large state machine.
         let work = Box::pin(sender.run(address, reconnect_backoff, stop_receiver));
-        let guard = ended.clone().drop_guard();
+        let cancel_on_end = ended.clone().drop_guard();
         let task = tokio::spawn(async move {
-            let _ended = guard;
+            let _cancel_on_end = cancel_on_end;
             work.await
         });
         Self { task: AbortOnDropHandle::new(task), stop, ended, accounting }
@@ -137,9 +137,9 @@ impl Outbox {
     pub(crate) async fn close(self, deadline: Instant) -> Result<(), Failure> {
         // If the task has already ended, the send fails, and the task's result below is the reason.
         let _ = self.stop.send(deadline);
-        let failed = |cause| Failure { part: "outbox".to_owned(), cause };
-        let ended = self.task.await.map_err(|died| failed(died.into()))?;
-        ended.map_err(|error| failed(FailureCause::Failed(Box::new(error))))
+        let failure = |cause| Failure { part: "outbox".to_owned(), cause };
+        let task_result = self.task.await.map_err(|join_error| failure(join_error.into()))?;
+        task_result.map_err(|error| failure(FailureCause::Failed(Box::new(error))))
     }
 }
 

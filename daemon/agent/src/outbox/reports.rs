@@ -30,9 +30,9 @@ fn with_thousands_separators(number: u64) -> String {
 pub(super) struct Welcome {
     /// Number of the newest batch that the aggregator has.
     pub(super) stored: u64,
-    /// `true` if batches that were acknowledged are missing there.
+    /// `true` if the aggregator lacks batches that were acknowledged.
     pub(super) lacks_batches: bool,
-    /// Number of events that wait.
+    /// Number of events that the aggregator has not stored.
     pub(super) waiting: u64,
     /// Number of connections to clouds that ended since the last live update.
     pub(super) unreported_ends: u64,
@@ -42,38 +42,38 @@ pub(super) struct Welcome {
 #[derive(Debug)]
 pub(super) struct Reports {
     incidents: Incidents,
-    /// Problem of the connection that was reported last.
+    /// Text of the last reported problem of the connection.
     reported_problem: Option<String>,
-    /// Damage in the spool that was reported last.
-    damage: Option<String>,
+    /// Text of the last reported damage in the spool.
+    reported_damage: Option<String>,
     dropping: DroppingWatch,
 }
 
 impl Reports {
     pub(super) fn new(incidents: Incidents) -> Self {
-        Self { incidents, reported_problem: None, damage: None, dropping: DroppingWatch::default() }
+        Self { incidents, reported_problem: None, reported_damage: None, dropping: DroppingWatch::default() }
     }
 
     /// Reports that the aggregator accepted the agent.
     pub(super) fn report_welcome(&mut self, aggregator: &Slug, welcome: &Welcome) {
         let Welcome { stored, lacks_batches, waiting, unreported_ends } = *welcome;
         self.reported_problem = None;
-        let has = match stored {
+        let stored_text = match stored {
             0 => String::new(),
             stored => format!("; its newest batch is number {stored}"),
         };
-        let lost = if lacks_batches {
+        let lost_text = if lacks_batches {
             "; it lacks batches that it once acknowledged: another aggregator has them, or its database is new or was restored \
              from an old copy"
         } else {
             ""
         };
-        let wait = match waiting {
+        let waiting_text = match waiting {
             0 => String::new(),
             1 => "; 1 event waits here".to_owned(),
             waiting => format!("; {} events wait here", with_thousands_separators(waiting)),
         };
-        let unreported = match unreported_ends {
+        let unreported_text = match unreported_ends {
             0 => String::new(),
             1 => "; 1 connection to a cloud ended in the meantime; its traffic since the last live update is not stored".to_owned(),
             ends => format!(
@@ -81,9 +81,11 @@ impl Reports {
                 with_thousands_separators(ends)
             ),
         };
-        // The usual name would make it "the aggregator aggregator".
+        // With the usual name the text would be "the aggregator aggregator".
         let name = if aggregator.as_str() == "aggregator" { String::new() } else { format!(" {aggregator}") };
-        let text = format!("connected to the aggregator{name}{has}{wait}{lost}{unreported}");
+        let text = format!(
+            "connected to the aggregator{name}{stored_text}{waiting_text}{lost_text}{unreported_text}"
+        );
         self.incidents.report(IncidentKind::Connected, IncidentSubject::default(), text);
     }
 
@@ -146,9 +148,9 @@ impl Reports {
 
     /// Reports damage in the spool.
     pub(super) fn report_damage(&mut self, text: String) {
-        if self.damage.as_ref() != Some(&text) {
+        if self.reported_damage.as_ref() != Some(&text) {
             self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text.clone());
-            self.damage = Some(text);
+            self.reported_damage = Some(text);
         }
     }
 
@@ -162,7 +164,7 @@ impl Reports {
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
 
-    /// Logs whether events are being dropped. The aggregator learns it from the gaps in the stream.
+    /// Logs when events are dropped, and when this ends. The aggregator learns of dropped events from the gaps in the stream.
     pub(super) fn report_dropping(&mut self, account: &Accounting, now: MonoTime) {
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         match self.dropping.update(account.dropped, now) {

@@ -13,7 +13,7 @@ pub(super) struct Shutdown {
     progress_timeout: Duration,
     /// Time at which the aggregator last stored something.
     last_progress: Instant,
-    /// Number of events stored by then.
+    /// Number of events that were stored by that time.
     stored: u64,
 }
 
@@ -41,21 +41,21 @@ impl Shutdown {
         }
     }
 
-    /// Returns the time until which sending continues, and at which this must be called again; `None` when the shutdown is
-    /// complete.
+    /// Returns the time until which sending continues. The caller must call this method again at that time. `None` when the
+    /// shutdown is complete.
     pub(super) fn next(&mut self, now: Instant, state: OutboxState) -> Option<Instant> {
         let OutboxState { is_spooled, is_unreachable, stored, waiting } = state;
         if stored > self.stored {
             (self.stored, self.last_progress) = (stored, now);
         }
-        let until = match (is_spooled, is_unreachable) {
+        let end = match (is_spooled, is_unreachable) {
             // Events that are only in memory would be lost.
             (false, _) => self.deadline,
             (true, true) => now,
-            // The next start delivers the rest from the spool.
+            // The next start sends the remaining events from the spool.
             (true, false) => self.deadline.min(self.last_progress + self.progress_timeout),
         };
-        (waiting > 0 && now < until).then_some(until)
+        (waiting > 0 && now < end).then_some(end)
     }
 }
 

@@ -22,15 +22,15 @@ pub(crate) struct ClockWitness {
 
 impl ClockWitness {
     /// Connects to the socket in an edge's hello, without waiting. Returns `None` if the hello names no socket, if the two
-    /// clocks cannot be one, or if the socket cannot be reached because the edge is on another machine or in another
+    /// clocks cannot be the same clock, or if the socket cannot be reached because the edge is on another machine or in another
     /// network namespace.
     pub(crate) fn connect(hello: &SessionHello, session: SessionId, clock: &SharedClock) -> Option<Self> {
         let name = hello.clock_socket?;
         if !hello.clock.may_share_clock_with(clock.identity()) || !clock.shows_kernel_time() {
             return None;
         }
-        let connected = time_namespace().and_then(|namespace| Ok((namespace, connect(&name.to_string())?)));
-        match connected {
+        let connection = time_namespace().and_then(|namespace| Ok((namespace, connect(&name.to_string())?)));
+        match connection {
             Ok((time_namespace, stream)) => {
                 Some(Self { stream, session, time_namespace, clock: SharedClock::clone(clock) })
             }

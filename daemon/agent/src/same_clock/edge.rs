@@ -21,8 +21,8 @@ use super::proof::{NotProven, Outcome, OwnClock, Proof};
 /// Maximum number of processes that may connect while a session is opened. The cloud is one of them; the others are not part
 /// of PEERNet.
 const MAX_PEERS: usize = 16;
-/// Time after which a process that has not answered the first query is ignored: it does not serve the session, or is
-/// stopped. After a pause of this process an answer may take as long.
+/// Time after which a process that has not answered the first query is ignored, because it does not serve the session or
+/// is stopped. After a pause of this process an answer may take the same time before the proof counts as expired.
 const FIRST_ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The socket that a session's hello names.
@@ -59,7 +59,7 @@ impl ClockSocket {
     /// Closes the socket and returns the connections. A cloud connects before it accepts the session.
     pub(crate) fn into_peers(self, session: SessionId) -> ClockPeers {
         let mut streams = Vec::new();
-        // Non-blocking: if no connection waits, `accept` returns an error.
+        // The socket does not block: if no connection waits, `accept` returns an error.
         while let Some((stream, _)) = self.listener.accept().ok().filter(|_| streams.len() < MAX_PEERS) {
             streams.push(stream);
         }
@@ -88,19 +88,19 @@ pub(crate) async fn prove(
     report: impl Fn(Result<(), NotProven>),
 ) -> Infallible {
     let streams = std::mem::take(&mut *peers.streams.lock().unwrap_or_else(PoisonError::into_inner));
-    let mut last = NotProven::NotConnected;
+    let mut last_reason = NotProven::NotConnected;
     for stream in streams {
         let Some(session) = peers.session else { break };
-        last = match time_namespace() {
+        last_reason = match time_namespace() {
             Ok(namespace) => {
                 let proof = Proof::new(*session.as_bytes(), namespace);
-                let Err(why) = Prover { proof, clock, report: &report }.run(stream).await;
-                why
+                let Err(reason) = Prover { proof, clock, report: &report }.run(stream).await;
+                reason
             }
             Err(error) => error.into(),
         };
     }
-    report(Err(last));
+    report(Err(last_reason));
     std::future::pending().await
 }
 
@@ -116,8 +116,8 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
     async fn run(mut self, stream: StdStream) -> Result<Infallible, NotProven> {
         stream.set_nonblocking(true)?;
         let mut stream = UnixStream::from_std(stream)?;
-        let first = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.send_query(&mut stream)).await;
-        first.map_err(|_| NotProven::Foreign)??;
+        let first_answer = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, self.send_query(&mut stream)).await;
+        first_answer.map_err(|_| NotProven::Foreign)??;
         loop {
             let pause = self.proof.pause();
             let sleep = async {
@@ -131,7 +131,7 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
 
     /// Sends one query and handles its answer. There is no timeout.
     async fn send_query(&mut self, stream: &mut UnixStream) -> Result<(), NotProven> {
-        // A new nonce for each query, so that an old answer is not mistaken for a new one.
+        // Each query has a new nonce, so that an old answer is not mistaken for a new answer.
         let nonce = Uuid::new_v4().into_bytes();
         let query = self.proof.next_query(nonce, self.clock.raw()).to_bytes();
         let answer = self.wait_for(async {
@@ -142,24 +142,24 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
         });
         let answer = ClockAnswer::from_bytes(&answer.await?);
         let raw = self.clock.raw();
-        let own =
+        let own_clock =
             OwnClock { raw, mono: self.clock.mono(), shows_kernel_time: self.clock.shows_kernel_time() };
-        match self.proof.handle_answer(answer, own) {
+        match self.proof.handle_answer(answer, own_clock) {
             Outcome::Proven => (self.report)(Ok(())),
-            Outcome::Refuted(why) => (self.report)(Err(why)),
+            Outcome::Refuted(reason) => (self.report)(Err(reason)),
             Outcome::Slow => {}
             Outcome::Foreign => return Err(NotProven::Foreign),
         }
         Ok(())
     }
 
-    /// Waits for a future. If the proof expires before the future is ready, passes that to `report`.
-    async fn wait_for<T>(&mut self, waiting: impl Future<Output = io::Result<T>>) -> io::Result<T> {
-        let mut waiting = pin!(waiting);
+    /// Waits for a future. If the proof expires before the future is ready, passes the expiry to `report`.
+    async fn wait_for<T>(&mut self, future: impl Future<Output = io::Result<T>>) -> io::Result<T> {
+        let mut future = pin!(future);
         // If the proof has expired already, this process was paused, which says nothing about the other process.
         let was_paused = self.proof.valid_for(self.clock.mono()) == Some(Span::ZERO);
-        if was_paused && let Ok(done) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut waiting).await {
-            return done;
+        if was_paused && let Ok(output) = tokio::time::timeout(FIRST_ANSWER_TIMEOUT, &mut future).await {
+            return output;
         }
         loop {
             let remaining = self.proof.valid_for(self.clock.mono());
@@ -173,7 +173,7 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
             };
             tokio::select! {
                 biased;
-                done = &mut waiting => return done,
+                output = &mut future => return output,
                 () = expiry => {
                     if self.proof.expire(self.clock.mono()) {
                         (self.report)(Err(NotProven::Expired));

@@ -1,4 +1,4 @@
-//! Checks the answers of a cloud, and for how long they are valid. No I/O: times are arguments.
+//! Checks the answers of a cloud, and determines how long they are valid. No I/O: times are arguments.
 
 use std::io;
 use std::time::Duration;
@@ -85,10 +85,10 @@ impl Proof {
         Self { session, time_namespace, open_query: None, slow_answers: 0, proven_at: None }
     }
 
-    /// Creates the next query, with a nonce that was never used before; `before` is the reading of the
+    /// Creates the next query, with a nonce that was never used before. `raw_before` is the reading of the
     /// free-running clock.
-    pub(super) fn next_query(&mut self, nonce: Nonce, before: RawTime) -> ClockQuery {
-        self.open_query = Some((nonce, before));
+    pub(super) fn next_query(&mut self, nonce: Nonce, raw_before: RawTime) -> ClockQuery {
+        self.open_query = Some((nonce, raw_before));
         ClockQuery { nonce }
     }
 
@@ -97,10 +97,10 @@ impl Proof {
     /// The session's id is random and sent over the session only. Therefore a process that knows it is the other end of the
     /// session. The name of the socket is not secret on this machine (`/proc/net/unix`). The nonce prevents the replay of
     /// an old answer.
-    pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own: OwnClock) -> Outcome {
+    pub(super) fn handle_answer(&mut self, answer: Option<ClockAnswer>, own_clock: OwnClock) -> Outcome {
         // A query counts for one answer only: a second answer with the same nonce proves nothing.
         let open_query = self.open_query.take();
-        let (Some(answer), Some((nonce, before))) = (answer, open_query) else {
+        let (Some(answer), Some((nonce, raw_before))) = (answer, open_query) else {
             return self.reject_foreign();
         };
         if answer.session != self.session || answer.nonce != nonce {
@@ -111,7 +111,7 @@ impl Proof {
         }
         // A preloaded library may show a process other times than the kernel's. Equal readings then do not prove one
         // clock.
-        if !own.shows_kernel_time {
+        if !own_clock.shows_kernel_time {
             return self.refute(NotProven::OwnTime);
         }
         if !answer.shows_kernel_time {
@@ -119,24 +119,24 @@ impl Proof {
         }
         // The cloud read its clock after the query was sent and before the answer arrived. A reading outside that interval
         // is of a different clock.
-        if answer.raw < before {
-            return self.refute(NotProven::OtherClock(answer.raw - before));
+        if answer.raw < raw_before {
+            return self.refute(NotProven::OtherClock(answer.raw - raw_before));
         }
-        if answer.raw > own.raw {
-            return self.refute(NotProven::OtherClock(answer.raw - own.raw));
+        if answer.raw > own_clock.raw {
+            return self.refute(NotProven::OtherClock(answer.raw - own_clock.raw));
         }
         // A slow answer does not refute an earlier proof, which is valid until it expires.
-        if own.raw - before > MAX_ROUND_TRIP {
+        if own_clock.raw - raw_before > MAX_ROUND_TRIP {
             self.slow_answers = self.slow_answers.saturating_add(1);
             return Outcome::Slow;
         }
-        (self.slow_answers, self.proven_at) = (0, Some(own.mono));
+        (self.slow_answers, self.proven_at) = (0, Some(own_clock.mono));
         Outcome::Proven
     }
 
     /// Returns the pause before the next query.
     pub(super) const fn pause(&self) -> Duration {
-        // After a slow answer the next one is probably fast. After many slow answers the machine is busy, and more queries
+        // After a slow answer the next answer is probably fast. After many slow answers the machine is busy, and more queries
         // would add to its load.
         if self.slow_answers == 0 || self.slow_answers > QUICK_RETRIES {
             QUERY_INTERVAL
@@ -152,16 +152,16 @@ impl Proof {
 
     /// Ends the proof if it has expired. Returns whether it has.
     pub(super) fn expire(&mut self, now: MonoTime) -> bool {
-        let is_over = self.valid_for(now) == Some(Span::ZERO);
-        if is_over {
+        let has_expired = self.valid_for(now) == Some(Span::ZERO);
+        if has_expired {
             self.proven_at = None;
         }
-        is_over
+        has_expired
     }
 
-    fn refute(&mut self, why: NotProven) -> Outcome {
+    fn refute(&mut self, reason: NotProven) -> Outcome {
         (self.slow_answers, self.proven_at) = (0, None);
-        Outcome::Refuted(why)
+        Outcome::Refuted(reason)
     }
 
     fn reject_foreign(&mut self) -> Outcome {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     /// Returns an answer that proves it, read 20 µs after the query at 100 µs.
-    fn good(nonce: Nonce) -> ClockAnswer {
+    fn proving_answer(nonce: Nonce) -> ClockAnswer {
         ClockAnswer {
             nonce,
             session: SESSION,
@@ -213,45 +213,55 @@ mod tests {
     fn proof_holds_for_five_seconds() {
         let mut proof = proof_with_open_query();
         assert_eq!(proof.valid_for(mono(0)), None);
-        assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
         assert_eq!(proof.valid_for(mono(12)), Some(Span::from_seconds(3)));
         assert!(!proof.expire(mono(14)));
-        assert!(proof.expire(mono(15)) && !proof.expire(mono(16)), "told once");
+        assert!(proof.expire(mono(15)) && !proof.expire(mono(16)), "reported once");
         assert_eq!(proof.valid_for(mono(16)), None);
     }
 
     #[test]
     fn each_contradiction_refutes_and_ends_earlier_proof() {
         let answers: [(ClockAnswer, OwnClock, &str); 5] = [
-            (ClockAnswer { time_namespace: 1, ..good([2; 16]) }, own(140, 12), "time namespaces"),
+            (ClockAnswer { time_namespace: 1, ..proving_answer([2; 16]) }, own(140, 12), "time namespaces"),
             (
-                ClockAnswer { shows_kernel_time: false, ..good([2; 16]) },
+                ClockAnswer { shows_kernel_time: false, ..proving_answer([2; 16]) },
                 own(140, 12),
                 "the cloud's process other",
             ),
-            (good([2; 16]), OwnClock { shows_kernel_time: false, ..own(140, 12) }, "this process other"),
-            (ClockAnswer { raw: raw(99), ..good([2; 16]) }, own(140, 12), "differs by"),
-            (ClockAnswer { raw: raw(141), ..good([2; 16]) }, own(140, 12), "differs by"),
+            (
+                proving_answer([2; 16]),
+                OwnClock { shows_kernel_time: false, ..own(140, 12) },
+                "this process other",
+            ),
+            (ClockAnswer { raw: raw(99), ..proving_answer([2; 16]) }, own(140, 12), "differs by"),
+            (ClockAnswer { raw: raw(141), ..proving_answer([2; 16]) }, own(140, 12), "differs by"),
         ];
         for (answer, own_clock, words) in answers {
             let mut proof = proof_with_open_query();
-            assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
+            assert!(matches!(
+                proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)),
+                Outcome::Proven
+            ));
             proof.next_query([2; 16], raw(100));
-            let Outcome::Refuted(why) = proof.handle_answer(Some(answer), own_clock) else {
+            let Outcome::Refuted(reason) = proof.handle_answer(Some(answer), own_clock) else {
                 panic!("{words}")
             };
-            assert!(why.to_string().contains(words), "{why}");
+            assert!(reason.to_string().contains(words), "{reason}");
             assert_eq!(proof.valid_for(mono(12)), None);
         }
     }
 
     #[test]
-    fn slow_answer_keeps_proof_until_it_expires_and_is_asked_again() {
+    fn slow_answer_keeps_proof_and_causes_quick_retries() {
         let mut proof = proof_with_open_query();
-        assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
         for retry in 1..=QUICK_RETRIES + 1 {
             proof.next_query([2; 16], raw(100));
-            assert!(matches!(proof.handle_answer(Some(good([2; 16])), own(5_101, 12)), Outcome::Slow));
+            assert!(matches!(
+                proof.handle_answer(Some(proving_answer([2; 16])), own(5_101, 12)),
+                Outcome::Slow
+            ));
             assert_eq!(proof.pause() == Duration::ZERO, retry <= QUICK_RETRIES);
         }
         assert_eq!(proof.valid_for(mono(13)), Some(Span::from_seconds(2)));
@@ -261,9 +271,9 @@ mod tests {
     #[test]
     fn unsolicited_or_repeated_answer_is_foreign() {
         let mut proof = proof_with_open_query();
-        assert!(matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Proven));
+        assert!(matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Proven));
         assert!(
-            matches!(proof.handle_answer(Some(good([1; 16])), own(140, 10)), Outcome::Foreign),
+            matches!(proof.handle_answer(Some(proving_answer([1; 16])), own(140, 10)), Outcome::Foreign),
             "a replay"
         );
         let mut proof = proof_with_open_query();
@@ -272,7 +282,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn only_sessions_cloud_with_same_clock_proves_it(
+        fn same_clock_is_proved_only_by_cloud_of_session(
             nonce in prop_oneof![Just([1; 16]), any::<Nonce>()],
             session in prop_oneof![Just(SESSION), any::<[u8; 16]>()],
             time_namespace in prop_oneof![Just(NAMESPACE), any::<u64>()],

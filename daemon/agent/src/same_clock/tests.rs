@@ -20,17 +20,17 @@ use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
 
 const WAIT_TIMEOUT: Duration = Duration::from_secs(20);
 
-fn system() -> SharedClock {
+fn system_clock() -> SharedClock {
     let identity = ClockIdentity::from_system(ClockIdentity::SYSTEM).expect("linux has a boot id");
     Arc::new(SystemClock::new(identity))
 }
 
 /// Returns the system's clock with clock fault injection, but no faults.
 fn faulty_clock() -> SharedClock {
-    let clock = system();
+    let clock = system_clock();
     let (identity, since) = (clock.identity().clone(), clock.wall());
-    let wrong = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
-    Arc::new(FaultyClock::new(clock, identity, wrong))
+    let faults = ClockFaults { offset: Span::ZERO, drift_ppm: 0.0, steps: Vec::new(), since };
+    Arc::new(FaultyClock::new(clock, identity, faults))
 }
 
 fn session(last: u8) -> SessionId {
@@ -51,7 +51,7 @@ fn hello(clock: &SharedClock, clock_socket: Option<ClockSocketName>) -> SessionH
 }
 
 /// Starts the edge's end; returns the receiver of its results.
-fn proving(
+fn start_proving(
     peers: ClockPeers,
     clock: SharedClock,
 ) -> (mpsc::Receiver<Result<(), NotProven>>, AbortOnDropHandle<()>) {
@@ -63,11 +63,11 @@ fn proving(
     (proofs, AbortOnDropHandle::new(task))
 }
 
-async fn next(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
+async fn receive_result(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> Result<(), NotProven> {
     tokio::time::timeout(WAIT_TIMEOUT, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
-fn witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
+fn start_witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
     let witness = ClockWitness::connect(hello, session(number), clock)?;
     Some(AbortOnDropHandle::new(tokio::spawn(witness.answer())))
 }
@@ -82,53 +82,53 @@ fn connect(name: ClockSocketName) -> std::io::Result<UnixStream> {
 
 #[tokio::test]
 async fn cloud_of_the_session_proves_one_clock() {
-    let clock = system();
+    let clock = system_clock();
     let socket = listen(&clock);
-    let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let _witness = start_witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let name = socket.name();
-    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
-    assert!(next(&mut proofs).await.is_ok());
+    let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
+    assert!(receive_result(&mut proofs).await.is_ok());
     assert_eq!(connect(name).expect_err("the socket is closed").kind(), ErrorKind::ConnectionRefused);
 }
 
 #[tokio::test]
 async fn cloud_of_another_session_proves_nothing() {
-    let clock = system();
+    let clock = system_clock();
     let socket = listen(&clock);
-    let _witness = witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
-    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
-    assert!(matches!(next(&mut proofs).await, Err(NotProven::Foreign)));
+    let _witness = start_witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
+    let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
+    assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Foreign)));
 }
 
 #[tokio::test]
 async fn process_with_clock_fault_neither_listens_nor_connects() {
-    let (right, wrong) = (system(), faulty_clock());
-    assert!(ClockSocket::listen(&*wrong).is_none());
-    let socket = listen(&right);
-    assert!(witness(&hello(&right, Some(socket.name())), 1, &wrong).is_none());
-    let (mut proofs, _task) = proving(socket.into_peers(session(1)), right);
-    assert!(matches!(next(&mut proofs).await, Err(NotProven::NotConnected)));
+    let (kernel_clock, other_clock) = (system_clock(), faulty_clock());
+    assert!(ClockSocket::listen(&*other_clock).is_none());
+    let socket = listen(&kernel_clock);
+    assert!(start_witness(&hello(&kernel_clock, Some(socket.name())), 1, &other_clock).is_none());
+    let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), kernel_clock);
+    assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::NotConnected)));
 }
 
 #[tokio::test]
 async fn cloud_connects_to_no_edge_of_another_boot() {
-    let clock = system();
+    let clock = system_clock();
     let socket = listen(&clock);
     let other = ClockIdentity::new("another", ClockIdentity::SYSTEM);
     let hello = SessionHello { clock: other, ..hello(&clock, Some(socket.name())) };
-    assert!(witness(&hello, 1, &clock).is_none());
+    assert!(start_witness(&hello, 1, &clock).is_none());
 }
 
 #[tokio::test]
 async fn cloud_continues_without_listener_or_with_full_queue() {
-    let clock = system();
+    let clock = system_clock();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
-    assert!(witness(&hello(&clock, Some(name)), 1, &clock).is_none());
+    assert!(start_witness(&hello(&clock, Some(name)), 1, &clock).is_none());
     // The listener accepts nobody, so that connecting would block once its queue is full. It must not block here.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();
-    while let Some(witness) = witness(&hello(&clock, Some(name)), 1, &clock) {
+    while let Some(witness) = start_witness(&hello(&clock, Some(name)), 1, &clock) {
         waiting.push(witness);
         assert!(waiting.len() < 10_000, "the queue is bounded");
     }
@@ -136,15 +136,15 @@ async fn cloud_continues_without_listener_or_with_full_queue() {
 
 #[tokio::test]
 async fn garbage_and_silence_do_not_hide_the_cloud() {
-    let clock = system();
+    let clock = system_clock();
     let socket = listen(&clock);
     let mut garbage = connect(socket.name()).expect("it listens");
     garbage.write_all(&[0x55; 4 * ClockAnswer::BYTES]).expect("there is room");
     let mut silent = connect(socket.name()).expect("it listens");
-    let _gone = connect(socket.name()).map(drop);
-    let _witness = witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
-    let (mut proofs, _task) = proving(socket.into_peers(session(1)), clock);
-    assert!(next(&mut proofs).await.is_ok());
+    let _closed = connect(socket.name()).map(drop);
+    let _witness = start_witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
+    assert!(receive_result(&mut proofs).await.is_ok());
     for stream in [&mut garbage, &mut silent] {
         stream.set_read_timeout(Some(WAIT_TIMEOUT)).expect("a timeout");
         let mut query = [0; ClockQuery::BYTES];
@@ -159,7 +159,7 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
 
 #[tokio::test]
 async fn cloud_closes_connection_that_asks_garbage() {
-    let clock = system();
+    let clock = system_clock();
     let name = ClockSocketName::new([4; ClockSocketName::BYTES]);
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let listener = UnixListener::bind_addr(&address).expect("the name is free");
@@ -167,28 +167,28 @@ async fn cloud_closes_connection_that_asks_garbage() {
     let (mut stream, _) = listener.accept().expect("it connected");
     stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
     tokio::time::timeout(WAIT_TIMEOUT, witness.answer()).await.expect("it ends");
-    let mut rest = Vec::new();
-    assert_eq!(stream.read_to_end(&mut rest).expect("it is closed"), 0);
+    let mut bytes = Vec::new();
+    assert_eq!(stream.read_to_end(&mut bytes).expect("it is closed"), 0);
 }
 
 /// Takes as long as a proof is valid.
 #[tokio::test]
-async fn proof_expires_when_answers_stop_and_returns_with_them() {
-    let clock = system();
+async fn proof_expires_without_answers_and_returns_with_them() {
+    let clock = system_clock();
     let socket = listen(&clock);
     let cloud = connect(socket.name()).expect("it listens");
-    let (mut proofs, _task) = proving(socket.into_peers(session(1)), SharedClock::clone(&clock));
+    let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), SharedClock::clone(&clock));
     cloud.set_nonblocking(true).expect("a socket");
     let mut cloud = tokio::net::UnixStream::from_std(cloud).expect("a socket");
     answer(&mut cloud, &clock).await;
-    assert!(next(&mut proofs).await.is_ok());
-    assert!(matches!(next(&mut proofs).await, Err(NotProven::Expired)));
+    assert!(receive_result(&mut proofs).await.is_ok());
+    assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Expired)));
     // The query that waited takes too long to prove anything; the next one is asked at once.
     answer(&mut cloud, &clock).await;
     answer(&mut cloud, &clock).await;
-    assert!(next(&mut proofs).await.is_ok());
+    assert!(receive_result(&mut proofs).await.is_ok());
     drop(cloud);
-    assert!(matches!(next(&mut proofs).await, Err(NotProven::Ended(_))));
+    assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Ended(_))));
 }
 
 /// Answers one query as the cloud of the first session does.

@@ -33,8 +33,8 @@ fn system() -> String {
 /// Returns the names of NVIDIA accelerators that their driver lists, in the order of the bus. On a Jetson, whose
 /// accelerator is part of the board, it is the name of the board.
 fn gpus(proc: &Path) -> Vec<String> {
-    let listed = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
-    let mut cards: Vec<PathBuf> = listed.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    let entries = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
+    let mut cards: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     cards.sort_unstable();
     let cards: Vec<String> = cards
         .iter()

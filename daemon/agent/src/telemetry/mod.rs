@@ -28,14 +28,14 @@ pub(crate) async fn run(
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {
-        // On a blocking thread, because the temperature sensors of some boards take milliseconds to answer.
-        let sampled = tokio::task::spawn_blocking(move || {
+        // The metrics are read on a blocking thread, because the temperature sensors of some boards take milliseconds to answer.
+        let reading = tokio::task::spawn_blocking(move || {
             let metrics = sampler.sample();
             (sampler, metrics)
         });
-        match sampled.await {
-            Ok((back, metrics)) => {
-                sampler = back;
+        match reading.await {
+            Ok((returned_sampler, metrics)) => {
+                sampler = returned_sampler;
                 metrics_sender.send_replace(metrics);
             }
             Err(error) => {

@@ -9,22 +9,22 @@ use rustix::time::{ClockId, clock_gettime};
 pub(super) struct ProcessUsage {
     clock: SharedClock,
     /// Time of the last reading of the CPU time, and its value.
-    last: Option<(MonoTime, Span)>,
+    last_reading: Option<(MonoTime, Span)>,
 }
 
 impl ProcessUsage {
     pub(super) const fn new(clock: SharedClock) -> Self {
-        Self { clock, last: None }
+        Self { clock, last_reading: None }
     }
 
     /// Returns the CPU time since the last call as a share of one core; `None` at the first call.
     pub(super) fn cpu_share(&mut self) -> Option<f64> {
-        let spent = clock_gettime(ClockId::ProcessCPUTime);
-        let spent = Span::from_seconds(spent.tv_sec) + Span::from_nanos(spent.tv_nsec);
+        let cpu_time = clock_gettime(ClockId::ProcessCPUTime);
+        let cpu_time = Span::from_seconds(cpu_time.tv_sec) + Span::from_nanos(cpu_time.tv_nsec);
         let now = self.clock.mono();
-        let (last_time, last_spent) = self.last.replace((now, spent))?;
-        let passed = (now - last_time).seconds();
-        (passed > 0.0).then(|| (spent - last_spent).seconds() / passed)
+        let (last_time, last_cpu_time) = self.last_reading.replace((now, cpu_time))?;
+        let elapsed = (now - last_time).seconds();
+        (elapsed > 0.0).then(|| (cpu_time - last_cpu_time).seconds() / elapsed)
     }
 
     /// Returns the resident memory in bytes.

@@ -18,8 +18,8 @@ pub(super) struct Sampler {
 
 impl Sampler {
     pub(super) fn new(clock: SharedClock) -> Self {
-        let log_unavailable = |what: &str, error: sysinfo::Error| {
-            tracing::info!(%error, "cannot read {what} on this host; it is not shown");
+        let log_unavailable = |quantity: &str, error: sysinfo::Error| {
+            tracing::info!(%error, "cannot read {quantity} on this host; it is not shown");
         };
         Self {
             system: System::new().map_err(|error| log_unavailable("processor and memory load", error)).ok(),

@@ -33,33 +33,35 @@ impl BestPoints {
     /// Inserts a point if it is the lowest of its interval after the skew `slope` (seconds per second) is removed.
     pub(super) fn insert(&mut self, point: Point, slope: f64) -> InsertResult {
         let interval_number = point.x.div_euclid(self.interval);
-        let number = |point: &Point| point.x.div_euclid(self.interval);
-        let at = match self.points.back().map(number) {
+        let interval_of = |point: &Point| point.x.div_euclid(self.interval);
+        let index = match self.points.back().map(interval_of) {
             // Most points belong to the newest interval.
             Some(last) if last == interval_number => self.points.len() - 1,
             Some(last) if last > interval_number => {
-                self.points.partition_point(|other| number(other) < interval_number)
+                self.points.partition_point(|other| interval_of(other) < interval_number)
             }
             _ => self.points.len(),
         };
-        if let Some(best) = self.points.get(at).copied().filter(|point| number(point) == interval_number) {
+        if let Some(best) =
+            self.points.get(index).copied().filter(|point| interval_of(point) == interval_number)
+        {
             // If the skew were not removed, the lowest point would always be the earliest or the latest of its interval.
-            let drifted = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
-            if point.bound >= drifted {
+            let expected_bound = best.bound.saturating_add((slope * (point.x - best.x) as f64) as i64);
+            if point.bound >= expected_bound {
                 return InsertResult::Worse;
             }
-            self.points[at] = point;
+            self.points[index] = point;
             return InsertResult::Better;
         }
         if self.points.len() >= self.max_points {
             // The interval is older than the intervals of all other points.
-            if at == 0 {
+            if index == 0 {
                 return InsertResult::Worse;
             }
             self.points.pop_front();
-            self.points.insert(at - 1, point);
+            self.points.insert(index - 1, point);
         } else {
-            self.points.insert(at, point);
+            self.points.insert(index, point);
         }
         InsertResult::First
     }
@@ -72,18 +74,18 @@ impl BestPoints {
     /// Returns `count` points around `x`: half of them before it and half after it. If there are too few points on one
     /// side, more points of the other side take their place.
     pub(super) fn around(&self, x: i64, count: usize) -> impl Iterator<Item = Point> + '_ {
-        let after = self.points.partition_point(|point| point.x < x);
-        let end = after.saturating_add(count / 2).max(count).min(self.points.len());
+        let first_at_or_after = self.points.partition_point(|point| point.x < x);
+        let end = first_at_or_after.saturating_add(count / 2).max(count).min(self.points.len());
         self.points.range(end.saturating_sub(count)..end).copied()
     }
 
     /// Returns whether the points [`around`](Self::around) `x` are the newest points and all lie within `reach` of it.
     pub(super) fn newest_points_are_around(&self, x: i64, count: usize, reach: u64) -> bool {
         let len = self.points.len();
-        // `around` returns the newest `count` points if at most `count / 2` of all points are at or after `x`: then the point
-        // before these is before `x`.
+        // `around` returns the newest `count` points if no more than `count / 2` of all points are at or after `x`. That is
+        // so if the point just before the newest `count / 2` points is before `x`.
         let (oldest, middle) = (len.saturating_sub(count), len.saturating_sub(count / 2 + 1));
-        let is_near = |at: usize| self.points.get(at).is_some_and(|point| point.x.abs_diff(x) <= reach);
+        let is_near = |index: usize| self.points.get(index).is_some_and(|point| point.x.abs_diff(x) <= reach);
         let x_is_after_middle = len <= count || self.points.get(middle).is_some_and(|point| point.x < x);
         x_is_after_middle && is_near(oldest) && is_near(len.saturating_sub(1))
     }
@@ -100,7 +102,7 @@ mod tests {
     const SECOND: i64 = 1_000_000_000;
 
     #[test]
-    fn points_stay_sorted_and_bounded_in_any_arrival_order() {
+    fn points_stay_sorted_and_bounded_in_any_order() {
         let mut seconds = BestPoints::new(SECOND, 1024);
         for n in 0..3_000i64 {
             let x = (n * 7919 % 3_000) * SECOND + n;

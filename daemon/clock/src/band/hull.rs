@@ -3,13 +3,13 @@
 
 use super::slots::Point;
 
-/// Appends a point to the lower convex hull of points to which `half` × x² was added. The point must not be earlier
+/// Appends a point to the lower convex hull of points to which `half_limit` × x² was added. The point must not be earlier
 /// than the last one. The origin of x is arbitrary, because another origin adds a straight line.
 #[inline]
-pub(super) fn push(hull: &mut Vec<Point>, next: Point, half: f64) {
+pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
     // Height of a later point above an earlier one, with the earlier one as the origin of x.
     let rise =
-        |from: Point, to: Point, away: f64| to.bound.saturating_sub(from.bound) as f64 + half * away * away;
+        |from: Point, to: Point, dx: f64| to.bound.saturating_sub(from.bound) as f64 + half_limit * dx * dx;
     while let [.., a, b] = hull[..] {
         let (near, far) = ((b.x - a.x) as f64, (next.x - a.x) as f64);
         if rise(a, b, near) * far < rise(a, next, far) * near {
@@ -70,7 +70,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_other_line_under_the_points_is_nearer_to_them(
+        fn no_other_line_below_points_is_nearer(
             steps in proptest::collection::vec((1i64..2_000, -1_000i64..1_000), 2..24),
         ) {
             let mut x = 0;
@@ -81,11 +81,11 @@ mod tests {
                     Point { x, bound }
                 })
                 .collect();
-            let found = distances(&points, slope_below(points.iter().copied()).expect("two points"));
+            let distances_of_result = distances(&points, slope_below(points.iter().copied()).expect("two points"));
             for (n, a) in points.iter().enumerate() {
                 for b in &points[n + 1..] {
-                    let other = (b.bound - a.bound) as f64 / (b.x - a.x) as f64;
-                    prop_assert!(found <= distances(&points, other) + 1e-6);
+                    let other_slope = (b.bound - a.bound) as f64 / (b.x - a.x) as f64;
+                    prop_assert!(distances_of_result <= distances(&points, other_slope) + 1e-6);
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! The interval of the offset of two clocks over time, as the exchanges prove it.
+//! The interval that contains the offset of two clocks, at each time, as the exchanges prove it.
 //!
 //! The offset θ(x) is the cloud's clock minus the edge's clock when the edge's shows x. Each exchange bounds it from
 //! above at the time it was sent and from below at the time it returned. The limit of drift extends both bounds to
@@ -131,8 +131,8 @@ impl Band {
     /// exchanges that are kept.
     ///
     /// If each exchange is checked before it is inserted, the bounds by the limit of drift never exclude each other. The
-    /// bounds by the limit of its change may, although each exchange was checked, because they involve three or four
-    /// points at once. [`interval`](Self::interval) reports that.
+    /// bounds by the limit of the drift's change can still exclude each other, because they involve three or four points
+    /// at once. [`interval`](Self::interval) reports that.
     // Proof of the first statement: let U be the upper bound of one exchange at x, L the lower bound of another at y, and
     // w(t) the largest drift during t. If the bounds at q excluded each other, U + w(|q − x|) < L − w(|q − y|), then also
     // U < L − w(|x − y|), and the later of the two exchanges would have been rejected. For that reason the check covers
@@ -174,8 +174,8 @@ impl Band {
         let inserted = [self.upper.insert(bounds.upper), self.lower.insert(bounds.lower)];
         self.upper.remove_before(start);
         self.lower.remove_before(start);
-        let at = self.latest.partition_point(|other| other.lower.x <= bounds.lower.x);
-        self.latest.insert(at, *bounds);
+        let index = self.latest.partition_point(|other| other.lower.x <= bounds.lower.x);
+        self.latest.insert(index, *bounds);
         if self.latest.len() > MIN_EXCHANGES {
             self.latest.pop_front();
         }
@@ -313,7 +313,7 @@ impl Band {
 
     /// Returns the skew that the exchanges prove; `None` without enough exchanges.
     pub(crate) fn proven_skew(&self) -> Option<ProvenSkew> {
-        self.trend.proof().proven()
+        self.trend.proof().proven_skew()
     }
 
     /// Returns the proven skew if it exceeds the limit of drift in either direction.

@@ -21,7 +21,7 @@ use super::slots::Point;
 /// Largest number of points of one side before a time, and after it: 12 s of slots.
 // At the usual κ, older points give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
-/// Longest time over which a rate extends bounds: 13 days.
+/// Longest distance in time over which a rate extends bounds: 13 days.
 const MAX_LENGTH_NANOS: u64 = 1 << 50;
 
 /// The points of both sides that can give a bound.
@@ -92,13 +92,13 @@ impl Hulls {
     /// Returns whether both sides have points and all of them lie within `reach` of `q`.
     pub(super) fn are_within(&self, q: i64, reach: i64) -> bool {
         // A hull always contains the first and the last point.
-        let ends = |side: &Side| {
-            let near = |point: Option<&Point>| {
+        let ends_are_near = |side: &Side| {
+            let is_near = |point: Option<&Point>| {
                 point.is_some_and(|point| point.x.abs_diff(q) <= reach.unsigned_abs())
             };
-            near(side.raised.points.first()) && near(side.raised.points.last())
+            is_near(side.raised.points.first()) && is_near(side.raised.points.last())
         };
-        ends(&self.upper) && ends(&self.lower)
+        ends_are_near(&self.upper) && ends_are_near(&self.lower)
     }
 
     pub(super) fn memory_bytes(&self) -> usize {
@@ -110,28 +110,28 @@ impl Hulls {
 impl Side {
     /// Replaces all points; `points` must be in the order of time.
     fn set(&mut self, points: impl Iterator<Item = Point>, change: DriftChangeLimit) {
-        let half = change.half_limit_per_nano();
+        let half_limit = change.half_limit_per_nano();
         self.raised.others.clear();
         self.lowered.others.clear();
         let mut newest: Option<Point> = None;
         for point in points {
             if let Some(other) = newest.replace(point) {
-                hull::push(&mut self.raised.others, other, half);
-                hull::push(&mut self.lowered.others, other, -half);
+                hull::push(&mut self.raised.others, other, half_limit);
+                hull::push(&mut self.lowered.others, other, -half_limit);
             }
         }
         match newest {
-            Some(newest) => self.replace(newest, half),
+            Some(newest) => self.replace(newest, half_limit),
             None => [&mut self.raised, &mut self.lowered].into_iter().for_each(|hull| hull.points.clear()),
         }
     }
 
-    /// Replaces the newest point. `half` is κ / 2 per nanosecond.
-    fn replace(&mut self, newest: Point, half: f64) {
-        for (hull, half) in [(&mut self.raised, half), (&mut self.lowered, -half)] {
+    /// Replaces the newest point. `half_limit` is κ / 2 per nanosecond.
+    fn replace(&mut self, newest: Point, half_limit: f64) {
+        for (hull, half_limit) in [(&mut self.raised, half_limit), (&mut self.lowered, -half_limit)] {
             // The newest point changes with almost each exchange; the hull of the others is reused.
             hull.points.clone_from(&hull.others);
-            hull::push(&mut hull.points, newest, half);
+            hull::push(&mut hull.points, newest, half_limit);
         }
     }
 }
@@ -139,36 +139,38 @@ impl Side {
 /// Returns the best bound of a side at `q` by two points.
 fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
     let (raised, lowered, others) = (&side.raised.points, &side.lowered.points, &opposite.raised.points);
-    // Values relative to an origin, because a conversion to floating point would lose nanoseconds of large offsets.
+    // Values are relative to an origin, because a large offset loses nanoseconds when it becomes a floating-point number.
     let origin = raised.first()?.bound;
-    let half = change.half_limit_per_nano();
+    let half_limit = change.half_limit_per_nano();
     let mut best: Option<(f64, BoundPair)> = None;
     let mut consider = |value: f64, pair: BoundPair| {
-        if best.is_none_or(|(least, _)| value < least) {
+        if best.is_none_or(|(lowest, _)| value < lowest) {
             best = Some((value, pair));
         }
     };
-    let after = raised.partition_point(|point| point.x < q);
-    if let (Some(a), Some(b)) = (after.checked_sub(1).and_then(|n| raised.get(n)), raised.get(after)) {
+    let next_index = raised.partition_point(|point| point.x < q);
+    if let (Some(a), Some(b)) =
+        (next_index.checked_sub(1).and_then(|n| raised.get(n)), raised.get(next_index))
+    {
         let (from_a, to_b) = ((q - a.x) as f64, (b.x - q) as f64);
         let chord = ((a.bound - origin) as f64 * to_b + (b.bound - origin) as f64 * from_a) / (from_a + to_b);
-        consider(chord + half * from_a * to_b, BoundPair::Interpolated(*a, *b));
+        consider(chord + half_limit * from_a * to_b, BoundPair::Interpolated(*a, *b));
     }
-    let beyond = |b: Point, a: Point| {
+    let extrapolated = |b: Point, a: Point| {
         let (near, far) = (q.abs_diff(b.x) as f64, q.abs_diff(a.x) as f64);
         let rate = b.bound.saturating_add(a.bound) as f64 / (far - near);
-        (b.bound - origin) as f64 + near * rate + half * near * far
+        (b.bound - origin) as f64 + near * rate + half_limit * near * far
     };
     // The bounds by b and the points of the hull decrease up to the point where the line through b is a tangent of the
     // hull, and increase after it.
     let mut consider_tangent = |b: Point, farther: &mut dyn Iterator<Item = &Point>| {
-        let mut least = f64::INFINITY;
+        let mut lowest = f64::INFINITY;
         for a in farther {
-            let value = beyond(b, *a);
-            if value > least {
+            let value = extrapolated(b, *a);
+            if value > lowest {
                 break;
             }
-            least = value;
+            lowest = value;
             consider(value, BoundPair::Extrapolated(b, *a));
         }
     };

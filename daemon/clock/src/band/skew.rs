@@ -1,9 +1,10 @@
-//! The skew that exchanges prove, whatever their delays were: not an estimate, but bounds.
+//! Bounds of the skew that the exchanges prove. The bounds hold whatever the delays of the exchanges were.
 //!
 //! With an upper bound U_a and a later lower bound L_b, the offset grew by at least L_b − U_a: at some time in between
 //! its rate was (L_b − U_a) / (b − a) or more. With L_a and U_b it was (U_b − L_a) / (b − a) or less. The window of the
 //! band is too short for such a proof: over a path of 40 ms, an excess of 50 ppm shows after a quarter of an hour. The
-//! best point of every sixteen seconds is therefore kept for half an hour. These points bound no delay.
+//! best point of every sixteen seconds is therefore kept for half an hour. These points serve only this proof, not the
+//! bounds of delays.
 
 use super::best_points::{BestPoints, InsertResult};
 use super::hull;
@@ -29,29 +30,29 @@ pub(super) struct SkewProof {
     upper: BestPoints,
     /// Lower bounds with the opposite sign.
     lower: BestPoints,
-    proven: Option<ProvenSkew>,
+    proven_skew: Option<ProvenSkew>,
 }
 
 impl Default for SkewProof {
     fn default() -> Self {
-        let best = || BestPoints::new(INTERVAL_NANOS, MAX_INTERVALS);
-        Self { upper: best(), lower: best(), proven: None }
+        let no_points = || BestPoints::new(INTERVAL_NANOS, MAX_INTERVALS);
+        Self { upper: no_points(), lower: no_points(), proven_skew: None }
     }
 }
 
 impl SkewProof {
     /// Inserts an exchange; `slope` is the estimated skew in seconds per second.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, slope: f64) {
-        let placed = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
+        let results = [self.upper.insert(upper, slope), self.lower.insert(lower, -slope)];
         // Computed once per interval, because it compares all pairs of points of the hulls.
-        if placed.contains(&InsertResult::First) {
-            self.proven = self.prove();
+        if results.contains(&InsertResult::First) {
+            self.proven_skew = self.prove();
         }
     }
 
     /// Returns the proven skew as of the start of the newest interval.
-    pub(super) fn proven(&self) -> Option<ProvenSkew> {
-        self.proven
+    pub(super) fn proven_skew(&self) -> Option<ProvenSkew> {
+        self.proven_skew
     }
 
     /// Computes the proven skew; `None` without enough points.
@@ -74,8 +75,8 @@ impl SkewProof {
 fn lowest_rate(earlier: &[Point], later: &[Point]) -> Option<f64> {
     let rates = later.iter().flat_map(|b| {
         // Points too close in time prove no useful rate, because the delays dominate.
-        let before = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > INTERVAL_NANOS / 8);
-        before.map(|a| b.bound.saturating_add(a.bound) as f64 / (b.x - a.x) as f64)
+        let earlier_points = earlier.iter().take_while(|a| b.x.saturating_sub(a.x) > INTERVAL_NANOS / 8);
+        earlier_points.map(|a| b.bound.saturating_add(a.bound) as f64 / (b.x - a.x) as f64)
     });
     rates.min_by(f64::total_cmp)
 }
@@ -87,7 +88,7 @@ mod tests {
     use crate::band::Bounds;
     use crate::simulation::{HostClocks, Path, RandomSource, SimulatedClock};
 
-    fn proven(ppm: f64, path: Path, seconds: f64) -> ProvenSkew {
+    fn prove_skew(ppm: f64, path: Path, seconds: f64) -> ProvenSkew {
         let host_clocks = HostClocks {
             edge: SimulatedClock::drifting(Span::ZERO, 0.0),
             cloud: SimulatedClock::drifting(Span::ZERO, ppm),
@@ -97,23 +98,23 @@ mod tests {
             let Bounds { upper, lower } = Bounds::from(&trip.exchange);
             proof.insert(upper, lower, 0.0);
         }
-        proof.proven().expect("several intervals")
+        proof.proven_skew().expect("several intervals")
     }
 
     #[test]
-    fn proven_skew_contains_the_truth_and_is_narrow_on_a_short_path() {
+    fn proven_skew_is_true_and_narrow_on_short_path() {
         for ppm in [-200.0, -3.0, 0.0, 100.0] {
-            let proven = proven(ppm, Path::VETH, 100.0);
+            let proven = prove_skew(ppm, Path::VETH, 100.0);
             assert!(proven.min_ppm <= ppm && ppm <= proven.max_ppm, "{proven:?}");
             assert!(proven.max_ppm - proven.min_ppm < 10.0, "{proven:?}");
         }
     }
 
     #[test]
-    fn skew_beyond_the_limit_is_proven_over_a_long_path_in_time() {
+    fn excess_skew_is_proven_over_long_path() {
         let path = Path { up: 5e6, down: 40e6, jitter: 1e6, loss: 0.02, burst: 0.0 };
-        assert!(proven(100.0, path, 600.0).min_ppm < 50.0);
-        let late = proven(100.0, path, 1_100.0);
+        assert!(prove_skew(100.0, path, 600.0).min_ppm < 50.0);
+        let late = prove_skew(100.0, path, 1_100.0);
         assert!(50.0 < late.min_ppm && late.min_ppm <= 100.0 && late.max_ppm >= 100.0, "{late:?}");
     }
 }

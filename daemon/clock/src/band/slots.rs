@@ -4,11 +4,11 @@
 //! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
 //! is the lowest of all cones. Bounds from below are the same with the opposite sign.
 //!
-//! Each slot keeps the point whose cone is the lowest at the later of two points' times. By w(a + b) ≥ w(a) + w(b) − 1
-//! that cone is, to a nanosecond, also the lowest at every time after the slot: a query about the present gets the
-//! bound that all exchanges together give. Thinning has two costs: the oldest slot of the window expires as a whole, and
-//! the bound at a time within a slot may be wider by ρ × twice the slot's length. It never makes an interval wrong,
-//! because any subset of valid bounds is valid.
+//! Of two points in one slot, the slot keeps the point whose cone is lower at the time of the later point.
+//! By w(a + b) ≥ w(a) + w(b) − 1 that cone is, to a nanosecond, also the lower one at every time after the slot: a query
+//! about the present gets the bound that all exchanges together give. Thinning has two costs: the oldest slot of the
+//! window expires as a whole, and the bound at a time within a slot may be wider by ρ × twice the slot's length.
+//! Thinning never makes an interval wrong, because any subset of valid bounds is valid.
 
 use std::collections::VecDeque;
 
@@ -80,11 +80,11 @@ impl Slots {
         Self { drift, length: DEFAULT_SLOT_NANOS.max(retention / MAX_SLOTS), points: VecDeque::new() }
     }
 
-    /// Returns the lowest cone at `q` of the points no further from it than `reach`; `None` without such points.
+    /// Returns the lowest cone at `q` of the points within `reach` of `q`; `None` without such points.
     #[inline]
     pub(super) fn bound(&self, q: i64, reach: i64) -> Option<i64> {
-        let near = |point: &&Point| point.x.abs_diff(q) <= reach.unsigned_abs();
-        lowest_bound(self.points.iter().filter(near).copied(), self.drift, q)
+        let is_near = |point: &&Point| point.x.abs_diff(q) <= reach.unsigned_abs();
+        lowest_bound(self.points.iter().filter(is_near).copied(), self.drift, q)
     }
 
     /// Returns the newest point.
@@ -92,8 +92,8 @@ impl Slots {
         self.points.back().copied()
     }
 
-    /// Returns the points no further from `q` than `reach`, at most `max_per_side` before and after it each, in the order of
-    /// time.
+    /// Returns the points within `reach` of `q` in the order of time: at most `max_per_side` before `q`, and at most as many
+    /// after it.
     pub(super) fn around(
         &self,
         q: i64,
@@ -120,13 +120,13 @@ impl Slots {
     /// Inserts a point if it is the best of its slot.
     pub(super) fn insert(&mut self, point: Point) -> Insertion {
         let slot = |point: &Point| point.x.div_euclid(self.length);
-        let at = match self.points.back() {
+        let index = match self.points.back() {
             // Most points belong to the newest slot.
             Some(last) if slot(last) == slot(&point) => self.points.len() - 1,
             Some(last) if slot(last) < slot(&point) => self.points.len(),
             _ => self.points.partition_point(|other| slot(other) < slot(&point)),
         };
-        match self.points.get_mut(at) {
+        match self.points.get_mut(index) {
             Some(best) if best.x.div_euclid(self.length) == point.x.div_euclid(self.length) => {
                 // Compared at the later time, because queries are mostly about times after the slot.
                 let later = best.x.max(point.x);
@@ -134,10 +134,10 @@ impl Slots {
                     return Insertion::Unchanged;
                 }
                 *best = point;
-                if at + 1 == self.points.len() { Insertion::Newest } else { Insertion::Other }
+                if index + 1 == self.points.len() { Insertion::Newest } else { Insertion::Other }
             }
             _ => {
-                self.points.insert(at, point);
+                self.points.insert(index, point);
                 Insertion::Other
             }
         }
@@ -193,7 +193,7 @@ mod tests {
         }
 
         #[test]
-        fn widening_adds_up_to_within_a_nanosecond(a in 0i64..1 << 60, b in 0i64..1 << 60, ppm in 0.0f64..500.0) {
+        fn drift_over_parts_adds_up_within_a_nanosecond(a in 0i64..1 << 60, b in 0i64..1 << 60, ppm in 0.0f64..500.0) {
             let drift = DriftLimit::new(ppm);
             let (parts, whole) = (drift.max_change_over(a) + drift.max_change_over(b), drift.max_change_over(a + b));
             prop_assert!(whole <= parts && parts <= whole + 1);
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn rounding_is_to_the_safe_side_and_the_limit_holds_by_either_clock() {
+    fn limit_is_rounded_up_for_either_clock() {
         assert_eq!(limit().max_change_over(1), 1);
         // 50 ppm of the cloud's clock are 50.0025 ppm of the second of a slow edge.
         assert!(limit().max_change_over(1_000_000_000) >= 50_003);

@@ -13,7 +13,7 @@ fn band(window: Span) -> Band {
     Band::new(model(), window, window)
 }
 
-/// Returns worlds whose clocks drift at the limit, on either side and in either direction, or wander within it.
+/// Returns pairs of clocks, one of which drifts at the limit in either direction, or wanders within the limit.
 fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Vec<HostClocks> {
     let still = SimulatedClock::drifting(Span::ZERO, 0.0);
     let mut host_clock_pairs = Vec::new();
@@ -33,12 +33,12 @@ fn host_clock_pairs(offset: Span, length: Span, random: &mut RandomSource) -> Ve
     host_clock_pairs
 }
 
-/// Delays some answers, so that the trips are not learnt in the order of their ends.
-fn overtaken(trips: &mut [Trip], random: &mut RandomSource) {
+/// Delays some answers, so that the trips are learnt in another order than they were sent.
+fn delay_some_answers(trips: &mut [Trip], random: &mut RandomSource) {
     for trip in trips.iter_mut() {
-        trip.ended += if random.chance(0.1) { random.exponential(2e9) } else { 0.0 };
+        trip.end += if random.chance(0.1) { random.exponential(2e9) } else { 0.0 };
     }
-    trips.sort_by(|a, b| a.ended.total_cmp(&b.ended));
+    trips.sort_by(|a, b| a.end.total_cmp(&b.end));
 }
 
 fn contains(interval: Interval, truth: f64) -> bool {
@@ -59,7 +59,7 @@ proptest! {
         let (window, kept) = (Span::from_seconds(10), Span::from_seconds(40));
         for host_clocks in host_clock_pairs(Span::from_nanos(ahead), Span::from_seconds(120), &mut random) {
             let mut trips = path.trips(&host_clocks, (0.0, 100.0), 20.0, &mut random);
-            overtaken(&mut trips, &mut random);
+            delay_some_answers(&mut trips, &mut random);
             let mut band = Band::new(model(), window, kept);
             for trip in &trips {
                 let bounds = Bounds::from(&trip.exchange);
@@ -89,7 +89,7 @@ proptest! {
             ),
         };
         let mut trips = path.trips(&host_clocks, (0.0, 60.0), hz, &mut random);
-        overtaken(&mut trips, &mut random);
+        delay_some_answers(&mut trips, &mut random);
         let (window, drift) = (Span::from_seconds(10), DriftLimit::new(LIMIT_PPM));
         let mut band = band(window);
         let mut all: Vec<Bounds> = Vec::new();
@@ -99,11 +99,11 @@ proptest! {
             all.push(bounds);
             all.sort_by_key(|bounds| bounds.lower.x);
             let q = band.newest().expect("has exchanges").nanos();
-            let least = all.len().saturating_sub(MIN_EXCHANGES);
+            let first_unexpiring = all.len().saturating_sub(MIN_EXCHANGES);
             let lowest_bound = |point: fn(&Bounds) -> Point, reach: i64| {
-                let counts = |(n, bounds): &(usize, &Bounds)| *n >= least || point(bounds).x >= q - reach;
-                let counted = all.iter().enumerate().filter(counts);
-                counted.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
+                let is_used = |(n, bounds): &(usize, &Bounds)| *n >= first_unexpiring || point(bounds).x >= q - reach;
+                let used = all.iter().enumerate().filter(is_used);
+                used.map(|(_, bounds)| point(bounds).bound_at(drift, q)).min().expect("has exchanges")
             };
             let actual = band.interval(RawTime::from_nanos(q)).expect("has exchanges").interval;
             // The oldest slot expires when its best point does, together with points that may be younger.
@@ -134,8 +134,8 @@ fn undetected_jump_ends_with_window() {
         band.insert(&bounds);
         let at = trip.exchange.returned;
         let is_inside = contains(band.interval(at).expect("has exchanges").interval, host_clocks.offset(at));
-        let is_spoilt = (30e9..40.1e9).contains(&trip.ended);
-        assert!(is_inside || is_spoilt, "at {}", trip.ended);
+        let is_spoilt = (30e9..40.1e9).contains(&trip.end);
+        assert!(is_inside || is_spoilt, "at {}", trip.end);
         wrong += u32::from(!is_inside);
     }
     assert!(wrong <= 210, "{wrong}");
@@ -173,13 +173,13 @@ fn truth_is_inside_without_delay() {
         while t < 600e9 {
             let trip = host_clocks.trip(t, 0.0, 0.0, 0.0);
             let bounds = Bounds::from(&trip.exchange);
-            assert!(band.contradiction(&bounds).is_none(), "world {n}");
+            assert!(band.contradiction(&bounds).is_none(), "pair {n}");
             band.insert(&bounds);
             for _ in 0..20 {
                 let at = host_clocks.edge.shows(random.between(0.0, 650e9).floor());
                 let (interval, truth) =
                     (band.interval(at).expect("has exchanges").interval, host_clocks.offset(at));
-                assert!(contains(interval, truth), "world {n}: {interval:?} {truth}");
+                assert!(contains(interval, truth), "pair {n}: {interval:?} {truth}");
             }
             t += random.exponential(3e9).floor();
         }
@@ -194,7 +194,7 @@ fn errors(host_clocks: &HostClocks, path: Path, hz: f64) -> (f64, f64) {
     let mut errors = Vec::new();
     for trip in path.trips(host_clocks, (0.0, 120.0), hz, &mut random) {
         band.insert(&Bounds::from(&trip.exchange));
-        if trip.ended > 10e9 {
+        if trip.end > 10e9 {
             let at = trip.exchange.returned;
             let estimate = band.estimate(at, band.interval(at).expect("has exchanges").interval);
             errors.push((estimate.nanos() as f64 - host_clocks.offset(at)).abs() / 1e3);
@@ -209,12 +209,12 @@ fn estimate_is_accurate_on_symmetric_path() {
     for (n, host_clocks) in
         host_clock_pairs(Span::from_seconds(-1), Span::from_seconds(120), &mut random).iter().enumerate()
     {
-        // The last two wander by tens of ppm within seconds, which no crystal does.
+        // The clocks of the last two pairs wander by tens of ppm within seconds, which no crystal does.
         let (steady, hectic) = ((n < 4).then_some((2.0, 15.0)), (20.0, 150.0));
         for hz in [10.0, 200.0] {
             let (mean, most) = errors(host_clocks, Path::VETH, hz);
             let limits = steady.unwrap_or(hectic);
-            assert!(mean < limits.0 && most < limits.1, "world {n}, {hz} Hz: {mean} {most}");
+            assert!(mean < limits.0 && most < limits.1, "pair {n}, {hz} Hz: {mean} {most}");
         }
     }
 }
@@ -228,7 +228,7 @@ fn steady_skew_is_estimated_from_enough_exchanges() {
     let mut band = band(Span::from_seconds(600));
     for trip in Path::VETH.trips(&host_clocks, (0.0, 60.0), 10.0, &mut RandomSource::new(5)) {
         band.insert(&Bounds::from(&trip.exchange));
-        if trip.ended < 4e9 {
+        if trip.end < 4e9 {
             assert_eq!(band.skew_ppm(), None);
         }
     }
@@ -245,10 +245,10 @@ fn later_exchanges_narrow_past_interval() {
     let trips = Path::VETH.trips(&host_clocks, (0.0, 60.0), 1.0, &mut RandomSource::new(9));
     let mut band = band(Span::from_seconds(600));
     let at = RawTime::from_nanos(35_000_000_000);
-    let (before, after) = trips.split_at(20);
-    before.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
+    let (earlier_trips, later_trips) = trips.split_at(20);
+    earlier_trips.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
     let early = band.interval(at).expect("has exchanges").interval;
-    after.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
+    later_trips.iter().for_each(|trip| band.insert(&Bounds::from(&trip.exchange)));
     let late = band.interval(at).expect("has exchanges").interval;
     assert!(late.width().nanos() * 2 < early.width().nanos(), "{early:?} {late:?}");
     assert!(contains(late, host_clocks.offset(at)));

@@ -47,20 +47,20 @@ pub(super) struct Trend {
     // Most queries are about the present, and most exchanges change no point.
     newest_slope: OnceLock<Option<f64>>,
     /// Times of the first and the last exchange, nanoseconds.
-    span: Option<(i64, i64)>,
+    time_range: Option<(i64, i64)>,
     exchanges: u64,
     proof: SkewProof,
 }
 
 impl Default for Trend {
     fn default() -> Self {
-        let best = || BestPoints::new(SECOND, MAX_SECONDS);
+        let no_points = || BestPoints::new(SECOND, MAX_SECONDS);
         Self {
-            upper: best(),
-            lower: best(),
+            upper: no_points(),
+            lower: no_points(),
             slope: 0.0,
             newest_slope: OnceLock::new(),
-            span: None,
+            time_range: None,
             exchanges: 0,
             proof: SkewProof::default(),
         }
@@ -70,16 +70,16 @@ impl Default for Trend {
 impl Trend {
     /// Inserts an exchange; `limit` is the largest slope that clocks can have.
     pub(super) fn insert(&mut self, upper: Point, lower: Point, limit: f64) {
-        let (first, last) = self.span.unwrap_or((upper.x, lower.x));
-        self.span = Some((first.min(upper.x), last.max(lower.x)));
+        let (first, last) = self.time_range.unwrap_or((upper.x, lower.x));
+        self.time_range = Some((first.min(upper.x), last.max(lower.x)));
         self.exchanges += 1;
         self.proof.insert(upper, lower, self.slope);
-        let placed = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
-        if placed != [InsertResult::Worse; 2] {
+        let results = [self.upper.insert(upper, self.slope), self.lower.insert(lower, -self.slope)];
+        if results != [InsertResult::Worse; 2] {
             self.newest_slope.take();
         }
         // Once per second is enough, because the skew changes slowly.
-        if placed.contains(&InsertResult::First) {
+        if results.contains(&InsertResult::First) {
             self.slope = self.slope(lower.x, ESTIMATE_SECONDS, limit).unwrap_or(0.0);
         }
     }
@@ -106,7 +106,7 @@ impl Trend {
     /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
     /// that exceed the limit are visible.
     pub(super) fn skew(&self) -> Option<f64> {
-        self.slope(self.span?.1, SKEW_SECONDS, f64::INFINITY)
+        self.slope(self.time_range?.1, SKEW_SECONDS, f64::INFINITY)
     }
 
     /// Returns the proof of the skew.
@@ -118,9 +118,9 @@ impl Trend {
         self.upper.memory_bytes() + self.lower.memory_bytes() + self.proof.memory_bytes()
     }
 
-    /// Returns the rate of the offset by the `seconds` nearest seconds, in seconds per second.
+    /// Returns the rate of the offset by the points of the `seconds` seconds nearest to `x`, in seconds per second.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
-        let (first, last) = self.span?;
+        let (first, last) = self.time_range?;
         if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_NANOS {
             return None;
         }
@@ -144,8 +144,8 @@ impl Trend {
 /// Returns the lowest bound at `x` by the points around it, for a known skew and the assumed wander around it.
 fn lowest_bound(points: &BestPoints, x: i64, seconds: usize, slope: f64) -> Option<i64> {
     let bound_at = |point: Point| {
-        let away = x.saturating_sub(point.x) as f64;
-        point.bound.saturating_add((slope * away + MAX_WANDER * away.abs()).round() as i64)
+        let distance = x.saturating_sub(point.x) as f64;
+        point.bound.saturating_add((slope * distance + MAX_WANDER * distance.abs()).round() as i64)
     };
     around(points, x, seconds).map(bound_at).min()
 }

@@ -14,7 +14,7 @@ const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 // contradicts the band again and again.
 const VIOLATION_DURATION: Span = Span::from_seconds(60);
 
-/// Exchanges that contradict the band now, and the steps that earlier exchanges proved.
+/// Exchanges that currently contradict the band, and the steps that earlier exchanges proved.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Contradictions {
     pub(super) suspects: SuspectExchanges,
@@ -24,26 +24,28 @@ pub(super) struct Contradictions {
 /// Times of steps that no host reported, and the limit that several of them violate.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UnannouncedSteps {
-    last: Option<(RawTime, Contradiction)>,
+    last_step: Option<(RawTime, Contradiction)>,
     violated_limit: Option<(RawTime, ViolatedLimit)>,
 }
 
 impl UnannouncedSteps {
     /// Records a step. A second step within [`VIOLATION_DURATION`] violates a limit.
     pub(super) fn record(&mut self, at: RawTime, contradiction: Contradiction) {
-        if let Some((_, before)) = self.last.filter(|(last, _)| (at - *last).abs() <= VIOLATION_DURATION) {
-            let is_change = [before, contradiction].contains(&Contradiction::DriftChange);
-            let limit = if is_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
+        if let Some((_, previous)) =
+            self.last_step.filter(|(time, _)| (at - *time).abs() <= VIOLATION_DURATION)
+        {
+            let is_drift_change = [previous, contradiction].contains(&Contradiction::DriftChange);
+            let limit = if is_drift_change { ViolatedLimit::DriftChange } else { ViolatedLimit::Drift };
             self.violated_limit = Some((at + VIOLATION_DURATION, limit));
         }
-        self.last = Some((at, contradiction));
+        self.last_step = Some((at, contradiction));
     }
 
     /// Returns the limit that the steps before a time violate.
     pub(super) fn violated_limit(&self, at: RawTime) -> Option<ViolatedLimit> {
-        // After the edge's clock is set back far, the end of the violation lies far in the future. The violation is over then.
+        // If the edge's clock was set back far, the end of the violation lies far in the future. The violation then counts as over.
         self.violated_limit
-            .filter(|(until, _)| at < *until && *until - at <= VIOLATION_DURATION + VIOLATION_DURATION)
+            .filter(|(end, _)| at < *end && *end - at <= VIOLATION_DURATION + VIOLATION_DURATION)
             .map(|(_, limit)| limit)
     }
 }
@@ -52,18 +54,18 @@ impl UnannouncedSteps {
 #[derive(Clone, Debug, Default)]
 pub(super) struct SuspectExchanges {
     band: Option<Band>,
-    /// Each exchange once, so that an answer which arrives twice counts once.
+    /// Bounds of each suspect. An answer that arrives twice counts once.
     bounds: Vec<Bounds>,
 }
 
 impl SuspectExchanges {
     /// Adds an exchange that contradicts the band. Returns the band of all suspects once they prove a step.
-    pub(super) fn add(&mut self, bounds: &Bounds, empty: impl FnOnce() -> Band) -> Option<Band> {
+    pub(super) fn add(&mut self, bounds: &Bounds, new_band: impl FnOnce() -> Band) -> Option<Band> {
         let mut band = match self.band.take().filter(|band| band.contradiction(bounds).is_none()) {
             Some(band) => band,
             None => {
                 self.bounds.clear();
-                empty()
+                new_band()
             }
         };
         if !self.bounds.iter().any(|suspect| suspect.sent() == bounds.sent()) {
@@ -88,9 +90,10 @@ impl SuspectExchanges {
     pub(super) fn reconsider(&mut self, exchange: &Bounds, current: &Band) {
         let start = current.window_start(exchange.sent());
         let bounding = current.without_exchanges_before(start);
-        let is_open = |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
+        let still_contradicts =
+            |suspect: &Bounds| suspect.sent() >= start && bounding.contradiction(suspect).is_some();
         let is_contradicted = |band: &Band| band.contradiction(exchange).is_some();
-        if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(is_open) {
+        if self.band.as_ref().is_some_and(is_contradicted) || !self.bounds.iter().any(still_contradicts) {
             self.band = None;
         }
     }

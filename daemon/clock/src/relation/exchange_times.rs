@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 
 use crate::{RawTime, Span};
 
-/// Largest number of stamps kept per window.
-const MAX_STAMPS: i64 = 1024;
+/// Largest number of times kept per window.
+const MAX_TIMES: i64 = 1024;
 
-/// Times of exchanges in order. No two of them are closer than `min_gap`; the newest time is stored in addition.
+/// Thinned times of exchanges, in order: no two of them are closer than `min_gap`. The newest time is stored separately.
 #[derive(Clone, Debug)]
 pub(super) struct ExchangeTimes {
     times: VecDeque<RawTime>,
@@ -19,7 +19,7 @@ pub(super) struct ExchangeTimes {
 impl ExchangeTimes {
     pub(super) fn new(max_fresh_age: Span, window: Span) -> Self {
         // A fraction of `max_fresh_age`, so that thinning hardly changes whether an exchange counts as recent.
-        let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_STAMPS).max(1);
+        let min_gap = (max_fresh_age.nanos() / 8).max(window.nanos() / MAX_TIMES).max(1);
         Self { times: VecDeque::new(), newest: None, min_gap: Span::from_nanos(min_gap), window }
     }
 
@@ -29,7 +29,7 @@ impl ExchangeTimes {
         let index = self.times.partition_point(|time| *time <= at);
         let is_close = |time: Option<&RawTime>| time.is_some_and(|time| (*time - at).abs() < self.min_gap);
         if is_close(self.times.get(index))
-            || is_close(index.checked_sub(1).and_then(|before| self.times.get(before)))
+            || is_close(index.checked_sub(1).and_then(|previous| self.times.get(previous)))
         {
             return;
         }
@@ -72,7 +72,7 @@ mod tests {
         for n in 0..200_000 {
             exchange_times.insert(second(f64::from(n * 7919 % 200_000) / 100.0));
         }
-        assert!(exchange_times.times.len() as i64 <= MAX_STAMPS, "{}", exchange_times.times.len());
+        assert!(exchange_times.times.len() as i64 <= MAX_TIMES, "{}", exchange_times.times.len());
         assert!(exchange_times.times.iter().is_sorted());
         for at in [1_400.0, 1_700.5, 2_005.0, 2_009.5] {
             assert!(exchange_times.has_exchange_near(second(at), second(at), Span::from_seconds(10)), "{at}");

@@ -20,18 +20,18 @@ impl Relation {
         // The exchange must not count as a recent exchange for its own delays, but narrows their intervals.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
-        if let LearnResult::Refused(why) = learned {
+        if let LearnResult::Refused(refusal) = learned {
             return JudgedExchange {
                 learned,
-                up: self.refused_delay(why, Direction::Up, sent, received),
-                down: self.refused_delay(why, Direction::Down, replied, returned),
+                up: self.refused_delay(refusal, Direction::Up, sent, received),
+                down: self.refused_delay(refusal, Direction::Down, replied, returned),
             };
         }
-        let [up, down] = self.offsets_of_exchange(sent, returned);
+        let [up_offset, down_offset] = self.offsets_of_exchange(sent, returned);
         JudgedExchange {
             learned,
-            up: self.corrected_delay(Direction::Up, sent, received, up, is_fresh),
-            down: self.corrected_delay(Direction::Down, replied, returned, down, is_fresh),
+            up: self.corrected_delay(Direction::Up, sent, received, up_offset, is_fresh),
+            down: self.corrected_delay(Direction::Down, replied, returned, down_offset, is_fresh),
         }
     }
 
@@ -55,10 +55,10 @@ impl Relation {
         down: (RawTime, RawTime),
     ) -> [OneWayDelay; 2] {
         let is_fresh = self.exchange_times.has_exchange_near(up.0, down.1, self.settings.max_fresh_age);
-        let [of_up, of_down] = self.offsets_of_exchange(up.0, down.1);
+        let [up_offset, down_offset] = self.offsets_of_exchange(up.0, down.1);
         [
-            self.corrected_difference(Direction::Up, up.0, up.1, of_up, is_fresh),
-            self.corrected_difference(Direction::Down, down.0, down.1, of_down, is_fresh),
+            self.corrected_difference(Direction::Up, up.0, up.1, up_offset, is_fresh),
+            self.corrected_difference(Direction::Down, down.0, down.1, down_offset, is_fresh),
         ]
     }
 
@@ -90,11 +90,11 @@ impl Relation {
         };
         let (lo, hi, value) = subtract_offset(direction, raw, &offset);
         // The difference may be measured by either clock, and the clocks drift apart during it.
-        let rate = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
+        let drift = Span::from_nanos(self.windows.limit().max_change_over(lo.abs().max(hi.abs()).nanos()));
         // There is no drift between two stamps of one clock.
         let is_exact = offset.source == DelaySource::SameClock && offset.is_consistent;
         let bounds =
-            if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - rate, hi: hi + rate } };
+            if is_exact { Interval::exactly(raw) } else { Interval { lo: lo - drift, hi: hi + drift } };
         self.with_verdict(edge_time(direction, sent, received), raw, (value, bounds), &offset, is_fresh)
     }
 
@@ -121,23 +121,23 @@ impl Relation {
             };
             (band.interval, estimate)
         });
-        let same = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
-        let claimed = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
+        let same_clock = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
+        let claimed_offset = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
         OffsetSources {
             in_band,
             is_consistent: band.is_none_or(|band| band.is_consistent),
-            other: same.or_else(claimed),
+            other: same_clock.or_else(claimed_offset),
         }
     }
 
     /// Returns `ok`, `stale` or `inconsistent`. `is_fresh` says whether there are recent exchanges.
     // Old exchanges and violated assumptions matter only if exchanges narrow the interval.
     pub(super) fn verdict_of(&self, offset: &CombinedOffset, is_fresh: bool) -> Verdict {
-        let in_band = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
-        if !offset.is_consistent || (in_band && self.violates_limit()) {
+        let uses_exchanges = matches!(offset.source, DelaySource::InBand | DelaySource::Intersection);
+        if !offset.is_consistent || (uses_exchanges && self.violates_limit()) {
             return Verdict::Inconsistent;
         }
-        if in_band
+        if uses_exchanges
             && (!is_fresh
                 || self.windows.exchanges() < MIN_EXCHANGES
                 || !self.contradictions.suspects.is_empty())
@@ -151,14 +151,14 @@ impl Relation {
     /// `unsynchronised`.
     fn refused_delay(
         &self,
-        why: Refusal,
+        refusal: Refusal,
         direction: Direction,
         sent: RawTime,
         received: RawTime,
     ) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
-        let is_near_step = why == Refusal::Stepped || self.estimate_before_restart.is_some();
+        let is_near_step = refusal == Refusal::Stepped || self.estimate_before_restart.is_some();
         if is_near_step || self.combined_offset(at).is_some() {
             OneWayDelay::stepped(raw, DelaySource::None)
         } else {
@@ -191,8 +191,8 @@ impl Relation {
         if hi.is_negative() {
             return OneWayDelay::stepped(raw, offset.source);
         }
-        let rate = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
-        let bounds = Interval { lo: (lo - rate).max(Span::ZERO), hi: hi + rate };
+        let drift = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
+        let bounds = Interval { lo: (lo - drift).max(Span::ZERO), hi: hi + drift };
         // The estimate assumes a symmetric path, so that it may lie outside of the proven interval.
         let value = value.clamp(lo.max(Span::ZERO), hi);
         self.with_verdict(at, raw, (value, bounds), &offset, is_fresh)

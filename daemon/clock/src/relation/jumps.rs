@@ -1,4 +1,4 @@
-//! Detection of jumps of a clock that no local clock shows, as when a virtual machine is paused or migrated.
+//! Detection of jumps of a clock that no other clock of its host shows, as when a virtual machine is paused or migrated.
 //!
 //! A message that waits on the network moves the middle of an exchange's bounds by half of its waiting time, and
 //! lengthens its round trip by all of it. A middle that moves further than half of the round trip's growth was not
@@ -30,13 +30,14 @@ const ROUND_TRIP_TO_TOLERANCE: i64 = 50;
 #[derive(Clone, Debug, Default)]
 pub(super) struct ShortestRoundTrips {
     points: VecDeque<RoundTripPoint>,
-    /// Shortest round trip, and the spread of the next shortest round trips above it, in nanoseconds. The shortest may exceed the
-    /// path's own round trip by the spread.
+    /// Shortest round trip in nanoseconds.
     shortest: i64,
+    /// The [`MIN_POINTS`]-th shortest round trip minus the shortest one, in nanoseconds. The shortest round trip may exceed
+    /// the round trip of the path itself by this much.
     spread: i64,
     /// Time until which short exchanges are ignored, because an exchange seemed shorter than the path.
     // An exchange that is sent later was not in flight together with the short one.
-    shortened_until: Option<RawTime>,
+    ignore_short_until: Option<RawTime>,
 }
 
 /// An exchange with a short round trip.
@@ -54,7 +55,7 @@ struct RoundTripPoint {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SuspectedJump {
     /// Movement of the middle.
-    pub(super) moved: Span,
+    pub(super) movement: Span,
     /// Times at which the last earlier exchange that would have shown the jump was sent and returned.
     pub(super) last_before: (RawTime, RawTime),
 }
@@ -77,29 +78,32 @@ impl ShortestRoundTrips {
         let point = RoundTripPoint::from(exchange);
         let extra_round_trip = point.round_trip.saturating_sub(self.shortest).saturating_abs();
         let newest = self.points.back()?;
-        // Cheap check first: usually the middle is where the newest one was.
+        // Cheap check first: usually the middle is close to the middle of the newest point.
         let tolerance = self.tolerance();
-        let moved = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
+        let movement_from = |earlier: &RoundTripPoint| point.middle.saturating_sub(earlier.middle);
         if self.points.len() < MIN_POINTS_TO_SUSPECT
-            || (extra_round_trip / 2).saturating_add(tolerance) > moved(newest).abs()
+            || (extra_round_trip / 2).saturating_add(tolerance) > movement_from(newest).abs()
         {
             return None;
         }
-        let exceeds_explanation = |earlier: &&RoundTripPoint| {
-            let moved = moved(earlier).abs();
-            let waited = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
+        let exceeds_explanations = |earlier: &&RoundTripPoint| {
+            let movement = movement_from(earlier).abs();
+            let by_waiting = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
             // The middle belongs to the bounds at two times, between which the offset drifts.
-            let drifted = drift.max_change_between(
+            let by_drift = drift.max_change_between(
                 earlier.sent.min(point.sent).nanos(),
                 earlier.returned.max(point.returned).nanos(),
             );
-            let explained = [waited, drifted, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
-            extra_round_trip <= moved / 4 && moved > explained.into_iter().fold(0, i64::saturating_add)
+            let explanations =
+                [by_waiting, by_drift, tolerance, self.spread, point.uncertainty, earlier.uncertainty];
+            extra_round_trip <= movement / 4
+                && movement > explanations.into_iter().fold(0, i64::saturating_add)
         };
-        let moved = moved(self.points.iter().rev().find(exceeds_explanation)?);
-        let would_show = |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= moved.abs() / 4;
-        let last = self.points.iter().rev().find(would_show)?;
-        Some(SuspectedJump { moved: Span::from_nanos(moved), last_before: (last.sent, last.returned) })
+        let movement = movement_from(self.points.iter().rev().find(exceeds_explanations)?);
+        let would_show_jump =
+            |earlier: &&RoundTripPoint| earlier.round_trip - self.shortest <= movement.abs() / 4;
+        let last = self.points.iter().rev().find(would_show_jump)?;
+        Some(SuspectedJump { movement: Span::from_nanos(movement), last_before: (last.sent, last.returned) })
     }
 
     /// Returns the movement of a middle in nanoseconds up to which no jump is suspected.
@@ -110,25 +114,25 @@ impl ShortestRoundTrips {
     /// Returns whether an exchange may have been in flight during a jump: it seems shorter than the path, and no exchange
     /// that was sent after its return is as short. Updates the time until which short exchanges are ignored.
     fn check_for_spanned_jump(&mut self, point: &RoundTripPoint) -> bool {
-        let shorter = self.shortest.saturating_sub(point.round_trip);
-        let explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
-        let is_short = self.points.len() >= MIN_POINTS_TO_SUSPECT && shorter > explained;
-        match self.shortened_until {
+        let deficit = self.shortest.saturating_sub(point.round_trip);
+        let max_explained = self.tolerance().saturating_add(self.spread).saturating_add(point.uncertainty);
+        let is_short = self.points.len() >= MIN_POINTS_TO_SUSPECT && deficit > max_explained;
+        match self.ignore_short_until {
             Some(until) if until <= point.sent => {
-                self.shortened_until = None;
+                self.ignore_short_until = None;
                 false
             }
             Some(_) => is_short,
             None => {
                 // By the clock that stamped its departure, the exchange returned later by as much as it seems shorter.
-                let delay = Span::from_nanos(shorter.saturating_add(explained));
-                self.shortened_until = is_short.then(|| point.returned + delay);
+                let delay = Span::from_nanos(deficit.saturating_add(max_explained));
+                self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short
             }
         }
     }
 
-    /// Inserts an exchange, and removes those more than `window` before it.
+    /// Inserts an exchange, and removes the exchanges that were sent more than `window` before it.
     pub(super) fn insert(&mut self, exchange: &Exchange, window: Span) {
         let point = RoundTripPoint::from(exchange);
         if self.check_for_spanned_jump(&point) {
@@ -163,20 +167,20 @@ impl ShortestRoundTrips {
     /// Removes all exchanges.
     pub(super) fn clear(&mut self) {
         self.points.clear();
-        self.shortened_until = None;
+        self.ignore_short_until = None;
     }
 
     /// Updates the shortest round trip and the spread.
     fn update_shortest(&mut self) {
         // The newest interval is incomplete, so that its shortest round trip is not final.
-        let complete = self.points.len().saturating_sub(1).max(1);
+        let complete_intervals = self.points.len().saturating_sub(1).max(1);
         let mut trips = [i64::MAX; MAX_POINTS];
-        for (trip, point) in trips.iter_mut().zip(self.points.iter().take(complete)) {
+        for (trip, point) in trips.iter_mut().zip(self.points.iter().take(complete_intervals)) {
             *trip = point.round_trip;
         }
-        let (_, other, _) = trips[..].select_nth_unstable(MIN_POINTS.min(complete) - 1);
+        let (_, nth_shortest, _) = trips[..].select_nth_unstable(MIN_POINTS.min(complete_intervals) - 1);
         self.shortest = self.points.iter().map(|point| point.round_trip).min().unwrap_or(0);
-        self.spread = *other - self.shortest;
+        self.spread = *nth_shortest - self.shortest;
     }
 
     pub(super) fn memory_bytes(&self) -> usize {

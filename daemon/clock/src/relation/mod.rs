@@ -1,7 +1,7 @@
 //! The relation between two hosts' clocks: the offset that follows from the exchanges between the hosts, from the claims
 //! of their time daemons, and from a proof that both hosts read one clock.
 //!
-//! The module does no I/O. Tests feed it generated histories of clocks and paths, some of which violate an assumption.
+//! The module does no I/O. Tests pass it generated histories of clocks and paths, some of which violate an assumption.
 
 mod contradictions;
 mod exchange_times;
@@ -35,7 +35,7 @@ const MAX_READING_DIFFERENCE: Span = Span::from_micros(50);
 // A clock with injected faults drifts against the monotonic clock.
 const MAX_RATE_DIFFERENCE_PPM: i64 = 500;
 
-/// The relation between a clock of an edge and one of a cloud. It belongs to the pair of hosts; all their links
+/// The relation between a clock of an edge and a clock of a cloud. It belongs to the pair of hosts: all links between them
 /// contribute exchanges.
 ///
 /// `docs/clocks.md` explains the method.
@@ -97,7 +97,7 @@ impl Relation {
     }
 
     /// Returns the offset at the time `at` of the edge's clock, which must lie in the window or shortly after it. `wall` is
-    /// the time of the edge's wall clock then. `None` if no source bounds the offset.
+    /// the time of the edge's wall clock at the same moment. `None` if no source bounds the offset.
     pub fn offset(&self, at: RawTime, wall: WallTime) -> Option<Offset> {
         let sources = self.offset_sources(at, None);
         let combined = sources.combine()?;
@@ -218,7 +218,7 @@ impl Relation {
         }
         let bounds = Bounds::from(exchange);
         let contradiction = self.windows.contradiction(&bounds);
-        let moved = match contradiction {
+        let jump = match contradiction {
             Some(contradiction) => {
                 if !self.replace_window_if_confirmed(&bounds, exchange.returned, contradiction) {
                     return LearnResult::Refused(Refusal::Outlier);
@@ -226,24 +226,26 @@ impl Relation {
                 None
             }
             None => {
-                let moved = self.windows.insert(exchange, &bounds);
+                let jump = self.windows.insert(exchange, &bounds);
                 let suspects = &mut self.contradictions.suspects;
                 if !suspects.is_empty() {
                     suspects.reconsider(&bounds, self.windows.current());
                 }
-                moved
+                jump
             }
         };
-        if let Some(moved) = moved {
+        if let Some(movement) = jump {
             self.contradictions.suspects.clear();
             self.counts.restarts += 1;
-            return LearnResult::Jumped(moved);
+            return LearnResult::Jumped(movement);
         }
         match self.estimate_before_restart.take() {
             None => LearnResult::Accepted,
-            Some(before) => {
-                let after = self.estimate_at(exchange.returned);
-                LearnResult::Restarted(before.zip(after).map(|(before, after)| after - before))
+            Some(estimate_before) => {
+                let estimate_after = self.estimate_at(exchange.returned);
+                LearnResult::Restarted(
+                    estimate_before.zip(estimate_after).map(|(before, after)| after - before),
+                )
             }
         }
     }
@@ -306,9 +308,9 @@ impl Relation {
 /// Returns whether the cloud's clock advanced like its monotonic clock; `true` if the observation does not contain the
 /// time of the monotonic clock.
 fn is_free_of_cloud_step(ExchangeObservation { exchange, cloud_elapsed, .. }: &ExchangeObservation) -> bool {
-    cloud_elapsed.is_none_or(|mono| {
+    cloud_elapsed.is_none_or(|elapsed| {
         let limit = MAX_READING_DIFFERENCE
-            + Span::from_nanos(mono.abs().nanos() / 1_000_000 * MAX_RATE_DIFFERENCE_PPM);
-        (exchange.replied - exchange.received - mono).abs() <= limit
+            + Span::from_nanos(elapsed.abs().nanos() / 1_000_000 * MAX_RATE_DIFFERENCE_PPM);
+        (exchange.replied - exchange.received - elapsed).abs() <= limit
     })
 }

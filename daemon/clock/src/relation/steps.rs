@@ -3,7 +3,7 @@
 use crate::{Exchange, ExchangeObservation, RawTime, Span};
 
 /// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
-// Fewer such answers are late answers that were overtaken.
+// If there are fewer, they are late answers that a later answer overtook.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 /// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the edge.
 // It is short, because the stamps themselves may have been set back. Longer exchanges show the step against the
@@ -65,7 +65,7 @@ impl StepTracker {
         is_new
     }
 
-    /// Compares the epochs of an exchange with the previous ones, and updates these.
+    /// Compares the epochs of an exchange with the previous epochs, and replaces the previous epochs.
     pub(super) fn compare(&mut self, observation: &ExchangeObservation) -> StepReport {
         let returned = observation.exchange.returned;
         let edge = *self.edge.get_or_insert(observation.edge_epoch);
@@ -77,7 +77,7 @@ impl StepTracker {
         let cloud = observation.cloud_epoch.map(|reported| (reported, *self.cloud.get_or_insert(reported)));
         // Answers can overtake each other, so that a lower epoch usually comes with a late answer.
         let is_overtaken = cloud
-            .is_some_and(|(reported, previous)| reported < previous && !self.is_restarted_counter(reported));
+            .is_some_and(|(reported, previous)| reported < previous && !self.count_lower_epoch(reported));
         let mut has_cloud_step = false;
         if let Some((reported, previous)) = cloud.filter(|_| !is_overtaken) {
             self.lower_epoch = None;
@@ -92,8 +92,9 @@ impl StepTracker {
         StepReport { has_edge_step, has_cloud_step, is_current }
     }
 
-    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried it, so that the cloud restarted.
-    fn is_restarted_counter(&mut self, reported: u32) -> bool {
+    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried this epoch, so that the cloud
+    /// counts as restarted.
+    fn count_lower_epoch(&mut self, reported: u32) -> bool {
         let count = match self.lower_epoch {
             Some((lower_epoch, count)) if lower_epoch == reported => count + 1,
             _ => 1,

@@ -56,25 +56,25 @@ impl Default for RelationSettings {
 pub enum Refusal {
     /// No two clocks can produce the stamps: the answer left before the message came, or the round trip is negative.
     Impossible,
-    /// It contradicts earlier exchanges. If more exchanges agree with it, a step is assumed.
+    /// The exchange contradicts earlier exchanges. If more exchanges agree with it, a step is assumed.
     Outlier,
-    /// A clock was stepped while it was in flight.
+    /// A clock was stepped while the exchange was in flight.
     Stepped,
 }
 
 /// Result of learning an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LearnResult {
-    /// It was accepted.
+    /// The exchange was accepted.
     Accepted,
-    /// It was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
+    /// The exchange was accepted as the first of a new window, because a clock was stepped before it. The value is the estimate
     /// after the step minus the estimate before it, if both exist.
     Restarted(Option<Span>),
-    /// It was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
+    /// The exchange was accepted as the first of a new window, because a jump is suspected. The value is the movement of the
     /// offset, which is more than queueing on the network explains. Either the path between the hosts changed, or a
     /// clock jumped without notice. Delays are `limited` until the window is full again.
     Jumped(Span),
-    /// It was refused.
+    /// The exchange was refused.
     Refused(Refusal),
 }
 
@@ -117,11 +117,11 @@ pub struct ExchangeCounts {
     /// Accepted exchanges.
     #[serde(rename = "taken")]
     pub accepted: u64,
-    /// Refused because impossible.
+    /// Exchanges that were refused because no two clocks can produce their stamps.
     pub impossible: u64,
-    /// Refused as outliers.
+    /// Exchanges that were refused as outliers.
     pub outliers: u64,
-    /// Refused because a clock was stepped while they were in flight.
+    /// Exchanges that were refused because a clock was stepped while they were in flight.
     pub stepped: u64,
     /// Windows that started after a step or a suspected jump.
     pub restarts: u32,

@@ -14,8 +14,9 @@ const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 
 /// Bounds of the offset by the exchanges of each window.
 ///
-/// A suspected jump lies at some time between two exchanges. The earlier window holds before the first of them, and the
-/// later window after the second. Between the two either may hold, so that the interval is the hull of both.
+/// A suspected jump happened at some time between two exchanges. The earlier window holds before the first of these
+/// exchanges, and the later window holds after the second. Between the two exchanges either window may hold, so that the
+/// interval is the hull of both.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
     drift: DriftModel,
@@ -31,9 +32,9 @@ pub(super) struct Windows {
 struct PastWindow {
     band: Band,
     /// Time until which this window certainly holds.
-    until: RawTime,
+    holds_until: RawTime,
     /// Time after which the next window certainly holds.
-    next_from: RawTime,
+    next_holds_from: RawTime,
     /// Time at which the first exchange of the next window was sent.
     next_sent: RawTime,
 }
@@ -42,8 +43,9 @@ impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
         // A time daemon may change the rate of a wall clock at once, so that its drift has no limited change.
-        let is_free = settings.clocks.are_free_running();
-        let change = is_free.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
+        let are_free_running = settings.clocks.are_free_running();
+        let change =
+            are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
         let drift = DriftModel { limit, change };
         let (window, retention) = (settings.window, settings.retention);
         Self {
@@ -87,15 +89,15 @@ impl Windows {
         if let Some(SuspectedJump { last_before: (sent, returned), .. }) = suspected {
             let new_band = self.new_band();
             let mut band = std::mem::replace(&mut self.current, new_band);
-            // Exchanges since then may be from after the jump, and too wide to show it.
+            // Exchanges that returned later may be from after the jump, and too wide to show it.
             band.truncate(returned);
             // The edge's own clock may have jumped back, so that the second exchange has the earlier stamps.
-            let (until, next_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
-            self.past.push_back(PastWindow { band, until, next_from, next_sent: exchange.sent });
+            let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
+            self.past.push_back(PastWindow { band, holds_until, next_holds_from, next_sent: exchange.sent });
             // Older windows can answer no query any more.
             let start = exchange.returned - self.retention - MAX_MESSAGE_DURATION;
             while self.past.len() > MAX_PAST_WINDOWS
-                || self.past.front().is_some_and(|past| past.next_from < start)
+                || self.past.front().is_some_and(|past| past.next_holds_from < start)
             {
                 self.past.pop_front();
             }
@@ -103,7 +105,7 @@ impl Windows {
         }
         self.current.insert(bounds);
         self.shortest_round_trips.insert(exchange, self.window);
-        suspected.map(|suspected| suspected.moved)
+        suspected.map(|jump| jump.movement)
     }
 
     /// Replaces all windows by `window`, after a step of a clock.
@@ -136,7 +138,7 @@ impl Windows {
 
     /// Returns whether a jump is suspected within the length of the window before a time, so that delays are `limited`.
     pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
-        self.past.iter().any(|past| past.until <= at && at <= past.next_from + self.window)
+        self.past.iter().any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
     }
 
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
@@ -154,8 +156,8 @@ impl Windows {
     /// Returns the windows that may hold at a time, the latest first.
     fn bands(&self, at: RawTime) -> impl Iterator<Item = &Band> {
         let past = self.past.iter().rev();
-        let starts = past.clone().map(|past| Some(past.until)).chain([None]);
-        let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_from)));
+        let starts = past.clone().map(|past| Some(past.holds_until)).chain([None]);
+        let ends = [None].into_iter().chain(past.clone().map(|past| Some(past.next_holds_from)));
         let bands = [&self.current].into_iter().chain(past.map(|past| &past.band));
         bands.zip(starts.zip(ends)).filter_map(move |(band, (start, end))| {
             let may_hold = start.is_none_or(|start| start < at) && end.is_none_or(|end| at < end);

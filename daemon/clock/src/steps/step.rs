@@ -48,8 +48,8 @@ impl PairedReading {
 }
 
 /// Counter of the steps of a clock against `CLOCK_MONOTONIC`.
-// The monotonic clock is slewed together with the wall clock, so that only a step changes the difference of the two. Only
-// a sleep changes its difference to `CLOCK_BOOTTIME`.
+// The monotonic clock is slewed together with the wall clock, so that only a step changes the difference between these two
+// clocks. Only a sleep changes the difference between the monotonic clock and `CLOCK_BOOTTIME`.
 #[derive(Debug, Default)]
 pub(crate) struct StepWatch {
     last: Option<PairedReading>,
@@ -62,15 +62,16 @@ impl StepWatch {
     // libfaketime can give the wall clock another rate.
     const RATE_PPM: f64 = 200.0;
 
-    /// Compares a new reading with the last one. Returns the number of steps so far.
+    /// Compares a new reading with the last one. Returns the number of steps so far, [`begin_epoch`](Self::begin_epoch) included.
     pub(crate) fn compare(&mut self, now: PairedReading) -> u32 {
         let Some(last) = self.last.replace(now) else { return self.epoch };
-        let moved = now.difference() - last.difference();
+        let change = now.difference() - last.difference();
         // Each reading is uncertain by half of its gap.
         let uncertainty = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
-        if moved.abs() > MIN_STEP + uncertainty + parts_per_million(Self::RATE_PPM, now.after - last.before) {
+        if change.abs() > MIN_STEP + uncertainty + parts_per_million(Self::RATE_PPM, now.after - last.before)
+        {
             self.epoch += 1;
-            self.last_step = Some(moved);
+            self.last_step = Some(change);
         } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {
             // An interrupted reading is uncertain and could hide a step from all later readings, so that the better one
             // is kept.

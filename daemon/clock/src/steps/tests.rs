@@ -4,7 +4,7 @@ fn micros(micros: i64) -> Span {
     Span::from_micros(micros)
 }
 
-/// Returns the clocks after `awake`, with a wall clock that is `ahead`.
+/// Returns the readings after the machine was awake for `awake`; the wall clock is ahead by `ahead`.
 fn readings(awake: Span, ahead: Span) -> Readings {
     let mono = MonoTime::default() + awake;
     let raw = RawTime::from_nanos(1 << 50) + awake;
@@ -51,9 +51,9 @@ fn interrupted_read_is_repeated() {
     let mut reads = [50, 40, 2, 1].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
     let best = PairedReading::read_uninterrupted(|| reads.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(2));
-    let mut never =
+    let mut interrupted_reads =
         [50, 40, 30, 90, 20, 60, 70, 80, 10].into_iter().map(|gap| pair(Span::ZERO, Span::ZERO, micros(gap)));
-    let best = PairedReading::read_uninterrupted(|| never.next().expect("another reading"));
+    let best = PairedReading::read_uninterrupted(|| interrupted_reads.next().expect("another reading"));
     assert_eq!(best.after - best.before, micros(20));
 }
 
@@ -100,17 +100,20 @@ fn slew_is_distinguished_from_constant_drift() {
 
 #[test]
 fn suspend_is_reported_and_is_no_step() {
-    let slept = Span::from_seconds(7);
-    let nap = |late: Span| {
+    let sleep = Span::from_seconds(7);
+    let readings_with_sleep = |late: Span| {
         move |tenth: i64| {
             let plain = readings(Span::from_millis(100 * tenth), Span::ZERO);
             if tenth < 50 {
                 return plain;
             }
-            Readings { wall: plain.wall + slept + late, boot: plain.boot + slept, ..plain }
+            Readings { wall: plain.wall + sleep + late, boot: plain.boot + sleep, ..plain }
         }
     };
-    assert_eq!(disturbances_of(50.0, 20, nap(Span::ZERO)), [Disturbance::Suspend(slept)]);
+    assert_eq!(disturbances_of(50.0, 20, readings_with_sleep(Span::ZERO)), [Disturbance::Suspend(sleep)]);
     let late = Span::from_millis(-400);
-    assert_eq!(disturbances_of(50.0, 20, nap(late)), [Disturbance::Suspend(slept), Disturbance::Step(late)]);
+    assert_eq!(
+        disturbances_of(50.0, 20, readings_with_sleep(late)),
+        [Disturbance::Suspend(sleep), Disturbance::Step(late)]
+    );
 }

@@ -19,8 +19,8 @@ pub enum Disturbance {
 ///
 /// A slew is a change of the wall clock's rate against `CLOCK_MONOTONIC_RAW`. The rate itself is no slew: on a machine
 /// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
-/// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a slew from the
-/// start.
+/// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a
+/// slew from the start.
 // The limit applies to a pair of hosts. Neither host knows how much the other one contributes, so that each may use the
 // whole limit. Exchanges between the two hosts detect what this check misses.
 #[derive(Debug)]
@@ -61,15 +61,15 @@ impl ClockWatch {
             self.base = Some(now);
             return disturbances;
         };
-        let passed = now.boot - last.boot;
-        let slept = passed - (now.mono - last.mono);
-        if slept > Self::MIN_SLEEP {
-            disturbances.push(Disturbance::Suspend(slept));
+        let elapsed = now.boot - last.boot;
+        let sleep = elapsed - (now.mono - last.mono);
+        if sleep > Self::MIN_SLEEP {
+            disturbances.push(Disturbance::Suspend(sleep));
         }
         // The wall clock continues while the machine sleeps, and is set from a coarser clock when it wakes.
-        let stepped = (now.wall - last.wall) - passed;
-        if stepped.abs() > MIN_STEP + parts_per_million(Self::RATE_PPM, passed) {
-            disturbances.push(Disturbance::Step(stepped));
+        let step = (now.wall - last.wall) - elapsed;
+        if step.abs() > MIN_STEP + parts_per_million(Self::RATE_PPM, elapsed) {
+            disturbances.push(Disturbance::Step(step));
         }
         if disturbances.is_empty() {
             disturbances.extend(self.slew_since_base(now).map(Disturbance::Slew));
@@ -82,28 +82,28 @@ impl ClockWatch {
     /// Returns the slew since the base reading, if enough time has passed for a measurement.
     fn slew_since_base(&mut self, now: Readings) -> Option<f64> {
         let base = *self.base.get_or_insert(now);
-        let raw = now.raw - base.raw;
-        if raw < Self::MIN_TIME {
+        let raw_elapsed = now.raw - base.raw;
+        if raw_elapsed < Self::MIN_TIME {
             return None;
         }
         self.base = Some(now);
-        let rate = ((now.wall - base.wall) - raw).seconds() / raw.seconds() * 1e6;
+        let rate = ((now.wall - base.wall) - raw_elapsed).seconds() / raw_elapsed.seconds() * 1e6;
         // Only a rate that a crystal can have may become the usual one.
-        let crystal = rate.clamp(-Self::MAX_CRYSTAL_PPM, Self::MAX_CRYSTAL_PPM);
-        let usual_rate = self.usual_rate.get_or_insert(crystal);
+        let crystal_rate = rate.clamp(-Self::MAX_CRYSTAL_PPM, Self::MAX_CRYSTAL_PPM);
+        let usual_rate = self.usual_rate.get_or_insert(crystal_rate);
         if (rate - *usual_rate).abs() <= self.max_drift_ppm {
             // Follows slow changes, as with temperature.
-            *usual_rate += (crystal - *usual_rate) / 16.0;
+            *usual_rate += (crystal_rate - *usual_rate) / 16.0;
             self.deviating_rate.1 = 0;
             return None;
         }
         let slew = rate - *usual_rate;
-        let is_same = self.deviating_rate.1 > 0
+        let is_same_rate = self.deviating_rate.1 > 0
             && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
-        self.deviating_rate = (rate, if is_same { self.deviating_rate.1 + 1 } else { 1 });
+        self.deviating_rate = (rate, if is_same_rate { self.deviating_rate.1 + 1 } else { 1 });
         // A lasting rate becomes the usual one, so that it is not reported for ever.
         if self.deviating_rate.1 >= Self::MEASUREMENTS_TO_SETTLE {
-            self.usual_rate = Some(crystal);
+            self.usual_rate = Some(crystal_rate);
             self.deviating_rate.1 = 0;
         }
         Some(slew)

@@ -9,9 +9,9 @@ fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
     let anchor = Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
     let mut tree = Tree::new(stage::ITERATION, anchor);
     for (path, value) in nodes {
-        let (above, name) = path.rsplit_once('/').unwrap_or(("", path));
-        let above: Vec<&str> = above.split('/').filter(|name| !name.is_empty()).collect();
-        let parent = tree.find(&above).expect("the parent is logged first").0;
+        let (parent_path, name) = path.rsplit_once('/').unwrap_or(("", path));
+        let parent_path: Vec<&str> = parent_path.split('/').filter(|name| !name.is_empty()).collect();
+        let parent = tree.find(&parent_path).expect("the parent is logged first").0;
         let measure = value.map_or(Measure::Container, |value| Measure::Value(value, Unit::NONE));
         tree.add(parent, Name::from(name), Span::ZERO, measure);
     }
@@ -20,12 +20,12 @@ fn tree(nodes: &[(&str, Option<f64>)]) -> Tree {
 
 fn table(rows: &[Tree]) -> String {
     let mut out = Vec::new();
-    write(&mut out, rows.iter().enumerate().map(|(at, tree)| (at as u64 + 1, tree))).expect("memory");
+    write(&mut out, rows.iter().enumerate().map(|(index, tree)| (index as u64 + 1, tree))).expect("memory");
     String::from_utf8(out).expect("text")
 }
 
 #[test]
-fn nested_nodes_are_joined_and_values_with_children_are_marked() {
+fn nested_names_are_joined_and_parent_values_marked() {
     let rows = [tree(&[
         ("sensing", Some(0.5)),
         ("inference", Some(2.0)),

@@ -13,7 +13,7 @@ pub struct TimerGuard<'a> {
     pub(crate) node: NodeId,
     pub(crate) outer: NodeId,
     pub(crate) outer_level: usize,
-    pub(crate) started: MonoTime,
+    pub(crate) started_at: MonoTime,
 }
 
 impl TimerGuard<'_> {
@@ -40,12 +40,12 @@ impl Drop for TimerGuard<'_> {
     #[inline]
     fn drop(&mut self) {
         let recorder = &mut *self.recorder;
-        // Guards are dropped innermost first, so that the outer node becomes the innermost open one.
-        (recorder.open, recorder.level) = (self.outer, self.outer_level);
+        // Guards are dropped innermost first, so that the outer node becomes the innermost open node.
+        (recorder.innermost, recorder.level) = (self.outer, self.outer_level);
         if let Some(node) = recorder.tree.nodes.get_mut(self.node.index())
             && let Measure::Timer(duration) = &mut node.measure
         {
-            *duration = Some(recorder.clock.mono() - self.started);
+            *duration = Some(recorder.clock.mono() - self.started_at);
         }
     }
 }
@@ -53,19 +53,19 @@ impl Drop for TimerGuard<'_> {
 /// Guard of an open node with a user's instrument, created by [`Recorder::measure`].
 #[derive(Debug)]
 pub struct MeterGuard<'a, M: Meter> {
-    open: TimerGuard<'a>,
+    guard: TimerGuard<'a>,
     meter: M,
 }
 
 impl<'a, M: Meter> MeterGuard<'a, M> {
-    pub(crate) fn new(open: TimerGuard<'a>, mut meter: M) -> Self {
+    pub(crate) fn new(guard: TimerGuard<'a>, mut meter: M) -> Self {
         meter.begin();
-        Self { open, meter }
+        Self { guard, meter }
     }
 
     /// Returns the open node.
     pub const fn id(&self) -> NodeId {
-        self.open.node
+        self.guard.node
     }
 
     /// Returns the instrument.
@@ -77,21 +77,21 @@ impl<'a, M: Meter> MeterGuard<'a, M> {
 impl<M: Meter> Deref for MeterGuard<'_, M> {
     type Target = Recorder;
     fn deref(&self) -> &Recorder {
-        self.open.recorder
+        self.guard.recorder
     }
 }
 
 impl<M: Meter> DerefMut for MeterGuard<'_, M> {
     fn deref_mut(&mut self) -> &mut Recorder {
-        self.open.recorder
+        self.guard.recorder
     }
 }
 
 impl<M: Meter> Drop for MeterGuard<'_, M> {
     fn drop(&mut self) {
         let reading = self.meter.end();
-        let node = self.open.node;
-        if let Some(Measure::Custom(_, _, value)) = self.open.recorder.tree.measure_mut(node) {
+        let node = self.guard.node;
+        if let Some(Measure::Custom(_, _, value)) = self.guard.recorder.tree.measure_mut(node) {
             *value = Some(reading).filter(|reading| !reading.is_nan());
         }
     }
@@ -104,21 +104,21 @@ impl<M: Meter> Drop for MeterGuard<'_, M> {
 /// the first token.
 #[derive(Debug)]
 pub struct TokenGuard<'a> {
-    open: TimerGuard<'a>,
-    started: MonoTime,
+    guard: TimerGuard<'a>,
+    started_at: MonoTime,
     count: u64,
-    first: Option<MonoTime>,
-    last: MonoTime,
+    first_token: Option<MonoTime>,
+    last_token: MonoTime,
 }
 
 impl<'a> TokenGuard<'a> {
-    pub(crate) const fn new(open: TimerGuard<'a>, started: MonoTime) -> Self {
-        Self { open, started, count: 0, first: None, last: started }
+    pub(crate) const fn new(guard: TimerGuard<'a>, started_at: MonoTime) -> Self {
+        Self { guard, started_at, count: 0, first_token: None, last_token: started_at }
     }
 
     /// Returns the open node.
     pub const fn id(&self) -> NodeId {
-        self.open.node
+        self.guard.node
     }
 
     /// Counts one token.
@@ -129,8 +129,8 @@ impl<'a> TokenGuard<'a> {
     /// Counts several tokens that arrived at once.
     pub fn add_tokens(&mut self, tokens: u64) {
         if tokens > 0 {
-            self.last = self.open.clock().mono();
-            self.first.get_or_insert(self.last);
+            self.last_token = self.guard.clock().mono();
+            self.first_token.get_or_insert(self.last_token);
             self.count += tokens;
         }
     }
@@ -139,26 +139,26 @@ impl<'a> TokenGuard<'a> {
 impl Deref for TokenGuard<'_> {
     type Target = Recorder;
     fn deref(&self) -> &Recorder {
-        self.open.recorder
+        self.guard.recorder
     }
 }
 
 impl DerefMut for TokenGuard<'_> {
     fn deref_mut(&mut self) -> &mut Recorder {
-        self.open.recorder
+        self.guard.recorder
     }
 }
 
 impl Drop for TokenGuard<'_> {
     fn drop(&mut self) {
-        let elapsed = self.last - self.started;
-        let node = self.open.node;
-        if let Some(Measure::TokenRate(rate)) = self.open.recorder.tree.measure_mut(node) {
+        let elapsed = self.last_token - self.started_at;
+        let node = self.guard.node;
+        if let Some(Measure::TokenRate(rate)) = self.guard.recorder.tree.measure_mut(node) {
             *rate = (elapsed > Span::ZERO).then(|| self.count as f64 / elapsed.seconds());
         }
-        self.open.recorder.value(stage::TOKENS, self.count as f64, Unit::TOKENS);
-        if let Some(first) = self.first {
-            self.open.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started, first);
+        self.guard.recorder.value(stage::TOKENS, self.count as f64, Unit::TOKENS);
+        if let Some(first_token) = self.first_token {
+            self.guard.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started_at, first_token);
         }
     }
 }

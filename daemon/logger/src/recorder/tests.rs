@@ -51,7 +51,7 @@ fn guards_close_their_nodes() {
 }
 
 #[test]
-fn tokens_and_time_to_first_are_recorded() {
+fn token_count_and_time_to_first_token_are_recorded() {
     let (clock, mut log) = recorder();
     {
         let mut tokens = log.tokens("answer".into());
@@ -103,14 +103,14 @@ fn tree_stays_within_limits_and_counts_missing_nodes() {
     for _ in 0..MAX_NODES {
         log.start(stage::CAPTURE);
     }
-    let nowhere = log.start(stage::CAPTURE);
-    log.stop(nowhere);
+    let skipped_node = log.start(stage::CAPTURE);
+    log.stop(skipped_node);
     let mut tree = log.finish();
-    assert_eq!(nowhere, NodeId::SKIPPED);
+    assert_eq!(skipped_node, NodeId::SKIPPED);
     let skipped = tree.find(&["skipped-nodes"]).and_then(|(_, node)| node.measure.value());
     assert_eq!(skipped, Some((RESERVED_NODES + 2) as f64));
     for _ in 1..RESERVED_NODES {
-        tree.add(nowhere, stage::TOTAL, Span::ZERO, Measure::Timer(None));
+        tree.add(skipped_node, stage::TOTAL, Span::ZERO, Measure::Timer(None));
     }
     assert_eq!((tree.nodes().len(), tree.check(0)), (MAX_NODES, Ok(())));
 }
@@ -135,7 +135,7 @@ fn nodes_below_depth_limit_are_discarded() {
 }
 
 /// Returns a tree of a worker on another host, with nodes of a third host that the worker asked.
-fn foreign(third: HostId) -> Tree {
+fn tree_of_other_host(third: HostId) -> Tree {
     let (clock, mut log) = recorder();
     clock.advance(Span::from_nanos(50));
     log.value("force".into(), 2.0, Unit::new("N"));
@@ -152,7 +152,7 @@ fn foreign(third: HostId) -> Tree {
 #[test]
 fn inserted_tree_keeps_shape_hosts_and_times() {
     let third = HostId::random();
-    let other = foreign(third);
+    let other = tree_of_other_host(third);
     let (clock, _) = recorder();
     clock.advance(Span::from_nanos(7));
     // The inserting host is the third host, which the tree already contains.
@@ -161,14 +161,14 @@ fn inserted_tree_keeps_shape_hosts_and_times() {
         let mut inference = log.container(stage::INFERENCE);
         inference.insert(&other).expect("fits")
     };
-    let again = log.insert(&other).expect("fits");
+    let second_root = log.insert(&other).expect("fits");
     let tree = log.finish();
     assert_eq!(tree.check(0), Ok(()));
     assert_eq!(tree.anchors().len(), 2);
     assert_eq!(tree.get(root).and_then(|node| node.parent), Some(NodeId(1)));
-    assert_eq!(tree.get(again).and_then(|node| node.parent), Some(NodeId::ROOT));
-    for (at, node) in other.nodes().iter().enumerate() {
-        let inserted = &tree.nodes()[root.index() + at];
+    assert_eq!(tree.get(second_root).and_then(|node| node.parent), Some(NodeId::ROOT));
+    for (index, node) in other.nodes().iter().enumerate() {
+        let inserted = &tree.nodes()[root.index() + index];
         assert_eq!((&inserted.name, &inserted.measure), (&node.name, &node.measure));
         assert_eq!(tree.wall_start(inserted), other.wall_start(node));
         let host = |tree: &Tree, node: &Node| tree.anchors()[usize::from(node.host.0)].host;
@@ -178,7 +178,7 @@ fn inserted_tree_keeps_shape_hosts_and_times() {
 
 #[test]
 fn inserted_tree_returns_with_delta() {
-    let other = foreign(HostId::random());
+    let other = tree_of_other_host(HostId::random());
     let (_, mut log) = recorder();
     let sent = log.clock().stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
@@ -201,16 +201,16 @@ fn failed_insertion_changes_nothing() {
         log.start(stage::CAPTURE);
     }
     let before = log.tree().clone();
-    let other = foreign(HostId::random());
+    let other = tree_of_other_host(HostId::random());
     assert!(matches!(log.insert(&other), Err(TreeError::TooManyNodes(_))));
     assert_eq!(log.tree(), &before);
 
     let (_, mut log) = recorder();
     for _ in 0..MAX_ANCHORS / 2 - 1 {
-        log.insert(&foreign(HostId::random())).expect("fits");
+        log.insert(&tree_of_other_host(HostId::random())).expect("fits");
     }
     let before = log.tree().clone();
-    assert_eq!(log.insert(&foreign(HostId::random())), Err(TreeError::TooManyHosts(9)));
+    assert_eq!(log.insert(&tree_of_other_host(HostId::random())), Err(TreeError::TooManyHosts(9)));
     assert_eq!(log.tree(), &before);
 }
 
@@ -225,8 +225,8 @@ fn transit_is_continued_once_by_one_delta() {
     assert!(matches!(resume(&log, NodeId::ROOT), Err(TreeError::NotInFlight(0))));
     assert!(matches!(resume(&log, NodeId::SKIPPED), Err(TreeError::NotInFlight(_))));
     let delta = resume(&log, upload).expect("under way").into_tree_delta().expect("resumed");
-    let mut crooked = delta.clone();
-    crooked.nodes.push(Node {
+    let mut invalid_delta = delta.clone();
+    invalid_delta.nodes.push(Node {
         parent: Some(NodeId(9)),
         name: stage::QUEUE,
         host: HostIndex(1),
@@ -234,7 +234,7 @@ fn transit_is_continued_once_by_one_delta() {
         measure: Measure::Container,
     });
     let before = log.tree().clone();
-    assert_eq!(log.tree_mut().apply_delta(crooked), Err(TreeError::Order(2)));
+    assert_eq!(log.tree_mut().apply_delta(invalid_delta), Err(TreeError::Order(2)));
     assert_eq!(log.tree(), &before);
     assert_eq!(log.tree_mut().apply_delta(delta.clone()), Ok(()));
     assert_eq!(log.tree_mut().apply_delta(delta), Err(TreeError::NotInFlight(1)));

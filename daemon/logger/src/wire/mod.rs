@@ -92,14 +92,14 @@ pub fn decode(bytes: &[u8]) -> Result<Tree, WireError> {
 
 /// Appends the wire form of a tree delta to `out`.
 pub fn encode_tree_delta(delta: &TreeDelta, out: &mut Vec<u8>) {
-    let TreeDelta { base, anchor, others, closed: (closed, at), nodes } = delta;
+    let TreeDelta { base, anchor, others, closed: (transit, received_at), nodes } = delta;
     writer::array(out, 7);
     writer::uint(out, VERSION);
     writer::uint(out, u64::from(*base));
     writer::anchor(out, anchor);
     writer::anchors(out, others);
-    writer::uint(out, u64::from(closed.0));
-    writer::int(out, at.unix_nanos());
+    writer::uint(out, u64::from(transit.0));
+    writer::int(out, received_at.unix_nanos());
     writer::nodes(out, nodes);
 }
 
@@ -112,15 +112,15 @@ pub fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, WireError> {
     let base = reader.position("the length of the tree")?;
     let anchor = reader.anchor()?;
     let others = reader.anchors()?;
-    let closed = NodeId(reader.position("the position of the closed node")?);
-    let at = WallTime::from_unix_nanos(reader.int("the time of closing")?);
+    let transit = NodeId(reader.position("the position of the closed node")?);
+    let received_at = WallTime::from_unix_nanos(reader.int("the time of closing")?);
     let nodes = reader.nodes()?;
     reader.finish()?;
     for (index, node) in nodes.iter().enumerate() {
-        // The rest is checked by `Tree::apply_delta`, which knows the tree.
+        // `Tree::apply_delta` checks everything else, because it knows the tree.
         node.measure.check(base as usize + index)?;
     }
-    Ok(TreeDelta { base, anchor, others, closed: (closed, at), nodes })
+    Ok(TreeDelta { base, anchor, others, closed: (transit, received_at), nodes })
 }
 
 #[cfg(test)]

@@ -8,9 +8,9 @@ use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
 /// Length of the shortest node.
-// The rest of the input divided by it limits the capacity that is reserved for nodes.
+// The length of the remaining input divided by this length limits the capacity that is reserved for nodes.
 const MIN_NODE_BYTES: usize = 6;
-/// Length of the shortest anchor, for the same purpose.
+/// Length of the shortest anchor. It limits the capacity that is reserved for anchors.
 const MIN_ANCHOR_BYTES: usize = 20;
 
 /// Position in the wire form of a tree or a tree delta.
@@ -24,15 +24,15 @@ type ReadResult<T> = Result<T, WireError>;
 
 impl<'a> Reader<'a> {
     /// Reads the header that trees and tree deltas share.
-    pub(super) fn new(bytes: &'a [u8], fields: u32, what: &'static str) -> ReadResult<Self> {
+    pub(super) fn new(bytes: &'a [u8], fields: u32, item: &'static str) -> ReadResult<Self> {
         if bytes.len() > MAX_BYTES {
             return Err(WireError::TooLong(bytes.len()));
         }
         let mut reader = Self { rest: bytes, length: bytes.len() };
-        let found = reader.array(what)?;
+        let field_count = reader.array(item)?;
         match reader.uint("a version")? {
-            VERSION if found == fields => Ok(reader),
-            VERSION => Err(WireError::Malformed { at: 0, expected: what }),
+            VERSION if field_count == fields => Ok(reader),
+            VERSION => Err(WireError::Malformed { at: 0, expected: item }),
             other => Err(WireError::Version(other)),
         }
     }
@@ -222,7 +222,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Returns both ends or neither; `None` if only one of them exists.
+/// Returns both ends if both exist, or `Some(None)` if neither exists; `None` if only one of them exists.
 fn paired_bounds<T>(lo: Option<T>, hi: Option<T>) -> Option<Option<(T, T)>> {
     match (lo, hi) {
         (Some(lo), Some(hi)) => Some(Some((lo, hi))),

@@ -16,7 +16,7 @@ fn unit() -> impl Strategy<Value = Unit> {
 
 fn number() -> impl Strategy<Value = f64> {
     let whole = (-1_i64 << 60..1 << 60).prop_map(|whole| whole as f64);
-    prop_oneof![prop::num::f64::ANY.prop_filter("a number", |x| !x.is_nan()), whole, Just(-0.0)]
+    prop_oneof![prop::num::f64::ANY.prop_filter("a number", |value| !value.is_nan()), whole, Just(-0.0)]
 }
 
 fn span() -> impl Strategy<Value = Span> {
@@ -24,9 +24,9 @@ fn span() -> impl Strategy<Value = Span> {
 }
 
 fn pair<T: Clone + PartialOrd + std::fmt::Debug>(
-    one: impl Strategy<Value = T> + Clone,
+    bound: impl Strategy<Value = T> + Clone,
 ) -> impl Strategy<Value = Option<(T, T)>> {
-    prop::option::of((one.clone(), one).prop_map(|(a, b)| if a <= b { (a, b) } else { (b, a) }))
+    prop::option::of((bound.clone(), bound).prop_map(|(a, b)| if a <= b { (a, b) } else { (b, a) }))
 }
 
 fn delay() -> impl Strategy<Value = OneWayDelay> {
@@ -58,7 +58,7 @@ fn measure() -> impl Strategy<Value = Measure> {
         rate.prop_map(|(value, bounds)| Measure::Throughput(Rate { value, bounds })),
         prop::option::of(number()).prop_map(Measure::TokenRate),
         (name(), unit(), prop::option::of(number()))
-            .prop_map(|(kind, unit, v)| Measure::Custom(kind, unit, v)),
+            .prop_map(|(kind, unit, value)| Measure::Custom(kind, unit, value)),
     ]
 }
 
@@ -72,19 +72,19 @@ fn tree() -> impl Strategy<Value = Tree> {
     (prop::collection::vec(anchor(), 1..=MAX_ANCHORS), prop::collection::vec(node, 1..60)).prop_map(
         |(anchors, nodes)| {
             let hosts = anchors.len();
-            let mut grown: Vec<Node> = Vec::new();
-            for (at, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
+            let mut tree_nodes: Vec<Node> = Vec::new();
+            for (index, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
                 // Parents near the root, so that no branch exceeds the largest depth.
-                let parent = (at > 0).then(|| NodeId(parent.index(at.min(MAX_DEPTH - 1)) as u32));
+                let parent = (index > 0).then(|| NodeId(parent.index(index.min(MAX_DEPTH - 1)) as u32));
                 let host = HostIndex(host.index(hosts) as u8);
-                grown.push(Node { parent, name, host, start, measure });
+                tree_nodes.push(Node { parent, name, host, start, measure });
             }
-            Tree::from_parts(anchors, grown).expect("within the limits")
+            Tree::from_parts(anchors, tree_nodes).expect("within the limits")
         },
     )
 }
 
-fn wire(tree: &Tree) -> Vec<u8> {
+fn encode_to_bytes(tree: &Tree) -> Vec<u8> {
     let mut out = Vec::new();
     encode(tree, &mut out);
     out
@@ -98,11 +98,11 @@ fn delta_of(tree: &Tree, anchor: Anchor) -> TreeDelta {
 proptest! {
     #[test]
     fn trees_and_deltas_round_trip_in_every_form(tree in tree(), anchor in anchor()) {
-        let bytes = wire(&tree);
-        let read = decode(&bytes).expect("our own");
-        prop_assert_eq!(&read, &tree);
+        let bytes = encode_to_bytes(&tree);
+        let decoded = decode(&bytes).expect("our own");
+        prop_assert_eq!(&decoded, &tree);
         // Equality does not distinguish the signs of zero.
-        prop_assert_eq!(wire(&read), bytes);
+        prop_assert_eq!(encode_to_bytes(&decoded), bytes);
         let packed = rmp_serde::to_vec(&tree).expect("plain data");
         prop_assert_eq!(&rmp_serde::from_slice::<Tree>(&packed).expect("our own"), &tree);
 
@@ -115,23 +115,23 @@ proptest! {
     }
 
     #[test]
-    fn truncated_bytes_are_refused(tree in tree(), at: prop::sample::Index) {
-        let bytes = wire(&tree);
-        prop_assert!(decode(&bytes[..at.index(bytes.len())]).is_err());
+    fn truncated_bytes_are_refused(tree in tree(), end: prop::sample::Index) {
+        let bytes = encode_to_bytes(&tree);
+        prop_assert!(decode(&bytes[..end.index(bytes.len())]).is_err());
         prop_assert_eq!(decode(&[&bytes[..], &[0]].concat()), Err(WireError::Trailing(1)));
     }
 
     #[test]
-    fn damaged_bytes_are_refused_or_are_a_valid_tree(
+    fn damaged_bytes_are_refused_or_a_valid_tree(
         tree in tree(), damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
     ) {
-        let mut bytes = wire(&tree);
-        for (at, byte) in damage {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
+        let mut bytes = encode_to_bytes(&tree);
+        for (index, byte) in damage {
+            let index = index.index(bytes.len());
+            bytes[index] = byte;
         }
-        if let Ok(other) = decode(&bytes) {
-            prop_assert_eq!(decode(&wire(&other)), Ok(other));
+        if let Ok(tree) = decode(&bytes) {
+            prop_assert_eq!(decode(&encode_to_bytes(&tree)), Ok(tree));
         }
         let _ = decode_tree_delta(&bytes);
     }
@@ -155,7 +155,7 @@ fn human_readable_tree_is_checked_object() {
 }
 
 /// Builds a wire form by hand that the writer never produces.
-fn by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
+fn encode_by_hand(anchors: usize, nodes: &[&[u8]]) -> Vec<u8> {
     let mut out = vec![0x93, 1];
     writer::array(&mut out, anchors as u32);
     for _ in 0..anchors {
@@ -170,45 +170,51 @@ const ROOT: &[u8] = &[0x95, 0xc0, 0, 0, 0, 0];
 
 #[test]
 fn error_names_exceeded_limit() {
-    assert_eq!(decode(&by_hand(1, &[ROOT])).map(|tree| tree.nodes().len()), Ok(1));
+    assert_eq!(decode(&encode_by_hand(1, &[ROOT])).map(|tree| tree.nodes().len()), Ok(1));
 
     let limit = |what, found, limit| Err(WireError::Limit { what, found, limit });
     assert_eq!(decode(&vec![0; MAX_BYTES + 1]), Err(WireError::TooLong(MAX_BYTES + 1)));
     assert_eq!(decode(&[0x93, 2, 0x90, 0x90]), Err(WireError::Version(2)));
-    assert_eq!(decode(&by_hand(9, &[ROOT])), limit("hosts", 9, MAX_ANCHORS));
+    assert_eq!(decode(&encode_by_hand(9, &[ROOT])), limit("hosts", 9, MAX_ANCHORS));
     assert_eq!(
         decode(&[0x93, 1, 0x90, 0xdd, 0xff, 0xff, 0xff, 0xff]),
         limit("nodes", u32::MAX as usize, MAX_NODES)
     );
-    let long = [&[0x95, 0, 0xd9, 129][..], &[b'x'; 129], &[0, 0, 0]].concat();
-    assert_eq!(decode(&by_hand(1, &[ROOT, &long])), limit("bytes of a name", 129, MAX_NAME_BYTES));
-    let distant: &[u8] = &[0x95, 0xce, 0xff, 0xff, 0xff, 0xff, 1, 0, 0, 0];
-    assert_eq!(decode(&by_hand(1, &[ROOT, distant])), limit("nodes", u32::MAX as usize, MAX_NODES));
+    let long_name = [&[0x95, 0, 0xd9, 129][..], &[b'x'; 129], &[0, 0, 0]].concat();
+    assert_eq!(
+        decode(&encode_by_hand(1, &[ROOT, &long_name])),
+        limit("bytes of a name", 129, MAX_NAME_BYTES)
+    );
+    let distant_parent: &[u8] = &[0x95, 0xce, 0xff, 0xff, 0xff, 0xff, 1, 0, 0, 0];
+    assert_eq!(
+        decode(&encode_by_hand(1, &[ROOT, distant_parent])),
+        limit("nodes", u32::MAX as usize, MAX_NODES)
+    );
 }
 
 #[test]
 fn invalid_tree_is_refused_with_reason() {
-    let tree = |nodes: &[&[u8]]| match decode(&by_hand(1, nodes)) {
+    let tree = |nodes: &[&[u8]]| match decode(&encode_by_hand(1, nodes)) {
         Err(WireError::Tree(error)) => error,
-        other => panic!("{other:?}"),
+        result => panic!("{result:?}"),
     };
     assert_eq!(tree(&[]), TreeError::Orphan(0));
     assert_eq!(tree(&[ROOT, ROOT]), TreeError::Orphan(1));
-    let (itself, forward): (&[u8], &[u8]) = (&[0x95, 1, 1, 0, 0, 0], &[0x95, 2, 1, 0, 0, 0]);
-    assert_eq!(tree(&[ROOT, itself]), TreeError::Order(1));
-    assert_eq!(tree(&[ROOT, forward, itself]), TreeError::Order(1));
+    let (own_parent, forward): (&[u8], &[u8]) = (&[0x95, 1, 1, 0, 0, 0], &[0x95, 2, 1, 0, 0, 0]);
+    assert_eq!(tree(&[ROOT, own_parent]), TreeError::Order(1));
+    assert_eq!(tree(&[ROOT, forward, own_parent]), TreeError::Order(1));
     assert_eq!(tree(&[ROOT, &[0x95, 0, 1, 1, 0, 0]]), TreeError::UnknownHost(1));
     let nan = [&[0x97, 0, 1, 0, 0, 3, 0xcb][..], &f64::NAN.to_be_bytes(), &[0xa0]].concat();
     assert_eq!(tree(&[ROOT, &nan]), TreeError::NotANumber(1));
-    let crossed: &[u8] = &[0x98, 0, 1, 0, 0, 4, 1, 2, 1];
-    assert_eq!(tree(&[ROOT, crossed]), TreeError::CrossedBounds(1));
+    let crossed_bounds: &[u8] = &[0x98, 0, 1, 0, 0, 4, 1, 2, 1];
+    assert_eq!(tree(&[ROOT, crossed_bounds]), TreeError::CrossedBounds(1));
 
     let chain: Vec<[u8; 6]> = (0..MAX_DEPTH as u8).map(|parent| [0x95, parent, 1, 0, 0, 0]).collect();
     let mut nodes: Vec<&[u8]> = vec![ROOT];
     nodes.extend(chain.iter().map(|node| &node[..]));
     assert_eq!(tree(&nodes), TreeError::TooDeep(MAX_DEPTH));
     nodes.pop();
-    assert!(decode(&by_hand(1, &nodes)).is_ok());
+    assert!(decode(&encode_by_hand(1, &nodes)).is_ok());
 }
 
 #[test]
@@ -225,7 +231,7 @@ fn wire_form_is_unchanged() {
         &[0x96, 0, 1, 0, 2, 1, 0xcd, 0x01, 0x2c],
         &[0x97, 0, 0xa4, b'g', b'r', b'i', b'p', 0, 0, 3, 0xcb, 0x3f, 0xf8, 0, 0, 0, 0, 0, 0, 0xa1, b'B'],
     ];
-    assert_eq!(wire(&tree), expected.concat());
+    assert_eq!(encode_to_bytes(&tree), expected.concat());
 }
 
 #[test]
@@ -242,15 +248,15 @@ fn transit_without_raw_stamps_keeps_its_earlier_form() {
     };
     let name = stage::code(&stage::UPLOAD).expect("a standard name");
     let earlier = [0x98, 0, name, 0, 2, 2, 3, 4, 0xc0];
-    assert_eq!(wire(&transit(None)), by_hand(1, &[ROOT, &earlier]));
+    assert_eq!(encode_to_bytes(&transit(None)), encode_by_hand(1, &[ROOT, &earlier]));
     let json = serde_json::to_string(&transit(None)).expect("plain data");
     assert!(!json.contains("raw_stamps"), "{json}");
 
     let stamps = RawStamps { sent: RawTime::from_nanos(5), received: RawTime::from_nanos(-6) };
     let later = [0x9a, 0, name, 0, 2, 2, 3, 4, 0xc0, 5, 0xfa];
-    assert_eq!(wire(&transit(Some(stamps))), by_hand(1, &[ROOT, &later]));
+    assert_eq!(encode_to_bytes(&transit(Some(stamps))), encode_by_hand(1, &[ROOT, &later]));
     let json = serde_json::to_string(&transit(Some(stamps))).expect("plain data");
     assert_eq!(serde_json::from_str::<Tree>(&json).expect("our own"), transit(Some(stamps)));
     // A node with only one of the two stamps is malformed.
-    assert!(decode(&by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
+    assert!(decode(&encode_by_hand(1, &[ROOT, &[0x99, 0, name, 0, 2, 2, 3, 4, 0xc0, 5]])).is_err());
 }

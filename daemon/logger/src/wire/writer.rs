@@ -6,7 +6,7 @@ use rmp::encode;
 use crate::{Anchor, Measure, Name, Node, Unit, stage};
 
 /// Unwraps the result of a write to memory, which cannot fail.
-// The signatures of the library allow for sockets and files, which can.
+// The library returns a result because it also writes to sockets and files, for which a write can fail.
 macro_rules! write_to_memory {
     ($result:expr) => {
         $result.expect("a vector takes all bytes")

@@ -3,11 +3,11 @@
 use std::path::Path;
 use std::process::ExitCode;
 
-// Optimised builds link this program alone: linking is most of their time, and both programs contain the same crates.
+// This program contains the command line, too, so that an optimised build links one program instead of two. Linking takes most of such a build.
 fn main() -> ExitCode {
     peernetd::disable_library_telemetry();
-    let called = std::env::args_os().next().unwrap_or_default();
-    let name = Path::new(&called).file_name().and_then(|name| name.to_str());
+    let program_path = std::env::args_os().next().unwrap_or_default();
+    let name = Path::new(&program_path).file_name().and_then(|name| name.to_str());
     if name.is_some_and(|name| peernet_cli::NAMES.contains(&name)) {
         peernet_cli::main()
     } else {

@@ -21,18 +21,14 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(200);
 /// Copies the database to a file that does not exist yet.
 pub(crate) fn backup(database: Database, target: &Path) -> Exit {
     let _log = log::install_temporary();
-    let made = database.path().and_then(|database| {
+    let result = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
         runtime.block_on(copy(&database, target))
     });
-    match made {
-        Ok(copied) => {
-            print_to_stdout(format_args!(
-                "{} ({})",
-                copied.path.display(),
-                bytes(copied.bytes as f64).plain()
-            ));
+    match result {
+        Ok(copy) => {
+            print_to_stdout(format_args!("{} ({})", copy.path.display(), bytes(copy.bytes as f64).plain()));
             Exit::Ok
         }
         Err(failure) => {
@@ -43,7 +39,7 @@ pub(crate) fn backup(database: Database, target: &Path) -> Exit {
 }
 
 async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
-    let failed = |error: BackupError| {
+    let failure = |error: BackupError| {
         let exit = match error {
             BackupError::Stopped => Exit::Interrupted,
             BackupError::NotADatabase { .. } => Exit::Data,
@@ -54,18 +50,18 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
     let signals = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));
     let (mut interrupts, mut terminations) =
         (signals(SignalKind::interrupt())?, signals(SignalKind::terminate())?);
-    let backup = Backup::prepare(database, target).await.map_err(failed)?;
+    let backup = Backup::prepare(database, target).await.map_err(failure)?;
     let bar = progress_bar(backup.expected_bytes());
     let partial = backup.partial().to_owned();
     let stop = CancellationToken::new();
-    let made = backup.run(stop.clone());
-    tokio::pin!(made);
+    let copy = backup.run(stop.clone());
+    tokio::pin!(copy);
     let mut progress_timer = tokio::time::interval(PROGRESS_INTERVAL);
     loop {
         tokio::select! {
-            made = &mut made => {
+            result = &mut copy => {
                 bar.finish_and_clear();
-                return made.map_err(failed);
+                return result.map_err(failure);
             }
             _ = interrupts.recv() => stop.cancel(),
             _ = terminations.recv() => stop.cancel(),

@@ -16,10 +16,10 @@ use crate::log;
 pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
     let _log = log::install_temporary();
     let bar = progress_spinner();
-    let rebuilt = database.path().and_then(|database| {
+    let result = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
-        let progress = |rebuilt: &Rebuilt| {
+        let show_progress = |rebuilt: &Rebuilt| {
             bar.set_message(format!(
                 "{} runs, {} iterations",
                 fixed(rebuilt.runs as f64, 0),
@@ -27,11 +27,11 @@ pub(crate) fn rebuild(database: Database, run: Option<i64>) -> Exit {
             ));
             bar.tick();
         };
-        let rebuilt = runtime.block_on(rebuild_rollups(&database, run, progress));
-        rebuilt.map_err(|error| Failure::new(exit_code(&error), error))
+        let result = runtime.block_on(rebuild_rollups(&database, run, show_progress));
+        result.map_err(|error| Failure::new(exit_code(&error), error))
     });
     bar.finish_and_clear();
-    match rebuilt {
+    match result {
         Ok(rebuilt) => {
             print_to_stdout(format_args!(
                 "rebuilt the roll-ups of {} runs from {} iterations",

@@ -1,4 +1,4 @@
-//! The command `peernetd run`. Its order is fixed: temporary log, configuration with all checks, configured log, runtime,
+//! The command `peernetd run`. The order of its steps is fixed: temporary log, configuration with all checks, configured log, runtime,
 //! parts, READY.
 
 use std::path::Path;
@@ -74,21 +74,22 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
 
     if let Some(config) = configuration.aggregator {
         let mut handle = None;
-        let with = clock.clone();
+        let part_clock = clock.clone();
         lifecycle
             .start("aggregator", async |stop| {
-                let running = Aggregator::start(config, with, stop).await?;
+                let running = Aggregator::start(config, part_clock, stop).await?;
                 handle = Some(running.handle.clone());
                 Ok(running.join().map_err(anyhow::Error::new).boxed())
             })
             .await
             .map_err(unavailable)?;
         if let (Some(config), Some(aggregator)) = (configuration.web, handle) {
-            let with = clock.clone();
+            let part_clock = clock.clone();
             lifecycle
                 .start("web server", async |stop| {
                     let connections = DescriptorShare::Web.max_connections();
-                    let running = peernet_web::serve(config, aggregator, with, stop, connections).await?;
+                    let running =
+                        peernet_web::serve(config, aggregator, part_clock, stop, connections).await?;
                     info!("dashboard: http://{}", running.address());
                     Ok(running.join().map_err(anyhow::Error::new).boxed())
                 })

@@ -10,13 +10,13 @@ use crate::log;
 /// Deletes the secret of a host, so that the next agent with its id is accepted.
 pub(crate) fn clear_secret(database: Database, host: &str) -> Exit {
     let _log = log::install_temporary();
-    let cleared = database.path().and_then(|database| {
+    let result = database.path().and_then(|database| {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
         let runtime = runtime.map_err(|error| Failure::new(Exit::Unavailable, error))?;
-        let cleared = runtime.block_on(clear_host_secret(&database, host));
-        cleared.map_err(|error| Failure::new(exit_code(&error), error))
+        let result = runtime.block_on(clear_host_secret(&database, host));
+        result.map_err(|error| Failure::new(exit_code(&error), error))
     });
-    match cleared {
+    match result {
         Ok(cleared) if cleared.existed => {
             print_to_stdout(format_args!(
                 "deleted the secret of {} ({}); the next agent with this host id is accepted",

@@ -111,7 +111,7 @@ impl fmt::Display for Problem {
 /// Reads a configuration file and checks everything that it names.
 ///
 /// # Errors
-/// All problems that were found. If the file cannot be read or is not TOML, this is the only one.
+/// All problems that were found. If the file cannot be read or is not TOML, this is the only problem.
 pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable_file(path, &error)])?;
     let locator = Locator::new(&text);
@@ -123,35 +123,36 @@ pub(crate) fn load(path: &Path) -> Result<Configuration, Vec<Problem>> {
     };
     let file = match mistakes::read::<File>(&text, &ARRAYS) {
         Ok(file) => file,
-        Err(first) => {
-            let (found, remainder) = mistakes::all_mistakes::<File>(&text, &ARRAYS, first);
-            let unread = found.into_iter().map(|mistake| problem_from_mistake(path, mistake, &locator));
-            let checked = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
-            let mut problems: Vec<Problem> = unread.chain(checked).collect();
+        Err(first_mistake) => {
+            let (mistakes, remainder) = mistakes::all_mistakes::<File>(&text, &ARRAYS, first_mistake);
+            let unreadable =
+                mistakes.into_iter().map(|mistake| problem_from_mistake(path, mistake, &locator));
+            let invalid = remainder.map(check_remainder).unwrap_or_default().into_iter().map(problem);
+            let mut problems: Vec<Problem> = unreadable.chain(invalid).collect();
             problems.sort_by_key(|problem| problem.line);
             return Err(problems);
         }
     };
-    let found = missing_role_tables(&file, &BTreeSet::new())
+    let role_problems = missing_role_tables(&file, &BTreeSet::new())
         .into_iter()
         .map(|(key, text)| (key.to_owned(), text.to_owned()));
     let mut configuration = Configuration::from(file);
     configuration.deprecated = deprecations(path, &locator);
-    let problems: Vec<(String, String)> = found.chain(configuration.check()).collect();
+    let problems: Vec<(String, String)> = role_problems.chain(configuration.check()).collect();
     if problems.is_empty() {
         return Ok(configuration);
     }
     Err(problems.into_iter().map(problem).collect())
 }
 
-/// Reads a configuration file without checking what it names.
+/// Reads a configuration file without checking the files, models and addresses that it names.
 ///
 /// # Errors
-/// If it cannot be read or parsed.
+/// If the file cannot be read or parsed.
 pub(super) fn read_unchecked(path: &Path) -> Result<Configuration, Vec<Problem>> {
     let text = small_file::read(path, MAX_FILE_BYTES).map_err(|error| vec![unreadable_file(path, &error)])?;
-    let unread = |mistake| vec![problem_from_mistake(path, mistake, &Locator::new(&text))];
-    mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unread)
+    let unreadable = |mistake| vec![problem_from_mistake(path, mistake, &Locator::new(&text))];
+    mistakes::read::<File>(&text, &ARRAYS).map(Configuration::from).map_err(unreadable)
 }
 
 /// Returns a line for each table that has its former name: `FILE:LINE: what is deprecated, and what to write`.
@@ -186,16 +187,16 @@ fn problem_from_mistake(path: &Path, mistake: Mistake, locator: &Locator<'_>) ->
 /// Returns the problems of the readable part of a file, except for problems that depend on the unreadable part.
 fn check_remainder(mut remainder: Remainder<File>) -> Vec<(String, String)> {
     let file = std::mem::take(&mut remainder.file);
-    let roles = missing_role_tables(&file, &remainder.incomplete).into_iter();
-    let roles = roles.map(|(key, text)| (key.to_owned(), text.to_owned()));
-    let found = Configuration::from(file).check().into_iter();
-    let found = found.map(|(key, text)| (remainder.key_in_file(&key), text));
+    let role_problems = missing_role_tables(&file, &remainder.incomplete).into_iter();
+    let role_problems = role_problems.map(|(key, text)| (key.to_owned(), text.to_owned()));
+    let problems = Configuration::from(file).check().into_iter();
+    let problems = problems.map(|(key, text)| (remainder.key_in_file(&key), text));
     let is_certain = |(key, _): &(String, String)| {
-        let depends =
-            |(table, end): &(&str, &str)| remainder.incomplete.contains(*table) && key.ends_with(end);
-        !remainder.is_removed(key) && !DEPENDENT.iter().any(depends)
+        let depends_on_incomplete_table =
+            |(table, suffix): &(&str, &str)| remainder.incomplete.contains(*table) && key.ends_with(suffix);
+        !remainder.is_removed(key) && !DEPENDENT.iter().any(depends_on_incomplete_table)
     };
-    roles.chain(found.filter(is_certain)).collect()
+    role_problems.chain(problems.filter(is_certain)).collect()
 }
 
 /// Returns the problems (key and text) of tables that need another table. Tables in `incomplete` exist in the file, even if
@@ -208,8 +209,8 @@ fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'sta
     if !has_agent && !has_aggregator {
         return vec![("", "the file enables no role: add a table [agent], a table [aggregator], or both")];
     }
-    let mut found = Vec::new();
-    let for_agent = [
+    let mut problems = Vec::new();
+    let agent_tables = [
         ("spool", file.spool.is_some()),
         ("clock", file.clock.is_some()),
         ("probes", file.probes.is_some()),
@@ -220,22 +221,22 @@ fn missing_role_tables(file: &File, incomplete: &BTreeSet<String>) -> Vec<(&'sta
         ("model", !file.model.is_empty()),
         ("pipeline", !file.pipeline.is_empty()),
     ];
-    if let Some((table, _)) = for_agent.into_iter().find(|(_, is_there)| !has_agent && *is_there) {
-        found.push((
+    if let Some((table, _)) = agent_tables.into_iter().find(|(_, is_present)| !has_agent && *is_present) {
+        problems.push((
             table,
             "[spool], [clock], [probes], [clock_fault], [serve], [[model]], [bank], [onnxruntime] and [[pipeline]] belong to an agent: add a table [agent]",
         ));
     }
     if !has_aggregator && file.web.is_some() {
-        found.push(("web", "[web] needs an aggregator: add a table [aggregator], or remove [web]"));
+        problems.push(("web", "[web] needs an aggregator: add a table [aggregator], or remove [web]"));
     }
     if file.spool.is_some()
         && !incomplete.contains("agent")
         && file.agent.as_ref().is_some_and(|agent| agent.aggregator.is_none())
     {
-        found.push(("spool", "[spool] needs an aggregator: set [agent] aggregator, or remove [spool]"));
+        problems.push(("spool", "[spool] needs an aggregator: set [agent] aggregator, or remove [spool]"));
     }
-    found
+    problems
 }
 
 impl From<File> for Configuration {
@@ -266,12 +267,12 @@ impl Configuration {
         clock::system(self.agent.as_ref().map_or(ClockIdentity::SYSTEM, |agent| &agent.agent.clock_identity))
     }
 
-    /// Returns the clock that the agent reads: `truth`, or the faulty clock that `[clock_fault]` defines, from now on.
+    /// Returns the clock that the agent reads: `system_clock`, or the faulty clock that `[clock_fault]` defines, from now on.
     ///
     /// # Errors
     /// If the kernel's boot id cannot be read.
-    pub(crate) fn agent_clock(&self, truth: &SharedClock) -> io::Result<SharedClock> {
-        clock::with_faults(truth, self.agent.as_ref().and_then(|agent| agent.clock_fault.as_ref()))
+    pub(crate) fn agent_clock(&self, system_clock: &SharedClock) -> io::Result<SharedClock> {
+        clock::with_faults(system_clock, self.agent.as_ref().and_then(|agent| agent.clock_fault.as_ref()))
     }
 
     /// Returns key and text of all problems that the roles find in their tables.
@@ -294,17 +295,19 @@ impl Configuration {
             problems.push(("agent.stop_timeout_ms".to_owned(), text));
         }
         if let Some(config) = &self.aggregator {
-            let found = Aggregator::check(config).into_iter();
-            problems.extend(found.map(|problem| (format!("aggregator.{}", problem.key), problem.message)));
+            let role_problems = Aggregator::check(config).into_iter();
+            problems.extend(
+                role_problems.map(|problem| (format!("aggregator.{}", problem.key), problem.message)),
+            );
         }
         if let Some(config) = &self.web {
-            let found = config.check().into_iter();
-            problems.extend(found.map(|problem| (format!("web.{}", problem.key), problem.message)));
+            let role_problems = config.check().into_iter();
+            problems.extend(role_problems.map(|problem| (format!("web.{}", problem.key), problem.message)));
         }
         match (&self.agent, self.clock()) {
             (Some(config), Ok(clock)) => {
-                let found = Agent::check(config, &clock).into_iter();
-                problems.extend(found.map(|problem| (problem.key, problem.text)));
+                let role_problems = Agent::check(config, &clock).into_iter();
+                problems.extend(role_problems.map(|problem| (problem.key, problem.text)));
             }
             (Some(_), Err(error)) => problems.push(("agent.clock_identity".to_owned(), error.to_string())),
             (None, _) => {}
@@ -329,12 +332,12 @@ mod tests {
         std::fs::write(&file, format!("[agent]\nname = \"edge\"\nstate_dir = {state:?}\n{tables}"))
             .expect("the temporary folder is writable");
         let configuration = load(&file).expect("nothing is wrong with it");
-        let truth = configuration.clock().expect("linux has a boot id");
-        let agents = configuration.agent_clock(&truth).expect("linux has a boot id");
-        (truth, agents)
+        let system_clock = configuration.clock().expect("linux has a boot id");
+        let agent_clock = configuration.agent_clock(&system_clock).expect("linux has a boot id");
+        (system_clock, agent_clock)
     }
 
-    fn said(text: &str) -> String {
+    fn problems_of(text: &str) -> String {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let file = folder.path().join("it.toml");
         std::fs::write(&file, text).expect("the temporary folder is writable");
@@ -343,18 +346,18 @@ mod tests {
     }
 
     #[test]
-    fn tables_in_the_wrong_place_are_named_with_the_right_one() {
-        let text = said("[aggregator]\n[retention]\nnodes_days = 1\n");
+    fn misplaced_table_is_reported_with_right_place() {
+        let text = problems_of("[aggregator]\n[retention]\nnodes_days = 1\n");
         assert!(text.contains("did you mean [aggregator.retention]?"), "{text}");
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
-        let text = said(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
+        let text = problems_of(&format!("[agent]\nname = 'a'\nstate_dir = {:?}\n[spool]\n", folder.path()));
         assert!(text.contains(":4: spool: ") && text.contains("[agent] aggregator"), "{text}");
     }
 
     #[test]
     fn mistakes_of_several_tables_are_reported_together() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
-        let text = said(&format!(
+        let text = problems_of(&format!(
             "[log]\nlevel = 'loud=very'\n[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n\
              [agent]\nname = 'a'\nstate_dir = {:?}\nqueue_event = 7\nio_threads = 'x'\n\
              [[pipeline]]\nname = 'one'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\nplacement = {{ kind = 'local' }}\n\
@@ -382,7 +385,7 @@ mod tests {
     fn mistake_hides_no_problem_in_readable_tables() {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let sensor = "sensor = { kind = 'synthetic', size_bytes = 10 }";
-        let text = said(&format!(
+        let text = problems_of(&format!(
             "[agent]\nname = 'a'\nstate_dir = {:?}\nio_threads = 'x'\n[clock]\nwindow_s = 1\nunknown = 1\n\
              [[model]]\nname = 'm'\nkind = 'nonsense'\n\
              [[pipeline]]\nname = 'one'\n{sensor}\nplacement = {{ kind = 'nowhere' }}\n\
@@ -415,31 +418,31 @@ mod tests {
 
     #[test]
     fn names_of_keys_are_printed_without_control_characters() {
-        let text = said("[aggregator]\n\"k\\u001b[31m\\r\" = 3\n");
+        let text = problems_of("[aggregator]\n\"k\\u001b[31m\\r\" = 3\n");
         assert!(text.contains("aggregator.k [31m") && !text.contains(['\u{1b}', '\r']), "{text:?}");
     }
 
     #[test]
     fn unrepresentable_deadline_is_refused() {
-        let text = said("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
+        let text = problems_of("[lifecycle]\nshutdown_deadline_s = 9223372036854775807\n[aggregator]\n");
         assert!(text.contains(":2: lifecycle.shutdown_deadline_s: ") && text.contains("a day"), "{text}");
     }
 
     #[test]
     fn without_clock_fault_there_is_one_clock() {
-        let (truth, agents) = clocks("");
-        assert!(Arc::ptr_eq(&truth, &agents));
+        let (system_clock, agent_clock) = clocks("");
+        assert!(Arc::ptr_eq(&system_clock, &agent_clock));
     }
 
     #[test]
     fn agent_with_clock_fault_reads_another_clock() {
-        let (truth, agents) = clocks("[clock_fault]\noffset_ms = 86400000\n");
-        assert_eq!(truth.identity().clock.as_ref(), ClockIdentity::SYSTEM);
-        assert!(agents.identity().clock.starts_with("clock-fault-"), "{:?}", agents.identity());
-        assert!(agents.wall() - truth.wall() > Span::from_seconds(80_000));
-        assert_eq!(truth.injected_faults(), None);
+        let (system_clock, agent_clock) = clocks("[clock_fault]\noffset_ms = 86400000\n");
+        assert_eq!(system_clock.identity().clock.as_ref(), ClockIdentity::SYSTEM);
+        assert!(agent_clock.identity().clock.starts_with("clock-fault-"), "{:?}", agent_clock.identity());
+        assert!(agent_clock.wall() - system_clock.wall() > Span::from_seconds(80_000));
+        assert_eq!(system_clock.injected_faults(), None);
 
-        let (_, named) = clocks("clock_identity = \"mine\"\n[clock_fault]\n");
-        assert_eq!(named.identity().clock.as_ref(), "mine");
+        let (_, clock_with_own_name) = clocks("clock_identity = \"mine\"\n[clock_fault]\n");
+        assert_eq!(clock_with_own_name.identity().clock.as_ref(), "mine");
     }
 }

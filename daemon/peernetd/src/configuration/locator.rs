@@ -11,13 +11,13 @@ pub(crate) struct Locator<'a> {
 }
 
 impl<'a> Locator<'a> {
-    /// Creates a locator for the text of a file. It finds nothing in a text that is not TOML.
+    /// Creates a locator for the text of a file. A text that is not TOML has no keys.
     pub(crate) fn new(text: &'a str) -> Self {
         Self { text, root: DeTable::parse(text).ok() }
     }
 
-    /// Returns the line, from 1, of a key such as `pipeline[1].sensor.path`, or of the nearest key above it in the
-    /// file: a default value has no line.
+    /// Returns the line, from 1, of a key such as `pipeline[1].sensor.path`. A key that is not in the file, because its default
+    /// applies, has the line of its nearest parent in the file.
     pub(crate) fn line(&self, key: &str) -> Option<usize> {
         let root = self.root.as_ref()?;
         let mut table = root.get_ref();
@@ -56,7 +56,7 @@ impl<'a> Locator<'a> {
     }
 }
 
-/// Returns whether a table with the present name `name` is written under its former name.
+/// Returns whether `written` is the former name of the table whose current name is `name`.
 fn is_former(written: &str, name: &str) -> bool {
     RENAMED_TABLES.iter().any(|table| (table.former, table.current) == (written, name))
 }

@@ -13,7 +13,7 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 
 /// Largest number of mistakes that are reported for one file.
 const MAX_MISTAKES: usize = 100;
-/// Beginning of serde's message about a missing key.
+/// Beginning of the message of serde about a missing key.
 const MISSING: &str = "missing field";
 
 /// A key that cannot be deserialised, with the error.
@@ -62,14 +62,14 @@ fn find_needless_array(
     is_needless.then(|| Mistake { key: name.to_string(), error: error() })
 }
 
-/// Returns all mistakes of a file in which [`read`] found `first`, and the rest of the file without them. Each table
+/// Returns all mistakes of a file in which [`read`] found `first_mistake`, and the rest of the file without them. Each table
 /// and each element of an array of tables is read separately.
 pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
     text: &'a str,
     arrays: &[&str],
-    first: Mistake,
+    first_mistake: Mistake,
 ) -> (Vec<Mistake>, Option<Remainder<T>>) {
-    let Ok(root) = DeTable::parse(text) else { return (vec![first], None) };
+    let Ok(root) = DeTable::parse(text) else { return (vec![first_mistake], None) };
     let mut mistakes: Vec<Mistake> =
         root.get_ref().iter().filter_map(|entry| find_needless_array(entry, arrays)).collect();
     let mut incomplete: BTreeSet<String> = mistakes.iter().map(|mistake| mistake.key.clone()).collect();
@@ -78,16 +78,16 @@ pub(super) fn all_mistakes<'a, T: Deserialize<'a>>(
         if mistakes.iter().any(|mistake| mistake.key == part.name) {
             continue;
         }
-        let before = mistakes.len();
+        let count_before = mistakes.len();
         if let Some(valid) = part.find_mistakes::<T>(&mut mistakes, &mut removed) {
             part.append_to(valid, &mut rest, &mut indices_in_file);
         }
-        if mistakes.len() > before {
+        if mistakes.len() > count_before {
             incomplete.insert(part.name);
         }
     }
     if mistakes.is_empty() {
-        return (vec![first], None);
+        return (vec![first_mistake], None);
     }
     let rest = Spanned::new(root.span(), rest);
     let remainder = T::deserialize(Deserializer::from(rest)).ok();
@@ -106,19 +106,19 @@ impl<T> Remainder<T> {
         in_array().unwrap_or_else(|| key.to_owned())
     }
 
-    /// Returns whether a key was removed at a path of the whole file, below it or above it.
+    /// Returns whether a key of the whole file was removed, or is a parent or a child of a removed key.
     pub(super) fn is_removed(&self, key: &str) -> bool {
-        let is_at = |key: &str, above: &str| {
-            key.strip_prefix(above).is_some_and(|below| below.is_empty() || below.starts_with(['.', '[']))
+        let is_within = |key: &str, parent: &str| {
+            key.strip_prefix(parent).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
         };
-        self.removed.iter().any(|removed| is_at(key, removed) || is_at(removed, key))
+        self.removed.iter().any(|removed| is_within(key, removed) || is_within(removed, key))
     }
 }
 
 /// One table of a file, or one element of an array of tables.
 struct Part<'a> {
     name: String,
-    /// Index in the array.
+    /// Index of the element in its array; `None` for a table.
     index: Option<usize>,
     /// Document that contains only this part.
     document: Spanned<DeTable<'a>>,
@@ -135,9 +135,9 @@ fn split_into_parts<'a>(root: &DeTable<'a>) -> Vec<Part<'a>> {
         match value.get_ref() {
             DeValue::Array(elements) if elements.iter().all(|element| element.get_ref().is_table()) => {
                 for (index, element) in elements.iter().enumerate() {
-                    let mut alone = DeArray::new();
-                    alone.push(element.clone());
-                    part(Some(index), Spanned::new(value.span(), DeValue::Array(alone)));
+                    let mut single_element = DeArray::new();
+                    single_element.push(element.clone());
+                    part(Some(index), Spanned::new(value.span(), DeValue::Array(single_element)));
                 }
             }
             _ => part(None, value.clone()),
@@ -157,8 +157,8 @@ impl<'a> Part<'a> {
         let mut document = self.document.clone();
         let mut removed = Vec::new();
         while mistakes.len() < MAX_MISTAKES {
-            let read = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
-            let Err(error) = read else {
+            let result = serde_path_to_error::deserialize::<_, T>(Deserializer::from(document.clone()));
+            let Err(error) = result else {
                 // Nothing remains if a key was removed that is required at the top of this part.
                 document.get_ref().get(self.name.as_str())?;
                 removed_keys.extend(removed.iter().map(|steps: &Vec<Step>| self.key(steps)));
@@ -199,10 +199,10 @@ impl<'a> Part<'a> {
         for (name, value) in valid.into_inner() {
             match (self.index, rest.get_mut(name.get_ref().as_ref())) {
                 (Some(_), Some(array)) => {
-                    if let (DeValue::Array(array), DeValue::Array(alone)) =
+                    if let (DeValue::Array(array), DeValue::Array(single_element)) =
                         (array.get_mut(), value.into_inner())
                     {
-                        alone.into_iter().for_each(|element| array.push(element));
+                        single_element.into_iter().for_each(|element| array.push(element));
                     }
                 }
                 _ => drop(rest.insert(name, value)),
@@ -216,9 +216,9 @@ impl<'a> Part<'a> {
     /// Returns the path of a key in the whole file.
     fn key(&self, steps: &[Step]) -> String {
         let mut key = String::new();
-        for (place, step) in steps.iter().enumerate() {
+        for (position, step) in steps.iter().enumerate() {
             match (step, self.index) {
-                (Step::Element(_), Some(index)) if place == 1 => key += &format!("[{index}]"),
+                (Step::Element(_), Some(index)) if position == 1 => key += &format!("[{index}]"),
                 (Step::Element(index), _) => key += &format!("[{index}]"),
                 (Step::Key(name), _) if key.is_empty() => key += name,
                 (Step::Key(name), _) => key += &format!(".{name}"),
@@ -330,15 +330,15 @@ mod tests {
         One { size: u8 },
     }
 
-    fn found(text: &str) -> (Vec<String>, Option<Remainder<File>>) {
-        let first = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
-        let (mistakes, rest) = all_mistakes(text, &ARRAYS, first);
+    fn mistakes_and_remainder(text: &str) -> (Vec<String>, Option<Remainder<File>>) {
+        let first_mistake = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
+        let (mistakes, rest) = all_mistakes(text, &ARRAYS, first_mistake);
         (mistakes.iter().map(ToString::to_string).collect(), rest)
     }
 
     #[test]
     fn all_errors_of_all_tables_are_found_once() {
-        let (reported, rest) = found(
+        let (reported, rest) = mistakes_and_remainder(
             "third = 1\n[first]\nnumbr = 1\nnumber = 'x'\nlist = [1, 'y', 2]\n[second]\na = 1\n\
              [[element]]\nname = 'a'\nkind = { kind = 'one', size = 1 }\n\
              [[element]]\nkind = { kind = 'one', size = 1, sise = 1 }\nnumber = -1\n\
@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn remaining_tables_keep_their_positions() {
-        let (_, rest) = found(
+        let (_, rest) = mistakes_and_remainder(
             "[first]\nnumber = 'x'\nlist = [1, 2]\n[[element]]\nname = 'a'\n\
              [[element]]\nname = 'b'\nkind = { kind = 'one', size = 1 }\nnumber = 'x'\n",
         );
@@ -388,9 +388,9 @@ mod tests {
     }
 
     #[test]
-    fn list_of_too_many_mistakes_states_that_it_is_incomplete() {
+    fn truncated_list_of_mistakes_is_marked_as_incomplete() {
         let keys: String = (0..200).map(|key| format!("k{key} = 1\n")).collect();
-        let (reported, _) = found(&format!("[first]\n{keys}"));
+        let (reported, _) = mistakes_and_remainder(&format!("[first]\n{keys}"));
         assert_eq!(reported.len(), MAX_MISTAKES);
         assert!(reported[MAX_MISTAKES - 1].contains("not complete"), "{reported:#?}");
     }
@@ -405,9 +405,9 @@ mod tests {
             "first = []\n",
             "[first\n",
         ] {
-            let first = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
-            let (expected, span) = (first.to_string(), first.error.span());
-            let (mistakes, _) = all_mistakes::<File>(text, &ARRAYS, first);
+            let first_mistake = read::<File>(text, &ARRAYS).expect_err("something is wrong with it");
+            let (expected, span) = (first_mistake.to_string(), first_mistake.error.span());
+            let (mistakes, _) = all_mistakes::<File>(text, &ARRAYS, first_mistake);
             let [mistake] = &mistakes[..] else { panic!("one mistake in {text}: {mistakes:#?}") };
             assert_eq!((mistake.to_string(), mistake.error.span()), (expected, span), "{text}");
         }

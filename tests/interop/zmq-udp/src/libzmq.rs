@@ -53,7 +53,7 @@ impl Context {
         Self(unsafe { zmq_ctx_new() })
     }
 
-    /// A RADIO that sends to an address.
+    /// Creates a RADIO that sends to an address.
     pub fn radio(self, address: &str) -> Result<Socket> {
         let (socket, address) = (self.socket(RADIO)?, CString::new(address)?);
         // SAFETY: the socket is open, the text ends with zero.
@@ -61,10 +61,10 @@ impl Context {
         Ok(socket)
     }
 
-    /// A DISH that listens at an address and has joined a group.
+    /// Creates a DISH that listens at an address and has joined a group.
     pub fn dish(self, address: &str, group: &str) -> Result<Socket> {
         let (socket, address, group) = (self.socket(DISH)?, CString::new(address)?, CString::new(group)?);
-        // SAFETY: as above.
+        // SAFETY: the socket is open, the texts end with zero.
         unsafe {
             check(zmq_bind(socket.0, address.as_ptr()))?;
             check(zmq_join(socket.0, group.as_ptr()))?;
@@ -98,7 +98,7 @@ impl Socket {
     pub fn send(&self, group: &str, body: &[u8]) -> Result<()> {
         let group = CString::new(group)?;
         let mut message = Message([0; 64]);
-        // SAFETY: the message is initialised first; its data has the size that was asked for; sending takes it over.
+        // SAFETY: the message is initialised first; its data has the requested size; sending takes it over.
         unsafe {
             check(zmq_msg_init_size(&mut message, body.len()))?;
             std::ptr::copy_nonoverlapping(body.as_ptr(), zmq_msg_data(&mut message).cast(), body.len());
@@ -108,7 +108,7 @@ impl Socket {
         Ok(())
     }
 
-    /// Waits for a message: its group and its body.
+    /// Waits for a message; returns its group and its body.
     pub fn receive(&self) -> Result<(String, Vec<u8>)> {
         let mut message = Message([0; 64]);
         // SAFETY: the message is initialised first, read while it is valid, and closed.

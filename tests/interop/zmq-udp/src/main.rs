@@ -23,7 +23,7 @@ fn free_port() -> Result<u16> {
 }
 
 /// Forwards everything that a DISH receives to a RADIO; returns the first error.
-fn pass(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<()> {
+fn forward(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<()> {
     loop {
         let (group, mut body) = from.receive()?;
         ensure!(group == GROUP, "a message of the group {group}");
@@ -35,30 +35,30 @@ fn pass(from: &Socket, to: &Socket, change: impl Fn(&mut Vec<u8>)) -> Result<()>
 fn main() -> Result<()> {
     let cloud: SocketAddr = std::env::args().nth(1).context("no address of a cloud")?.parse()?;
     // The DISH binds the port while this socket holds it, so that the port is never closed.
-    let front = socket2::Socket::new(Domain::IPV4, Type::DGRAM, None)?;
-    front.set_reuse_address(true)?;
-    front.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
-    let front = UdpSocket::from(front);
-    println!("{}", front.local_addr()?);
+    let edge_side = socket2::Socket::new(Domain::IPV4, Type::DGRAM, None)?;
+    edge_side.set_reuse_address(true)?;
+    edge_side.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
+    let edge_side = UdpSocket::from(edge_side);
+    println!("{}", edge_side.local_addr()?);
     // libzmq does not report the sender of a message, so that the first datagram is read here.
-    let (_, edge) = front.recv_from(&mut [0; 65_536])?;
+    let (_, edge) = edge_side.recv_from(&mut [0; 65_536])?;
     let context = Context::new();
-    let back = free_port()?;
-    let from_edge = context.dish(&format!("udp://{}", front.local_addr()?), GROUP)?;
-    let from_cloud = context.dish(&format!("udp://127.0.0.1:{back}"), GROUP)?;
+    let cloud_side_port = free_port()?;
+    let from_edge = context.dish(&format!("udp://{}", edge_side.local_addr()?), GROUP)?;
+    let from_cloud = context.dish(&format!("udp://127.0.0.1:{cloud_side_port}"), GROUP)?;
     let to_cloud = context.radio(&format!("udp://{cloud}"))?;
     let to_edge = context.radio(&format!("udp://{edge}"))?;
     std::thread::spawn(move || {
-        let end = pass(&from_cloud, &to_edge, |_| {});
+        let end = forward(&from_cloud, &to_edge, |_| {});
         eprintln!("the relay from cloud to edge ends: {end:?}");
         std::process::exit(1);
     });
-    pass(&from_edge, &to_cloud, |body| {
-        for (kind, at) in REPLY_PORTS {
+    forward(&from_edge, &to_cloud, |body| {
+        for (kind, offset) in REPLY_PORTS {
             if body.first() == Some(&kind)
-                && let Some(port) = body.get_mut(at..at + 2)
+                && let Some(port) = body.get_mut(offset..offset + 2)
             {
-                port.copy_from_slice(&back.to_be_bytes());
+                port.copy_from_slice(&cloud_side_port.to_be_bytes());
             }
         }
     })

@@ -55,25 +55,34 @@ fn arguments_are_published_as_fingerprints() {
     let edge = deployment.start_agent("edge", &TABLES.replace("{secret}", SECRET));
     let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
-        let ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
-        ended.then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
+        let have_ended = runs.len() == 4 && runs.iter().all(|run| !run["reason"].is_null());
+        have_ended
+            .then(|| runs.iter().map(|run| run["number"].as_i64().expect("has one")).collect::<Vec<_>>())
     });
     // A run of this length may be stored before its pipeline has reported.
-    api.wait_until("/api/v1/pipelines", |told| (told["pipelines"].as_array()?.len() == 4).then_some(()));
-    let details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
-    let of = |pipeline: &str| details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
+    api.wait_until("/api/v1/pipelines", |pipelines| {
+        (pipelines["pipelines"].as_array()?.len() == 4).then_some(())
+    });
+    let run_details: Vec<Value> = runs.iter().map(|run| api.json(&format!("/api/v1/runs/{run}"))).collect();
+    let run_of =
+        |pipeline: &str| run_details.iter().find(|run| run["pipeline"] == pipeline).expect("is there");
 
-    let arguments = ["first", "second", "third"].map(|pipeline| fact_value(of(pipeline), "Sensor arguments"));
-    assert!(arguments[0].is_some_and(|told| told.starts_with("2, fingerprint ")), "{arguments:?}");
+    let arguments =
+        ["first", "second", "third"].map(|pipeline| fact_value(run_of(pipeline), "Sensor arguments"));
+    assert!(arguments[0].is_some_and(|value| value.starts_with("2, fingerprint ")), "{arguments:?}");
     assert_eq!(arguments[0], arguments[1], "equal commands");
     assert_ne!(arguments[0], arguments[2], "different ones");
-    let first = of("first");
-    assert!(fact_value(first, "Sensor").is_some_and(|told| told.ends_with("/light.sh")), "{first}");
+    let first_run = run_of("first");
+    assert!(fact_value(first_run, "Sensor").is_some_and(|value| value.ends_with("/light.sh")), "{first_run}");
     assert!(
-        fact_value(first, "Model arguments").is_some() && fact_value(first, "Actuator arguments").is_some(),
-        "{first}"
+        fact_value(first_run, "Model arguments").is_some()
+            && fact_value(first_run, "Actuator arguments").is_some(),
+        "{first_run}"
     );
-    assert!(first["configuration"].as_str().is_some_and(|text| text.contains("arguments = 2")), "{first}");
+    assert!(
+        first_run["configuration"].as_str().is_some_and(|text| text.contains("arguments = 2")),
+        "{first_run}"
+    );
 
     let mut paths: Vec<String> = [
         "/",
@@ -103,16 +112,16 @@ fn arguments_are_published_as_fingerprints() {
         assert_eq!(status, 200, "{path}");
         assert!(!text.contains(SECRET), "{path} tells an argument");
     }
-    let ended = edge.stop();
-    assert!(!ended.log.contains(SECRET), "{}", ended.log);
+    let end = edge.stop();
+    assert!(!end.log.contains(SECRET), "{}", end.log);
     aggregator.stop();
     // The database does not contain the secret either.
     for file in std::fs::read_dir(deployment.folder()).expect("is there") {
         let path = file.expect("is readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("aggregator.sqlite")) {
             let bytes = std::fs::read(&path).expect("is readable");
-            let holds = bytes.windows(SECRET.len()).any(|part| part == SECRET.as_bytes());
-            assert!(!holds, "{}", path.display());
+            let contains_secret = bytes.windows(SECRET.len()).any(|window| window == SECRET.as_bytes());
+            assert!(!contains_secret, "{}", path.display());
         }
     }
 }
@@ -135,15 +144,15 @@ fn run_json_keeps_arguments_from_other_users() {
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
     let state = deployment.folder().display().to_string();
     let environment = [("XDG_STATE_HOME", state.as_str())];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &environment).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = Process::start(&program("peernet"), &arguments, root(), &environment).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
 
     let run = &results.folders()[0];
-    let record = results.file(run, "run.json");
-    let told = json(&record);
-    assert_eq!(told["pipeline"]["sensor"]["command"][1], SECRET, "{told}");
-    assert!(!told["facts"].to_string().contains(SECRET), "{told}");
-    let mode = std::fs::metadata(&record).expect("is there").permissions().mode();
+    let file = results.file(run, "run.json");
+    let record = json(&file);
+    assert_eq!(record["pipeline"]["sensor"]["command"][1], SECRET, "{record}");
+    assert!(!record["facts"].to_string().contains(SECRET), "{record}");
+    let mode = std::fs::metadata(&file).expect("is there").permissions().mode();
     assert_eq!(mode & 0o007, 0, "{mode:o}");
     for table in ["summary.md", "summary.csv", "data.csv"] {
         let text = std::fs::read_to_string(results.file(run, table)).expect("is there");

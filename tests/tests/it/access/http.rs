@@ -39,7 +39,7 @@ fn foreign_host_header_is_refused_on_open_dashboard() {
     let deployment = LoopbackDeployment::new();
     let _aggregator = start_without_authentication(&deployment);
     for (method, path) in [("GET", "/"), ("GET", "/api/v1/hosts"), ("DELETE", "/api/v1/runs/1/pin")] {
-        let ask = |host: &str| {
+        let answer_to = |host: &str| {
             answer(
                 &deployment,
                 &format!(
@@ -47,23 +47,31 @@ fn foreign_host_header_is_refused_on_open_dashboard() {
                 ),
             )
         };
-        assert!(ask("evil.example").starts_with("HTTP/1.1 421 "), "{method} {path}: {}", ask("evil.example"));
-        assert!(!ask(&format!("127.0.0.1:{}", deployment.http)).contains(" 421 "), "{method} {path}");
+        assert!(
+            answer_to("evil.example").starts_with("HTTP/1.1 421 "),
+            "{method} {path}: {}",
+            answer_to("evil.example")
+        );
+        assert!(!answer_to(&format!("127.0.0.1:{}", deployment.http)).contains(" 421 "), "{method} {path}");
     }
-    let foreign = "PUT /api/v1/runs/1/pin HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n";
-    assert!(answer(&deployment, foreign).starts_with("HTTP/1.1 403 "), "{}", answer(&deployment, foreign));
+    let foreign_origin = "PUT /api/v1/runs/1/pin HTTP/1.1\r\nHost: 127.0.0.1\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n";
+    assert!(
+        answer(&deployment, foreign_origin).starts_with("HTTP/1.1 403 "),
+        "{}",
+        answer(&deployment, foreign_origin)
+    );
 }
 
 #[test]
 fn request_without_exactly_one_host_is_refused() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, _) = deployment.start_aggregator();
-    let ask = |hosts: &str| {
+    let answer_to = |hosts: &str| {
         answer(&deployment, &format!("GET /healthz HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n"))
     };
-    assert!(ask("Host: localhost\r\n").starts_with("HTTP/1.1 200 "));
+    assert!(answer_to("Host: localhost\r\n").starts_with("HTTP/1.1 200 "));
     for hosts in ["", "Host: localhost\r\nHost: localhost\r\n", "Host: a b\r\n"] {
-        assert!(ask(hosts).starts_with("HTTP/1.1 400 "), "{hosts:?}: {}", ask(hosts));
+        assert!(answer_to(hosts).starts_with("HTTP/1.1 400 "), "{hosts:?}: {}", answer_to(hosts));
     }
 }
 
@@ -71,7 +79,7 @@ fn request_without_exactly_one_host_is_refused() {
 fn headers_beyond_64_kib_are_refused() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, _) = deployment.start_aggregator();
-    let ask = |target: usize, header: usize| {
+    let answer_to = |target: usize, header: usize| {
         let (target, header) = ("x".repeat(target), "y".repeat(header));
         answer(
             &deployment,
@@ -80,18 +88,18 @@ fn headers_beyond_64_kib_are_refused() {
             ),
         )
     };
-    assert!(ask(1, 60_000).starts_with("HTTP/1.1 200 "));
+    assert!(answer_to(1, 60_000).starts_with("HTTP/1.1 200 "));
     for (target, header) in [(1, 66_000), (1, 100_000), (40_000, 40_000), (1, 10_000_000)] {
         assert!(
-            ask(target, header).starts_with("HTTP/1.1 431 "),
+            answer_to(target, header).starts_with("HTTP/1.1 431 "),
             "{target} {header}: {}",
-            ask(target, header)
+            answer_to(target, header)
         );
     }
-    assert!(ask(100_000, 1).starts_with("HTTP/1.1 4"), "{}", ask(100_000, 1));
-    let many = "X: y\r\n".repeat(500);
-    let many = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{many}Connection: close\r\n\r\n");
-    assert!(answer(&deployment, &many).starts_with("HTTP/1.1 431 "), "{}", answer(&deployment, &many));
+    assert!(answer_to(100_000, 1).starts_with("HTTP/1.1 4"), "{}", answer_to(100_000, 1));
+    let headers = "X: y\r\n".repeat(500);
+    let request = format!("GET /healthz HTTP/1.1\r\nHost: localhost\r\n{headers}Connection: close\r\n\r\n");
+    assert!(answer(&deployment, &request).starts_with("HTTP/1.1 431 "), "{}", answer(&deployment, &request));
 }
 
 #[test]

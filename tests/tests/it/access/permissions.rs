@@ -21,14 +21,14 @@ fn state_files(deployment: &LoopbackDeployment) -> Vec<PathBuf> {
         entries.map(|entry| entry.expect("is readable").path()).collect()
     };
     let is_configuration = |path: &Path| path.extension().is_some_and(|extension| extension == "toml");
-    let mut found = Vec::new();
+    let mut files = Vec::new();
     for path in entries(deployment.folder()).into_iter().filter(|path| !is_configuration(path)) {
         if path.is_dir() {
-            found.extend(entries(&path));
+            files.extend(entries(&path));
         }
-        found.push(path);
+        files.push(path);
     }
-    found
+    files
 }
 
 fn mode(path: &Path) -> u32 {
@@ -74,21 +74,21 @@ fn files_of_earlier_versions_are_restricted_at_start() {
     let (aggregator, edge, _api) = start(&deployment);
     edge.stop();
     aggregator.stop();
-    let set = |name: &str, mode: u32| {
+    let set_mode = |name: &str, mode: u32| {
         let path = deployment.folder().join(name);
         fs::set_permissions(&path, Permissions::from_mode(mode)).expect("own file");
         path
     };
-    let changed = [
-        (set("aggregator.sqlite", 0o644), 0o640),
-        (set("edge", 0o755), 0o750),
-        (set("edge/host-id", 0o644), 0o640),
+    let expected_modes = [
+        (set_mode("aggregator.sqlite", 0o644), 0o640),
+        (set_mode("edge", 0o755), 0o750),
+        (set_mode("edge/host-id", 0o644), 0o640),
         // The operator has granted write permission to the group.
-        (set("edge/spool.sqlite", 0o664), 0o660),
+        (set_mode("edge/spool.sqlite", 0o664), 0o660),
     ];
     let (aggregator, edge, _api) = start(&deployment);
     edge.wait_for("removed the permissions of other users");
-    for (path, expected) in changed {
+    for (path, expected) in expected_modes {
         assert_eq!(mode(&path), expected, "{}", path.display());
     }
     for log in [edge.stop().log, aggregator.stop().log] {

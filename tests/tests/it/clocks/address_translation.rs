@@ -41,15 +41,15 @@ fn edges_behind_one_address_have_separate_clock_relations() {
     for (host, clock) in ["edge", "third"].into_iter().zip(clocks) {
         let run = runs["runs"].as_array().expect("a list").iter().find(|run| run["host"] == host);
         let number = run.and_then(|run| run["number"].as_u64()).expect("it ran");
-        let own: Vec<Iteration> =
+        let run_iterations: Vec<Iteration> =
             iterations.iter().filter(|iteration| iteration.run == number).cloned().collect();
-        let what = format!("{host} behind one address");
-        let (up, down) = assert_contains_truth(&what, &own, &clock, &HostClock::of_kernel());
-        assert_eq!((up.compared, down.compared), (705, 705), "{what}");
+        let case = format!("{host} behind one address");
+        let (up, down) = assert_contains_truth(&case, &run_iterations, &clock, &HostClock::of_kernel());
+        assert_eq!((up.compared, down.compared), (705, 705), "{case}");
         let probes = format!(
             "SELECT sum(probes_answered) > 20 FROM clock_sample JOIN link ON link.id = clock_sample.link \
              JOIN host ON host.id = link.edge WHERE host.name = '{host}'"
         );
-        assert_eq!(testbed.query_database(&probes).trim(), "1", "{what}: its probes are answered");
+        assert_eq!(testbed.query_database(&probes).trim(), "1", "{case}: its probes are answered");
     }
 }

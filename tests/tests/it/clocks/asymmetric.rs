@@ -11,8 +11,8 @@ use peernet_tests::truth::{Delay, HostClock, Iteration};
 use super::{WARM_UP, assert_contains_truth, faults, print_line};
 
 fn wire(folder: &Path) -> Network {
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
-    Network::wire(folder, way(40), way(5))
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 5, loss_percent: 2 };
+    Network::wire(folder, wire_direction(40), wire_direction(5))
 }
 
 /// Result of 300 iterations.
@@ -26,12 +26,12 @@ struct Outcome {
 /// Runs 300 iterations with faults injected into both clocks; the claims of their time daemons are trusted.
 fn run(discipline: &str) -> Outcome {
     let testbed = TwoHostTestbed::new(wire);
-    let more = format!("discipline = \"{discipline}\"");
-    let _cloud = testbed.start_cloud(&faults(700.0, -20.0, &more));
+    let discipline = format!("discipline = \"{discipline}\"");
+    let _cloud = testbed.start_cloud(&faults(700.0, -20.0, &discipline));
     let load = "load = { mode = \"rate\", hz = 20.0 }\nlimit = { iterations = 300 }\nmax_in_flight = 64";
     let pipeline = testbed.pipeline("far", 1000, load);
     let _edge = testbed.start_edge(
-        &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", faults(-300.0, 20.0, &more)),
+        &format!("[clock]\ntrust_time_daemons = true\n{}{pipeline}", faults(-300.0, 20.0, &discipline)),
         &[],
     );
     let (edge, cloud) = (testbed.clock_of("edge"), testbed.clock_of("cloud"));
@@ -47,27 +47,27 @@ fn run(discipline: &str) -> Outcome {
 fn assert_verdict_matches_bounds(delay: &Delay, is_jump_suspected: bool) {
     let (value, (lo, hi)) = (delay.value.expect("a value"), delay.bounds.expect("bounds"));
     let is_wide = (hi - lo).nanos() * 2 > value.nanos();
-    let may_be = match (is_wide, is_jump_suspected) {
+    let allowed_verdicts = match (is_wide, is_jump_suspected) {
         (true, _) => ["limited"].as_slice(),
         (false, false) => &["ok"],
         (false, true) => &["ok", "limited"],
     };
-    assert!(may_be.contains(&delay.verdict.as_str()), "{delay:?}");
+    assert!(allowed_verdicts.contains(&delay.verdict.as_str()), "{delay:?}");
 }
 
 #[test]
 fn smallest_round_trip_bounds_delays() {
     let Outcome { iterations, edge, cloud, is_jump_suspected } = run("none");
     let (up, down) = assert_contains_truth("40 ms up, 5 ms down, no discipline", &iterations, &edge, &cloud);
-    let smallest = iterations.iter().map(|iteration| {
-        let there_and_back = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
-        there_and_back - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
+    let round_trips = iterations.iter().map(|iteration| {
+        let edge_time = edge.truth(iteration.down.received) - edge.truth(iteration.up.sent);
+        edge_time - (cloud.truth(iteration.down.sent) - cloud.truth(iteration.up.received))
     });
-    let smallest = smallest.min().expect("three hundred");
+    let smallest = round_trips.min().expect("three hundred");
     print_line(&format!("smallest round trip of data {smallest}"));
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
-        assert!(comparison.width(0.5) <= smallest + Span::from_millis(1), "{}", comparison.in_words());
+        assert!(comparison.width(0.5) <= smallest + Span::from_millis(1), "{}", comparison.summary());
     }
     let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
     for iteration in settled {
@@ -85,7 +85,7 @@ fn disciplined_clocks_narrow_delay_bounds() {
         assert_contains_truth("40 ms up, 5 ms down, exact discipline", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty());
-        assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.in_words());
+        assert!(comparison.error(1.0) <= Span::from_millis(1), "{}", comparison.summary());
     }
     // The first iterations may be answered before there are three exchanges, and are `stale` then.
     for iteration in iterations.iter().filter(|iteration| iteration.number > WARM_UP) {

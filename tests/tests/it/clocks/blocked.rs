@@ -16,8 +16,8 @@ fn data_messages_bound_delays_without_probes() {
     let iterations = testbed.iterations();
     let edge = peernet_tests::truth::HostClock::of_kernel();
     let (up, down) = assert_contains_truth("probes blocked", &iterations, &edge, &cloud);
-    let all = iterations.len();
-    assert_eq!((all, up.compared, down.compared), (305, all, all));
+    let count = iterations.len();
+    assert_eq!((count, up.compared, down.compared), (305, count, count));
     let probes =
         testbed.query_database("SELECT sum(probes_sent) > 10, sum(probes_answered) FROM clock_sample");
     assert_eq!(probes.trim(), "1|0", "probes were sent, and none came back");

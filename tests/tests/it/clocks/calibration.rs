@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::{faults, print_line};
 
 /// Largest error of an intercept.
-const ERROR: Span = Span::from_micros(100);
+const MAX_ERROR: Span = Span::from_micros(100);
 
 /// Similar sizes, so that the intercept is the delay of an empty message even if the link is not linear in size.
 const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
@@ -20,7 +20,7 @@ const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
 const REPEATS: &str = "1001";
 
 /// One direction of one iteration.
-struct Passage {
+struct SampleDelay {
     payload: u64,
     warm_up: bool,
     /// Reported delay.
@@ -28,43 +28,43 @@ struct Passage {
     bounds: (Span, Span),
     /// True delay, and its largest error: the table contains the edge's time of the whole iteration only.
     truth: Span,
-    slack: Span,
+    truth_error: Span,
 }
 
 /// Reads one direction of a study's table. `ahead` is the offset of the receiver's clock from the sender's at each
 /// time.
-fn passages(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Vec<Passage> {
+fn sample_delays(samples: &Path, stage: &str, ahead: impl Fn(WallTime) -> Span) -> Vec<SampleDelay> {
     let text = std::fs::read_to_string(samples).expect("it was written");
     let mut rows = text.lines().map(|line| line.split(',').collect::<Vec<_>>());
     let header = rows.next().expect("there is a header");
-    let passage = |row: Vec<&str>| {
+    let sample_delay = |row: Vec<&str>| {
         let cell = |name: &str| {
-            let at = header.iter().position(|column| *column == name);
-            row[at.unwrap_or_else(|| panic!("no column {name}"))]
+            let index = header.iter().position(|column| *column == name);
+            row[index.unwrap_or_else(|| panic!("no column {name}"))]
         };
         let seconds = |name: &str| nanos(cell(name)).unwrap_or_else(|| panic!("{name} in {row:?}"));
         let (start, total) = (WallTime::from_unix_nanos(seconds("at").nanos()), seconds("total"));
         let (first, last) = (ahead(start), ahead(start + total));
-        let part = |part: &str| seconds(&format!("{stage}-{part}"));
+        let column = |part: &str| seconds(&format!("{stage}-{part}"));
         let middle = Span::from_nanos(i64::midpoint(first.nanos(), last.nanos()));
-        Passage {
+        SampleDelay {
             payload: cell("payload-bytes").parse().expect("a number"),
             warm_up: cell("warm-up") == "1",
             value: nanos(cell(stage)),
-            bounds: (part("lo"), part("hi")),
-            truth: part("raw") - middle,
+            bounds: (column("lo"), column("hi")),
+            truth: column("raw") - middle,
             // The truth is derived from stamps of the wall clocks, which are read up to 3 µs after those that delays
             // are judged by.
-            slack: (last - first).abs() + Span::from_nanos(3_002),
+            truth_error: (last - first).abs() + Span::from_nanos(3_002),
         }
     };
-    rows.map(passage).collect()
+    rows.map(sample_delay).collect()
 }
 
 /// Parses decimal seconds, which have more digits than a float.
 fn nanos(text: &str) -> Option<Span> {
-    let (whole, part) = text.split_once('.')?;
-    let digits = format!("{whole}{part:0<9}");
+    let (whole, fraction) = text.split_once('.')?;
+    let digits = format!("{whole}{fraction:0<9}");
     digits.parse().ok().map(Span::from_nanos)
 }
 
@@ -78,12 +78,14 @@ fn pair(value: &Value) -> (f64, f64) {
 
 /// Returns the intercept of weighted least squares over points (x, y, weight).
 fn intercept(points: &[(f64, f64, f64)]) -> f64 {
-    let sum =
-        |of: &dyn Fn(&(f64, f64, f64)) -> f64| points.iter().map(|point| point.2 * of(point)).sum::<f64>();
-    let all = sum(&|_| 1.0);
-    let (x, y) = (sum(&|point| point.0) / all, sum(&|point| point.1) / all);
-    let slope = sum(&|point| (point.0 - x) * (point.1 - y)) / sum(&|point| (point.0 - x).powi(2));
-    y - slope * x
+    let sum = |value: &dyn Fn(&(f64, f64, f64)) -> f64| {
+        points.iter().map(|point| point.2 * value(point)).sum::<f64>()
+    };
+    let total_weight = sum(&|_| 1.0);
+    let (mean_x, mean_y) = (sum(&|point| point.0) / total_weight, sum(&|point| point.1) / total_weight);
+    let slope =
+        sum(&|point| (point.0 - mean_x) * (point.1 - mean_y)) / sum(&|point| (point.0 - mean_x).powi(2));
+    mean_y - slope * mean_x
 }
 
 fn median(mut spans: Vec<Span>) -> f64 {
@@ -95,7 +97,7 @@ fn median(mut spans: Vec<Span>) -> f64 {
 }
 
 /// Repeats the study's fit over the medians, with its weights, for other delays.
-fn refitted(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
+fn refitted_intercept(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
     /// Smallest error of a median that counts, seconds.
     const CLOCK_READ: f64 = 1e-7;
     let sizes = direction["sizes"].as_array().expect("a list").iter();
@@ -108,41 +110,48 @@ fn refitted(direction: &Value, delays: &BTreeMap<u64, Vec<Span>>) -> f64 {
 }
 
 /// Groups the delays by size.
-fn by_size<'a>(passages: impl Iterator<Item = (&'a Passage, Span)>) -> BTreeMap<u64, Vec<Span>> {
+fn group_by_size<'a>(
+    sample_delays: impl Iterator<Item = (&'a SampleDelay, Span)>,
+) -> BTreeMap<u64, Vec<Span>> {
     let mut sizes = BTreeMap::<u64, Vec<Span>>::new();
-    for (passage, delay) in passages {
-        sizes.entry(passage.payload).or_default().push(delay);
+    for (sample_delay, delay) in sample_delays {
+        sizes.entry(sample_delay.payload).or_default().push(delay);
     }
     sizes
 }
 
 /// Compares one direction with the truth, without its warm-up.
-fn assert_intercept_is_right(stage: &str, direction: &Value, passages: &[Passage]) {
-    for Passage { payload, bounds: (lo, hi), truth, slack, .. } in passages {
-        let allowed = *lo - *slack..=*hi + *slack;
+fn assert_intercept_is_right(stage: &str, direction: &Value, sample_delays: &[SampleDelay]) {
+    for SampleDelay { payload, bounds: (lo, hi), truth, truth_error, .. } in sample_delays {
+        let allowed = *lo - *truth_error..=*hi + *truth_error;
         assert!(allowed.contains(truth), "{stage} of {payload} B: {truth} is not in {allowed:?}");
     }
-    let counted = || passages.iter().filter(|passage| !passage.warm_up);
-    let reported = by_size(counted().filter_map(|passage| Some((passage, passage.value?))));
-    let really = by_size(counted().map(|passage| (passage, passage.truth)));
+    let after_warm_up = || sample_delays.iter().filter(|sample_delay| !sample_delay.warm_up);
+    let reported =
+        group_by_size(after_warm_up().filter_map(|sample_delay| Some((sample_delay, sample_delay.value?))));
+    let truths = group_by_size(after_warm_up().map(|sample_delay| (sample_delay, sample_delay.truth)));
 
-    let main = &direction["fits"]["medians"]["least_squares"]["intercept"];
-    let (told, claimed) = (number(&main["value"]), pair(&direction["claimed"]["at_zero"]));
-    let (again, truth) = (refitted(direction, &reported), refitted(direction, &really));
+    let fit = &direction["fits"]["medians"]["least_squares"]["intercept"];
+    let (reported_intercept, claimed) = (number(&fit["value"]), pair(&direction["claimed"]["at_zero"]));
+    let (refitted, truth) =
+        (refitted_intercept(direction, &reported), refitted_intercept(direction, &truths));
     let span = Span::from_seconds_f64;
-    let error = span(told - truth);
+    let error = span(reported_intercept - truth);
     print_line(&format!(
         "{stage}: intercept {}, of the true delays {}, error {error}; claimed {} to {}",
-        span(told),
+        span(reported_intercept),
         span(truth),
         span(claimed.0),
         span(claimed.1),
     ));
-    assert!((told - again).abs() < 1e-9, "{stage}: the fit is another one than is told, {told} and {again}");
-    assert!(error.abs() <= ERROR, "{stage}: the intercept is wrong by {error}");
     assert!(
-        (claimed.0..=claimed.1).contains(&told),
-        "{stage}: {told} lies outside of what is claimed, {claimed:?}"
+        (reported_intercept - refitted).abs() < 1e-9,
+        "{stage}: the fit is another one than is told, {reported_intercept} and {refitted}"
+    );
+    assert!(error.abs() <= MAX_ERROR, "{stage}: the intercept is wrong by {error}");
+    assert!(
+        (claimed.0..=claimed.1).contains(&reported_intercept),
+        "{stage}: {reported_intercept} lies outside of what is claimed, {claimed:?}"
     );
 }
 
@@ -154,20 +163,24 @@ fn calibrated_intercepts_contain_the_true_delays() {
     let peer = testbed.peer();
     let sweep = ["--sizes", SIZES, "--repeats", REPEATS, "--seconds", "20"];
     let arguments = [&["calibrate", &peer, "--result-loc", "results"], &sweep[..]].concat();
-    let done =
+    let end =
         testbed.network.edge().start(&program("peernet"), &arguments, testbed.folder(), &[]).wait_for_end();
-    assert_eq!(done.code(), 0, "{}", done.log);
+    assert_eq!(end.code(), 0, "{}", end.log);
 
     let results = testbed.folder().join("results");
     let study = std::fs::read(results.join("calibration.json")).expect("it was written");
     let study: Value = serde_json::from_slice(&study).expect("it is JSON");
     print_line(&format!("verdict {}, {}", study["verdict"], study["counts"]));
     let samples = results.join("samples.csv");
-    assert_intercept_is_right("upload", &study["up"], &passages(&samples, "upload", |at| cloud.ahead(at)));
+    assert_intercept_is_right(
+        "upload",
+        &study["up"],
+        &sample_delays(&samples, "upload", |at| cloud.ahead(at)),
+    );
     assert_intercept_is_right(
         "download",
         &study["down"],
-        &passages(&samples, "download", |at| -cloud.ahead(at)),
+        &sample_delays(&samples, "download", |at| -cloud.ahead(at)),
     );
     assert_eq!(study["verdict"]["kind"], "trusted", "{}", study["verdict"]);
 }

@@ -11,10 +11,10 @@ use serde_json::Value;
 use super::{assert_contains_truth, faults, print_line};
 
 /// Clock identity by which the machine's clock counts as a separate clock.
-const OWN: &str = "clock_identity = \"edge\"\n";
+const EDGE_IDENTITY: &str = "clock_identity = \"edge\"\n";
 
 /// Number of delays to be examined, both directions together.
-const ENOUGH: u64 = 600;
+const MIN_DELAYS: u64 = 600;
 
 /// Two hosts whose time daemons are synchronised, and a pipeline that runs until the edge is stopped.
 struct Scene {
@@ -39,32 +39,32 @@ impl Scene {
     }
 
     /// Waits until the link has a claim of chrony and this verdict; returns the offset.
-    fn offset(&self, verdict: &str) -> Value {
+    fn wait_for_offset(&self, verdict: &str) -> Value {
         self.testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
             let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
-            let both = sources.eq(["in-band", "chrony"]);
-            (both && offset["verdict"] == verdict).then(|| offset.clone())
+            let has_both = sources.eq(["in-band", "chrony"]);
+            (has_both && offset["verdict"] == verdict).then(|| offset.clone())
         })
     }
 
     /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
     /// may be shown earlier.
-    fn wait_for_daemon(&self, host: &str, begins: &str) {
+    fn wait_for_daemon(&self, host: &str, beginning: &str) {
         self.testbed.api.wait_until(&format!("/api/v1/hosts/{host}"), |host| {
-            host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(begins)).then_some(())
+            host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(beginning)).then_some(())
         });
     }
 
     /// Returns all iterations after enough additional delays are stored that fulfil an SQL expression.
-    fn iterations(self, such: &str) -> Vec<Iteration> {
+    fn iterations(self, condition: &str) -> Vec<Iteration> {
         let sql = format!(
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
-             LEFT JOIN source ON source.id = t.source WHERE {such}"
+             LEFT JOIN source ON source.id = t.source WHERE {condition}"
         );
         let count = || self.testbed.query_database(&sql).trim().parse::<u64>().expect("a number");
         let before = count();
-        wait_until(such, || (count() >= before + ENOUGH).then_some(()));
+        wait_until(condition, || (count() >= before + MIN_DELAYS).then_some(()));
         assert_eq!(self.edge.stop().code(), 0);
         self.testbed
             .api
@@ -75,9 +75,10 @@ impl Scene {
 
 /// Returns the bounds of the offset from one source.
 fn bounds_of_source(offset: &Value, source: &str) -> (Span, Span) {
-    let all = offset["sources"].as_array().expect("a list");
-    let own = all.iter().find(|one| one["source"] == source).expect("it was waited for");
-    let bound = |name: &str| Span::from_seconds_f64(own[name].as_f64().expect("a number"));
+    let sources = offset["sources"].as_array().expect("a list");
+    let source_bounds =
+        sources.iter().find(|candidate| candidate["source"] == source).expect("it was waited for");
+    let bound = |name: &str| Span::from_seconds_f64(source_bounds[name].as_f64().expect("a number"));
     let bounds = (bound("lo_s"), bound("hi_s"));
     print_line(&format!("  {source} alone: {} to {}", bounds.0, bounds.1));
     bounds
@@ -88,20 +89,20 @@ fn contains((lo, hi): (Span, Span), offset: Span) -> bool {
 }
 
 /// Runs a case with the machine's clock on both hosts: the true offset is zero.
-fn check_correct_clocks(what: &str, network: impl FnOnce(&Path) -> Network, such: &str) {
-    let scene = Scene::new(network, OWN, "", true);
-    let offset = scene.offset("ok");
+fn check_correct_clocks(case: &str, network: impl FnOnce(&Path) -> Network, condition: &str) {
+    let scene = Scene::new(network, EDGE_IDENTITY, "", true);
+    let offset = scene.wait_for_offset("ok");
     for source in ["in-band", "chrony"] {
         assert!(contains(bounds_of_source(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let iterations = scene.iterations(such);
+    let iterations = scene.iterations(condition);
     let of_kernel = HostClock::of_kernel();
-    let (up, down) = assert_contains_truth(what, &iterations, &of_kernel, &of_kernel);
+    let (up, down) = assert_contains_truth(case, &iterations, &of_kernel, &of_kernel);
     for comparison in [&up, &down] {
-        assert!(comparison.without_value.is_empty(), "{what}: {:?}", comparison.without_value);
+        assert!(comparison.without_value.is_empty(), "{case}: {:?}", comparison.without_value);
     }
 }
 
@@ -112,9 +113,9 @@ fn right_daemons_agree_with_exchanges() {
 
 /// The daemons' server is not behind the wire, so that the daemons can measure the wire's asymmetry.
 #[test]
-fn correct_claims_of_daemons_bound_delays_on_asymmetric_path() {
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
-    let wire = |folder: &Path| Network::wire(folder, way(40), way(5));
+fn correct_claims_bound_delays_on_asymmetric_path() {
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let wire = |folder: &Path| Network::wire(folder, wire_direction(40), wire_direction(5));
     check_correct_clocks("chrony, 40 ms up, 5 ms down", wire, "source.text IN ('chrony', 'intersection')");
 }
 
@@ -123,34 +124,34 @@ fn correct_claims_of_daemons_bound_delays_on_asymmetric_path() {
 #[test]
 fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
-    let wrong = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let scene = Scene::new(|_| Network::direct(), "", &wrong, true);
-    let offset = scene.offset("inconsistent");
+    let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
+    let scene = Scene::new(|_| Network::direct(), "", &fault, true);
+    let offset = scene.wait_for_offset("inconsistent");
     let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
     assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
     assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
     let iterations = scene.iterations("verdict.text = 'inconsistent'");
     let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
-    let exposed = delays.filter(|delay| is_exposed(delay)).count() as u64;
-    print_line(&format!("unaware by {AHEAD}: {exposed} of {} delays exposed", 2 * iterations.len()));
-    assert!(exposed >= ENOUGH);
+    let contradictory = delays.filter(|delay| is_contradictory(delay)).count() as u64;
+    print_line(&format!("unaware by {AHEAD}: {contradictory} of {} delays exposed", 2 * iterations.len()));
+    assert!(contradictory >= MIN_DELAYS);
 }
 
 /// Returns whether a delay is reported as contradictory. Before the daemons' claims are known, it is based on the
 /// exchanges only.
-fn is_exposed(delay: &Delay) -> bool {
-    let exposed = delay.verdict == "inconsistent";
-    let known = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
-    assert_eq!(known, (!exposed, !exposed, "in-band"), "{delay:?}");
-    exposed
+fn is_contradictory(delay: &Delay) -> bool {
+    let contradictory = delay.verdict == "inconsistent";
+    let report = (delay.value.is_some(), delay.bounds.is_some(), delay.source.as_str());
+    assert_eq!(report, (!contradictory, !contradictory, "in-band"), "{delay:?}");
+    contradictory
 }
 
 /// The daemon is the same, but it is not trusted.
 #[test]
 fn wrong_claim_affects_delays_only_if_trusted() {
-    let wrong = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let scene = Scene::new(|_| Network::direct(), "", &wrong, false);
+    let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
+    let scene = Scene::new(|_| Network::direct(), "", &fault, false);
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
@@ -166,9 +167,9 @@ fn wrong_claim_affects_delays_only_if_trusted() {
 
 /// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
 /// exchanges on 5/40 ms.
-fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
-    let wire = |folder: &Path| Network::wire(folder, way(5), way(40));
+fn start_with_irrefutable_wrong_claims(trusts: bool) -> Scene {
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let wire = |folder: &Path| Network::wire(folder, wire_direction(5), wire_direction(40));
     let scene = Scene::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trusts);
     for host in ["edge", "cloud"] {
         scene.wait_for_daemon(host, "chrony, stratum 11, to ");
@@ -176,40 +177,45 @@ fn wrong_claims_that_exchanges_cannot_refute(trusts: bool) -> Scene {
     scene
 }
 
-/// Waits until the page of the link contains these words.
-fn wait_for_page(scene: &Scene, words: &str) {
-    wait_until(words, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(words)));
+/// Waits until the page of the link contains this text.
+fn wait_for_page(scene: &Scene, text: &str) {
+    wait_until(text, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(text)));
 }
 
 #[test]
 fn wrong_claims_within_round_trip_affect_nothing() {
-    let scene = wrong_claims_that_exchanges_cannot_refute(false);
+    let scene = start_with_irrefutable_wrong_claims(false);
     let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
     let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
-    let what = "claims wrong by 10 ms, 5/40 ms, not trusted";
-    let (up, down) = assert_contains_truth(what, &iterations, &edge, &HostClock::of_kernel());
+    let case = "claims wrong by 10 ms, 5/40 ms, not trusted";
+    let (up, down) = assert_contains_truth(case, &iterations, &edge, &HostClock::of_kernel());
     assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
-    assert!(iterations.iter().all(|both| both.up.source == "in-band" && both.down.source == "in-band"));
+    assert!(
+        iterations
+            .iter()
+            .all(|iteration| iteration.up.source == "in-band" && iteration.down.source == "in-band")
+    );
 }
 
 #[test]
 fn delays_by_trusted_claims_are_marked() {
-    let scene = wrong_claims_that_exchanges_cannot_refute(true);
+    let scene = start_with_irrefutable_wrong_claims(true);
     let edge = scene.testbed.clock_of("edge");
     wait_for_page(&scene, "bounds as claimed by chrony");
     let iterations = scene.iterations("source.text = 'chrony'");
     let of_kernel = HostClock::of_kernel();
     let (up, down) = compare(&iterations, &edge, &of_kernel);
-    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.in_words()));
-    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.in_words()));
-    assert!(up.outside.len() + down.outside.len() >= ENOUGH as usize / 2, "the claims are wrong");
-    for both in &iterations {
-        for (delay, ends) in [(&both.up, [&edge, &of_kernel]), (&both.down, [&of_kernel, &edge])] {
-            let truth = truth(delay, ends[0], ends[1]);
-            let is_held = delay.bounds.is_none_or(|bounds| contains(bounds, truth));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.summary()));
+    print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, download: {}", down.summary()));
+    assert!(up.outside.len() + down.outside.len() >= MIN_DELAYS as usize / 2, "the claims are wrong");
+    for iteration in &iterations {
+        for (delay, clocks) in [(&iteration.up, [&edge, &of_kernel]), (&iteration.down, [&of_kernel, &edge])]
+        {
+            let truth = truth(delay, clocks[0], clocks[1]);
+            let contains_truth = delay.bounds.is_none_or(|bounds| contains(bounds, truth));
             assert!(
-                is_held || ["chrony", "intersection"].contains(&delay.source.as_str()),
+                contains_truth || ["chrony", "intersection"].contains(&delay.source.as_str()),
                 "{truth}: {delay:?}"
             );
         }

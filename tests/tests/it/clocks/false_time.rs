@@ -9,22 +9,22 @@ use super::{WARM_UP, assert_contains_truth, print_line};
 /// Offset of the edge's clock.
 const AHEAD: Span = Span::from_millis(137);
 
-/// Starts an edge with a false time, and a cloud with the kernel's.
-fn start(testbed: &TwoHostTestbed, time: &FalseTime, load: &str) -> (Process, Process) {
+/// Starts an edge with a false time, and a cloud with the kernel's clocks.
+fn start(testbed: &TwoHostTestbed, false_time: &FalseTime, load: &str) -> (Process, Process) {
     let cloud = testbed.start_cloud("[clock]\ndiscipline = []\n");
     // The kernel's statements about its clock do not apply to the shown one.
     let clock = "clock_identity = \"shown\"\n[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
     let edge = testbed
-        .start_edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &time.environment());
+        .start_edge(&format!("{clock}{}", testbed.pipeline("misled", 1000, load)), &false_time.environment());
     (cloud, edge)
 }
 
 #[test]
 fn edge_with_false_time_reports_true_delays() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    let time = FalseTime::new(testbed.folder(), AHEAD);
+    let false_time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
-        start(&testbed, &time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
+        start(&testbed, &false_time, "load = { mode = \"rate\", hz = 50.0 }\nlimit = { iterations = 300 }");
     testbed.wait_for_runs(1);
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD]), HostClock::of_kernel());
     let iterations = testbed.iterations();
@@ -41,28 +41,29 @@ fn edge_with_false_time_reports_true_delays() {
 fn unannounced_step_affects_no_delay() {
     const LATER: Span = Span::from_millis(3_137);
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    let time = FalseTime::new(testbed.folder(), AHEAD);
+    let false_time = FalseTime::new(testbed.folder(), AHEAD);
     let _hosts =
-        start(&testbed, &time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
+        start(&testbed, &false_time, "load = { mode = \"rate\", hz = 100.0 }\nlimit = { iterations = 1500 }");
     testbed.api.wait_until("/api/v1/pipelines/edge/misled", |pipeline| {
         (pipeline["windows"][2]["counts"]["ok"].as_f64()? >= 400.0).then_some(())
     });
-    time.show(LATER);
+    false_time.show(LATER);
     testbed.wait_for_runs(1);
 
     let iterations = testbed.iterations();
     let (edge, cloud) = (HostClock::ahead_by(&[AHEAD, LATER]), HostClock::of_kernel());
     assert_contains_truth("libfaketime, set by +3 s", &iterations, &edge, &cloud);
     let ahead = |iteration: &Iteration| iteration.up.sent - cloud.truth(iteration.up.received);
-    let stepped = |iteration: &&Iteration| ahead(iteration) > Span::from_seconds(1);
-    let first = iterations.iter().find(stepped).expect("the time that is shown was changed");
-    let at = cloud.truth(first.up.received);
-    let since = |iteration: &Iteration| cloud.truth(iteration.up.received) - at;
-    let good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
-    let bad = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
-    let bad: Vec<_> = bad.filter(|iteration| !good(&iteration.up) || !good(&iteration.down)).collect();
-    let times: Vec<Span> = bad.iter().map(|iteration| since(iteration)).collect();
+    let is_after_step = |iteration: &&Iteration| ahead(iteration) > Span::from_seconds(1);
+    let first_after_step = iterations.iter().find(is_after_step).expect("the time that is shown was changed");
+    let step_time = cloud.truth(first_after_step.up.received);
+    let since_step = |iteration: &Iteration| cloud.truth(iteration.up.received) - step_time;
+    let is_good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
+    let settled = iterations.iter().filter(|iteration| iteration.number > WARM_UP);
+    let not_good: Vec<_> =
+        settled.filter(|iteration| !is_good(&iteration.up) || !is_good(&iteration.down)).collect();
+    let times: Vec<Span> = not_good.iter().map(|iteration| since_step(iteration)).collect();
     print_line(&format!("libfaketime, set by +3 s: neither ok nor limited {times:?} after it"));
-    assert!(iterations.iter().any(|iteration| since(iteration) > Span::from_seconds(5)));
-    assert!(bad.is_empty(), "{bad:?}");
+    assert!(iterations.iter().any(|iteration| since_step(iteration) > Span::from_seconds(5)));
+    assert!(not_good.is_empty(), "{not_good:?}");
 }

@@ -15,17 +15,17 @@ use peernet_tests::{ClockShim, TwoHostTestbed, wait_until_grown};
 use super::assert_contains_truth;
 
 /// Port of the reflector.
-const PROBES: u16 = 8620;
+const REFLECTOR_PORT: u16 = 8620;
 /// Port to which the attacker redirects the edge's probes, and the port from which it forwards them.
-const FORGER: u16 = 9620;
-const PASSED_ON: u16 = 9621;
+const FORGER_PORT: u16 = 9620;
+const FORWARDER_PORT: u16 = 9621;
 
 /// Error that is added to the cloud's stamps: less than the round trip of 40 ms leaves open.
-const ADDED: Span = Span::from_millis(13);
+const ADDED_ERROR: Span = Span::from_millis(13);
 
 /// Attacker between the edge and the path.
 struct Forger {
-    over: Arc<AtomicBool>,
+    is_over: Arc<AtomicBool>,
     forged: Arc<AtomicUsize>,
     thread: Option<JoinHandle<()>>,
 }
@@ -34,10 +34,11 @@ impl Forger {
     /// Redirects all probes that leave the edge for a cloud.
     fn start(edge: &Host, cloud: Ipv4Addr) -> Self {
         edge.run("nft", &["add", "table", "ip", "forger"]);
-        let chain = ["add", "chain", "ip", "forger", "out"];
-        edge.run("nft", &[&chain[..], &["{ type nat hook output priority -100 ; }"]].concat());
-        let (probes, passed_on, forger) = (PROBES.to_string(), PASSED_ON.to_string(), format!(":{FORGER}"));
-        let rule = ["udp", "dport", &probes, "udp", "sport", "!=", &passed_on, "redirect", "to", &forger];
+        let add_chain = ["add", "chain", "ip", "forger", "out"];
+        edge.run("nft", &[&add_chain[..], &["{ type nat hook output priority -100 ; }"]].concat());
+        let (probes, forwarded, forger) =
+            (REFLECTOR_PORT.to_string(), FORWARDER_PORT.to_string(), format!(":{FORGER_PORT}"));
+        let rule = ["udp", "dport", &probes, "udp", "sport", "!=", &forwarded, "redirect", "to", &forger];
         edge.run("nft", &[&["add", "rule", "ip", "forger", "out"], &rule[..]].concat());
         let (near, far) = edge.run_in_namespace(|| {
             let socket = |address, port| {
@@ -46,15 +47,15 @@ impl Forger {
                 socket
             };
             // Redirected packets arrive at this address, and answers must leave from it.
-            (socket(Ipv4Addr::LOCALHOST, FORGER), socket(Ipv4Addr::UNSPECIFIED, PASSED_ON))
+            (socket(Ipv4Addr::LOCALHOST, FORGER_PORT), socket(Ipv4Addr::UNSPECIFIED, FORWARDER_PORT))
         });
-        let (over, forged) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
-        let relay = Relay { near, far, cloud: (cloud, PROBES).into(), edge: None };
+        let (is_over, forged) = (Arc::<AtomicBool>::default(), Arc::<AtomicUsize>::default());
+        let relay = Relay { near, far, cloud: (cloud, REFLECTOR_PORT).into(), edge: None };
         let thread = std::thread::spawn({
-            let (over, forged) = (Arc::clone(&over), Arc::clone(&forged));
-            move || relay.run(&over, &forged)
+            let (is_over, forged) = (Arc::clone(&is_over), Arc::clone(&forged));
+            move || relay.run(&is_over, &forged)
         });
-        Self { over, forged, thread: Some(thread) }
+        Self { is_over, forged, thread: Some(thread) }
     }
 
     fn forged(&self) -> usize {
@@ -64,7 +65,7 @@ impl Forger {
 
 impl Drop for Forger {
     fn drop(&mut self) {
-        self.over.store(true, Ordering::Relaxed);
+        self.is_over.store(true, Ordering::Relaxed);
         if let Some(Err(panic)) = self.thread.take().map(JoinHandle::join)
             && !std::thread::panicking()
         {
@@ -82,9 +83,9 @@ struct Relay {
 }
 
 impl Relay {
-    fn run(mut self, over: &AtomicBool, forged: &AtomicUsize) {
+    fn run(mut self, is_over: &AtomicBool, forged: &AtomicUsize) {
         let mut buffer = [0; 2048];
-        while !over.load(Ordering::Relaxed) {
+        while !is_over.load(Ordering::Relaxed) {
             if let Some((length, from)) = receive(&self.near, &mut buffer) {
                 self.edge = Some(from);
                 self.far.send_to(&buffer[..length], self.cloud).expect("there is a route");
@@ -104,34 +105,36 @@ fn receive(socket: &UdpSocket, buffer: &mut [u8]) -> Option<(usize, SocketAddr)>
     match socket.recv_from(buffer) {
         Ok(received) => Some(received),
         Err(error) => {
-            let usual = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::ConnectionRefused];
-            assert!(usual.contains(&error.kind()), "{error}");
+            let expected_errors = [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::ConnectionRefused];
+            assert!(expected_errors.contains(&error.kind()), "{error}");
             None
         }
     }
 }
 
-/// Shifts the cloud's clocks by [`ADDED`], in both layouts of a base packet and in the stamps of its free-running
+/// Shifts the cloud's clocks by [`ADDED_ERROR`], in both layouts of a base packet and in the stamps of its free-running
 /// clock.
 fn forge(answer: &mut [u8]) {
-    let ntp = (ADDED.nanos() << 32) / 1_000_000_000;
+    let ntp = (ADDED_ERROR.nanos() << 32) / 1_000_000_000;
     let is_open = answer[4..12] != [0; 8];
-    for at in if is_open { [4, 16] } else { [16, 32] } {
-        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
-        answer[at..at + 8].copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
+    for offset in if is_open { [4, 16] } else { [16, 32] } {
+        let stamp: [u8; 8] = answer[offset..offset + 8].try_into().expect("eight bytes");
+        answer[offset..offset + 8]
+            .copy_from_slice(&u64::from_be_bytes(stamp).wrapping_add_signed(ntp).to_be_bytes());
     }
-    let mark =
+    let raw_stamps =
         answer.windows(4).position(|bytes| bytes == b"PRAW").expect("stamps of the free-running clock");
-    for at in [mark + 8, mark + 16] {
-        let stamp: [u8; 8] = answer[at..at + 8].try_into().expect("eight bytes");
-        answer[at..at + 8].copy_from_slice(&(i64::from_be_bytes(stamp) + ADDED.nanos()).to_be_bytes());
+    for offset in [raw_stamps + 8, raw_stamps + 16] {
+        let stamp: [u8; 8] = answer[offset..offset + 8].try_into().expect("eight bytes");
+        answer[offset..offset + 8]
+            .copy_from_slice(&(i64::from_be_bytes(stamp) + ADDED_ERROR.nanos()).to_be_bytes());
     }
 }
 
 /// Runs a case with this number of forged answers.
-fn forged(probes: u64) {
-    let way = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
-    let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, way, way));
+fn check_forged_answers(probes: u64) {
+    let wire_direction = WireProperties { delay_ms: 20, jitter_ms: 0, loss_percent: 0 };
+    let testbed = TwoHostTestbed::new(|folder| Network::wire(folder, wire_direction, wire_direction));
     let shim = ClockShim::new(&testbed.folder().join("edge-clocks"));
     shim.schedule_change(Span::from_seconds(2), 60.0, 0.0);
     let forger = Forger::start(testbed.network.edge(), testbed.network.cloud().address);
@@ -147,12 +150,12 @@ fn forged(probes: u64) {
     assert_eq!(edge.stop().code(), 0);
     testbed.api.wait_until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
 
-    let clocks = (HostClock::shown(shim.errors()), HostClock::of_kernel());
-    let what = "all answers to probes forged by 13 ms, 20/20 ms";
-    let (up, down) = assert_contains_truth(what, &testbed.iterations(), &clocks.0, &clocks.1);
+    let (edge_clock, cloud_clock) = (HostClock::shown(shim.errors()), HostClock::of_kernel());
+    let case = "all answers to probes forged by 13 ms, 20/20 ms";
+    let (up, down) = assert_contains_truth(case, &testbed.iterations(), &edge_clock, &cloud_clock);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
-        assert!(comparison.compared > 500, "{}", comparison.in_words());
+        assert!(comparison.compared > 500, "{}", comparison.summary());
     }
     let probes =
         testbed.query_database("SELECT sum(probes_sent) > 20, sum(probes_answered) FROM clock_sample");
@@ -161,11 +164,11 @@ fn forged(probes: u64) {
 
 #[test]
 fn intervals_are_right_with_forged_probe_answers() {
-    forged(150);
+    check_forged_answers(150);
 }
 
 #[test]
 #[ignore = "takes ten minutes; for make soak"]
 fn intervals_are_right_during_ten_minute_forgery() {
-    forged(6_000);
+    check_forged_answers(6_000);
 }

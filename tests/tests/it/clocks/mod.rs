@@ -20,9 +20,9 @@ use peernet_tests::truth::{Comparison, HostClock, Iteration, compare};
 /// Iterations of the warm-up by default. The very first delays are `stale`: one exchange has no other to confirm it.
 const WARM_UP: u64 = 5;
 
-/// Returns a table that injects faults into a host's clock.
-fn faults(offset_ms: f64, drift_ppm: f64, more: &str) -> String {
-    format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{more}\n")
+/// Returns a table that injects faults into a host's clock; `keys` are additional keys.
+fn faults(offset_ms: f64, drift_ppm: f64, keys: &str) -> String {
+    format!("[clock_fault]\noffset_ms = {offset_ms:?}\ndrift_ppm = {drift_ppm:?}\n{keys}\n")
 }
 
 /// Prints measured values; `--nocapture` shows them.
@@ -31,20 +31,20 @@ fn print_line(figures: &str) {
     println!("{figures}");
 }
 
-/// Compares delays with the truth, prints the results of `what`, and checks every interval.
+/// Compares delays with the truth, prints the results of `case`, and checks every interval.
 fn assert_contains_truth(
-    what: &str,
+    case: &str,
     iterations: &[Iteration],
     edge: &HostClock,
     cloud: &HostClock,
 ) -> (Comparison, Comparison) {
     let (up, down) = compare(iterations, edge, cloud);
     for (direction, comparison) in [("upload", &up), ("download", &down)] {
-        print_line(&format!("{what}, {direction}: {}", comparison.in_words()));
-        for one in &comparison.without_value {
-            print_line(&format!("  without a value: {one}"));
+        print_line(&format!("{case}, {direction}: {}", comparison.summary()));
+        for description in &comparison.without_value {
+            print_line(&format!("  without a value: {description}"));
         }
-        assert!(comparison.outside.is_empty(), "{what}, {direction}:\n{}", comparison.outside.join("\n"));
+        assert!(comparison.outside.is_empty(), "{case}, {direction}:\n{}", comparison.outside.join("\n"));
     }
     (up, down)
 }

@@ -40,14 +40,16 @@ fn capture_shows_rate_of_limited_link() {
     assert_eq!(sender.join().expect("no panic"), BYTES);
 
     let packets = capture.finish();
-    let way = |left: bool| {
-        let up = packets.iter().filter(move |packet| packet.left == left && packet.payload > 0);
-        let up: Vec<_> = up.filter(|packet| (packet.source, packet.destination) == (edge, cloud)).collect();
-        let bytes: usize = up.iter().map(|packet| packet.payload).sum();
+    let passage_times = |is_outgoing: bool| {
+        let outgoing =
+            packets.iter().filter(move |packet| packet.is_outgoing == is_outgoing && packet.payload > 0);
+        let upload: Vec<_> =
+            outgoing.filter(|packet| (packet.source, packet.destination) == (edge, cloud)).collect();
+        let bytes: usize = upload.iter().map(|packet| packet.payload).sum();
         assert!(bytes >= BYTES, "{bytes}");
-        (up[0].at, up[up.len() - 1].at)
+        (upload[0].at, upload[upload.len() - 1].at)
     };
-    let ((first, _), (_, last)) = (way(false), way(true));
+    let ((first, _), (_, last)) = (passage_times(false), passage_times(true));
     // At 20 Mbit/s 250 kB take 100 ms, less what one burst may contain.
     assert!(last - first > Span::from_millis(85), "{}", last - first);
 }
@@ -68,21 +70,21 @@ fn blocked_port_and_losses_affect_only_matching_packets() {
     assert_eq!(blocked.recv(&mut buffer).expect_err("dropped").kind(), std::io::ErrorKind::WouldBlock);
 
     cloud.drop_percent(30);
-    let arrived = (0..500).filter(|_| {
+    let answers = (0..500).filter(|_| {
         from.send_to(b"probe", (address, 7002)).expect("there is a route");
         open.set_nonblocking(true).expect("a socket");
         // A veth pair delivers a packet before the send call returns.
         open.recv(&mut buffer).is_ok()
     });
-    let arrived = arrived.count();
+    let arrived = answers.count();
     assert!((200..450).contains(&arrived), "{arrived} of 500");
 }
 
 #[test]
 fn wire_delays_directions_separately() {
     let folder = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
-    let network = Network::wire(folder.path(), way(40), way(5));
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
+    let network = Network::wire(folder.path(), wire_direction(40), wire_direction(5));
     let (edge, cloud) = (udp(network.edge(), 7000), udp(network.cloud(), 7000));
     let clock = SystemClock::new(ClockIdentity::new("boot", "system"));
     let mut buffer = [0; 16];
@@ -102,22 +104,25 @@ fn wire_delays_directions_separately() {
 
 #[test]
 fn panicking_test_removes_its_network() {
-    let (tell, told) = std::sync::mpsc::sync_channel(1);
+    let (sender, receiver) = std::sync::mpsc::sync_channel(1);
     let test = std::thread::spawn(move || {
         let network = Network::direct();
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
-        tell.send((inode, process.pid(), network.edge().test_address)).expect("the test waits");
+        sender.send((inode, process.pid(), network.edge().test_address)).expect("the test waits");
         // The process is leaked, as if the test could not stop it.
         std::mem::forget(process);
         panic!("a test fails here, on purpose");
     });
-    let (inode, pid, home) = told.recv().expect("told before the panic");
+    let (inode, pid, test_address) = receiver.recv().expect("told before the panic");
     test.join().expect_err("it panics");
-    let seen =
+    let is_in_namespace =
         |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
     // The killed process remains as a zombie of this process, but is in no namespace.
-    assert!(!seen(format!("/proc/{pid}/ns/net")));
+    assert!(!is_in_namespace(format!("/proc/{pid}/ns/net")));
     let addresses = Command::new("ip").args(["address", "show"]).output().expect("ip is installed").stdout;
-    assert!(!String::from_utf8_lossy(&addresses).contains(&format!("{home}/")), "{home} is still there");
+    assert!(
+        !String::from_utf8_lossy(&addresses).contains(&format!("{test_address}/")),
+        "{test_address} is still there"
+    );
 }

@@ -15,11 +15,11 @@ use super::{WARM_UP, assert_contains_truth, print_line};
 /// Offset of the edge's clock in tests in which the hosts read different clocks.
 const AHEAD: Span = Span::from_millis(20);
 const ITERATIONS: u64 = 300;
-/// Largest time between reading the two clocks of a stamp.
-const APART: Span = Span::from_micros(5);
+/// Longest time between the readings of the two clocks of a stamp.
+const MAX_READ_DISTANCE: Span = Span::from_micros(5);
 
 /// Clock identity of both hosts. Without it a host with clock fault injection would have another identity.
-const NAME: &str = "clock_identity = \"machine\"\n";
+const IDENTITY: &str = "clock_identity = \"machine\"\n";
 
 const CLOUD: &str = "[clock]\ndiscipline = []\n[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n\
     [[model]]\nname = \"echo\"\nkind = \"echo\"\n";
@@ -38,12 +38,12 @@ impl Hosts {
     fn new(tables: &str, is_endless: bool) -> Self {
         let deployment = LoopbackDeployment::new();
         let (aggregator, api) = deployment.start_aggregator();
-        let cloud = deployment.start_agent("cloud", &format!("{NAME}{CLOUD}"));
+        let cloud = deployment.start_agent("cloud", &format!("{IDENTITY}{CLOUD}"));
         let limit =
             if is_endless { String::new() } else { format!("limit = {{ iterations = {ITERATIONS} }}\n") };
         let edge = format!(
             "[agent]\nname = \"edge\"\nstate_dir = \"{{folder}}/edge\"\naggregator = \"tcp://127.0.0.1:{{events}}\"\n\
-             {NAME}{tables}[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
+             {IDENTITY}{tables}[[pipeline]]\nname = \"line\"\nsensor = {{ kind = \"synthetic\", size_bytes = 1000 }}\n\
              placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
              load = {{ mode = \"rate\", hz = 50.0 }}\n{limit}"
         );
@@ -52,7 +52,7 @@ impl Hosts {
     }
 
     /// Returns the link as soon as probes were answered on it.
-    fn link(&self) -> Value {
+    fn wait_for_link(&self) -> Value {
         self.api.wait_until("/api/v1/links", |links| {
             let now = &links["links"][0]["now"];
             (now["same_clock"].is_boolean() && now["offset"].is_object()).then(|| now.clone())
@@ -67,10 +67,10 @@ impl Hosts {
 }
 
 /// Compares the delays of a pair with two clocks with the truth; none may claim that there is one clock.
-fn assert_measured(what: &str, iterations: &[Iteration], edge: &HostClock) {
-    let (up, down) = assert_contains_truth(what, iterations, edge, &HostClock::of_kernel());
-    let all = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
-    assert_eq!((up.compared, down.compared), (all, all));
+fn assert_measured(case: &str, iterations: &[Iteration], edge: &HostClock) {
+    let (up, down) = assert_contains_truth(case, iterations, edge, &HostClock::of_kernel());
+    let count = usize::try_from(ITERATIONS + WARM_UP).expect("a few hundred");
+    assert_eq!((up.compared, down.compared), (count, count));
     for iteration in iterations {
         for delay in [&iteration.up, &iteration.down] {
             assert_eq!(delay.source, "in-band", "{delay:?}");
@@ -105,11 +105,11 @@ fn processes_on_one_machine_prove_one_clock() {
 #[test]
 fn interval_contains_truth_for_process_with_false_time() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", false);
-    let time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
+    let false_time = FalseTime::new(&hosts.deployment.folder().join("time"), AHEAD);
     let environment: Vec<_> =
-        time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
+        false_time.environment().into_iter().filter(|(name, _)| *name != "DONT_FAKE_MONOTONIC").collect();
     let _edge = hosts.deployment.start_with("edge.toml", &environment);
-    assert_eq!(hosts.link()["same_clock"], false);
+    assert_eq!(hosts.wait_for_link()["same_clock"], false);
     let iterations = hosts.iterations();
     let mut widest = Span::ZERO;
     for iteration in &iterations {
@@ -118,7 +118,10 @@ fn interval_contains_truth_for_process_with_false_time() {
             let truth = delay.received - delay.sent + error;
             let (lo, hi) = delay.bounds.unwrap_or_else(|| panic!("no bounds: {delay:?}"));
             assert_eq!(delay.source, "in-band", "{delay:?}");
-            assert!(lo - APART <= truth && truth <= hi + APART, "{truth} of {delay:?}");
+            assert!(
+                lo - MAX_READ_DISTANCE <= truth && truth <= hi + MAX_READ_DISTANCE,
+                "{truth} of {delay:?}"
+            );
             widest = widest.max(hi - lo);
         }
     }
@@ -132,33 +135,33 @@ fn interval_contains_truth_for_process_with_false_time() {
 #[test]
 fn clock_error_introduced_later_is_measured_afterwards() {
     let hosts = Hosts::new("[clock]\ntimestamps = \"user\"\ndiscipline = []\n", true);
-    let time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
-    let _edge = hosts.deployment.start_with("edge.toml", &time.environment());
-    let shows = |wanted: bool| {
+    let false_time = FalseTime::new(&hosts.deployment.folder().join("time"), Span::ZERO);
+    let _edge = hosts.deployment.start_with("edge.toml", &false_time.environment());
+    let wait_until_same_clock_is = |expected: bool| {
         hosts.api.wait_until("/api/v1/links", |links| {
-            (links["links"][0]["now"]["same_clock"] == wanted).then_some(())
+            (links["links"][0]["now"]["same_clock"] == expected).then_some(())
         });
     };
-    shows(true);
-    let since = Stopwatch::now();
-    time.show(AHEAD);
-    shows(false);
-    print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", since.elapsed()));
-    let lost = hosts.api.wait_until("/api/v1/incidents", |list| {
+    wait_until_same_clock_is(true);
+    let stopwatch = Stopwatch::now();
+    false_time.show(AHEAD);
+    wait_until_same_clock_is(false);
+    print_line(&format!("libfaketime begins to show +20 ms: noticed within {:?}", stopwatch.elapsed()));
+    let incident = hosts.api.wait_until("/api/v1/incidents", |list| {
         let is_lost = |incident: &&Value| incident["text"].to_string().contains("it is no longer proven");
         list["incidents"].as_array()?.iter().find(is_lost).cloned()
     });
-    let text = lost["text"].to_string();
+    let text = incident["text"].to_string();
     assert!(
         text.contains("edge and cloud") && text.contains("a preloaded library shows this process"),
-        "{lost}"
+        "{incident}"
     );
     assert_eq!(
-        (&lost["kind"], &lost["host"], &lost["peer"]),
+        (&incident["kind"], &incident["host"], &incident["peer"]),
         (&"clock-step".into(), &"edge".into(), &"cloud".into())
     );
-    time.show(Span::ZERO);
-    shows(true);
+    false_time.show(Span::ZERO);
+    wait_until_same_clock_is(true);
 }
 
 /// The process asks late because of its own pause, which does not indicate another clock.
@@ -166,19 +169,20 @@ fn clock_error_introduced_later_is_measured_afterwards() {
 fn paused_process_keeps_one_clock_proof() {
     let hosts = Hosts::new("[clock]\ndiscipline = []\n", true);
     let edge = hosts.deployment.start("edge.toml");
-    let uploaded = || hosts.api.wait_until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
+    let uploaded_iterations =
+        || hosts.api.wait_until("/api/v1/runs", |runs| runs["runs"][0]["counts"]["ok"].as_u64());
     for _ in 0..3 {
-        let before = uploaded();
-        wait_until_grown("iterations", before + 100, || Some(uploaded()));
+        let before = uploaded_iterations();
+        wait_until_grown("iterations", before + 100, || Some(uploaded_iterations()));
         edge.signal(Signal::STOP);
         // Longer than a proof is valid after the last question before the pause, and shorter than a session's
         // timeout.
         std::thread::sleep(Duration::from_millis(4_500));
         edge.signal(Signal::CONT);
     }
-    let before = uploaded();
-    wait_until_grown("iterations", before + 100, || Some(uploaded()));
-    assert_eq!(hosts.link()["same_clock"], true);
+    let before = uploaded_iterations();
+    wait_until_grown("iterations", before + 100, || Some(uploaded_iterations()));
+    assert_eq!(hosts.wait_for_link()["same_clock"], true);
     assert_eq!(edge.stop().code(), 0);
     let incidents = hosts.api.json("/api/v1/incidents").to_string();
     assert!(!incidents.contains("clock-step"), "{incidents}");
@@ -193,7 +197,7 @@ fn interval_contains_truth_in_other_time_namespace() {
     let arguments =
         ["--time", "--monotonic", "10", "--boottime", "10", &peernetd, "run", "edge.toml"].map(str::to_owned);
     let _edge = Process::start(Path::new("unshare"), &arguments, hosts.deployment.folder(), &[]);
-    assert_eq!(hosts.link()["same_clock"], false);
+    assert_eq!(hosts.wait_for_link()["same_clock"], false);
     assert_measured("another time namespace", &hosts.iterations(), &raw_ahead_by(Span::from_seconds(10)));
 }
 
@@ -201,6 +205,6 @@ fn interval_contains_truth_in_other_time_namespace() {
 fn interval_contains_truth_with_clock_fault_injection() {
     let hosts = Hosts::new(&super::faults(20.0, 0.0, ""), false);
     let _edge = hosts.deployment.start("edge.toml");
-    assert_eq!(hosts.link()["same_clock"], false);
+    assert_eq!(hosts.wait_for_link()["same_clock"], false);
     assert_measured("clock fault of 20 ms", &hosts.iterations(), &raw_ahead_by(AHEAD));
 }

@@ -12,11 +12,13 @@ const ITERATIONS: usize = 15;
 /// Returns the time from the first byte that enters the router to the last byte that leaves it, for a message in
 /// transit from `sent` to `received`.
 fn router_transit_time(packets: &[Packet], from: &Host, sent: WallTime, received: WallTime) -> Span {
-    let own = |packet: &&Packet| {
+    let is_of_message = |packet: &&Packet| {
         packet.source == from.address && packet.payload > 0 && (sent..=received).contains(&packet.at)
     };
-    let first = packets.iter().filter(own).find(|packet| !packet.left).expect("something went in");
-    let last = packets.iter().filter(own).rfind(|packet| packet.left).expect("something came out");
+    let first =
+        packets.iter().filter(is_of_message).find(|packet| !packet.is_outgoing).expect("something went in");
+    let last =
+        packets.iter().filter(is_of_message).rfind(|packet| packet.is_outgoing).expect("something came out");
     last.at - first.at
 }
 
@@ -39,14 +41,14 @@ fn large_transfer_time_matches_capture() {
     assert_contains_truth("1.2 MB, 20 Mbit/s up, 100 Mbit/s down", iterations, &edge, &cloud);
 
     let network = &testbed.network;
-    against(
+    assert_delays_match_capture(
         "upload",
         iterations.iter().map(|iteration| &iteration.up),
         network.edge(),
         &packets,
         [&edge, &cloud],
     );
-    against(
+    assert_delays_match_capture(
         "download",
         iterations.iter().map(|iteration| &iteration.down),
         network.cloud(),
@@ -55,30 +57,30 @@ fn large_transfer_time_matches_capture() {
     );
 }
 
-/// Compares reported delays with captured ones, message by message. A busy machine can delay a program after the last
+/// Checks that reported delays match captured ones, message by message. A busy machine can delay a program after the last
 /// byte has passed; the median of the ratios is robust against a few of these.
-fn against<'a>(
-    what: &str,
+fn assert_delays_match_capture<'a>(
+    direction: &str,
     delays: impl Iterator<Item = &'a Delay>,
     from: &Host,
     packets: &[Packet],
     [sender, receiver]: [&HostClock; 2],
 ) {
     let pairs = delays.map(|delay| {
-        let in_the_middle =
+        let captured =
             router_transit_time(packets, from, sender.truth(delay.sent), receiver.truth(delay.received));
-        (delay.value.expect("a value").seconds(), in_the_middle.seconds())
+        (delay.value.expect("a value").seconds(), captured.seconds())
     });
     let pairs: Vec<(f64, f64)> = pairs.collect();
-    let mean = |pick: fn(&(f64, f64)) -> f64| 1e3 * pairs.iter().map(pick).sum::<f64>() / pairs.len() as f64;
-    let mut ratios: Vec<f64> =
-        pairs.iter().map(|(reported, in_the_middle)| reported / in_the_middle).collect();
+    let mean =
+        |field: fn(&(f64, f64)) -> f64| 1e3 * pairs.iter().map(field).sum::<f64>() / pairs.len() as f64;
+    let mut ratios: Vec<f64> = pairs.iter().map(|(reported, captured)| reported / captured).collect();
     ratios.sort_by(f64::total_cmp);
     let median = ratios[ratios.len() / 2];
-    let (reported, in_the_middle) = (mean(|pair| pair.0), mean(|pair| pair.1));
+    let (reported, captured) = (mean(|pair| pair.0), mean(|pair| pair.1));
     print_line(&format!(
-        "{what}: mean reported {reported:.3} ms, seen in the middle {in_the_middle:.3} ms, ratio {:.4}, median {median:.4}",
-        reported / in_the_middle
+        "{direction}: mean reported {reported:.3} ms, seen in the middle {captured:.3} ms, ratio {:.4}, median {median:.4}",
+        reported / captured
     ));
-    assert!((median - 1.0).abs() <= 0.02, "{what}: {median}");
+    assert!((median - 1.0).abs() <= 0.02, "{direction}: {median}");
 }

@@ -11,7 +11,7 @@ use super::{WARM_UP, assert_contains_truth, faults};
 /// Period in which a wall clock runs fast: it is set forward repeatedly by a little.
 struct Slew {
     at_s: f64,
-    for_s: f64,
+    duration_s: f64,
     ppm: f64,
 }
 
@@ -22,7 +22,7 @@ impl Slew {
     fn steps(&self) -> impl Iterator<Item = ClockFaultStep> {
         let period = Span::from_seconds_f64(1.0 / Self::HZ);
         let by = Span::from_seconds_f64(self.ppm * 1e-6 / Self::HZ);
-        let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.for_s * Self::HZ) as i64);
+        let (begin, count) = (Span::from_seconds_f64(self.at_s), (self.duration_s * Self::HZ) as i64);
         (0..count).map(move |number| {
             ClockFaultStep::wall_step(begin + Span::from_nanos(period.nanos() * number), by)
         })
@@ -48,17 +48,19 @@ fn table(description: &ClockFaults) -> String {
 
 /// Returns the clock of a running host. The API lists only the first steps.
 fn clock_of(testbed: &TwoHostTestbed, host: &str, description: ClockFaults) -> HostClock {
-    let told = testbed.clock_of(host);
-    let (since, raw_since) = told.since().zip(told.raw_since()).expect("it has faults");
+    let reported = testbed.clock_of(host);
+    let (since, raw_since) = reported.since().zip(reported.raw_since()).expect("it has faults");
     HostClock::new(ClockFaults { since, ..description }, raw_since)
 }
 
 /// A kernel slews at up to 500 ppm by itself; 40,000 ppm are below chrony's default maximum.
 #[test]
 fn slewed_wall_clock_affects_no_delay() {
-    let edge_slews =
-        [Slew { at_s: 4.0, for_s: 4.0, ppm: 500.0 }, Slew { at_s: 10.0, for_s: 1.0, ppm: 40_000.0 }];
-    let cloud_slews = [Slew { at_s: 6.0, for_s: 6.0, ppm: 500.0 }];
+    let edge_slews = [
+        Slew { at_s: 4.0, duration_s: 4.0, ppm: 500.0 },
+        Slew { at_s: 10.0, duration_s: 1.0, ppm: 40_000.0 },
+    ];
+    let cloud_slews = [Slew { at_s: 6.0, duration_s: 6.0, ppm: 500.0 }];
     let (edge, cloud) = (slewed(-250, &edge_slews), slewed(250, &cloud_slews));
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let _cloud = testbed.start_cloud(&table(&cloud));
@@ -72,13 +74,13 @@ fn slewed_wall_clock_affects_no_delay() {
     let (up, down) = assert_contains_truth("500 and 40,000 ppm", &iterations, &edge, &cloud);
     for comparison in [&up, &down] {
         assert!(comparison.without_value.is_empty(), "{:?}", comparison.without_value);
-        assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.in_words());
+        assert!(comparison.mean_error() < Span::from_micros(50), "{}", comparison.summary());
     }
-    let good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
+    let is_good = |delay: &Delay| ["ok", "limited"].contains(&delay.verdict.as_str());
     let settled: Vec<&Iteration> = iterations.iter().filter(|iteration| iteration.number > WARM_UP).collect();
     assert!(settled.len() >= 1_000, "{}", settled.len());
     for iteration in settled {
-        assert!(good(&iteration.up) && good(&iteration.down), "{iteration:?}");
+        assert!(is_good(&iteration.up) && is_good(&iteration.down), "{iteration:?}");
     }
     // The stored wall-clock stamps did move: by 42 ms on the edge and 3 ms on the cloud.
     let raw = |iteration: &Iteration| iteration.up.received - iteration.up.sent;

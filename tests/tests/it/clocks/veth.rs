@@ -7,63 +7,64 @@ use peernet_tests::{Network, TwoHostTestbed};
 use super::{WARM_UP, assert_contains_truth, faults};
 
 /// Largest mean error of each direction.
-const MEAN_ERROR: Span = Span::from_micros(50);
+const MAX_MEAN_ERROR: Span = Span::from_micros(50);
 
 /// Four cases with these numbers are more than 10,000 iterations.
-const STEADY: usize = 2_000;
-const QUICK: usize = 1_000;
+const STEADY_ITERATIONS: usize = 2_000;
+const QUICK_ITERATIONS: usize = 1_000;
 
 #[derive(Clone, Copy)]
-enum Wrong {
+enum WrongClock {
     Edge,
     Cloud,
 }
 
 /// Runs a steady pipeline, slow enough that the clocks drift apart meanwhile, and one that runs as fast as it can.
-fn check_case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong: Wrong) {
+fn check_case(offset_ms: f64, drift_ppm: f64, max_drift_ppm: f64, wrong_clock: WrongClock) {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let clock = format!("[clock]\nmax_drift_ppm = {max_drift_ppm:?}\n");
-    let own = faults(offset_ms, drift_ppm, "");
-    let (edge_own, cloud_own) = match wrong {
-        Wrong::Edge => (own.as_str(), ""),
-        Wrong::Cloud => ("", own.as_str()),
+    let fault = faults(offset_ms, drift_ppm, "");
+    let (edge_fault, cloud_fault) = match wrong_clock {
+        WrongClock::Edge => (fault.as_str(), ""),
+        WrongClock::Cloud => ("", fault.as_str()),
     };
-    let _cloud = testbed.start_cloud(&format!("{clock}{cloud_own}"));
-    let steady = format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY} }}");
-    let quick = format!("limit = {{ iterations = {QUICK} }}");
+    let _cloud = testbed.start_cloud(&format!("{clock}{cloud_fault}"));
+    let steady =
+        format!("load = {{ mode = \"rate\", hz = 100.0 }}\nlimit = {{ iterations = {STEADY_ITERATIONS} }}");
+    let quick = format!("limit = {{ iterations = {QUICK_ITERATIONS} }}");
     let pipelines =
         [testbed.pipeline("steady", 1000, &steady), testbed.pipeline("quick", 1000, &quick)].concat();
-    let _edge = testbed.start_edge(&format!("{clock}{edge_own}{pipelines}"), &[]);
+    let _edge = testbed.start_edge(&format!("{clock}{edge_fault}{pipelines}"), &[]);
 
-    let (edge, cloud) = match wrong {
-        Wrong::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),
-        Wrong::Cloud => (HostClock::of_kernel(), testbed.clock_of("cloud")),
+    let (edge, cloud) = match wrong_clock {
+        WrongClock::Edge => (testbed.clock_of("edge"), HostClock::of_kernel()),
+        WrongClock::Cloud => (HostClock::of_kernel(), testbed.clock_of("cloud")),
     };
     testbed.wait_for_runs(2);
-    let what = format!("{offset_ms:+} ms, {drift_ppm:+} ppm of {max_drift_ppm}");
-    let (up, down) = assert_contains_truth(&what, &testbed.iterations(), &edge, &cloud);
+    let case = format!("{offset_ms:+} ms, {drift_ppm:+} ppm of {max_drift_ppm}");
+    let (up, down) = assert_contains_truth(&case, &testbed.iterations(), &edge, &cloud);
     for comparison in [&up, &down] {
-        assert_eq!(comparison.compared, STEADY + QUICK + 2 * WARM_UP as usize);
-        assert!(comparison.mean_error() <= MEAN_ERROR, "{what}: {}", comparison.in_words());
+        assert_eq!(comparison.compared, STEADY_ITERATIONS + QUICK_ITERATIONS + 2 * WARM_UP as usize);
+        assert!(comparison.mean_error() <= MAX_MEAN_ERROR, "{case}: {}", comparison.summary());
     }
 }
 
 #[test]
 fn delays_contain_truth_for_fast_cloud_ahead() {
-    check_case(1_000.0, 50.0, 50.0, Wrong::Cloud);
+    check_case(1_000.0, 50.0, 50.0, WrongClock::Cloud);
 }
 
 #[test]
 fn delays_contain_truth_for_slow_edge_behind() {
-    check_case(-1_000.0, -50.0, 50.0, Wrong::Edge);
+    check_case(-1_000.0, -50.0, 50.0, WrongClock::Edge);
 }
 
 #[test]
 fn delays_contain_truth_for_fast_edge_ahead() {
-    check_case(1_000.0, 100.0, 150.0, Wrong::Edge);
+    check_case(1_000.0, 100.0, 150.0, WrongClock::Edge);
 }
 
 #[test]
 fn delays_contain_truth_for_slow_cloud_behind() {
-    check_case(-1_000.0, -100.0, 150.0, Wrong::Cloud);
+    check_case(-1_000.0, -100.0, 150.0, WrongClock::Cloud);
 }

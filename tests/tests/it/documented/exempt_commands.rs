@@ -87,9 +87,9 @@ pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 4] = [
 
 #[test]
 fn commands_executed_elsewhere_are_in_their_files() {
-    for (commands, file, words) in EXECUTED_ELSEWHERE {
+    for (commands, file, excerpt) in EXECUTED_ELSEWHERE {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
-        assert!(text.contains(words), "{file} has no {words:?}, which is to run {commands:?}");
+        assert!(text.contains(excerpt), "{file} has no {excerpt:?}, which is to run {commands:?}");
     }
 }
 
@@ -100,7 +100,7 @@ pub(super) fn is_known(command: &str) -> Option<bool> {
         let mut make = Command::new("make");
         // This must not count as a part of the `make` that runs the tests.
         make.arg("--dry-run").args(targets.split(' ')).current_dir(root()).env_remove("MAKEFLAGS");
-        return Some(make.output().is_ok_and(|ended| ended.status.success()));
+        return Some(make.output().is_ok_and(|end| end.status.success()));
     }
     let packages = command.strip_prefix("apt-get install ")?;
     let script = std::fs::read_to_string(root().join("deploy/install-tools.sh")).unwrap_or_default();

@@ -23,8 +23,8 @@ const PROGRAM: &str = "install -m 755 -s target/release/peernetd /usr/bin/";
 const LIBRARY: &str = "deploy/onnxruntime/fetch.py --dest /usr/lib/peernet";
 const DEMO: &str = "deploy/demo.sh target/demo/peernetd FOLDER";
 
-fn assert_success(ended: &ProcessEnd) {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+fn assert_success(end: &ProcessEnd) {
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 /// Waits until a pipeline on the dashboard of a host has answers.
@@ -41,10 +41,10 @@ fn wait_until_answered(host: &Host, port: u16, pipeline: &'static str) {
 #[test]
 fn manual_installation_matches_paths_of_units() {
     let machines = DocumentedCommands::new(&COMMANDS);
-    let (edge, machine) = (machines.edge(), machines.root_of(machines.edge()));
-    let root = machine.display().to_string();
+    let (edge, machine_root) = (machines.edge(), machines.root_of(machines.edge()));
+    let root = machine_root.display().to_string();
     for folder in ["etc", "usr/bin", "usr/lib"] {
-        std::fs::create_dir_all(machine.join(folder)).expect("writable");
+        std::fs::create_dir_all(machine_root.join(folder)).expect("writable");
     }
     // The library that the command would download exists already.
     let library = peernet_tests::onnxruntime();
@@ -54,25 +54,25 @@ fn manual_installation_matches_paths_of_units() {
 
     let programs = format!("{root}/usr/bin/");
     let [users, folders] = ["sysusers", "tmpfiles"].map(|tool| format!("systemd-{tool} --root={root}"));
-    let mine: [(&str, &str); 3] =
+    let replacements: [(&str, &str); 3] =
         [("/usr/bin/", &programs), ("systemd-sysusers", &users), ("systemd-tmpfiles", &folders)];
     for command in &COMMANDS[..10] {
-        let changes: Vec<_> = mine.into_iter().filter(|(from, _)| command.contains(from)).collect();
+        let changes: Vec<_> = replacements.into_iter().filter(|(from, _)| command.contains(from)).collect();
         assert_success(&machines.on_edge(command, &changes).wait_for_end());
     }
     for role in ["agent", "aggregator"] {
-        let unit = machine.join(format!("etc/systemd/system/peernet-{role}.service"));
+        let unit = machine_root.join(format!("etc/systemd/system/peernet-{role}.service"));
         let unit = std::fs::read_to_string(unit).expect("it was installed");
         let start =
             unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("it starts something");
         for file in start.split(' ').filter_map(|word| word.strip_prefix('/')) {
-            assert!(machine.join(file).is_file(), "{start}");
+            assert!(machine_root.join(file).is_file(), "{start}");
         }
-        assert!(machine.join("var/lib/peernet").join(role).is_dir(), "{role}");
+        assert!(machine_root.join("var/lib/peernet").join(role).is_dir(), "{role}");
 
         // The file as installed, with this machine's folders.
         let file = format!("/etc/peernet/{role}.toml");
-        let text = std::fs::read_to_string(machine.join(&file[1..])).expect("it was installed");
+        let text = std::fs::read_to_string(machine_root.join(&file[1..])).expect("it was installed");
         machines.install(edge, &file, &text, &[]);
         let installed = format!("{programs}peernetd");
         let check = format!("peernetd check {file}");
@@ -91,7 +91,7 @@ fn run_demo(machines: &DocumentedCommands) {
     let demo = machines.on_edge(DEMO, &[("FOLDER", "mine")]);
     demo.wait_for("http://127.0.0.1:8050/api/v1/pipelines");
     wait_until_answered(machines.edge(), 8050, "offload-resized");
-    let ended = demo.stop();
-    assert_success(&ended);
-    assert!(ended.log.contains("demo: stopped"), "{}", ended.log);
+    let end = demo.stop();
+    assert_success(&end);
+    assert!(end.log.contains("demo: stopped"), "{}", end.log);
 }

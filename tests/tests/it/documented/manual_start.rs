@@ -18,8 +18,8 @@ fn wait_until_answered(host: &Host, pipeline: &'static str, count: u64) {
     host.run_in_namespace(move || {
         Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
             let runs = runs["runs"].as_array()?.iter();
-            let of_it = runs.filter(|run| run["pipeline"] == pipeline);
-            let sum: u64 = of_it.filter_map(|run| run["counts"]["ok"].as_u64()).sum();
+            let pipeline_runs = runs.filter(|run| run["pipeline"] == pipeline);
+            let sum: u64 = pipeline_runs.filter_map(|run| run["counts"]["ok"].as_u64()).sum();
             (sum >= count).then_some(())
         });
     });
@@ -31,8 +31,8 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
     machines.copy("configs/aggregator.toml", &[("127.0.0.1:5550", "0.0.0.0:5550")]);
     machines.copy("configs/cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
     machines.copy("configs/edge.toml", &[]);
-    let start = || machines.on_cloud("target/demo/peernetd run configs/aggregator.toml", &[]);
-    let aggregator = start();
+    let start_aggregator = || machines.on_cloud("target/demo/peernetd run configs/aggregator.toml", &[]);
+    let aggregator = start_aggregator();
     let cloud = machines.on_cloud("target/demo/peernetd run configs/cloud.toml", &[]);
     let edge = machines.on_edge("target/demo/peernetd run configs/edge.toml", &[]);
     for pipeline in ["local", "offload-full", "offload-resized"] {
@@ -41,36 +41,36 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
 
     aggregator.kill();
     wait_until("batches that wait", || {
-        let waits = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).wait_for_end();
-        assert_eq!(waits.code(), 0, "{}", waits.log);
-        waits.log.contains("waiting: batches").then_some(())
+        let doctor = machines.on_edge("peernetd doctor --config configs/edge.toml", &[]).wait_for_end();
+        assert_eq!(doctor.code(), 0, "{}", doctor.log);
+        doctor.log.contains("waiting: batches").then_some(())
     });
-    let aggregator = start();
-    let said = edge.wait_for_nth("connected to the aggregator", 2);
-    assert!(said.contains(" wait"), "how many events it brings: {said}");
+    let aggregator = start_aggregator();
+    let output = edge.wait_for_nth("connected to the aggregator", 2);
+    assert!(output.contains(" wait"), "how many events it brings: {output}");
     wait_until_answered(machines.cloud(), "offload-resized", 20);
     for process in [edge, cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     // No iteration is missing, and none is stored twice.
     let database = machines.folder().join("data/aggregator/peernet.sqlite");
-    let holes =
+    let incomplete_runs =
         "SELECT run, count(*), max(number) FROM iteration GROUP BY run HAVING count(*) <> max(number)";
-    assert_eq!(query_database(&database, holes), "");
+    assert_eq!(query_database(&database, incomplete_runs), "");
 
     // The remaining files are checked on one machine.
     for name in ["python.toml", "python/sweep.py", "python/nearest.py", "all-in-one.toml"] {
         let name = format!("configs/{name}");
         machines.write(&name, &Document::read(&*name).text);
     }
-    let own_code = machines.on_cloud("peernetd run configs/python.toml", &[]);
-    let all = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
+    let python = machines.on_cloud("peernetd run configs/python.toml", &[]);
+    let all_in_one = machines.on_edge("target/demo/peernetd run configs/all-in-one.toml", &[]);
     wait_until_answered(machines.edge(), "over-the-network", 5);
     wait_until_answered(machines.cloud(), "scan", 5);
-    for process in [own_code, all] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+    for process in [python, all_in_one] {
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     machines.finish();
 }

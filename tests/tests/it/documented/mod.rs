@@ -32,21 +32,24 @@ const EXECUTED_COMMANDS: [&[&str]; 9] = [
 
 #[test]
 fn every_documented_command_is_executed_by_a_test() {
-    let shown: BTreeSet<String> = Document::all().iter().flat_map(Document::commands).collect();
-    let unknown: Vec<_> = shown.iter().filter(|command| is_known(command) == Some(false)).collect();
+    let documented: BTreeSet<String> = Document::all().iter().flat_map(Document::commands).collect();
+    let unknown: Vec<_> = documented.iter().filter(|command| is_known(command) == Some(false)).collect();
     assert!(
         unknown.is_empty(),
         "targets that the Makefile lacks, or packages that its tools lack: {unknown:#?}"
     );
 
-    let shown: BTreeSet<&str> =
-        shown.iter().map(String::as_str).filter(|it| is_known(it).is_none()).collect();
-    let elsewhere = EXECUTED_ELSEWHERE.iter().flat_map(|(commands, ..)| *commands).copied();
-    let nowhere = NEVER_EXECUTED.iter().flat_map(|(_, commands)| *commands).copied();
-    let run: BTreeSet<&str> =
-        EXECUTED_COMMANDS.concat().into_iter().chain(elsewhere).chain(nowhere).collect();
-    let forgotten: Vec<_> = shown.difference(&run).collect();
-    assert!(forgotten.is_empty(), "no test executes these commands of the documents: {forgotten:#?}");
-    let gone: Vec<_> = run.difference(&shown).collect();
-    assert!(gone.is_empty(), "no document shows these commands that tests execute: {gone:#?}");
+    let documented: BTreeSet<&str> =
+        documented.iter().map(String::as_str).filter(|command| is_known(command).is_none()).collect();
+    let executed_elsewhere = EXECUTED_ELSEWHERE.iter().flat_map(|(commands, ..)| *commands).copied();
+    let never_executed = NEVER_EXECUTED.iter().flat_map(|(_, commands)| *commands).copied();
+    let executed: BTreeSet<&str> =
+        EXECUTED_COMMANDS.concat().into_iter().chain(executed_elsewhere).chain(never_executed).collect();
+    let untested: Vec<_> = documented.difference(&executed).collect();
+    assert!(untested.is_empty(), "no test executes these commands of the documents: {untested:#?}");
+    let undocumented: Vec<_> = executed.difference(&documented).collect();
+    assert!(
+        undocumented.is_empty(),
+        "no document shows these commands that tests execute: {undocumented:#?}"
+    );
 }

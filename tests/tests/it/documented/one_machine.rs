@@ -16,19 +16,19 @@ pub(crate) const COMMANDS: [&str; 8] = [
 ];
 
 /// Experiment with the mistake that the document shows.
-const SLIP: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsensor = { kind = 'text', length = 10 }\n\
+const EXPERIMENT_WITH_MISTAKE: &str = "[experiment]\nname = 'slip'\niterations = 5\n[pipeline]\nsensor = { kind = 'text', length = 10 }\n\
                     placement = { kind = 'remote', peer = 'tcp://127.0.0.1:5551' }\n[[axis]]\nname = 'Model'\n\
                     [[axis.value]]\nlabel = 'echo'\nset = { 'pipeline.placement.modle' = 'echo' }\n";
 
 #[test]
 fn readme_commands_without_aggregator_work() {
     let machines = DocumentedCommands::new(&COMMANDS);
-    let typed = |command: &str, changes: &[(&str, &str)]| {
-        let ended = machines.on_edge(command, changes).wait_for_end();
-        (ended.code(), ended.log)
+    let execute = |command: &str, changes: &[(&str, &str)]| {
+        let end = machines.on_edge(command, changes).wait_for_end();
+        (end.code(), end.log)
     };
-    let named = |command: &str, more: &str| {
-        let (code, log) = typed(command, &[("NAME", &format!("quality-control{more}"))]);
+    let execute_for_model = |command: &str, options: &str| {
+        let (code, log) = execute(command, &[("NAME", &format!("quality-control{options}"))]);
         assert_eq!(code, 0, "{command}: {log}");
         log
     };
@@ -45,23 +45,23 @@ fn readme_commands_without_aggregator_work() {
         assert!(column(&data, "inference").iter().all(String::is_empty), "nobody computes");
     }
 
-    machines.write("experiment.toml", SLIP);
-    let (code, log) = typed("peernet run --check experiment.toml", &[]);
+    machines.write("experiment.toml", EXPERIMENT_WITH_MISTAKE);
+    let (code, log) = execute("peernet run --check experiment.toml", &[]);
     assert_eq!(code, 78, "{log}");
     assert!(Document::read("docs/experiments.md").text.contains(log.trim()), "{log}");
 
-    let piped = ("/dev/stdin", "/dev/stdin < experiment.toml");
-    let (code, log) = typed("peernet run --check /dev/stdin", &[piped]);
+    let redirection = ("/dev/stdin", "/dev/stdin < experiment.toml");
+    let (code, log) = execute("peernet run --check /dev/stdin", &[redirection]);
     assert!(code == 78 && log.contains("unknown field `modle`"), "{log}");
 
-    let (code, log) = typed("peernet models list", &[]);
+    let (code, log) = execute("peernet models list", &[]);
     assert!(code == 0 && log.contains("quality-control"), "{log}");
-    assert!(named("peernet models show NAME", "").contains("SHA-256"));
-    assert!(named("peernet models check NAME", "").contains("of 30 labels right"));
-    assert!(named("peernet models bench NAME", " --iterations 20").contains("inference"));
+    assert!(execute_for_model("peernet models show NAME", "").contains("SHA-256"));
+    assert!(execute_for_model("peernet models check NAME", "").contains("of 30 labels right"));
+    assert!(execute_for_model("peernet models bench NAME", " --iterations 20").contains("inference"));
 
     let file = ("/etc/bash_completion.d/peernet", "completion.bash");
-    let (code, log) = typed("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
+    let (code, log) = execute("peernet completions bash > /etc/bash_completion.d/peernet", &[file]);
     assert_eq!(code, 0, "{log}");
     assert_eq!(machines.run_on(machines.edge(), "bash -n completion.bash").wait_for_end().code(), 0);
     machines.finish();

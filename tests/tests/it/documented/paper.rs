@@ -19,22 +19,22 @@ pub(crate) const COMMANDS: [&str; 9] = [
 const PAYLOADS: &str = "peernet run --set experiment.iterations=100 --set pipeline.placement.peer=tcp://10.0.0.2:5551 configs/experiments/payload-study.toml";
 
 /// The document's options for a machine without a GPU, with fewer iterations.
-const HERE: &str = "run --set network.config=net_config.yaml --set bank.devices='[\"cpu\"]' \
+const TEST_OPTIONS: &str = "run --set network.config=net_config.yaml --set bank.devices='[\"cpu\"]' \
                     --set pipeline.placement.device=cpu --set experiment.iterations=3";
 
 const MODELS: [&str; 3] = ["efficientnet_v2_s", "efficientnet_v2_m", "efficientnet_v2_l"];
 
 /// Adds a small model under this name, because the real model takes seconds on a machine without a GPU.
-pub(crate) fn small_model(machines: &DocumentedCommands, name: &str) {
+pub(crate) fn add_small_model(machines: &DocumentedCommands, name: &str) {
     let card = Document::read("models/quality-control/model.toml").text;
-    let own = format!("models/{name}");
-    machines.write(&format!("{own}/model.toml"), &card.replace("quality-control", name));
+    let folder = format!("models/{name}");
+    machines.write(&format!("{folder}/model.toml"), &card.replace("quality-control", name));
     let network = peernet_tests::root().join("models/quality-control/model.onnx");
-    std::os::unix::fs::symlink(network, machines.folder().join(own).join("model.onnx")).expect("writable");
+    std::os::unix::fs::symlink(network, machines.folder().join(folder).join("model.onnx")).expect("writable");
 }
 
 /// Installs the document's agent for the server, with the policy of the second experiment; processors replace GPUs.
-fn server(machines: &DocumentedCommands) {
+fn install_server(machines: &DocumentedCommands) {
     let document = Document::read("docs/experiments.md");
     let agents = document.fenced("toml").into_iter().map(|(_, text)| text);
     let agent = agents.into_iter().find(|text| text.contains("[bank]")).expect("it has an agent with a bank");
@@ -46,65 +46,66 @@ fn server(machines: &DocumentedCommands) {
 #[test]
 fn paper_experiments_are_measured_compared_and_drawn() {
     let machines = DocumentedCommands::new(&COMMANDS);
-    MODELS.iter().for_each(|name| small_model(&machines, name));
-    server(&machines);
+    MODELS.iter().for_each(|name| add_small_model(&machines, name));
+    install_server(&machines);
     let cloud = machines.on_cloud("peernetd run cloud.toml", &[]);
     cloud.wait_for("ready");
-    efficientnet(&machines);
-    teleoperation(&machines);
-    payload_study(&machines);
-    let ended = cloud.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    measure_efficientnet(&machines);
+    measure_teleoperation(&machines);
+    measure_payload_study(&machines);
+    let end = cloud.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
     machines.finish();
 }
 
 /// Measures three models locally and on the server.
-fn efficientnet(machines: &DocumentedCommands) {
+fn measure_efficientnet(machines: &DocumentedCommands) {
     let file = "configs/experiments/efficientnet.toml";
     machines.write(file, &Document::read(file).text);
     let devices = Document::read("configs/experiments/networks/net_config.yaml").text;
     machines.write("net_config.yaml", &devices.replace("cluster.example.org", DocumentedCommands::CLOUD));
-    let measured = machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", HERE)]);
-    let ended = wait_for_runs(measured, 6);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let experiment =
+        machines.on_edge("peernet run configs/experiments/efficientnet.toml", &[("run", TEST_OPTIONS)]);
+    let end = wait_for_runs(experiment, 6);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/efficientnet"));
     assert_eq!(results.stages(), ["finished"; 6]);
     let table = results.folder.join("compare.csv");
     assert_eq!(column(&table, "Where"), ["local", "local", "local", "cloud", "cloud", "cloud"]);
     assert_eq!(column(&table, "Model"), ["S", "M", "L", "S", "M", "L"]);
-    let pixels = (1280 * 960 * 3).to_string();
+    let picture_bytes = (1280 * 960 * 3).to_string();
     for folder in results.folders().iter().filter(|folder| folder.contains("cloud")) {
         let sent = column(&results.file(folder, "data.csv"), "upload-bytes");
-        assert!(sent.len() == 8 && sent.iter().all(|bytes| *bytes == pixels), "{folder}: {sent:?}");
+        assert!(sent.len() == 8 && sent.iter().all(|bytes| *bytes == picture_bytes), "{folder}: {sent:?}");
     }
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
-    let ended = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(figure.is_file(), "{}", ended.log);
+    let end = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(figure.is_file(), "{}", end.log);
 }
 
 /// Measures nine combinations; one server stands for both of the paper's in all three networks.
-fn teleoperation(machines: &DocumentedCommands) {
+fn measure_teleoperation(machines: &DocumentedCommands) {
     for (network, addresses) in [
         ("lan", ["192.168.1.30", "192.168.1.40"]),
         ("can", ["10.20.0.30", "10.20.0.40"]),
         ("5g", ["10.8.0.30", "10.8.0.40"]),
     ] {
-        let here = addresses.map(|address| (address, DocumentedCommands::CLOUD));
-        machines.copy(&format!("configs/experiments/networks/{network}.yaml"), &here);
+        let addresses = addresses.map(|address| (address, DocumentedCommands::CLOUD));
+        machines.copy(&format!("configs/experiments/networks/{network}.yaml"), &addresses);
     }
     machines.copy(
         "configs/experiments/teleoperation.toml",
         &[("episodes = 30", "episodes = 2"), ("episode_steps = 30", "episode_steps = 3")],
     );
-    let checked =
+    let check =
         machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).wait_for_end();
-    assert_eq!(checked.code(), 0, "{}", checked.log);
+    assert_eq!(check.code(), 0, "{}", check.log);
     // The document shows this output.
-    assert!(Document::read("docs/experiments.md").text.contains(checked.log.trim()), "{}", checked.log);
-    let ended = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    assert!(Document::read("docs/experiments.md").text.contains(check.log.trim()), "{}", check.log);
+    let end = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
@@ -114,26 +115,27 @@ fn teleoperation(machines: &DocumentedCommands) {
     let table = std::fs::read_to_string(machines.folder().join("table.tex")).expect("it was written");
     assert!(table.contains("\\toprule") && table.matches("RTX 3090").count() >= 5, "{table}");
     // The experiment's own table is the same.
-    let own = std::fs::read_to_string(results.folder.join("compare.tex")).expect("it was written");
-    assert_eq!(table.trim_end(), own.trim_end());
+    let experiment_table =
+        std::fs::read_to_string(results.folder.join("compare.tex")).expect("it was written");
+    assert_eq!(table.trim_end(), experiment_table.trim_end());
     let first = format!("runs/{}", results.folders()[0]);
-    let against = "peernet compare teleoperation --baseline teleoperation/run-1";
-    let ended = machines.on_edge(against, &[("run-1", &first)]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let command = "peernet compare teleoperation --baseline teleoperation/run-1";
+    let end = machines.on_edge(command, &[("run-1", &first)]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     let figures = "peernet plot teleoperation --kind stacked --out figures";
-    let ended = machines.on_edge(figures, &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", ended.log);
+    let end = machines.on_edge(figures, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(machines.folder().join("figures/stacked.svg").is_file(), "{}", end.log);
 }
 
 /// Measures the study of a link, with the file unchanged.
-fn payload_study(machines: &DocumentedCommands) {
+fn measure_payload_study(machines: &DocumentedCommands) {
     let file = "configs/experiments/payload-study.toml";
     machines.write(file, &Document::read(file).text);
-    let ended = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
+    assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/payload-study"));
     assert_eq!(results.stages(), ["finished"; 8]);
     assert_eq!(column(&results.folder.join("compare.csv"), "count"), ["10"; 8]);
-    assert!(results.folder.join("payload-latency.svg").is_file(), "{}", ended.log);
+    assert!(results.folder.join("payload-latency.svg").is_file(), "{}", end.log);
 }

@@ -9,31 +9,31 @@ const HELD_OUT: &str = "/usr/bin/python3 models/quality_control/draw.py models/q
 const THIRD: &str = "/usr/bin/python3 models/quality_control/draw.py /tmp/third --width 1280 --quality 85 --first-seed 6000001 --count good=100 scratched=100 dented=100 \"hole missing=100\"";
 const TRAIN: &str = "/usr/bin/python3 models/quality_control/train.py models/quality-control";
 
-fn assert_success(ended: ProcessEnd) -> String {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+fn assert_success(end: ProcessEnd) -> String {
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 #[test]
 fn redrawn_pictures_are_classified_and_network_is_trained() {
     let machines = DocumentedCommands::new(&COMMANDS);
-    for (command, place, [good, others]) in [
+    for (command, folder, [good, others]) in [
         (PICTURES, "models/quality-control/pictures", ["=18", "=4"]),
         (HELD_OUT, "models/quality-control/held-out", ["=25", "=25"]),
         (THIRD, "/tmp/third", ["=100", "=100"]),
     ] {
         assert_success(
-            machines.on_edge(command, &[(place, "drawn"), (good, "=1"), (others, "=1")]).wait_for_end(),
+            machines.on_edge(command, &[(folder, "drawn"), (good, "=1"), (others, "=1")]).wait_for_end(),
         );
         // The model was trained with thousands of such pictures.
         let check = "peernet models check quality-control --pictures drawn";
-        let judged = assert_success(machines.run_on(machines.edge(), check).wait_for_end());
-        assert!(judged.contains("4 of 4 labels right"), "{command}: {judged}");
+        let output = assert_success(machines.run_on(machines.edge(), check).wait_for_end());
+        assert!(output.contains("4 of 4 labels right"), "{command}: {output}");
     }
-    let few = "trained --scenes 16 --validation-scenes 4 --epochs 6";
-    assert_success(machines.on_edge(TRAIN, &[("models/quality-control", few)]).wait_for_end());
-    let checked =
+    let options = "trained --scenes 16 --validation-scenes 4 --epochs 6";
+    assert_success(machines.on_edge(TRAIN, &[("models/quality-control", options)]).wait_for_end());
+    let check =
         assert_success(machines.run_on(machines.edge(), "peernet models check ./trained").wait_for_end());
-    assert!(checked.contains("run on zeros"), "{checked}");
+    assert!(check.contains("run on zeros"), "{check}");
     machines.finish();
 }

@@ -2,13 +2,13 @@
 
 use peernet_tests::{Document, DocumentedCommands, wait_until};
 
-use super::paper::small_model;
+use super::paper::add_small_model;
 use crate::experiments::column;
 
 pub(crate) const COMMANDS: [&str; 8] = [
     SERVER,
     CLIENT,
-    OWN,
+    CLIENT_WITH_OBJECT,
     COMPILER,
     "peernet compare results-local results-lan",
     "peernet plot results",
@@ -18,7 +18,7 @@ pub(crate) const COMMANDS: [&str; 8] = [
 
 const SERVER: &str = "peernet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cpu --iterations 1005";
 const CLIENT: &str = "peernet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml --dataset-loc sample-image.JPEG --iterations 1005 --result-loc results --generate-plots";
-const OWN: &str = "peernet --client … --sensor-object sweep::Lidar";
+const CLIENT_WITH_OBJECT: &str = "peernet --client … --sensor-object sweep::Lidar";
 const COMPILER: &str = "cc -O2 -o brightness docs/examples/external/brightness.c";
 
 /// Number of iterations, reduced: enough for intervals.
@@ -32,10 +32,10 @@ fn published_commands_run_objects_programs_and_results() {
     let machines = DocumentedCommands::new(&COMMANDS);
     machines.write("net_config.yaml", &DEVICES.replace("CLUSTER", DocumentedCommands::CLOUD));
     machines.write("local.yaml", &DEVICES.replace("CLUSTER", "127.0.0.1"));
-    of_the_readme(&machines);
-    programs_of_an_agent(&machines);
+    run_readme_commands(&machines);
+    run_agent_with_programs(&machines);
     run_users_objects(&machines);
-    results(&machines);
+    use_results(&machines);
     machines.finish();
 }
 
@@ -44,8 +44,8 @@ const TALKER: &str = "class Talker:\n    def infer(self, distances):\n        \
                       return 'word ' * (1 + int(1e4 * distances[0]) % 40)\n";
 
 /// Executes the README's command with a model of the bank and a picture.
-fn of_the_readme(machines: &DocumentedCommands) {
-    small_model(machines, "efficientnet_v2_s");
+fn run_readme_commands(machines: &DocumentedCommands) {
+    add_small_model(machines, "efficientnet_v2_s");
     let picture = machines.folder().join("models/quality-control/pictures/part-0001.jpg");
     std::fs::copy(picture, machines.folder().join("sample-image.JPEG")).expect("writable");
     let server = machines.on_cloud(SERVER, &[ITERATIONS]);
@@ -59,7 +59,7 @@ fn of_the_readme(machines: &DocumentedCommands) {
 }
 
 /// Runs the document's agent with a sensor, a model and an actuator, each of which is a program.
-fn programs_of_an_agent(machines: &DocumentedCommands) {
+fn run_agent_with_programs(machines: &DocumentedCommands) {
     assert_eq!(machines.on_edge(COMPILER, &[]).wait_for_end().code(), 0);
     let document = Document::read("docs/external-programs.md");
     let (_, agent) = document.fenced("toml").remove(0);
@@ -69,8 +69,8 @@ fn programs_of_an_agent(machines: &DocumentedCommands) {
         let answers = std::fs::read_to_string(machines.folder().join("answers.txt")).ok()?;
         (answers.lines().count() >= 5 && answers.contains("bright")).then_some(())
     });
-    let ended = agent.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = agent.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 /// Runs Python objects at both ends on one machine, and programs at both ends on two.
@@ -85,33 +85,41 @@ fn run_users_objects(machines: &DocumentedCommands) {
     let client = |devices: &str, results: &str| {
         format!("--name jetson-orin --network-config {devices} --iterations 40 --result-loc {results}")
     };
-    let local = machines.run_on(machines.edge(), &server("talker::Talker", "local.yaml"));
-    let sweep = machines.on_edge(OWN, &[("…", &client("local.yaml", "results-local"))]).wait_for_end();
-    let local = local.wait_for_end();
-    assert_eq!((sweep.code(), local.code()), (0, 0), "{}\n{}", sweep.log, local.log);
+    let local_server = machines.run_on(machines.edge(), &server("talker::Talker", "local.yaml"));
+    let local_client =
+        machines.on_edge(CLIENT_WITH_OBJECT, &[("…", &client("local.yaml", "results-local"))]).wait_for_end();
+    let local_server = local_server.wait_for_end();
+    assert_eq!(
+        (local_client.code(), local_server.code()),
+        (0, 0),
+        "{}\n{}",
+        local_client.log,
+        local_server.log
+    );
 
-    let there = machines.run_on(machines.cloud(), &server("exec:./brightness", "net_config.yaml"));
-    let light = ("sweep::Lidar", "exec:docs/examples/external/light.sh");
-    let here =
-        machines.on_edge(OWN, &[("…", &client("net_config.yaml", "results-lan")), light]).wait_for_end();
-    let there = there.wait_for_end();
-    assert_eq!((here.code(), there.code()), (0, 0), "{}\n{}", here.log, there.log);
+    let lan_server = machines.run_on(machines.cloud(), &server("exec:./brightness", "net_config.yaml"));
+    let sensor = ("sweep::Lidar", "exec:docs/examples/external/light.sh");
+    let lan_client = machines
+        .on_edge(CLIENT_WITH_OBJECT, &[("…", &client("net_config.yaml", "results-lan")), sensor])
+        .wait_for_end();
+    let lan_server = lan_server.wait_for_end();
+    assert_eq!((lan_client.code(), lan_server.code()), (0, 0), "{}\n{}", lan_client.log, lan_server.log);
     // The program on the cloud answered every picture of the edge's program correctly.
     assert_eq!(column(&machines.folder().join("results-lan/data.csv"), "top-1"), ["1"; 40]);
 }
 
-fn results(machines: &DocumentedCommands) {
-    let compared = machines.on_edge("peernet compare results-local results-lan", &[]).wait_for_end();
-    assert_eq!(compared.code(), 0, "{}", compared.log);
-    assert!(compared.log.contains("talker") && compared.log.contains("brightness"), "{}", compared.log);
-    let length = [("length", "length results-local")];
+fn use_results(machines: &DocumentedCommands) {
+    let comparison = machines.on_edge("peernet compare results-local results-lan", &[]).wait_for_end();
+    assert_eq!(comparison.code(), 0, "{}", comparison.log);
+    assert!(comparison.log.contains("talker") && comparison.log.contains("brightness"), "{}", comparison.log);
+    let length_options = [("length", "length results-local")];
     for (command, changes, figure) in [
         ("peernet plot results", &[] as &[_], "results/upload-throughput.svg"),
         ("peernet plot results --kind histograms --x total", &[], "results/total-histogram.png"),
-        ("peernet plot --kind length", &length, "results-local/length.png"),
+        ("peernet plot --kind length", &length_options, "results-local/length.png"),
     ] {
-        let drawn = machines.on_edge(command, changes).wait_for_end();
-        assert_eq!(drawn.code(), 0, "{}", drawn.log);
-        assert!(machines.folder().join(figure).is_file(), "{figure}: {}", drawn.log);
+        let plot = machines.on_edge(command, changes).wait_for_end();
+        assert_eq!(plot.code(), 0, "{}", plot.log);
+        assert!(machines.folder().join(figure).is_file(), "{figure}: {}", plot.log);
     }
 }

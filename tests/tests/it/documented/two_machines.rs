@@ -34,7 +34,7 @@ const REBUILD: &str = "peernetd rebuild-rollups --config /etc/peernet/aggregator
 const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator.toml robot";
 
 /// Arguments of a calibration of some seconds.
-const SHORT: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
+const SHORT_CALIBRATION: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
 /// Installs the three files of docs/two-machines.md on the machines that it names, which share one host name and clock here.
 pub(crate) fn install(machines: &DocumentedCommands) {
@@ -46,30 +46,30 @@ pub(crate) fn install(machines: &DocumentedCommands) {
         format!("[agent]\nname = \"{name}\"\n{state}")
     };
     machines.install(machines.cloud(), "/etc/peernet/aggregator.toml", aggregator, &[]);
-    let here = ("/usr/share/peernet/models", "models");
+    let models_folder = ("/usr/share/peernet/models", "models");
     machines.install(
         machines.cloud(),
         "/etc/peernet/agent.toml",
         cloud,
-        &[("[agent]", &agent("cloud")), here],
+        &[("[agent]", &agent("cloud")), models_folder],
     );
-    let pictures = ("/var/lib/peernet/pictures", "models/quality-control/pictures");
+    let pictures_folder = ("/var/lib/peernet/pictures", "models/quality-control/pictures");
     machines.install(
         machines.edge(),
         "/etc/peernet/agent.toml",
         robot,
-        &[("[agent]", &agent("robot")), pictures],
+        &[("[agent]", &agent("robot")), pictures_folder],
     );
 }
 
-fn assert_success(ended: ProcessEnd) -> String {
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+fn assert_success(end: ProcessEnd) -> String {
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 /// Returns the JSON document that curl received.
-fn json(ended: ProcessEnd) -> Value {
-    let log = assert_success(ended);
+fn json(end: ProcessEnd) -> Value {
+    let log = assert_success(end);
     let line = log.lines().find_map(|line| serde_json::from_str(line).ok());
     line.unwrap_or_else(|| panic!("no document: {log}"))
 }
@@ -88,8 +88,8 @@ fn readme_commands_work_on_two_machines() {
     assert_success(
         machines.on_cloud("peernetd check FILE", &[("FILE", &config("aggregator"))]).wait_for_end(),
     );
-    let both = format!("{} {}", config("aggregator"), config("agent"));
-    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &both)]).wait_for_end());
+    let files = format!("{} {}", config("aggregator"), config("agent"));
+    assert_success(machines.on_cloud("peernetd check FILE…", &[("FILE…", &files)]).wait_for_end());
 
     let run =
         |host: &Host, name: &str| machines.execute_on(host, "peernetd run FILE", &[("FILE", &config(name))]);
@@ -97,8 +97,8 @@ fn readme_commands_work_on_two_machines() {
     aggregator.wait_for("ready");
     wait_until("the robot's pipeline on the dashboard", || {
         let status = machines.on_cloud("peernet status", &[]).wait_for_end();
-        let there = ["robot", "inspection", "quality-control", "cloud"];
-        (status.code() == 0 && there.iter().all(|word| status.log.contains(word))).then_some(())
+        let expected = ["robot", "inspection", "quality-control", "cloud"];
+        (status.code() == 0 && expected.iter().all(|word| status.log.contains(word))).then_some(())
     });
     request_everything(&machines);
     calibrate(&machines);
@@ -111,9 +111,9 @@ fn readme_commands_work_on_two_machines() {
         machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).wait_for_end(),
     );
     assert!(spool.contains("stream"), "{spool}");
-    let again = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).wait_for_end());
-    assert!(again.contains("upload") && again.contains("download"), "{again}");
-    keep(&machines, || assert_eq!(aggregator.stop().code(), 0));
+    let recomputed = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).wait_for_end());
+    assert!(recomputed.contains("upload") && recomputed.contains("download"), "{recomputed}");
+    back_up_and_rebuild(&machines, || assert_eq!(aggregator.stop().code(), 0));
     assert_eq!(agent.stop().code(), 0);
     machines.finish();
 }
@@ -144,7 +144,9 @@ fn calibrate(machines: &DocumentedCommands) {
         ("peernet calibrate PEER", ("PEER", "--result-loc second 10.0.0.2:5551")),
         ("peernet calibrate 10.0.0.2", ("10.0.0.2", "--result-loc third 10.0.0.2")),
     ] {
-        assert_success(machines.on_edge(command, &[changes, ("calibrate", SHORT)]).wait_for_end());
+        assert_success(
+            machines.on_edge(command, &[changes, ("calibrate", SHORT_CALIBRATION)]).wait_for_end(),
+        );
     }
     for folder in ["first", "second", "third"] {
         let study = std::fs::read(machines.folder().join(folder).join("calibration.json")).expect("written");
@@ -154,7 +156,7 @@ fn calibrate(machines: &DocumentedCommands) {
 }
 
 /// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.
-fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
+fn back_up_and_rebuild(machines: &DocumentedCommands, stop: impl FnOnce()) {
     std::fs::create_dir_all(machines.folder().join("cloud/backup")).expect("writable");
     assert_success(machines.on_cloud(BACKUP, &[]).wait_for_end());
     let backups = std::fs::read_dir(machines.folder().join("cloud/backup")).expect("it was made");
@@ -165,15 +167,16 @@ fn keep(machines: &DocumentedCommands, stop: impl FnOnce()) {
     let cleared = assert_success(machines.on_cloud(CLEAR, &[]).wait_for_end());
     assert!(cleared.contains("deleted the secret of robot"), "{cleared}");
 
-    let all = |of: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", of)]).wait_for_end();
-    assert_eq!(all("").code(), 69, "the aggregator has it");
+    let rebuild = |run: &str| machines.on_cloud(REBUILD, &[("[--run NUMBER]", run)]).wait_for_end();
+    assert_eq!(rebuild("").code(), 69, "the aggregator has it");
     stop();
     let database = machines.folder().join("cloud/var/lib/peernet/aggregator/peernet.sqlite");
-    let answered = || query_database(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
-    let before = answered();
-    assert_success(all(""));
-    assert_success(all("--run 1"));
-    assert_eq!(answered(), before);
+    let stored_iterations =
+        || query_database(&database, "SELECT sum(count) FROM rollup WHERE resolution_s = 0");
+    let before = stored_iterations();
+    assert_success(rebuild(""));
+    assert_success(rebuild("--run 1"));
+    assert_eq!(stored_iterations(), before);
     assert_success(machines.on_cloud(REPAIR, &[]).wait_for_end());
-    assert_eq!(answered(), before, "nothing of it was damaged");
+    assert_eq!(stored_iterations(), before, "nothing of it was damaged");
 }

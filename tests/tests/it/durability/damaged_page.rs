@@ -17,8 +17,8 @@ fn noise(seed: u64) -> Vec<u8> {
     (0..4096).map(|_| next()).collect()
 }
 
-/// Overwrites 4 KiB in the middle of a table's pages, `beyond` bytes after the beginning of one.
-fn overwrite(database: &Path, table: &str, beyond: u64) {
+/// Overwrites 4 KiB in the middle of a table's pages, `offset` bytes after the beginning of one.
+fn overwrite(database: &Path, table: &str, offset: u64) {
     let pages = query_database(
         database,
         &format!("SELECT pageno FROM dbstat WHERE name = '{table}' AND pagetype = 'leaf' ORDER BY path"),
@@ -27,33 +27,33 @@ fn overwrite(database: &Path, table: &str, beyond: u64) {
     assert!(pages.len() > 4, "{table} has only the pages {pages:?}");
     let page = pages[pages.len() / 2];
     let file = std::fs::File::options().write(true).open(database).expect("it is there");
-    file.write_all_at(&noise(page), (page - 1) * 4096 + beyond).expect("it can be written");
+    file.write_all_at(&noise(page), (page - 1) * 4096 + offset).expect("it can be written");
 }
 
 fn doctor(fleet: &Fleet, arguments: &[&str]) -> ProcessEnd {
     let database = fleet.database().display().to_string();
-    let mut all = vec!["doctor"];
-    all.extend(arguments);
-    all.extend(["--database", &database]);
-    fleet.deployment.peernetd(&all).wait_for_end()
+    let mut all_arguments = vec!["doctor"];
+    all_arguments.extend(arguments);
+    all_arguments.extend(["--database", &database]);
+    fleet.deployment.peernetd(&all_arguments).wait_for_end()
 }
 
 fn is_ready(fleet: &Fleet) -> bool {
     fleet.api.get("/readyz").is_some_and(|(status, _)| status == 200)
 }
 
-fn why_not_ready(fleet: &Fleet) -> String {
+fn wait_for_failure_reason(fleet: &Fleet) -> String {
     wait_until("not ready", || {
-        fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, words)| words)
+        fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, text)| text)
     })
 }
 
 /// Stores this number of events in the database file itself: pages that are only in the log would hide a damaged
 /// page.
-fn with_events_in_the_file(events: u64) -> Fleet {
+fn start_with_events_in_file(events: u64) -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(400.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > events);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > events);
     fleet.aggregator.stop();
     fleet.restart_aggregator();
     fleet
@@ -61,17 +61,17 @@ fn with_events_in_the_file(events: u64) -> Fleet {
 
 #[test]
 fn damaged_page_stops_storing_until_repaired() {
-    let mut fleet = with_events_in_the_file(2_000);
+    let mut fleet = start_with_events_in_file(2_000);
     wait_until("ready", || is_ready(&fleet).then_some(()));
 
     overwrite(fleet.database(), "node", 0);
-    let why = why_not_ready(&fleet);
-    assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
+    let reason = wait_for_failure_reason(&fleet);
+    assert!(reason.contains("damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
     // The agent reports the last acknowledgement a moment later.
-    let then =
-        fleet.counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
-    let later = fleet.counts(0, "more events wait", |counts| counts.waiting > then.waiting + 400);
-    assert_eq!((later.events, later.stored), (then.events, then.stored), "nothing more is acknowledged");
+    let first = fleet
+        .wait_for_counts(0, "events wait", |counts| counts.waiting > 100 && counts.stored == counts.events);
+    let later = fleet.wait_for_counts(0, "more events wait", |counts| counts.waiting > first.waiting + 400);
+    assert_eq!((later.events, later.stored), (first.events, first.stored), "nothing more is acknowledged");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("damaged"), "the page says so: {page}");
     let refused = doctor(&fleet, &["--repair"]);
@@ -80,49 +80,49 @@ fn damaged_page_stops_storing_until_repaired() {
     let log = fleet.aggregator.stop().log;
     assert_eq!(log.matches("ERROR aggregator: the database").count(), 1, "said once: {log}");
     fleet.restart_aggregator();
-    let why = why_not_ready(&fleet);
-    assert!(why.contains("damaged") && why.contains("peernetd doctor --repair"), "{why}");
+    let reason = wait_for_failure_reason(&fleet);
+    assert!(reason.contains("damaged") && reason.contains("peernetd doctor --repair"), "{reason}");
     // Events that were committed while the damage was found were not acknowledged; they are counted since the
     // restart.
-    let then = fleet.counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
-    let again = fleet.counts(0, "even more wait", |counts| counts.waiting > then.waiting + 400);
-    assert_eq!(again.events, then.events, "nothing more is stored");
+    let first = fleet.wait_for_counts(0, "more wait than before", |counts| counts.waiting > later.waiting);
+    let second = fleet.wait_for_counts(0, "even more wait", |counts| counts.waiting > first.waiting + 400);
+    assert_eq!(second.events, first.events, "nothing more is stored");
     fleet.aggregator.stop();
 
-    let found = doctor(&fleet, &[]);
-    assert_eq!(found.code(), 65, "{}", found.log);
-    assert!(found.log.contains("--repair"), "{}", found.log);
+    let diagnosis = doctor(&fleet, &[]);
+    assert_eq!(diagnosis.code(), 65, "{}", diagnosis.log);
+    assert!(diagnosis.log.contains("--repair"), "{}", diagnosis.log);
     assert_continues_after_repair(fleet, "a page of nodes");
 }
 
 #[test]
 fn damage_across_pages_of_several_tables_is_repaired() {
-    let mut fleet = with_events_in_the_file(2_000);
-    for (table, beyond) in [("iteration", 100), ("rollup", 2_000), ("node", 4_000)] {
-        overwrite(fleet.database(), table, beyond);
+    let mut fleet = start_with_events_in_file(2_000);
+    for (table, offset) in [("iteration", 100), ("rollup", 2_000), ("node", 4_000)] {
+        overwrite(fleet.database(), table, offset);
     }
-    let why = why_not_ready(&fleet);
-    assert!(why.contains("damaged"), "{why}");
+    let reason = wait_for_failure_reason(&fleet);
+    assert!(reason.contains("damaged"), "{reason}");
     // The killed aggregator leaves its log beside the file.
     fleet.aggregator.kill();
     assert_continues_after_repair(fleet, "pages of three tables");
 }
 
 /// Repairs the database, and checks that every measured event is stored or in a gap.
-fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
-    let repaired = doctor(&fleet, &["--repair"]);
-    assert_eq!(repaired.code(), 0, "{}", repaired.log);
-    assert!(repaired.log.contains(".damaged-") && repaired.log.contains("iteration"), "{}", repaired.log);
-    let healthy = doctor(&fleet, &["--full"]);
-    assert_eq!(healthy.code(), 0, "{}", healthy.log);
-    let nothing = doctor(&fleet, &["--repair"]);
-    assert!(nothing.code() == 0 && nothing.log.contains("not damaged"), "{}", nothing.log);
+fn assert_continues_after_repair(mut fleet: Fleet, title: &str) {
+    let repair = doctor(&fleet, &["--repair"]);
+    assert_eq!(repair.code(), 0, "{}", repair.log);
+    assert!(repair.log.contains(".damaged-") && repair.log.contains("iteration"), "{}", repair.log);
+    let check = doctor(&fleet, &["--full"]);
+    assert_eq!(check.code(), 0, "{}", check.log);
+    let second_repair = doctor(&fleet, &["--repair"]);
+    assert!(second_repair.code() == 0 && second_repair.log.contains("not damaged"), "{}", second_repair.log);
 
     fleet.restart_aggregator();
     wait_until("ready", || is_ready(&fleet).then_some(()));
     fleet.agents[0].stop();
     fleet.start_without_pipelines(0);
-    let counts = fleet.counts(0, "everything is delivered", |counts| {
+    let counts = fleet.wait_for_counts(0, "everything is delivered", |counts| {
         counts.waiting == 0 && counts.events + counts.missing == counts.produced
     });
     assert_eq!((counts.dropped, counts.stored), (0, counts.produced), "{counts:?}");
@@ -134,14 +134,14 @@ fn assert_continues_after_repair(mut fleet: Fleet, what: &str) {
     let [run] = stored_events.runs.values().collect::<Vec<_>>()[..] else {
         panic!("one run: {stored_events:?}")
     };
-    assert_eq!(run.counted, run.iterations(), "{run:?}");
+    assert_eq!(run.counted_iterations, run.iterations(), "{run:?}");
     assert_eq!((run.with_nodes, run.incomplete), (run.iterations(), 0), "{run:?}");
     assert_eq!(run.missing_iterations(), run.missing, "produced = stored + gaps: {run:?}");
     let host = &stored_events.hosts["edge"];
     assert_eq!(host.gap_rows, (host.gaps, host.missing), "{host:?}");
     assert_eq!(host.nodes, stored_events.nodes(), "{host:?}");
     record_figures(
-        what,
+        title,
         &[
             ("iterations stored", thousands(run.iterations() as f64)),
             ("iterations lost and told of", thousands(run.missing as f64)),

@@ -13,10 +13,10 @@ use super::wait_for_turn;
 const KILLS: usize = 5;
 
 /// Longest time that it measures after its first batch.
-const LIFE: Duration = Duration::from_millis(600);
+const MAX_LIFETIME: Duration = Duration::from_millis(600);
 
 /// Run of an agent that logs each answer before the iteration ends.
-struct Life {
+struct KilledRun {
     run: String,
     answers: u64,
 }
@@ -29,7 +29,7 @@ fn assert_adds_up(counts: &EventCounts, host: &StoredHost) {
 }
 
 /// Deletes the contents of a folder.
-fn empty(folder: &Path) {
+fn empty_folder(folder: &Path) {
     std::fs::remove_dir_all(folder).expect("deleted");
     std::fs::create_dir(folder).expect("made again");
 }
@@ -40,18 +40,18 @@ fn killed_agent_reports_every_event_it_lost() {
     let mut rng = TestRng::new("lost events");
     let pipeline = echo("loop", &format!("{}\nactuator = {{ kind = \"log\" }}", rate(500.0)));
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipeline));
-    let mut lives = Vec::new();
-    while lives.len() < KILLS {
+    let mut killed_runs = Vec::new();
+    while killed_runs.len() < KILLS {
         fleet.start(0);
         fleet.agents[0].process().wait_for("spooled batch=");
-        rng.sleep_up_to(LIFE);
+        rng.sleep_up_to(MAX_LIFETIME);
         let log = fleet.agents[0].kill().log;
         // The log was written before the process was killed, and does not depend on its spool.
         let answers = log.matches(" answer ").count() as u64;
         let spooled = SpooledIterations::parse_log(&log);
         let run = spooled.first().expect("it was waited for").run.clone();
-        lives.push(Life { run, answers });
-        if lives.len() == 2 {
+        killed_runs.push(KilledRun { run, answers });
+        if killed_runs.len() == 2 {
             // It is killed again before it can report the loss.
             fleet.start(0);
             fleet.agents[0].process().wait_for("the agent was killed before these events");
@@ -61,21 +61,21 @@ fn killed_agent_reports_every_event_it_lost() {
     let counts = fleet.deliver_spool(0);
     fleet.agents[0].stop();
     // A clean stop leaves nothing to report.
-    let after = fleet.deliver_spool(0);
+    let counts_after_stop = fleet.deliver_spool(0);
     fleet.agents[0].stop();
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
-    assert_adds_up(&after, host);
-    assert_eq!((after.dropped, host.streams, host.quarantined), (counts.dropped, 1, 0));
+    assert_adds_up(&counts_after_stop, host);
+    assert_eq!((counts_after_stop.dropped, host.streams, host.quarantined), (counts.dropped, 1, 0));
     let mut lost = 0;
-    for Life { run, answers } in &lives {
+    for KilledRun { run, answers } in &killed_runs {
         let stored = &stored_events.runs[run];
         assert!(stored.is_contiguous(), "only the end of a run is lost: {stored:?}");
-        let known = stored.iterations() + stored.missing;
+        let accounted = stored.iterations() + stored.missing;
         // The kill may have hit an iteration between its action and its end, which is not an event.
         assert!(
-            (answers - 1..=*answers).contains(&known),
-            "{answers} answers, {known} accounted for: {stored:?}"
+            (answers - 1..=*answers).contains(&accounted),
+            "{answers} answers, {accounted} accounted for: {stored:?}"
         );
         lost += stored.missing;
     }
@@ -83,8 +83,11 @@ fn killed_agent_reports_every_event_it_lost() {
     record_figures(
         "killed agent",
         &[
-            ("kills", thousands(lives.len() as f64 + 1.0)),
-            ("answers in the log", thousands(lives.iter().map(|life| life.answers).sum::<u64>() as f64)),
+            ("kills", thousands(killed_runs.len() as f64 + 1.0)),
+            (
+                "answers in the log",
+                thousands(killed_runs.iter().map(|killed_run| killed_run.answers).sum::<u64>() as f64),
+            ),
             ("iterations stored", thousands(stored_events.iterations() as f64)),
             ("lost and reported", thousands(lost as f64)),
         ],
@@ -96,18 +99,21 @@ fn deleted_database_reports_number_of_missing_events() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
     fleet.aggregator.stop();
-    let deleted = fleet.stored_events().hosts["edge"].events;
-    empty(fleet.database().parent().expect("a folder of its own"));
+    let deleted_events = fleet.stored_events().hosts["edge"].events;
+    empty_folder(fleet.database().parent().expect("a folder of its own"));
     fleet.restart_aggregator();
-    fleet.counts(0, "more is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.events > 500);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
     let host = &stored_events.hosts["edge"];
     // Events without an acknowledgement at the aggregator's stop are sent again.
-    assert!(host.missing <= deleted && host.missing > deleted / 2, "{deleted} were there: {host:?}");
+    assert!(
+        host.missing <= deleted_events && host.missing > deleted_events / 2,
+        "{deleted_events} were there: {host:?}"
+    );
     assert_eq!(host.gap_rows, (1, host.missing));
     assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
     let reason = query_database(fleet.database(), "SELECT reason FROM gap");
@@ -119,18 +125,18 @@ fn restored_database_reports_number_of_missing_events() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
     fleet.aggregator.stop();
     let (database, backup) = (fleet.database().to_owned(), fleet.deployment.folder().join("backup.sqlite"));
     std::fs::copy(&database, &backup).expect("copied");
     fleet.restart_aggregator();
-    let before = fleet.counts(0, "it is back", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 500);
+    let before = fleet.wait_for_counts(0, "it is back", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 500);
     fleet.aggregator.stop();
-    empty(database.parent().expect("a folder of its own"));
+    empty_folder(database.parent().expect("a folder of its own"));
     std::fs::copy(&backup, &database).expect("restored");
     fleet.restart_aggregator();
-    fleet.counts(0, "newer batches are stored", |counts| counts.missing > 0);
+    fleet.wait_for_counts(0, "newer batches are stored", |counts| counts.missing > 0);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();

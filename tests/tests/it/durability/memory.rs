@@ -9,7 +9,7 @@ use super::setting;
 
 /// Bound in [operating.md](../../../../docs/operating.md) for a few pipelines and an open page: SQLite's page cache,
 /// an idle aggregator, readers, and batches in flight.
-const MOST_MIB: f64 = 192.0;
+const MAX_MIB: f64 = 192.0;
 
 /// Returns the anonymous memory of a process, MiB.
 fn memory_mib(pid: u32) -> f64 {
@@ -23,26 +23,26 @@ fn memory_mib(pid: u32) -> f64 {
 #[ignore = "takes as long as PEERNET_MEMORY_S says; for make soak"]
 fn memory_stays_below_its_bound() {
     let seconds = setting("PEERNET_MEMORY_S", 600);
-    let pipelines: String = (0..8).map(|n| echo(&format!("loop-{n}"), &rate(200.0))).collect();
+    let pipelines: String = (0..8).map(|number| echo(&format!("loop-{number}"), &rate(200.0))).collect();
     let mut fleet = Fleet::new(&["edge"], &edge("", &pipelines));
     fleet.start(0);
-    let (pid, begin) = (fleet.aggregator.process().pid(), Stopwatch::now());
+    let (pid, stopwatch) = (fleet.aggregator.process().pid(), Stopwatch::now());
     let mut samples = Vec::new();
-    while begin.elapsed() < Duration::from_secs(seconds) {
+    while stopwatch.elapsed() < Duration::from_secs(seconds) {
         // Pages are part of the load.
         fleet.api.get("/").expect("the dashboard answers");
         fleet.api.get("/runs/1").expect("the dashboard answers");
         samples.push(memory_mib(pid));
         std::thread::sleep(Duration::from_secs(1));
     }
-    let most = samples.iter().copied().fold(0.0, f64::max);
+    let maximum = samples.iter().copied().fold(0.0, f64::max);
     let halfway = samples[samples.len() / 2];
     let last = samples.last().copied().expect("some");
     let mib = |value: f64| format!("{value:.1} MiB");
     record_figures(
         "aggregator's memory, 8 pipelines at 200 Hz",
-        &[("halfway", mib(halfway)), ("at the end", mib(last)), ("at the most", mib(most))],
+        &[("halfway", mib(halfway)), ("at the end", mib(last)), ("at the most", mib(maximum))],
     );
-    assert!(most < MOST_MIB, "{most} MiB of at most {MOST_MIB}: {samples:?}");
+    assert!(maximum < MAX_MIB, "{maximum} MiB of at most {MAX_MIB}: {samples:?}");
     fleet.stop();
 }

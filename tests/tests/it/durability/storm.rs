@@ -14,10 +14,10 @@ const AGENTS: [&str; 2] = ["left", "right"];
 const HZ: f64 = 200.0;
 
 /// Longest time between two events.
-const PAUSE: Duration = Duration::from_millis(700);
+const MAX_PAUSE: Duration = Duration::from_millis(700);
 
 /// Largest jump of a clock.
-const JUMP: Span = Span::from_seconds(40 * 86_400);
+const MAX_JUMP: Span = Span::from_seconds(40 * 86_400);
 
 /// Fault of a machine, which lasts until it is repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,12 +42,12 @@ struct Storm {
     fleet: Fleet,
     store: ImageDisk,
     spools: ImageDisk,
-    troubles: Vec<Fault>,
+    faults: Vec<Fault>,
     /// Number of answers in the logs of ended processes.
     answers: u64,
     kills: [u64; 2],
     /// Number of failed starts because of a fault.
-    ended: u32,
+    failed_starts: u32,
 }
 
 impl Storm {
@@ -66,15 +66,15 @@ impl Storm {
         fleet.start_all();
         // An agent creates its host id at its first start, and cannot start if there is no space for that.
         for agent in 0..AGENTS.len() {
-            fleet.counts(agent, "the agent is known", |counts| counts.produced > 0);
+            fleet.wait_for_counts(agent, "the agent is known", |counts| counts.produced > 0);
         }
-        Self { fleet, store, spools, troubles: Vec::new(), answers: 0, kills: [0; 2], ended: 0 }
+        Self { fleet, store, spools, faults: Vec::new(), answers: 0, kills: [0; 2], failed_starts: 0 }
     }
 
     /// Returns the files of the database or of a spool that processes write with system calls. The third file is
     /// mapped into memory, and the kernel ends a process that writes to a mapping of an immutable file.
-    fn files(&self, trouble: Fault) -> Vec<PathBuf> {
-        let main = match trouble {
+    fn files(&self, fault: Fault) -> Vec<PathBuf> {
+        let main = match fault {
             Fault::SpoolReadOnly(agent) => {
                 self.spools.folder().join(&self.fleet.agents[agent].name).join("spool.sqlite")
             }
@@ -83,28 +83,28 @@ impl Storm {
         vec![main.clone(), format!("{}-wal", main.display()).into()]
     }
 
-    fn inject(&mut self, trouble: Fault, rng: &mut TestRng) {
-        let jump = Span::from_seconds(rng.below(2 * JUMP.seconds() as usize) as i64) - JUMP;
-        match trouble {
+    fn inject(&mut self, fault: Fault, rng: &mut TestRng) {
+        let jump = Span::from_seconds(rng.below(2 * MAX_JUMP.seconds() as usize) as i64) - MAX_JUMP;
+        match fault {
             Fault::StoreFull => self.store.fill(),
             Fault::SpoolsFull => self.spools.fill(),
-            Fault::StoreReadOnly => self.store.set_immutable(&self.files(trouble), true),
-            Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), true),
+            Fault::StoreReadOnly => self.store.set_immutable(&self.files(fault), true),
+            Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(fault), true),
             Fault::StoreAway => self.store.unmount(),
             Fault::AggregatorClock => self.fleet.aggregator.show_time(&self.fleet.deployment, jump),
             Fault::AgentClock(agent) => self.fleet.agents[agent].show_time(&self.fleet.deployment, jump),
         }
-        self.troubles.push(trouble);
+        self.faults.push(fault);
     }
 
     /// Repairs everything but clocks.
     fn repair(&mut self) {
-        for trouble in std::mem::take(&mut self.troubles) {
-            match trouble {
+        for fault in std::mem::take(&mut self.faults) {
+            match fault {
                 Fault::StoreFull => self.store.free(),
                 Fault::SpoolsFull => self.spools.free(),
-                Fault::StoreReadOnly => self.store.set_immutable(&self.files(trouble), false),
-                Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(trouble), false),
+                Fault::StoreReadOnly => self.store.set_immutable(&self.files(fault), false),
+                Fault::SpoolReadOnly(_) => self.spools.set_immutable(&self.files(fault), false),
                 Fault::StoreAway => {
                     // Two mounts of one image would overwrite each other.
                     wait_until("the device is free", || (!self.store.is_in_use()).then_some(()));
@@ -116,7 +116,7 @@ impl Storm {
     }
 
     /// Chooses faults that can exist at the same time.
-    fn pick(rng: &mut TestRng) -> Vec<Fault> {
+    fn choose_faults(rng: &mut TestRng) -> Vec<Fault> {
         let agent = rng.below(AGENTS.len());
         let store = [Fault::StoreFull, Fault::StoreReadOnly, Fault::StoreAway, Fault::AggregatorClock];
         let spool = [Fault::SpoolsFull, Fault::SpoolReadOnly(agent), Fault::AgentClock(agent)];
@@ -130,13 +130,13 @@ impl Storm {
     }
 
     /// Causes faults, a kill during them, and a restart during or after them.
-    fn round(&mut self, rng: &mut TestRng) {
-        for trouble in Self::pick(rng) {
-            self.inject(trouble, rng);
-            rng.sleep_up_to(PAUSE);
+    fn inject_and_repair(&mut self, rng: &mut TestRng) {
+        for fault in Self::choose_faults(rng) {
+            self.inject(fault, rng);
+            rng.sleep_up_to(MAX_PAUSE);
         }
-        let (agent, who) = (rng.below(AGENTS.len()), rng.below(5));
-        let (kills_aggregator, kills_agent) = (who < 2, who > 0);
+        let (agent, choice) = (rng.below(AGENTS.len()), rng.below(5));
+        let (kills_aggregator, kills_agent) = (choice < 2, choice > 0);
         if kills_aggregator {
             self.fleet.aggregator.kill();
             self.kills[1] += 1;
@@ -145,9 +145,9 @@ impl Storm {
             self.answers += answers(&self.fleet.agents[agent].kill().log);
             self.kills[0] += 1;
         }
-        rng.sleep_up_to(PAUSE);
+        rng.sleep_up_to(MAX_PAUSE);
         // An aggregator that is started without its disk creates a database in the mount point's folder.
-        let needs_disk = kills_aggregator && self.troubles.contains(&Fault::StoreAway);
+        let needs_disk = kills_aggregator && self.faults.contains(&Fault::StoreAway);
         if needs_disk || rng.once_in(2) {
             self.repair();
         }
@@ -157,13 +157,13 @@ impl Storm {
         if kills_aggregator {
             self.fleet.aggregator.start(&self.fleet.deployment);
         }
-        rng.sleep_up_to(PAUSE);
+        rng.sleep_up_to(MAX_PAUSE);
         self.repair();
         let Fleet { deployment, aggregator, agents, .. } = &mut self.fleet;
         for daemon in agents.iter_mut().chain([aggregator]) {
-            self.ended += daemon.wait_until_ready(deployment, || {});
+            self.failed_starts += daemon.wait_until_ready(deployment, || {});
         }
-        rng.sleep_up_to(PAUSE);
+        rng.sleep_up_to(MAX_PAUSE);
     }
 }
 
@@ -176,24 +176,24 @@ fn answers(log: &str) -> u64 {
 #[ignore = "takes minutes with PEERNET_KILLS=200; for make soak"]
 fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     let _turn = wait_for_turn();
-    let (mut rng, began) = (TestRng::new("storm"), Stopwatch::now());
+    let (mut rng, stopwatch) = (TestRng::new("storm"), Stopwatch::now());
     let mut storm = Storm::new();
     let kills = setting("PEERNET_KILLS", 6);
     while storm.kills.iter().sum::<u64>() < kills {
-        storm.round(&mut rng);
+        storm.inject_and_repair(&mut rng);
     }
-    let Storm { mut fleet, mut answers, kills, ended, store: _store, spools: _spools, .. } = storm;
+    let Storm { mut fleet, mut answers, kills, failed_starts, store: _store, spools: _spools, .. } = storm;
     let Fleet { deployment, aggregator, agents, .. } = &mut fleet;
     for daemon in agents.iter_mut().chain([aggregator]) {
         daemon.show_time(deployment, Span::ZERO);
     }
-    let mut accounts = Vec::new();
+    let mut counts_of_agents = Vec::new();
     for agent in 0..AGENTS.len() {
         answers += self::answers(&fleet.agents[agent].stop().log);
-        accounts.push(fleet.deliver_spool(agent));
+        counts_of_agents.push(fleet.deliver_spool(agent));
     }
     let stored_events = fleet.stop();
-    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+    for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         counts.assert_balanced();
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(
@@ -208,20 +208,20 @@ fn kills_disk_and_clock_faults_lose_nothing_uncounted() {
     }
     // The logged answers are accounted for as well. A kill may hit an iteration after its action and before its end.
     let missing: u64 = stored_events.hosts.values().map(|host| host.missing).sum();
-    let known = stored_events.iterations() + missing;
-    assert!(known + kills[0] >= answers, "{answers} answers, {known} accounted for");
+    let accounted = stored_events.iterations() + missing;
+    assert!(accounted + kills[0] >= answers, "{answers} answers, {accounted} accounted for");
     let number = |count: u64| thousands(count as f64);
     record_figures(
         "kills amid failing disks and jumping clocks",
         &[
             ("kills of agents", number(kills[0])),
             ("kills of the aggregator", number(kills[1])),
-            ("starts that failed until the fault was repaired", number(ended.into())),
+            ("starts that failed until the fault was repaired", number(failed_starts.into())),
             ("answers in the logs", number(answers)),
             ("iterations stored", number(stored_events.iterations())),
             ("lost and reported", number(missing)),
             ("lost and not reported", number(0)),
-            ("seconds", number(began.elapsed().as_secs())),
+            ("seconds", number(stopwatch.elapsed().as_secs())),
         ],
     );
 }

@@ -2,18 +2,18 @@
 
 use peernet_tests::Process;
 
-use super::{Lab, THREE, column, json};
+use super::{Lab, THREE_RUNS, column, json};
 
 /// Returns the experiment of three runs with a wait of two seconds for an absent cloud.
 fn experiment_with_short_timeout() -> String {
-    THREE.replace("order =", "patience_s = 2\norder =")
+    THREE_RUNS.replace("order =", "patience_s = 2\norder =")
 }
 
 /// Waits until the second run has some rows; returns its folder.
 fn wait_for_second_run(lab: &Lab, process: &Process) -> String {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let second = lab.results.folders()[1].clone();
-    lab.results.rows(&second, 3);
+    lab.results.wait_for_rows(&second, 3);
     second
 }
 
@@ -23,21 +23,21 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let process = lab.run(&experiment_with_short_timeout(), &[]);
     let second = wait_for_second_run(&lab, &process);
     lab.kill_cloud();
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("2 runs failed") && ended.log.contains("is away"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("2 runs failed") && end.log.contains("is away"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
     // Rows that were measured before the cloud died are kept.
-    let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
-    assert!(answered.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{answered:?}");
+    let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
+    assert!(outcomes.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{outcomes:?}");
     let first = json(&lab.results.file(&lab.results.folders()[0], "run.json"));
 
     lab.start_cloud();
-    let ended = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished"; 3]);
-    let answered = column(&lab.results.file(&second, "data.csv"), "outcome");
-    assert_eq!((answered.len(), answered.iter().all(|outcome| outcome == "ok")), (252, true), "{answered:?}");
+    let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
+    assert_eq!((outcomes.len(), outcomes.iter().all(|outcome| outcome == "ok")), (252, true), "{outcomes:?}");
     assert_eq!(
         json(&lab.results.file(&lab.results.folders()[0], "run.json")),
         first,
@@ -48,20 +48,20 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
 #[test]
 fn returning_cloud_loses_only_iterations_in_flight() {
     let mut lab = Lab::new();
-    let process = lab.run(THREE, &[]);
+    let process = lab.run(THREE_RUNS, &[]);
     let second = wait_for_second_run(&lab, &process);
     // The cloud is stopped first, so that it certainly has an iteration in progress.
     lab.stop_cloud();
     process.wait_for("is away");
     lab.kill_cloud();
     lab.start_cloud();
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 75, "iterations without an answer are told: {}", ended.log);
-    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 75, "iterations without an answer are told: {}", end.log);
+    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", end.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");
-    let again = lab.run(THREE, &[]).wait_for_end();
-    assert!(again.code() == 75 && again.log.contains("nothing to do"), "{}", again.log);
-    assert!(again.log.contains("with iterations that have no answer"), "{}", again.log);
+    let second = lab.run(THREE_RUNS, &[]).wait_for_end();
+    assert!(second.code() == 75 && second.log.contains("nothing to do"), "{}", second.log);
+    assert!(second.log.contains("with iterations that have no answer"), "{}", second.log);
 }

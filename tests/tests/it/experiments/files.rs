@@ -15,12 +15,12 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
     ] {
         let file = root().join("configs/experiments").join(name).with_extension("toml");
         let arguments = [Path::new("run"), Path::new("--check"), &file];
-        let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        assert!(ended.log.contains(runs), "{}", ended.log);
+        let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
+        assert_eq!(end.code(), 0, "{}", end.log);
+        assert!(end.log.contains(runs), "{}", end.log);
     }
-    let shipped = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
-    let files = shipped.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
+    let entries = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
+    let files = entries.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
     assert_eq!(files, 5, "each of them stands above");
 }
 
@@ -43,19 +43,19 @@ fn unknown_device_key_is_reported_once() {
         ),
     );
     let arguments = [Path::new("run"), Path::new("--check"), &file];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert_eq!(ended.log.matches("passing over colour").count(), 1, "{}", ended.log);
+    let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert_eq!(end.log.matches("passing over colour").count(), 1, "{}", end.log);
 }
 
 #[test]
 fn missing_or_invalid_file_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let check = |file: &Path| {
-        let ended =
+        let end =
             Process::start(&program("peernet"), &[Path::new("run"), Path::new("--check"), file], root(), &[])
                 .wait_for_end();
-        (ended.code(), ended.log)
+        (end.code(), end.log)
     };
     let file = folder.path().join("e.toml");
     let (code, log) = check(&file);
@@ -73,8 +73,8 @@ fn missing_or_invalid_file_is_named() {
         pictures.display()
     );
     // Errors that an agent would report on any machine, and errors that the trial finds on this machine.
-    let long = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
-    std::fs::write(&file, long).expect("writable");
+    let long_timeout = text.replace("[pipeline]", "[pipeline]\ntimeout_ms = 1000000000000");
+    std::fs::write(&file, long_timeout).expect("writable");
     let (code, log) = check(&file);
     assert!(code == 78 && log.contains("e.toml: pipeline.timeout_ms: "), "{code}: {log}");
     std::fs::copy(root().join("models/quality-control/pictures/part-0001.jpg"), pictures.join("1.jpg"))
@@ -82,7 +82,7 @@ fn missing_or_invalid_file_is_named() {
     std::fs::write(&file, text).expect("writable");
     let results = folder.path().join("results");
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-    let told = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
-    assert!(ended.code() == 78 && ended.log.contains(&told), "{}: {}", ended.code(), ended.log);
+    let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
+    let message = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
+    assert!(end.code() == 78 && end.log.contains(&message), "{}: {}", end.code(), end.log);
 }

@@ -39,7 +39,7 @@ postprocessing_ms = 0
 "#;
 
 /// Experiment of three runs; the second one takes ten seconds, so that the test can end it.
-const THREE: &str = r#"
+const THREE_RUNS: &str = r#"
 [experiment]
 name = "three"
 order = "declared"

@@ -33,13 +33,13 @@ fn program_output_is_printed_with_its_source() {
     deployment.write("mine.py", SENSOR);
     deployment.write("experiment.toml", EXPERIMENT);
     let arguments = ["run", "experiment.toml", "--result-loc", "results"];
-    let ended = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let begins = ended.log.find(": begins").expect("the run is told");
-    let finished = ended.log.find(": finished after").expect("its end as well");
-    let run = &ended.log[begins..finished];
+    let end = Process::start(&program("peernet"), &arguments, deployment.folder(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let begin = end.log.find(": begins").expect("the run is told");
+    let finish = end.log.find(": finished after").expect("its end as well");
+    let run = &end.log[begin..finish];
     for frame in 1..=4 {
-        assert!(run.contains(&format!("\nsensor mine::camera: frame {frame}\n")), "{frame}: {}", ended.log);
+        assert!(run.contains(&format!("\nsensor mine::camera: frame {frame}\n")), "{frame}: {}", end.log);
     }
-    assert!(ended.log.contains("1 of 1 run finished"), "{}", ended.log);
+    assert!(end.log.contains("1 of 1 run finished"), "{}", end.log);
 }

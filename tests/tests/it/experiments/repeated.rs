@@ -26,11 +26,11 @@ placement = { kind = "remote", peer = "cluster", model = "echo" }
 "#;
 
 /// Keys of a run's pipeline that belong to `[experiment]`, and keys that are filled in.
-const OF_EXPERIMENT: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "start", "experiment"];
+const EXPERIMENT_KEYS: [&str; 6] = ["name", "limit", "warm_up", "episode_steps", "start", "experiment"];
 
 impl Lab {
     /// Runs `peernet run` in the lab's folder, with a folder there for the results.
-    fn run_here(&self, file: &str, results: &str) -> ProcessEnd {
+    fn run_in_folder(&self, file: &str, results: &str) -> ProcessEnd {
         let arguments = ["run", file, "--result-loc", results];
         let environment = [("OMP_NUM_THREADS", "3"), ("PEERNET_SECRET", "not to be told")];
         self.network
@@ -48,7 +48,7 @@ fn experiment_file_from_record(record: &Value) -> String {
     for key in ["warm_up", "episode_steps"] {
         experiment.extend(pipeline.get(key).map(|value| (key.to_owned(), value.clone())));
     }
-    let pipeline = pipeline.iter().filter(|(key, _)| !OF_EXPERIMENT.contains(&key.as_str()));
+    let pipeline = pipeline.iter().filter(|(key, _)| !EXPERIMENT_KEYS.contains(&key.as_str()));
     let mut file = record["agent"].as_object().expect("tables").clone();
     file.insert("experiment".to_owned(), experiment.into());
     file.insert("pipeline".to_owned(), pipeline.map(|(key, value)| (key.clone(), value.clone())).collect());
@@ -62,8 +62,8 @@ fn configuration(record: &Value) -> Value {
         pipeline.as_object_mut().expect("a table").remove(key);
     }
     let keys = ["agent", "facts", "seeds", "warm_up", "model", "placement", "environment", "patience_s"];
-    let same = keys.iter().map(|key| ((*key).to_owned(), record[*key].clone()));
-    same.chain([("pipeline".to_owned(), pipeline)]).collect()
+    let values = keys.iter().map(|key| ((*key).to_owned(), record[*key].clone()));
+    values.chain([("pipeline".to_owned(), pipeline)]).collect()
 }
 
 #[test]
@@ -74,18 +74,18 @@ fn run_is_repeated_from_its_record() {
     let devices = format!("devices:\n  cluster: {}\nserver: cluster\n", lab.network.cloud().address);
     write("net_config.yaml", &devices);
     write("first.toml", &SHUFFLED.replace("{root}", &root().display().to_string()));
-    let assert_finished = |ended: ProcessEnd| {
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        ended.log
+    let assert_finished = |end: ProcessEnd| {
+        assert_eq!(end.code(), 0, "{}", end.log);
+        end.log
     };
-    let only = |results: &str| {
+    let read_only_run = |results: &str| {
         let results = Results::of(folder.join(results));
         let [run] = results.folders().try_into().expect("one run");
         let file = |name: &str| results.file(&run, name);
         (json(&file("run.json")), column(&file("data.csv"), "upload-bytes"))
     };
-    assert_finished(lab.run_here("first.toml", "first"));
-    let (record, sizes) = only("first");
+    assert_finished(lab.run_in_folder("first.toml", "first"));
+    let (record, sizes) = read_only_run("first");
     assert!(sizes.len() == 14 && sizes.iter().any(|size| *size != sizes[0]), "{sizes:?}");
     assert_eq!(record["network_config"]["file"], "net_config.yaml");
     assert_eq!(record["network_config"]["text"], devices.as_str());
@@ -95,14 +95,14 @@ fn run_is_repeated_from_its_record() {
 
     // Another device does not matter for the measured run, but the file has changed.
     write("net_config.yaml", &devices.replace("server:", "  spare: 10.0.0.99\nserver:"));
-    let log = assert_finished(lab.run_here("first.toml", "first"));
+    let log = assert_finished(lab.run_in_folder("first.toml", "first"));
     assert!(log.contains("net_config.yaml has changed since some runs were measured"), "{log}");
-    assert_eq!(only("first").0, record, "it was not touched");
+    assert_eq!(read_only_run("first").0, record, "it was not touched");
 
     fs::remove_file(folder.join("net_config.yaml")).expect("removable");
     write("again.toml", &experiment_file_from_record(&record));
-    assert_finished(lab.run_here("again.toml", "again"));
-    let (other, other_sizes) = only("again");
+    assert_finished(lab.run_in_folder("again.toml", "again"));
+    let (other, other_sizes) = read_only_run("again");
     assert_eq!(configuration(&other), configuration(&record));
     assert_eq!(other_sizes, sizes, "the same pictures in the same order");
 }

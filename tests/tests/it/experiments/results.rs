@@ -40,7 +40,7 @@ impl Results {
     }
 
     /// Waits until the file of a run has this number of rows.
-    pub(crate) fn rows(&self, folder: &str, count: usize) {
+    pub(crate) fn wait_for_rows(&self, folder: &str, count: usize) {
         let path = self.file(folder, "data.csv");
         wait_until("rows", || {
             let text = std::fs::read_to_string(&path).ok()?;

@@ -3,13 +3,13 @@
 use peernet_tests::{Process, wait_until};
 use rustix::process::{Signal, kill_process};
 
-use super::{Lab, THREE, children, column, json, run_command};
+use super::{Lab, THREE_RUNS, children, column, json, run_command};
 
 /// Waits until the second run is in progress.
 fn wait_for_second_run(lab: &Lab, process: &Process) -> Vec<String> {
     process.wait_for("run 2 of 3 (Size = 200): begins");
     let folders = lab.results.folders();
-    lab.results.rows(&folders[1], 3);
+    lab.results.wait_for_rows(&folders[1], 3);
     folders
 }
 
@@ -25,70 +25,71 @@ fn assert_complete(lab: &Lab, folders: &[String]) {
     }
 }
 
-/// Checks that the commands show what the experiment made of its runs itself: only the first one.
+/// Checks that the commands show only the first run, like the experiment itself.
 fn assert_rest_is_left_out(lab: &Lab, folders: &[String], stage: &str) {
-    let home = &lab.results.folder;
-    let without = format!(
+    let results_folder = &lab.results.folder;
+    let note = format!(
         "without the runs of experiment three that are not done: {} ({stage}), {} (to do)",
         folders[1], folders[2]
     );
-    let compared = run_command("compare", home);
-    assert_eq!(compared.code(), 0, "{}", compared.log);
+    let comparison = run_command("compare", results_folder);
+    assert_eq!(comparison.code(), 0, "{}", comparison.log);
     for line in
-        [&format!("{} is shown {without}; `peernet run ", home.display()), &format!("Shown {without}.")]
+        [&format!("{} is shown {note}; `peernet run ", results_folder.display()), &format!("Shown {note}.")]
     {
-        assert!(compared.log.contains(line), "{line} is not in {}", compared.log);
+        assert!(comparison.log.contains(line), "{line} is not in {}", comparison.log);
     }
-    assert!(!compared.log.contains("\n200 "), "{}", compared.log);
-    let drawn = run_command("plot", home);
-    assert_eq!(drawn.code(), 0, "{}", drawn.log);
-    assert!(drawn.log.contains(&without) && !drawn.log.contains("stacked.png"), "{}", drawn.log);
+    assert!(!comparison.log.contains("\n200 "), "{}", comparison.log);
+    let plot = run_command("plot", results_folder);
+    assert_eq!(plot.code(), 0, "{}", plot.log);
+    assert!(plot.log.contains(&note) && !plot.log.contains("stacked.png"), "{}", plot.log);
 
-    let itself = lab.results.file(&folders[1], "");
+    let run_folder = lab.results.file(&folders[1], "");
     for command in ["compare", "plot"] {
-        let named = run_command(command, &itself);
+        let end = run_command(command, &run_folder);
         let line = format!("belongs to an unfinished run, {stage}");
-        assert!(named.code() == 0 && named.log.contains(&line), "{}", named.log);
+        assert!(end.code() == 0 && end.log.contains(&line), "{}", end.log);
     }
 }
 
 #[test]
 fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let lab = Lab::new();
-    let process = lab.run(THREE, &[]);
+    let process = lab.run(THREE_RUNS, &[]);
     let folders = wait_for_second_run(&lab, &process);
     process.signal(Signal::INT);
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
     assert_rest_is_left_out(&lab, &folders, "interrupted");
     let first = json(&lab.results.file(&folders[0], "run.json"));
     let id = lab.results.record()["id"].clone();
 
-    let changed = lab.run(&THREE.replace("iterations = 25", "iterations = 26"), &[]).wait_for_end();
-    assert_eq!(changed.code(), 78, "{}", changed.log);
-    assert!(changed.log.contains("25 before, 26 now"), "{}", changed.log);
+    let changed_experiment =
+        lab.run(&THREE_RUNS.replace("iterations = 25", "iterations = 26"), &[]).wait_for_end();
+    assert_eq!(changed_experiment.code(), 78, "{}", changed_experiment.log);
+    assert!(changed_experiment.log.contains("25 before, 26 now"), "{}", changed_experiment.log);
 
-    let ended = lab.run(THREE, &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert!(!ended.log.contains("run 1 of 3 (Size = 100): begins"), "{}", ended.log);
+    let end = lab.run(THREE_RUNS, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(!end.log.contains("run 1 of 3 (Size = 100): begins"), "{}", end.log);
     assert_complete(&lab, &folders);
     assert_eq!(json(&lab.results.file(&folders[0], "run.json")), first, "it was not touched");
     assert_eq!(lab.results.record()["id"], id);
     assert_eq!(json(&lab.results.file(&folders[2], "run.json"))["experiment"]["id"], id);
 
-    let again = lab.run(THREE, &[]).wait_for_end();
-    assert_eq!(again.code(), 0, "{}", again.log);
-    assert!(again.log.contains("nothing to do") && !again.log.contains("begins"), "{}", again.log);
+    let repeated = lab.run(THREE_RUNS, &[]).wait_for_end();
+    assert_eq!(repeated.code(), 0, "{}", repeated.log);
+    assert!(repeated.log.contains("nothing to do") && !repeated.log.contains("begins"), "{}", repeated.log);
 }
 
 /// The suspended run handles no signals, so that waiting for it would never end.
 #[test]
 fn suspended_run_is_killed_and_marked_interrupted() {
     let lab = Lab::new();
-    let process = lab.run(THREE, &[]);
+    let process = lab.run(THREE_RUNS, &[]);
     wait_for_second_run(&lab, &process);
     let [child] = children(&process).try_into().expect("one run is under way");
     kill_process(child, Signal::STOP).expect("it runs");
@@ -96,16 +97,16 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     process.wait_for("work in progress is killed after 60 s");
     process.signal(Signal::TERM);
     process.wait_for("processes that do not end within 10 s are killed");
-    let ended = process.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("killing the processes that did not end in time"), "{}", ended.log);
+    let end = process.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("killing the processes that did not end in time"), "{}", end.log);
     assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
 }
 
 #[test]
 fn kill_leaves_no_process_and_no_partial_run() {
     let lab = Lab::new();
-    let process = lab.run(THREE, &[]);
+    let process = lab.run(THREE_RUNS, &[]);
     let folders = wait_for_second_run(&lab, &process);
     let [child] = children(&process).try_into().expect("one run is under way");
     process.kill();
@@ -116,8 +117,8 @@ fn kill_leaves_no_process_and_no_partial_run() {
     });
     assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
     assert_rest_is_left_out(&lab, &folders, "in progress or killed");
-    let ended = lab.run(THREE, &["--yes"]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = lab.run(THREE_RUNS, &["--yes"]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_complete(&lab, &folders);
     assert_eq!(lab.results.record()["states"][1]["attempts"], 2);
 }

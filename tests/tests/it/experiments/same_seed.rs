@@ -19,13 +19,13 @@ fn run_order_and_sizes(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
 }
 
 /// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
-fn stored(machines: &DocumentedCommands, experiment: &str) -> usize {
+fn wait_for_stored_runs(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
     machines.cloud().run_in_namespace(move || {
-        Api::on_port(8040).wait_until("/api/v1/runs?limit=100", |found| {
-            let runs = found["runs"].as_array()?;
-            let of_it = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
-            of_it.clone().all(|run| run["reason"] == "finished").then(|| of_it.count())
+        Api::on_port(8040).wait_until("/api/v1/runs?limit=100", |runs| {
+            let runs = runs["runs"].as_array()?;
+            let experiment_runs = runs.iter().filter(|run| run["experiment"]["id"] == *experiment);
+            experiment_runs.clone().all(|run| run["reason"] == "finished").then(|| experiment_runs.count())
         })
     })
 }
@@ -51,9 +51,9 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let measure = |options: &str| {
         let options = format!("demo.toml {options}");
         let command = "peernet run configs/experiments/demo.toml";
-        let ended = wait_for_runs(machines.on_edge(command, &[("demo.toml", &options)]), 10);
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        (run_order_and_sizes(&results), ended.log)
+        let end = wait_for_runs(machines.on_edge(command, &[("demo.toml", &options)]), 10);
+        assert_eq!(end.code(), 0, "{}", end.log);
+        (run_order_and_sizes(&results), end.log)
     };
 
     let ((order, sizes), log) = measure("");
@@ -65,22 +65,22 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     for name in ["compare.txt", "compare.md", "compare.csv", "compare.tex", "stacked.png", "stacked.svg"] {
         assert!(results.folder.join(name).is_file(), "{name}");
     }
-    let compared = column(&results.folder.join("compare.csv"), "Where");
-    assert_eq!(compared, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
-    let counted = column(&results.folder.join("compare.csv"), "count");
+    let places = column(&results.folder.join("compare.csv"), "Where");
+    assert_eq!(places, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
+    let counts = column(&results.folder.join("compare.csv"), "count");
     // Two repeats of one episode, each without its first step.
-    assert!(counted.iter().all(|count| count == "10"), "{counted:?}");
+    assert!(counts.iter().all(|count| count == "10"), "{counts:?}");
     let id = results.record()["id"].as_str().expect("it has one").to_owned();
-    assert_eq!(stored(&machines, &id), 10);
+    assert_eq!(wait_for_stored_runs(&machines, &id), 10);
 
-    let again = measure("--restart").0;
-    assert_eq!(again, (order.clone(), sizes.clone()));
+    let repeated = measure("--restart").0;
+    assert_eq!(repeated, (order.clone(), sizes.clone()));
     let (other_order, other_sizes) = measure("--restart --seed 2").0;
     assert_ne!(other_order, order);
     assert_ne!(other_sizes, sizes);
     for process in [cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
+        let end = process.stop();
+        assert_eq!(end.code(), 0, "{}", end.log);
     }
     machines.finish();
 }

@@ -31,8 +31,8 @@ values = [1, 3]
 #[test]
 fn fairness_between_three_users_is_reported() {
     let lab = Lab::new();
-    let ended = lab.run(USERS, &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = lab.run(USERS, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     let folders = lab.results.folders();
     assert_eq!(folders, ["001-1-r1", "002-3-r1"]);
     let users = [1, 2, 3].map(|user| json(&lab.results.file(&folders[1], &format!("user-{user}/run.json"))));
@@ -57,10 +57,10 @@ fn fairness_between_three_users_is_reported() {
     assert!(rate[1] <= 25.5, "one worker cannot do more: {rate:?}");
     // The users of one run are one line of the table, and one run.
     assert_eq!(column(&lab.results.folder.join("compare.csv"), "runs"), ["1", "1"]);
-    let trust =
-        ended.log.lines().find(|line| line.starts_with("Can they be published?")).expect("it is told");
-    let numbers = trust.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
-    assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust}");
+    let trust_line =
+        end.log.lines().find(|line| line.starts_with("Can they be published?")).expect("it is told");
+    let numbers = trust_line.split_whitespace().filter_map(|word| word.parse::<u32>().ok());
+    assert_eq!(numbers.sum::<u32>(), 2, "two runs, however many edges: {trust_line}");
     draw_again(&lab);
 }
 
@@ -69,10 +69,10 @@ fn draw_again(lab: &Lab) {
     let figure = lab.results.folder.join("users.svg");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
     let [command] = COMMANDS;
-    let words = command.split(' ').skip(1).map(Path::new);
-    let arguments: Vec<&Path> = words.chain([lab.results.folder.as_path()]).collect();
+    let options = command.split(' ').skip(1).map(Path::new);
+    let arguments: Vec<&Path> = options.chain([lab.results.folder.as_path()]).collect();
     let edge = lab.network.edge();
-    let drawn = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).wait_for_end();
-    assert_eq!(drawn.code(), 0, "{}", drawn.log);
-    assert!(figure.is_file(), "{}", drawn.log);
+    let plot = edge.start(&program("peernet"), &arguments, lab.deployment.folder(), &[]).wait_for_end();
+    assert_eq!(plot.code(), 0, "{}", plot.log);
+    assert!(figure.is_file(), "{}", plot.log);
 }

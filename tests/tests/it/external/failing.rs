@@ -56,9 +56,9 @@ fn each_failure_is_one_iteration_with_its_reason() {
         (10, ["99999999999999", "at most"]),
     ] {
         let iteration = api.json(&format!("/api/v1/runs/{run}/iterations/{number}"));
-        let said = iteration["outcome"].to_string() + &iteration["reason"].to_string();
+        let text = iteration["outcome"].to_string() + &iteration["reason"].to_string();
         for part in parts {
-            assert!(said.contains(part), "{part} is missing in {said}");
+            assert!(text.contains(part), "{part} is missing in {text}");
         }
     }
     assert_eq!(edge.stop().code(), 0);

@@ -12,10 +12,11 @@ use std::process::Command;
 use peernet_tests::root;
 
 /// Builds the model in C into a folder, with the command in its first lines.
-pub(crate) fn build(folder: &Path) {
+pub(crate) fn build_example(folder: &Path) {
     let source = root().join("docs/examples/external/brightness.c");
     let program = folder.join("brightness");
-    let built = Command::new("cc").args(["-O2", "-Wall", "-Werror", "-o"]).arg(&program).arg(source).output();
-    let built = built.expect("a C compiler is there: apt-get install gcc");
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let compiler_output =
+        Command::new("cc").args(["-O2", "-Wall", "-Werror", "-o"]).arg(&program).arg(source).output();
+    let compiler_output = compiler_output.expect("a C compiler is there: apt-get install gcc");
+    assert!(compiler_output.status.success(), "{}", String::from_utf8_lossy(&compiler_output.stderr));
 }

@@ -30,13 +30,13 @@ fn run_record_contains_variable_names_without_values() {
     std::fs::write(&file, EXPERIMENT.replace("{secret}", secret)).expect("writable");
     let results = Results::of(deployment.folder().join("results"));
     let arguments = [Path::new("run"), &file, Path::new("--result-loc"), &results.folder];
-    let ended = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
 
     let run = &results.folders()[0];
-    let told = json(&results.file(run, "run.json"));
-    assert_eq!(told["counts"]["ok"], 3, "{told}");
-    for table in [&told["pipeline"]["sensor"], &told["agent"]["model"][0]] {
+    let record = json(&results.file(run, "run.json"));
+    assert_eq!(record["counts"]["ok"], 3, "{record}");
+    for table in [&record["pipeline"]["sensor"], &record["agent"]["model"][0]] {
         assert_eq!(table["env"]["TOKEN"], "(not told)", "{table}");
     }
     for file in std::fs::read_dir(results.file(run, "")).expect("is there") {

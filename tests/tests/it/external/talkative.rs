@@ -3,7 +3,7 @@
 use peernet_tests::LoopbackDeployment;
 
 /// Lines that the program prints with its first answer.
-const PRINTED: u64 = 100_000;
+const PRINTED_LINES: u64 = 100_000;
 
 const MODEL: &str = r#"#!/bin/sh
 printf '\033[31mred\033[0m\a\377 \rprogress 10 %%\rprogress 100 %%\n' >&2
@@ -41,18 +41,22 @@ fn endless_output_is_limited_and_escaped_in_log() {
     let counts = api.json(&format!("/api/v1/runs/{run}"))["counts"].clone();
     assert_eq!(counts["ok"].as_u64(), Some(20), "{counts}");
 
-    let ended = edge.stop();
-    assert_eq!(ended.code(), 0);
-    let printed = |line: &&str| line.contains("line ") && line.contains("of a loop that prints too much");
-    let logged = ended.log.lines().filter(printed).count() as u64;
-    assert!((1..1_000).contains(&logged) && ended.log.len() < 200_000, "{logged} of {PRINTED} lines");
-    let omitted = ended.log.lines().filter_map(|line| {
+    let end = edge.stop();
+    assert_eq!(end.code(), 0);
+    let is_printed_line =
+        |line: &&str| line.contains("line ") && line.contains("of a loop that prints too much");
+    let logged_lines = end.log.lines().filter(is_printed_line).count() as u64;
+    assert!(
+        (1..1_000).contains(&logged_lines) && end.log.len() < 200_000,
+        "{logged_lines} of {PRINTED_LINES} lines"
+    );
+    let omitted = end.log.lines().filter_map(|line| {
         let (count, _) = line.split_once("left out ")?.1.split_once(" lines (")?;
         count.parse::<u64>().ok()
     });
-    assert_eq!(logged + omitted.sum::<u64>(), PRINTED, "{}", ended.log);
-    assert!(!ended.log.contains(|char: char| char.is_control() && char != '\n'), "{:?}", ended.log);
+    assert_eq!(logged_lines + omitted.sum::<u64>(), PRINTED_LINES, "{}", end.log);
+    assert!(!end.log.contains(|char: char| char.is_control() && char != '\n'), "{:?}", end.log);
     for part in [r"\u{1b}[31mred\u{1b}[0m\u{7}\xff", "progress 10 %", "progress 100 %", "PEERNET_LOG="] {
-        assert!(ended.log.contains(part), "{part} is missing in {}", ended.log);
+        assert!(end.log.contains(part), "{part} is missing in {}", end.log);
     }
 }

@@ -2,7 +2,7 @@
 
 use peernet_tests::{Network, TwoHostTestbed};
 
-use super::build;
+use super::build_example;
 
 const MODEL: &str = r#"
 [[model]]
@@ -25,7 +25,7 @@ limit = { total = 42 }
 #[test]
 fn shell_sensor_c_model_shell_actuator_work_together() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
-    build(testbed.folder());
+    build_example(testbed.folder());
     let cloud = testbed.start_cloud(MODEL);
     let edge = testbed.start_edge(&LIGHT.replace("PEER", &testbed.peer()), &[]);
     let api = &testbed.api;
@@ -45,13 +45,13 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
     // Every answer was right. The label is known on the edge and the answer was given on the cloud, so that both
     // crossed the network.
     for name in ["top-1", "top-5"] {
-        let right = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
-        assert_eq!((right["count"].as_u64(), right["mean"].as_f64()), (Some(40), Some(1.0)), "{right}");
+        let figures = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));
+        assert_eq!((figures["count"].as_u64(), figures["mean"].as_f64()), (Some(40), Some(1.0)), "{figures}");
     }
     // Stages that the program reported, and the time for sending the request and the reply.
-    let here = ["sensing", "encode", "upload", "download", "actuation"];
-    let there = ["queue", "inference", "postprocessing", "ipc"];
-    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
+    let edge_stages = ["sensing", "encode", "upload", "download", "actuation"];
+    let cloud_stages = ["queue", "inference", "postprocessing", "ipc"];
+    api.assert_stages_sum_to_total(run, &[&edge_stages[..], &cloud_stages].concat());
     assert_eq!(api.mean(run, "dropped-samples"), 0.0);
 
     let answers = std::fs::read_to_string(testbed.folder().join("answers.txt")).expect("was written");

@@ -6,12 +6,14 @@ use super::modules::Uses;
 
 /// Returns the strongly connected components with more than one module.
 pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
-    let reached: Vec<(&String, BTreeSet<&String>)> =
-        uses.keys().map(|from| (from, reachable(uses, from))).collect();
+    let reachable_modules: Vec<(&String, BTreeSet<&String>)> =
+        uses.keys().map(|start| (start, reachable(uses, start))).collect();
     let mut cycles: Vec<BTreeSet<String>> = Vec::new();
-    for (module, to) in &reached {
-        let back = |other: &&String| reached.iter().any(|(name, to)| name == other && to.contains(module));
-        let cycle: BTreeSet<String> = to.iter().copied().filter(back).cloned().collect();
+    for (module, targets) in &reachable_modules {
+        let leads_back = |other: &&String| {
+            reachable_modules.iter().any(|(name, targets)| name == other && targets.contains(module))
+        };
+        let cycle: BTreeSet<String> = targets.iter().copied().filter(leads_back).cloned().collect();
         if cycle.len() > 1 && !cycles.contains(&cycle) {
             cycles.push(cycle);
         }
@@ -20,15 +22,15 @@ pub(super) fn cycles(uses: &Uses) -> Vec<BTreeSet<String>> {
 }
 
 /// Returns the modules that are reachable from a module; itself only through a cycle.
-fn reachable<'a>(uses: &'a Uses, from: &String) -> BTreeSet<&'a String> {
-    let mut found = BTreeSet::new();
-    let mut next: Vec<&String> = uses[from].keys().collect();
-    while let Some(module) = next.pop() {
-        if found.insert(module) {
-            next.extend(uses[module].keys());
+fn reachable<'a>(uses: &'a Uses, start: &String) -> BTreeSet<&'a String> {
+    let mut modules = BTreeSet::new();
+    let mut pending: Vec<&String> = uses[start].keys().collect();
+    while let Some(module) = pending.pop() {
+        if modules.insert(module) {
+            pending.extend(uses[module].keys());
         }
     }
-    found
+    modules
 }
 
 /// Lists the edges inside a cycle.

@@ -43,7 +43,7 @@ fn every_crate_depends_on_lower_layers_only() {
         .enumerate()
         .flat_map(|(layer, crates)| crates.iter().map(move |name| (*name, layer + 1)))
         .collect();
-    let mut wrong = Vec::new();
+    let mut problems = Vec::new();
     for package in metadata().workspace_packages() {
         let name = package.name.as_str();
         // Crates that only tests use have no layer.
@@ -51,32 +51,37 @@ fn every_crate_depends_on_lower_layers_only() {
             continue;
         }
         let Some(layer) = layer_of.get(name) else {
-            wrong.push(format!("{name} has no layer: give it one here and in ARCHITECTURE.md"));
+            problems.push(format!("{name} has no layer: give it one here and in ARCHITECTURE.md"));
             continue;
         };
-        for dependency in package.dependencies.iter().filter(|d| d.kind == DependencyKind::Normal) {
+        for dependency in
+            package.dependencies.iter().filter(|dependency| dependency.kind == DependencyKind::Normal)
+        {
             if let Some(other) = layer_of.get(dependency.name.as_str())
                 && other >= layer
             {
                 let dependency = &dependency.name;
-                wrong.push(format!("{name} (layer {layer}) depends on {dependency} (layer {other})"));
+                problems.push(format!("{name} (layer {layer}) depends on {dependency} (layer {other})"));
             }
         }
     }
-    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(problems.is_empty(), "{}", problems.join("\n"));
 }
 
 #[test]
 fn top_level_modules_have_no_cycles() {
-    let mut wrong = String::new();
+    let mut problems = String::new();
     for package in metadata().workspace_packages() {
         let is_source = |kind: &TargetKind| matches!(kind, TargetKind::Lib | TargetKind::Bin);
         for target in package.targets.iter().filter(|target| target.kind.iter().any(is_source)) {
             let uses = modules::uses(target.src_path.as_std_path());
             for cycle in cycles::cycles(&uses) {
-                wrong.push_str(&format!("{}: {cycle:?}\n{}", target.name, cycles::explain(&uses, &cycle)));
+                problems.push_str(&format!("{}: {cycle:?}\n{}", target.name, cycles::explain(&uses, &cycle)));
             }
         }
     }
-    assert!(wrong.is_empty(), "cycles of modules; move what both need to a module below them:\n{wrong}");
+    assert!(
+        problems.is_empty(),
+        "cycles of modules; move what both need to a module below them:\n{problems}"
+    );
 }

@@ -26,17 +26,17 @@ struct SourceFile {
 pub(super) fn uses(root: &Path) -> Uses {
     let mut reader = Reader::default();
     reader.read(root, &[], root.parent().expect("in a folder"));
-    let top: BTreeSet<&String> =
+    let top_level_modules: BTreeSet<&String> =
         reader.files.iter().filter(|file| file.module.len() == 1).map(|file| &file.module[0]).collect();
-    let mut uses: Uses = top.iter().map(|name| ((*name).clone(), BTreeMap::new())).collect();
+    let mut uses: Uses = top_level_modules.iter().map(|name| ((*name).clone(), BTreeMap::new())).collect();
     for file in &reader.files {
-        let Some(own) = file.module.first() else { continue };
+        let Some(own_module) = file.module.first() else { continue };
         for name in &file.names {
             let Some(target) = file.resolve(name) else { continue };
             let target = reader.exported.get(&target).unwrap_or(&target);
-            if target != own && top.contains(target) {
-                let of_own = uses.get_mut(own).expect("each module has an entry");
-                of_own.entry(target.clone()).or_insert_with(|| file.path.clone());
+            if target != own_module && top_level_modules.contains(target) {
+                let module_uses = uses.get_mut(own_module).expect("each module has an entry");
+                module_uses.entry(target.clone()).or_insert_with(|| file.path.clone());
             }
         }
     }
@@ -46,22 +46,22 @@ pub(super) fn uses(root: &Path) -> Uses {
 impl SourceFile {
     /// Returns the name directly below the crate's root that a path leads to.
     fn resolve(&self, name: &[String]) -> Option<String> {
-        let mut at = self.module.clone();
+        let mut path = self.module.clone();
         let mut rest = name.iter();
         for segment in rest.by_ref() {
             match segment.as_str() {
-                "crate" => at.clear(),
+                "crate" => path.clear(),
                 "self" => {}
                 "super" => {
-                    at.pop()?;
+                    path.pop()?;
                 }
                 other => {
-                    at.push(other.to_owned());
+                    path.push(other.to_owned());
                     break;
                 }
             }
         }
-        at.into_iter().next()
+        path.into_iter().next()
     }
 }
 
@@ -88,20 +88,20 @@ impl Reader {
             match item {
                 Item::Mod(inner) => {
                     let name = inner.ident.to_string();
-                    let below: Segments = module.iter().cloned().chain([name.clone()]).collect();
+                    let module_path: Segments = module.iter().cloned().chain([name.clone()]).collect();
                     if let Some((_, items)) = &inner.content {
-                        self.items(items, path, &below, &folder.join(&name));
+                        self.items(items, path, &module_path, &folder.join(&name));
                     } else if let Some(file) = path_attribute(&inner.attrs) {
                         let file = path.parent().expect("in a folder").join(file);
-                        self.read(&file, &below, file.parent().expect("in a folder"));
+                        self.read(&file, &module_path, file.parent().expect("in a folder"));
                     } else {
-                        let alone = folder.join(format!("{name}.rs"));
-                        let inside = folder.join(&name);
-                        let file = if alone.is_file() { alone } else { inside.join("mod.rs") };
-                        self.read(&file, &below, &inside);
+                        let file_path = folder.join(format!("{name}.rs"));
+                        let module_folder = folder.join(&name);
+                        let file = if file_path.is_file() { file_path } else { module_folder.join("mod.rs") };
+                        self.read(&file, &module_path, &module_folder);
                     }
                 }
-                Item::Use(used) if module.is_empty() => self.export(used),
+                Item::Use(use_item) if module.is_empty() => self.export(use_item),
                 item => names.visit_item(item),
             }
         }
@@ -110,11 +110,11 @@ impl Reader {
     }
 
     /// Records the names that the root re-exports.
-    fn export(&mut self, used: &ItemUse) {
-        if matches!(used.vis, Visibility::Inherited) {
+    fn export(&mut self, use_item: &ItemUse) {
+        if matches!(use_item.vis, Visibility::Inherited) {
             return;
         }
-        for mut path in leaves(&used.tree) {
+        for mut path in leaves(&use_item.tree) {
             path.retain(|segment| segment != "crate" && segment != "self");
             if let (Some(first), Some(last)) = (path.first(), path.last()) {
                 self.exported.insert(last.clone(), first.clone());
@@ -128,13 +128,13 @@ impl Reader {
 pub(crate) struct Names {
     pub(crate) paths: Vec<Segments>,
     /// Type that `Self` stands for in the current `impl`.
-    this: Option<String>,
+    self_type: Option<String>,
 }
 
 impl Names {
     fn add(&mut self, mut path: Segments) {
-        if let (Some("Self"), Some(this)) = (path.first().map(String::as_str), &self.this) {
-            path[0].clone_from(this);
+        if let (Some("Self"), Some(self_type)) = (path.first().map(String::as_str), &self.self_type) {
+            path[0].clone_from(self_type);
         }
         if path.len() > 1 {
             self.paths.push(path);
@@ -176,17 +176,17 @@ impl<'ast> Visit<'ast> for Names {
     }
 
     fn visit_item_impl(&mut self, item: &'ast ItemImpl) {
-        let this = match &*item.self_ty {
+        let self_type = match &*item.self_ty {
             Type::Path(named) => named.path.segments.last().map(|segment| segment.ident.to_string()),
             _ => None,
         };
-        let outer = std::mem::replace(&mut self.this, this);
+        let outer_type = std::mem::replace(&mut self.self_type, self_type);
         syn::visit::visit_item_impl(self, item);
-        self.this = outer;
+        self.self_type = outer_type;
     }
 
-    fn visit_item_use(&mut self, used: &'ast ItemUse) {
-        for path in leaves(&used.tree) {
+    fn visit_item_use(&mut self, use_item: &'ast ItemUse) {
+        for path in leaves(&use_item.tree) {
             self.add(path);
         }
     }
@@ -196,9 +196,9 @@ impl<'ast> Visit<'ast> for Names {
         syn::visit::visit_path(self, path);
     }
 
-    fn visit_macro(&mut self, called: &'ast syn::Macro) {
-        self.visit_path(&called.path);
-        self.tokens(called.tokens.clone());
+    fn visit_macro(&mut self, macro_call: &'ast syn::Macro) {
+        self.visit_path(&macro_call.path);
+        self.tokens(macro_call.tokens.clone());
     }
 
     fn visit_visibility(&mut self, _visibility: &'ast Visibility) {

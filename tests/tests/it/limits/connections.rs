@@ -9,7 +9,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use super::Peer;
 
 /// Number of connections: more than the daemon's limit of descriptors.
-const SILENT: usize = 1_030;
+const SILENT_CONNECTIONS: usize = 1_030;
 
 #[test]
 fn silent_connections_stop_neither_storing_nor_dashboard() {
@@ -28,34 +28,35 @@ fn silent_connections_stop_neither_storing_nor_dashboard() {
         deployment.start(&format!("{name}.toml"))
     };
     let early = agent("early");
-    let stored = |name: &str| {
+    let stored_events = |name: &str| {
         let (status, text) = api.get("/metrics").filter(|(status, _)| *status == 200)?;
         let line = format!("peernet_host_stored_events_total{{host=\"{name}\"}} ");
         assert_eq!(status, 200);
-        text.lines().find_map(|said| said.strip_prefix(&line)?.parse::<f64>().ok())
+        text.lines().find_map(|output| output.strip_prefix(&line)?.parse::<f64>().ok())
     };
-    let some =
-        |name: &str, than: f64| wait_until("more is stored", || stored(name).filter(|count| *count > than));
-    some("early", 0.0);
+    let wait_for_more = |name: &str, minimum: f64| {
+        wait_until("more is stored", || stored_events(name).filter(|count| *count > minimum))
+    };
+    wait_for_more("early", 0.0);
 
     // Half of the peers complete the greeting of the protocol and send nothing more.
-    let silent = |n: usize| {
-        if n.is_multiple_of(2) {
+    let open_silent_connection = |number: usize| {
+        if number.is_multiple_of(2) {
             Peer::connect(deployment.events)
         } else {
             Peer::connect_with_handshake(deployment.events)
         }
     };
-    let held: Vec<Peer> = (0..SILENT).map(silent).collect();
-    let then = some("early", 0.0);
-    some("early", then + 50.0);
+    let connections: Vec<Peer> = (0..SILENT_CONNECTIONS).map(open_silent_connection).collect();
+    let before = wait_for_more("early", 0.0);
+    wait_for_more("early", before + 50.0);
     // A new agent still gets a connection, and the store can open its files.
     let late = agent("late");
-    some("late", 50.0);
+    wait_for_more("late", 50.0);
     assert_eq!(api.json("/api/v1/runs")["runs"].as_array().map(Vec::len), Some(2));
     let descriptors = std::fs::read_dir(format!("/proc/{}/fd", aggregator.pid())).expect("it runs").count();
     assert!(descriptors < 768, "{descriptors} descriptors");
-    drop(held);
+    drop(connections);
     for process in [early, late, aggregator] {
         assert_eq!(process.stop().code(), 0);
     }
@@ -71,15 +72,15 @@ fn connections_without_hello_are_closed_in_time() {
     let cloud = deployment.start_agent("cloud", tables);
     aggregator.wait_for("ready");
     cloud.wait_for("ready");
-    let mut silent: Vec<Peer> = [deployment.events, deployment.data]
+    let mut connections: Vec<Peer> = [deployment.events, deployment.data]
         .iter()
         .flat_map(|port| (0..50).map(|_| Peer::connect_with_handshake(*port)))
         .collect();
-    wait_until("all are closed", || silent.iter_mut().all(Peer::is_closed).then_some(()));
+    wait_until("all are closed", || connections.iter_mut().all(Peer::is_closed).then_some(()));
     for process in [cloud, aggregator] {
-        let ended = process.stop();
-        assert_eq!(ended.code(), 0);
+        let end = process.stop();
+        assert_eq!(end.code(), 0);
         // The reason is logged once, then as a count.
-        assert_eq!(ended.log.matches("no_hello").count(), 1, "{}", ended.log);
+        assert_eq!(end.log.matches("no_hello").count(), 1, "{}", end.log);
     }
 }

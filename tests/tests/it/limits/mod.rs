@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use peernet_tests::{Process, TEST_TIMEOUT};
 
-/// Peer that completes the handshake of ZMTP 3.1 and then does what the test wants.
+/// Peer that completes the handshake of ZMTP 3.1 and then sends what a test determines.
 struct Peer(TcpStream);
 
 impl Peer {
@@ -47,17 +47,17 @@ impl Peer {
         if self.0.write_all(&header).is_err() {
             return 0;
         }
-        let piece = vec![7; 100_000];
-        let sends = |_: &usize| self.0.write_all(&piece).is_ok();
-        (0..bytes / piece.len()).take_while(sends).count() * piece.len()
+        let chunk = vec![7; 100_000];
+        let is_sent = |_: &usize| self.0.write_all(&chunk).is_ok();
+        (0..bytes / chunk.len()).take_while(is_sent).count() * chunk.len()
     }
 
     /// Returns whether the other side has closed the connection.
     fn is_closed(&mut self) -> bool {
         self.0.set_read_timeout(Some(Duration::from_millis(1))).expect("a socket takes a timeout");
-        let mut scratch = [0; 256];
+        let mut buffer = [0; 256];
         loop {
-            match self.0.read(&mut scratch) {
+            match self.0.read(&mut buffer) {
                 Ok(0) => return true,
                 Ok(_) => {}
                 Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {

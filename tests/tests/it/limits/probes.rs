@@ -8,7 +8,7 @@ const PORT: &str = "8620";
 
 /// Rate of forged probes: low enough for the reflector to process all of them beside other tests, and ten times the
 /// rate of answers.
-const PER_SECOND: u64 = 10_000;
+const FORGED_HZ: u64 = 10_000;
 const SECONDS: u64 = 4;
 
 /// Largest rate of answers to all peers without a session, with a burst of the same number (docs/configuration.md).
@@ -33,38 +33,40 @@ fn probe_counts(testbed: &TwoHostTestbed) -> (u64, u64) {
 #[test]
 fn peers_probes_are_answered_during_forged_flood() {
     let testbed = TwoHostTestbed::new(|_| Network::direct().with_third_host());
-    let (cloud, third) = (testbed.network.cloud(), testbed.network.third());
+    let (cloud, third_host) = (testbed.network.cloud(), testbed.network.third_host());
     // Packets with forged source addresses are accepted, and their answers are sent.
     for interface in ["all", "third"] {
         cloud.run("sysctl", &["-qw", &format!("net.ipv4.conf.{interface}.rp_filter=0")]);
     }
-    cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third.address.to_string()]);
+    cloud.run("ip", &["route", "add", "11.0.0.0/8", "via", &third_host.address.to_string()]);
     let _cloud = testbed.start_cloud("");
     let pipeline = testbed.pipeline("steady", 100, "load = { mode = \"rate\", hz = 20.0 }");
     let _edge =
         testbed.start_edge(&format!("[probes]\nrate_hz = 50.0\nidle_rate_hz = 50.0\n{pipeline}"), &[]);
     wait_until("probes", || (probe_counts(&testbed).0 > 50).then_some(()));
 
-    let (before, out_before) = (probe_counts(&testbed), sent_packets(cloud));
+    let (counts_before, answers_before) = (probe_counts(&testbed), sent_packets(cloud));
     let script = peernet_tests::root().join("tests/tests/it/limits/forged_probes.py");
     let arguments = [
         &script.display().to_string(),
         &testbed.network.cloud_address_for_third_host().to_string(),
         PORT,
-        &PER_SECOND.to_string(),
+        &FORGED_HZ.to_string(),
         &SECONDS.to_string(),
     ];
-    let forged = third.run("python3", &arguments);
-    let forged: u64 = forged.trim().parse().expect("the script prints a number");
-    let out = sent_packets(cloud) - out_before;
+    let forged_probes = third_host.run("python3", &arguments);
+    let forged_probes: u64 = forged_probes.trim().parse().expect("the script prints a number");
+    let answers = sent_packets(cloud) - answers_before;
     // A probe counts as lost after two seconds.
-    let during = before.0 + 50 * SECONDS;
-    wait_until("what became of the probes", || (probe_counts(&testbed).0 > during + 150).then_some(()));
-    let lost = probe_counts(&testbed).1 - before.1;
+    let expected_probes = counts_before.0 + 50 * SECONDS;
+    wait_until("what became of the probes", || {
+        (probe_counts(&testbed).0 > expected_probes + 150).then_some(())
+    });
+    let lost_probes = probe_counts(&testbed).1 - counts_before.1;
 
-    assert!(forged > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged}");
+    assert!(forged_probes > ANSWERED_HZ * (SECONDS + 2) * 2, "too few to tell: {forged_probes}");
     // The answers to the edge's probes are included.
-    let most = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
-    assert!(out <= most, "{out} answers to {forged} forged probes");
-    assert!(lost * 20 <= 50 * SECONDS, "{lost} of the edge's probes were lost");
+    let max_answers = ANSWERED_HZ * (SECONDS + 2) + 100 * SECONDS;
+    assert!(answers <= max_answers, "{answers} answers to {forged_probes} forged probes");
+    assert!(lost_probes * 20 <= 50 * SECONDS, "{lost_probes} of the edge's probes were lost");
 }

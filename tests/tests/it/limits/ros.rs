@@ -6,7 +6,7 @@ use serde_json::Value;
 const ITERATIONS: u64 = 200;
 
 /// Returns a cloud whose memory limit permits one message of a robot, but not two at once.
-fn cloud(system: &Ros1System) -> String {
+fn cloud_tables(system: &Ros1System) -> String {
     format!(
         "[serve]\nlisten = \"ros1://127.0.0.1:{}/cloud\"\n\
          session = {{ max_message_bytes = 4000000, max_unfinished_bytes = 4000000 }}\n\
@@ -29,7 +29,7 @@ fn pipeline(system: &Ros1System, name: &str) -> String {
 fn iterations_without_queue_space_are_lost() {
     let (deployment, system) = (LoopbackDeployment::new(), Ros1System::new());
     let (_aggregator, api) = deployment.start_aggregator();
-    let cloud = system.start_agent(&deployment, "cloud", &cloud(&system));
+    let cloud = system.start_agent(&deployment, "cloud", &cloud_tables(&system));
     cloud.wait_for("ready");
     let robot = system.start_agent(
         &deployment,
@@ -38,8 +38,8 @@ fn iterations_without_queue_space_are_lost() {
     );
     let runs = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
-        let done: Vec<_> = runs.iter().filter(|run| run["reason"] == "finished").cloned().collect();
-        (done.len() == 2).then_some(done)
+        let finished_runs: Vec<_> = runs.iter().filter(|run| run["reason"] == "finished").cloned().collect();
+        (finished_runs.len() == 2).then_some(finished_runs)
     });
     let count =
         |run: &Value, name: &str| run["counts"][name].as_u64().unwrap_or_else(|| panic!("no {name}: {run}"));

@@ -5,13 +5,13 @@ use peernet_tests::LoopbackDeployment;
 const PIPELINES: usize = 16;
 
 /// Returns this number of pipelines that use the cloud.
-fn pipelines(count: usize, more: &str) -> String {
+fn pipeline_tables(count: usize, keys: &str) -> String {
     (0..count)
-        .map(|n| {
+        .map(|number| {
             format!(
-                "[[pipeline]]\nname = \"line-{n}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
+                "[[pipeline]]\nname = \"line-{number}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 64 }}\n\
                  placement = {{ kind = \"remote\", peer = \"tcp://127.0.0.1:{{data}}\", model = \"echo\" }}\n\
-                 load = {{ mode = \"rate\", hz = 2.0 }}\n{more}\n"
+                 load = {{ mode = \"rate\", hz = 2.0 }}\n{keys}\n"
             )
         })
         .collect()
@@ -27,18 +27,18 @@ fn two_greedy_agents_do_not_exclude_a_third() {
     );
     let cloud = deployment.start_agent("cloud", &tables);
     cloud.wait_for("ready");
-    let greedy = ["first", "second"].map(|name| {
-        let agent = deployment.start_agent(name, &pipelines(PIPELINES, ""));
+    let greedy_agents = ["first", "second"].map(|name| {
+        let agent = deployment.start_agent(name, &pipeline_tables(PIPELINES, ""));
         agent.wait_for("half of the sessions that other hosts do not use of the cloud's max_sessions, 16");
         agent
     });
-    let third = deployment.start_agent("third", &pipelines(1, "limit = { iterations = 5 }"));
+    let third_agent = deployment.start_agent("third", &pipeline_tables(1, "limit = { iterations = 5 }"));
     let counts = api.wait_until("/api/v1/runs", |runs| {
         let runs = runs["runs"].as_array()?;
         runs.iter().find(|run| run["reason"] == "finished").map(|run| run["counts"]["ok"].clone())
     });
     assert_eq!(counts, 5);
-    for process in [third].into_iter().chain(greedy).chain([cloud, aggregator]) {
+    for process in [third_agent].into_iter().chain(greedy_agents).chain([cloud, aggregator]) {
         assert_eq!(process.stop().code(), 0);
     }
 }

@@ -12,7 +12,7 @@ const DESCRIPTORS: &str = "--nofile=1024:1024";
 
 /// More connections than the dashboard keeps, from hosts of which none has more than a quarter.
 const SLOW_HOSTS: u8 = 6;
-const OF_EACH: usize = 25;
+const CONNECTIONS_PER_HOST: usize = 25;
 
 /// Returns a connection of 127.0.0.`host` that has requested `path` and reads almost nothing.
 fn send_request(deployment: &LoopbackDeployment, host: u8, path: &str) -> TcpStream {
@@ -42,21 +42,21 @@ fn slow_readers_do_not_block_dashboard() {
 
     for path in ["/api/v1/live?topics=picture", "/api/openapi.json"] {
         let hosts = 2..2 + SLOW_HOSTS;
-        let slow: Vec<TcpStream> = hosts
-            .flat_map(|host| (0..OF_EACH).map(move |_| host))
+        let slow_readers: Vec<TcpStream> = hosts
+            .flat_map(|host| (0..CONNECTIONS_PER_HOST).map(move |_| host))
             .map(|host| send_request(&deployment, host, path))
             .collect();
         let (status, page) = api.get("/").expect("the overview is served");
         assert_eq!(status, 200, "{page}");
         let mut live = send_request(&deployment, 1, "/api/v1/live?topics=picture");
-        let mut heard = [0; 4_096];
-        let length = live.read(&mut heard).expect("the stream begins");
-        let heard = String::from_utf8_lossy(&heard[..length]);
-        assert!(heard.starts_with("HTTP/1.1 200"), "{heard}");
-        drop(slow);
+        let mut buffer = [0; 4_096];
+        let length = live.read(&mut buffer).expect("the stream begins");
+        let answer = String::from_utf8_lossy(&buffer[..length]);
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        drop(slow_readers);
     }
-    let ended = aggregator.stop();
-    assert_eq!(ended.code(), 0);
+    let end = aggregator.stop();
+    assert_eq!(end.code(), 0);
     // The reason is logged once, then as a count.
-    assert_eq!(ended.log.matches("closed a new connection").count(), 1, "{}", ended.log);
+    assert_eq!(end.log.matches("closed a new connection").count(), 1, "{}", end.log);
 }

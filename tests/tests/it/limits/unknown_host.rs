@@ -21,77 +21,85 @@ const PEAK_BYTES: u64 = 512 << 20;
 fn unknown_host_stops_neither_storing_nor_dashboard() {
     let machines = DocumentedCommands::with_third_host();
     install(&machines);
-    let _master = ros_master(&machines);
-    change(&machines, machines.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
-    change(
+    let _master = start_ros_master(&machines);
+    change_configuration(&machines, machines.cloud(), "\"tcp://0.0.0.0:5551\"", ADDRESSES);
+    change_configuration(
         &machines,
         machines.cloud(),
         "[[model]]",
         "[[model]]\nname = \"echo\"\nkind = \"echo\"\n\n[[model]]",
     );
-    change(
+    change_configuration(
         &machines,
         machines.edge(),
         "[[pipeline]]",
         &format!(
             "{}\n{}\n[[pipeline]]",
-            pipeline("datagrams", "udp://10.0.0.2:5552"),
-            pipeline("topics", "ros1://10.0.0.2:11311/cloud")
+            pipeline_table("datagrams", "udp://10.0.0.2:5552"),
+            pipeline_table("topics", "ros1://10.0.0.2:11311/cloud")
         ),
     );
     let (edge, cloud) = (machines.edge(), machines.cloud());
-    let run = |host: &Host, name: &str| machines.run_on(host, &daemon(&machines, host, name));
-    let (aggregator, agent, robot) = (run(cloud, "aggregator"), run(cloud, "agent"), run(edge, "agent"));
+    let start_daemon =
+        |host: &Host, name: &str| machines.run_on(host, &daemon_command(&machines, host, name));
+    let (aggregator, agent, robot) =
+        (start_daemon(cloud, "aggregator"), start_daemon(cloud, "agent"), start_daemon(edge, "agent"));
     aggregator.wait_for("ready");
     agent.wait_for("for its pipeline topics");
-    let before =
-        wait_until("the robot's iterations are stored", || stored(&machines).filter(|events| *events > 20));
+    let before = wait_until("the robot's iterations are stored", || {
+        stored_events(&machines).filter(|events| *events > 20)
+    });
 
-    let attack = attack(&machines);
-    let (began, mut latest) = (Stopwatch::now(), before);
+    let attack = start_attack(&machines);
+    let (stopwatch, mut latest) = (Stopwatch::now(), before);
     // The last query is made during the attack.
-    while began.elapsed().as_secs() < SECONDS - 5 {
+    while stopwatch.elapsed().as_secs() < SECONDS - 5 {
         latest = wait_until("more is stored, and the dashboard says so", || {
-            stored(&machines).filter(|events| *events > latest)
+            stored_events(&machines).filter(|events| *events > latest)
         });
-        assert_eq!(machines.run_on(edge, &curl("/")).wait_for_end().code(), 0, "the overview is not served");
+        assert_eq!(
+            machines.run_on(edge, &curl_command("/")).wait_for_end().code(),
+            0,
+            "the overview is not served"
+        );
     }
-    let ended = attack.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = attack.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     for process in [&aggregator, &agent] {
         let peak = peak_memory(process);
-        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", ended.log);
+        assert!(peak < PEAK_BYTES, "{peak} bytes of memory at the peak: {}", end.log);
     }
 
     assert_eq!(robot.stop().code(), 0);
-    let account = wait_until("all is stored", || {
-        account(&machines).filter(|host| host["now"]["events"]["waiting"] == 0)
+    let robot_state = wait_until("all is stored", || {
+        request_robot_state(&machines).filter(|host| host["now"]["events"]["waiting"] == 0)
     });
-    let events = &account["now"]["events"];
-    assert_eq!(events["dropped"], 0, "{account}");
-    assert_eq!(account["stored"]["missing"], 0, "{account}");
-    let runs = json(&machines, "/api/v1/runs").expect("the dashboard answers");
-    let counts = |pipeline: &str| {
+    let events = &robot_state["now"]["events"];
+    assert_eq!(events["dropped"], 0, "{robot_state}");
+    assert_eq!(robot_state["stored"]["missing"], 0, "{robot_state}");
+    let runs = request_json(&machines, "/api/v1/runs").expect("the dashboard answers");
+    let counts_of = |pipeline: &str| {
         let runs = runs["runs"].as_array().expect("a list");
         let run = runs.iter().find(|run| run["pipeline"] == pipeline);
         &run.unwrap_or_else(|| panic!("no run of {pipeline}: {runs:?}"))["counts"]
     };
     for pipeline in ["inspection", "topics"] {
-        let counts = counts(pipeline);
+        let counts = counts_of(pipeline);
         assert_eq!((&counts["lost"], &counts["timeout"]), (&0.into(), &0.into()), "{pipeline}: {counts}");
     }
-    assert!(counts("topics")["ok"].as_u64().is_some_and(|answered| answered > 150), "{runs}");
+    assert!(counts_of("topics")["ok"].as_u64().is_some_and(|answered| answered > 150), "{runs}");
     // The attack may cause lost datagrams, but most must arrive.
-    let over_udp = counts("datagrams");
-    let of = |name: &str| over_udp[name].as_u64().unwrap_or_else(|| panic!("no {name}: {over_udp}"));
-    let others = of("failed") + of("lost") + of("timeout");
-    assert!(of("ok") > 150 && of("ok") > 9 * others, "{over_udp}");
+    let datagram_counts = counts_of("datagrams");
+    let count =
+        |name: &str| datagram_counts[name].as_u64().unwrap_or_else(|| panic!("no {name}: {datagram_counts}"));
+    let unanswered = count("failed") + count("lost") + count("timeout");
+    assert!(count("ok") > 150 && count("ok") > 9 * unanswered, "{datagram_counts}");
     assert_eq!(agent.stop().code(), 0);
     assert_eq!(aggregator.stop().code(), 0);
 }
 
 /// Returns an additional pipeline, whose samples take several datagrams each.
-fn pipeline(name: &str, peer: &str) -> String {
+fn pipeline_table(name: &str, peer: &str) -> String {
     format!(
         "[[pipeline]]\nname = \"{name}\"\nsensor = {{ kind = \"synthetic\", size_bytes = 100000 }}\n\
          placement = {{ kind = \"remote\", peer = \"{peer}\", model = \"echo\" }}\n\
@@ -103,7 +111,7 @@ fn pipeline(name: &str, peer: &str) -> String {
 const ADDRESSES: &str = r#"["tcp://0.0.0.0:5551", "udp://0.0.0.0:5552", "ros1://10.0.0.2:11311/cloud"]"#;
 
 /// Changes the configuration of a machine's agent.
-fn change(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
+fn change_configuration(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
     let file = machines.root_of(host).join("etc/peernet/agent.toml");
     let text = std::fs::read_to_string(&file).expect("it is installed");
     assert!(text.contains(from), "nothing to change: {text}");
@@ -111,7 +119,7 @@ fn change(machines: &DocumentedCommands, host: &Host, from: &str, to: &str) {
 }
 
 /// Starts a ROS master on the cloud.
-fn ros_master(machines: &DocumentedCommands) -> Process {
+fn start_ros_master(machines: &DocumentedCommands) -> Process {
     let line = format!("env ROS_HOME={} rosmaster --core -p 11311", machines.folder().display());
     let master = machines.run_on(machines.cloud(), &line);
     wait_until("the ROS master", || {
@@ -120,12 +128,12 @@ fn ros_master(machines: &DocumentedCommands) -> Process {
     master
 }
 
-fn daemon(machines: &DocumentedCommands, host: &Host, name: &str) -> String {
+fn daemon_command(machines: &DocumentedCommands, host: &Host, name: &str) -> String {
     let address = if host.address == machines.cloud().address { "10.0.0.2" } else { "10.0.0.1" };
     format!("env ROS_IP={address} peernetd run {}/etc/peernet/{name}.toml", machines.root_of(host).display())
 }
 
-fn attack(machines: &DocumentedCommands) -> Process {
+fn start_attack(machines: &DocumentedCommands) -> Process {
     let program = root().join("tests/bench/peers/attack.py");
     let ports = "--events 5550 --data 5551 --udp-data 5552 --http 8040 --probes 8620 --ros-master 11311";
     let line = format!(
@@ -134,25 +142,25 @@ fn attack(machines: &DocumentedCommands) -> Process {
         machines.network().cloud_address_for_third_host()
     );
     let arguments: Vec<&str> = line.split(' ').collect();
-    machines.network().third().start(Path::new("python3"), &arguments, machines.folder(), &[])
+    machines.network().third_host().start(Path::new("python3"), &arguments, machines.folder(), &[])
 }
 
-fn curl(path: &str) -> String {
+fn curl_command(path: &str) -> String {
     format!("curl --silent --fail --max-time 10 http://{}:8040{path}", DocumentedCommands::CLOUD)
 }
 
 /// Requests a document from the robot's host.
-fn json(machines: &DocumentedCommands, path: &str) -> Option<Value> {
-    let ended = machines.run_on(machines.edge(), &curl(path)).wait_for_end();
-    assert_eq!(ended.code(), 0, "{path} is not served: {}", ended.log);
-    serde_json::from_str(&ended.log).ok()
+fn request_json(machines: &DocumentedCommands, path: &str) -> Option<Value> {
+    let end = machines.run_on(machines.edge(), &curl_command(path)).wait_for_end();
+    assert_eq!(end.code(), 0, "{path} is not served: {}", end.log);
+    serde_json::from_str(&end.log).ok()
 }
 
-fn account(machines: &DocumentedCommands) -> Option<Value> {
-    json(machines, "/api/v1/hosts")
+fn request_robot_state(machines: &DocumentedCommands) -> Option<Value> {
+    request_json(machines, "/api/v1/hosts")
         .and_then(|hosts| hosts["hosts"].as_array()?.iter().find(|host| host["name"] == "robot").cloned())
 }
 
-fn stored(machines: &DocumentedCommands) -> Option<u64> {
-    account(machines)?["stored"]["events"].as_u64()
+fn stored_events(machines: &DocumentedCommands) -> Option<u64> {
+    request_robot_state(machines)?["stored"]["events"].as_u64()
 }

@@ -5,15 +5,15 @@ use std::process::{Command, Output};
 use peernet_tests::{onnxruntime, program, root};
 use serde_json::Value;
 
-use super::{NAME, exported};
+use super::{NAME, exported_model};
 
 /// Runs `peernet models` in the root of the checkout, where `models/` is.
-fn models(arguments: &[&str]) -> Output {
+fn run_models_command(arguments: &[&str]) -> Output {
     let mut command = Command::new(program("peernet"));
     command
         .current_dir(root())
         .env("ORT_DYLIB_PATH", onnxruntime())
-        .env("PEERNET_MODELS", &exported().models);
+        .env("PEERNET_MODELS", &exported_model().models);
     command.arg("models").args(arguments).output().expect("can be started")
 }
 
@@ -28,40 +28,40 @@ fn json(output: &Output) -> Value {
 
 #[test]
 fn all_folders_are_listed() {
-    let table = stdout_of_success(&models(&["list"]));
-    let line = |name: &str| {
+    let table = stdout_of_success(&run_models_command(&["list"]));
+    let line_of = |name: &str| {
         table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("{table}")).to_owned()
     };
-    assert!(line(NAME).contains("classification") && line(NAME).contains("random-3"), "{table}");
-    assert!(line("quality-control").contains("models/quality-control"), "{table}");
-    let listed = json(&models(&["list", "--json"]));
+    assert!(line_of(NAME).contains("classification") && line_of(NAME).contains("random-3"), "{table}");
+    assert!(line_of("quality-control").contains("models/quality-control"), "{table}");
+    let models = json(&run_models_command(&["list", "--json"]));
     let names: Vec<&str> =
-        listed.as_array().expect("a list").iter().filter_map(|model| model["model"].as_str()).collect();
+        models.as_array().expect("a list").iter().filter_map(|model| model["model"].as_str()).collect();
     assert_eq!(names[0], NAME, "the folder of the variable comes before models/");
 }
 
 #[test]
 fn model_list_shows_hash_of_file() {
     let file = root().join("models/quality-control/model.onnx");
-    let sum = Command::new("sha256sum").arg(file).output().expect("is installed");
-    let sum = String::from_utf8(sum.stdout).expect("is text");
-    let hash = sum.split_whitespace().next().expect("a hash");
-    assert!(stdout_of_success(&models(&["show", "quality-control"])).contains(hash));
-    let shown = json(&models(&["show", "models/quality-control", "--json"]));
-    assert_eq!((shown["sha256"].as_str(), shown["card"]["version"].as_str()), (Some(hash), Some("1")));
+    let checksum = Command::new("sha256sum").arg(file).output().expect("is installed");
+    let checksum = String::from_utf8(checksum.stdout).expect("is text");
+    let hash = checksum.split_whitespace().next().expect("a hash");
+    assert!(stdout_of_success(&run_models_command(&["show", "quality-control"])).contains(hash));
+    let model = json(&run_models_command(&["show", "models/quality-control", "--json"]));
+    assert_eq!((model["sha256"].as_str(), model["card"]["version"].as_str()), (Some(hash), Some("1")));
 }
 
 #[test]
 fn model_check_uses_its_pictures_or_zeros() {
-    let checked = stdout_of_success(&models(&["check", "quality-control"]));
-    assert!(checked.contains("run on zeros") && checked.contains("of 30 labels right"), "{checked}");
-    let checked = stdout_of_success(&models(&["check", NAME]));
-    assert!(checked.contains("no test pictures"), "{checked}");
+    let output = stdout_of_success(&run_models_command(&["check", "quality-control"]));
+    assert!(output.contains("run on zeros") && output.contains("of 30 labels right"), "{output}");
+    let output = stdout_of_success(&run_models_command(&["check", NAME]));
+    assert!(output.contains("no test pictures"), "{output}");
 }
 
 #[test]
 fn bench_prints_each_stage_of_a_model() {
-    let measured = json(&models(&[
+    let measurement = json(&run_models_command(&[
         "bench",
         "quality-control",
         "--iterations",
@@ -72,18 +72,20 @@ fn bench_prints_each_stage_of_a_model() {
         "--quiet",
     ]));
     for stage in ["preprocessing", "inference", "postprocessing", "all"] {
-        let figures = &measured["seconds"][stage];
-        assert_eq!(figures["count"], 60, "{measured}");
+        let figures = &measurement["seconds"][stage];
+        assert_eq!(figures["count"], 60, "{measurement}");
         let [p50, p95] = ["p50", "p95"].map(|key| figures[key].as_f64().expect("enough samples"));
         assert!(p50 > 0.0 && p95 >= p50, "{figures}");
         assert!(figures["p99"].is_null(), "60 samples are too few for it");
     }
-    assert!(measured["memory_bytes"]["with_model"].as_u64() > measured["memory_bytes"]["before"].as_u64());
+    assert!(
+        measurement["memory_bytes"]["with_model"].as_u64() > measurement["memory_bytes"]["before"].as_u64()
+    );
 }
 
 #[test]
 fn impossible_model_commands_fail_with_exit_code() {
-    for (arguments, code, told) in [
+    for (arguments, code, message) in [
         (
             &["show", "efficientnet_v2_xl"] as &[&str],
             66,
@@ -95,10 +97,10 @@ fn impossible_model_commands_fail_with_exit_code() {
         (&["check", "quality-control", "--pictures", "/nowhere.jpg"], 66, "/nowhere.jpg"),
         (&["bench", "quality-control", "--iterations", "0"], 64, "--iterations"),
     ] {
-        let output = models(arguments);
+        let output = run_models_command(arguments);
         let error = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {error}");
-        assert!(error.contains(told), "{arguments:?}: {error}");
+        assert!(error.contains(message), "{arguments:?}: {error}");
     }
 }
 

@@ -12,7 +12,7 @@ use serde::Deserialize;
 
 /// Picture with torchvision's output.
 #[derive(Debug, Deserialize)]
-struct Reference {
+struct ReferenceAnswer {
     file: PathBuf,
     width: u32,
     height: u32,
@@ -23,33 +23,33 @@ struct Reference {
 
 /// EfficientNetV2-S with random weights in a folder of models, and its answers.
 #[derive(Debug)]
-struct Exported {
+struct ExportedModel {
     models: PathBuf,
-    answers: Vec<Reference>,
+    answers: Vec<ReferenceAnswer>,
 }
 
 const NAME: &str = "efficientnet_v2_s";
 
 /// Exports the model once for all tests, which takes some seconds.
-fn exported() -> &'static Exported {
-    static EXPORTED: OnceLock<Exported> = OnceLock::new();
+fn exported_model() -> &'static ExportedModel {
+    static EXPORTED: OnceLock<ExportedModel> = OnceLock::new();
     EXPORTED.get_or_init(|| {
-        let models = fresh_folder();
+        let models = create_process_folder();
         let pictures = ["part-0001.jpg", "part-0028.jpg"];
         let pictures = pictures.map(|name| root().join("models/quality-control/pictures").join(name));
         let script = root().join("tests/tests/it/models/reference.py");
         let output = Command::new(python()).arg(script).arg(&models).args(pictures).output();
         let output = output.expect("deploy/install-tools.sh installs Python");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {said}");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "deploy/install-tools.sh installs what is missing: {errors}");
         let answers = std::fs::read(models.join("answers.json")).expect("the script wrote it");
-        Exported { models, answers: serde_json::from_slice(&answers).expect("the promised keys") }
+        ExportedModel { models, answers: serde_json::from_slice(&answers).expect("the promised keys") }
     })
 }
 
 /// Returns the folder with that model, for tests of other features.
 pub(crate) fn exported_models() -> &'static Path {
-    &exported().models
+    &exported_model().models
 }
 
 /// Returns the system's Python, because other interpreters do not find Debian's packages.
@@ -58,7 +58,7 @@ fn python() -> PathBuf {
 }
 
 /// Returns a folder for this process, and removes those of ended processes.
-fn fresh_folder() -> PathBuf {
+fn create_process_folder() -> PathBuf {
     let parent = Path::new(env!("CARGO_TARGET_TMPDIR"));
     for entry in std::fs::read_dir(parent).expect("cargo makes it") {
         let entry = entry.expect("is readable");

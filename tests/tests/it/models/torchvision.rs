@@ -10,7 +10,7 @@ use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, MediaType, PixelFormat, Sample};
 use serde_json::Value;
 
-use super::{NAME, Reference, exported};
+use super::{NAME, ReferenceAnswer, exported_model};
 
 /// Largest difference from torchvision's numbers, as a share of the largest number.
 ///
@@ -23,14 +23,14 @@ const TOLERANCE: f64 = 0.01;
 
 #[test]
 fn exported_model_answers_like_torchvision() {
-    let pool = pool(&[]);
-    for reference in &exported().answers {
+    let pool = load_model(&[]);
+    for reference in &exported_model().answers {
         for (form, sample) in [("JPEG", jpeg(reference)), ("pixels", pixels(reference))] {
-            let ours = logits(&pool, sample);
-            let difference = difference(&reference.logits, &ours);
+            let answer = logits(&pool, sample);
+            let difference = difference(&reference.logits, &answer);
             assert!(difference < TOLERANCE, "{} as {form}: {difference}", reference.file.display());
             assert_eq!(
-                top_five_classes(&ours),
+                top_five_classes(&answer),
                 top_five_classes(&reference.logits),
                 "{} as {form}",
                 reference.file.display()
@@ -42,24 +42,25 @@ fn exported_model_answers_like_torchvision() {
 /// This shows that the previous test can fail: random weights must not give the same answer to every input.
 #[test]
 fn card_mistakes_exceed_the_answer_tolerance() {
-    let [reference, other] = &*exported().answers else { panic!("two pictures") };
-    assert!(difference(&reference.logits, &other.logits) > 10.0 * TOLERANCE, "another picture");
+    let [reference, other_reference] = &*exported_model().answers else { panic!("two pictures") };
+    assert!(difference(&reference.logits, &other_reference.logits) > 10.0 * TOLERANCE, "another picture");
     for change in [
         ("preprocessing.resize.filter", "bicubic"),
         ("preprocessing.resize.filter", "nearest"),
         ("preprocessing.resize.antialias", "false"),
         ("input.colour", "bgr"),
     ] {
-        let wrong = difference(&reference.logits, &logits(&pool(&[change]), jpeg(reference)));
-        assert!(wrong > 5.0 * TOLERANCE, "{change:?}: {wrong}");
+        let difference_with_mistake =
+            difference(&reference.logits, &logits(&load_model(&[change]), jpeg(reference)));
+        assert!(difference_with_mistake > 5.0 * TOLERANCE, "{change:?}: {difference_with_mistake}");
     }
 }
 
 #[test]
 fn card_matches_exported_weights() {
-    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
-    let hash = found.hash().expect("is read");
-    let card = found.card.expect("is right");
+    let exported = ModelFolders::new([exported_model().models.clone()]).find(NAME).expect("was exported");
+    let hash = exported.hash().expect("is read");
+    let card = exported.card.expect("is right");
     assert_eq!((card.labels.len(), card.labels[0].as_str()), (1000, "tench"));
     assert_eq!((card.version.as_str(), card.input.as_str()), ("random-3", "1 × 3 × 384 × 384 float32 nchw"));
     assert!(
@@ -78,12 +79,12 @@ fn top_five_classes(logits: &[f64]) -> Vec<usize> {
 
 /// Loads the exported model with a card that lists all numbers of the output unchanged, and in which these keys are
 /// replaced.
-fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
-    let found = ModelFolders::new([exported().models.clone()]).find(NAME).expect("was exported");
+fn load_model(changes: &[(&str, &str)]) -> Arc<Pool> {
+    let exported = ModelFolders::new([exported_model().models.clone()]).find(NAME).expect("was exported");
     let models = tempfile::tempdir().expect("a folder");
     let folder = models.path().join(NAME);
     std::fs::create_dir(&folder).expect("made");
-    let card = std::fs::read_to_string(found.folder.join("model.toml")).expect("is there");
+    let card = std::fs::read_to_string(exported.folder.join("model.toml")).expect("is there");
     let mut card: toml::Table = card.parse().expect("is TOML");
     let output = card["output"].as_table_mut().expect("is a table");
     output.insert("activation".to_owned(), "none".into());
@@ -99,7 +100,8 @@ fn pool(changes: &[(&str, &str)]) -> Arc<Pool> {
         table.insert(key.to_owned(), value);
     }
     std::fs::write(folder.join("model.toml"), card.to_string()).expect("written");
-    std::os::unix::fs::symlink(found.folder.join("model.onnx"), folder.join("model.onnx")).expect("linked");
+    std::os::unix::fs::symlink(exported.folder.join("model.onnx"), folder.join("model.onnx"))
+        .expect("linked");
     let model = ModelFolders::new([models.path().to_owned()]).find(NAME).expect("is complete");
     let bank = Bank::new(vec![model.configuration("cpu")], OnnxRuntimeConfig::default(), clock());
     bank.load(&model.name, None).unwrap_or_else(|error| panic!("{error}"))
@@ -115,21 +117,21 @@ fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let answer = receiver.recv().expect("is answered").result.unwrap_or_else(|error| panic!("{error}"));
     let answer: Value = serde_json::from_slice(&answer.parts[0].bytes).expect("is JSON");
     let mut numbers = vec![f64::NAN; 1000];
-    for ranked in answer["top"].as_array().expect("is a list") {
+    for class_score in answer["top"].as_array().expect("is a list") {
         let class: usize =
-            ranked["label"].as_str().and_then(|label| label.parse().ok()).expect("is a number");
-        numbers[class] = ranked["score"].as_f64().expect("is a number");
+            class_score["label"].as_str().and_then(|label| label.parse().ok()).expect("is a number");
+        numbers[class] = class_score["score"].as_f64().expect("is a number");
     }
     assert!(numbers.iter().all(|number| number.is_finite()), "every class has its number");
     numbers
 }
 
-fn jpeg(reference: &Reference) -> Sample {
+fn jpeg(reference: &ReferenceAnswer) -> Sample {
     let bytes = std::fs::read(&reference.file).expect("is committed");
     Sample::from_part(Description::unshaped(MediaType::Jpeg), bytes.into())
 }
 
-fn pixels(reference: &Reference) -> Sample {
+fn pixels(reference: &ReferenceAnswer) -> Sample {
     let bytes = std::fs::read(&reference.pixels).expect("the script wrote them");
     Sample::from_part(Description::pixels(PixelFormat::Rgb8, reference.width, reference.height), bytes.into())
 }

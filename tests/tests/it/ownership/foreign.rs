@@ -14,7 +14,7 @@ use peernet_tests::{
     Fleet, InventedHost, MisbehavingPeer, StoredEvents, TestRng, record_figures, wait_until, wall,
 };
 
-use super::measuring;
+use super::start_fleet;
 
 fn run_started(run: RunId) -> Event {
     Event::RunStarted(RunDescription {
@@ -83,41 +83,41 @@ fn clock(peer: HostId) -> Event {
 #[test]
 fn foreign_reports_leave_run_unchanged() {
     let mut rng = TestRng::new("foreign reports");
-    let mut fleet = measuring("");
+    let mut fleet = start_fleet("");
     let row = query_database(
         fleet.database(),
         "SELECT run.uuid || ' ' || host.uuid FROM run JOIN pipeline ON pipeline.id = run.pipeline JOIN host ON host.id = pipeline.host",
     );
-    let (run, victim) = row.trim().split_once(' ').expect("one run");
-    let (run, victim): (RunId, HostId) = (run.parse().expect("an id"), victim.parse().expect("an id"));
+    let (run, robot) = row.trim().split_once(' ').expect("one run");
+    let (run, robot): (RunId, HostId) = (run.parse().expect("an id"), robot.parse().expect("an id"));
     let missing = |fleet: &peernet_tests::Fleet| fleet.api.json("/api/v1/runs/1")["gaps"].clone();
     let before = (missing(&fleet), fleet.api.json("/api/v1/runs/1")["reason"].clone());
 
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
-    let own = host.hello.host.id;
+    let own_id = host.hello.host.id;
     // Each kind of event is sent alone, and then all together; afterwards the robot sends real events.
-    let kinds = [
+    let events = [
         gap(run),
-        incident(run, victim),
-        iteration(run, 7, own),
+        incident(run, robot),
+        iteration(run, 7, own_id),
         Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() }),
         run_started(run),
-        clock(victim),
+        clock(robot),
     ];
     let mut batches = 0;
-    for event in &kinds {
+    for event in &events {
         let batch = host.batch_with(std::slice::from_ref(event));
         misbehaving_peer.send(&batch);
         batches += 1;
         misbehaving_peer.wait_for_ack(batches);
     }
-    let all = host.batch_with(&kinds[..2]);
-    misbehaving_peer.send(&all);
+    let batch = host.batch_with(&events[..2]);
+    misbehaving_peer.send(&batch);
     misbehaving_peer.wait_for_ack(batches + 1);
     // An event that claims to be the robot's own is quarantined.
-    let forged = host.batch_with(&[iteration(run, 8, victim)]);
+    let forged = host.batch_with(&[iteration(run, 8, robot)]);
     misbehaving_peer.send(&forged);
     misbehaving_peer.wait_for_ack(batches + 2);
 
@@ -126,17 +126,17 @@ fn foreign_reports_leave_run_unchanged() {
     assert!(!trust.contains("123,456") && !trust.contains("never reached the store"), "{trust}");
     let incidents = fleet.api.json("/api/v1/incidents");
     let incidents = incidents["incidents"].as_array().expect("a list").clone();
-    let foreign = |incident: &&serde_json::Value| {
+    let is_from_stranger = |incident: &&serde_json::Value| {
         incident["host_name"] == "stranger" || incident["host"]["name"] == "stranger"
     };
     assert!(
         incidents.iter().any(|incident| incident.to_string().contains("belong to other hosts")),
         "{incidents:?}"
     );
-    assert!(incidents.iter().filter(foreign).all(|incident| incident["run"] != 1), "{incidents:?}");
+    assert!(incidents.iter().filter(is_from_stranger).all(|incident| incident["run"] != 1), "{incidents:?}");
 
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
+    let before = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > before.events + 20);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = stop(&mut fleet);
@@ -150,7 +150,7 @@ fn foreign_reports_leave_run_unchanged() {
     assert!(stored.is_contiguous() && stored.missing == 0, "{stored:?}");
     record_figures(
         "foreign reports",
-        &[("kinds of events", kinds.len().to_string()), ("that changed the run", "0".into())],
+        &[("kinds of events", events.len().to_string()), ("that changed the run", "0".into())],
     );
 }
 
@@ -158,24 +158,32 @@ fn foreign_reports_leave_run_unchanged() {
 fn run_id_claimed_early_still_belongs_to_host() {
     let mut rng = TestRng::new("claimed runs");
     let mut fleet = peernet_tests::Fleet::new(&[], "");
-    let (one, other) = (
+    let (first_peer, second_peer) = (
         MisbehavingPeer::connect(fleet.deployment.events),
         MisbehavingPeer::connect(fleet.deployment.events),
     );
     let (mut thief, mut robot) = (InventedHost::new("thief", &mut rng), InventedHost::new("robot", &mut rng));
     let run = RunId::random();
-    thief.open_session(&one);
-    one.send(&thief.batch_with(&[gap(run), run_started(run), iteration(run, 1, thief.hello.host.id)]));
-    one.wait_for_ack(1);
-    robot.open_session(&other);
-    let own = robot.hello.host.id;
-    other.send(&robot.batch_with(&[run_started(run), iteration(run, 1, own), iteration(run, 2, own)]));
-    other.wait_for_ack(1);
-    one.send(&thief.batch_with(&[Event::RunEnded(RunEnded { run, ended: wall(), reason: "taken".into() })]));
-    one.wait_for_ack(2);
+    thief.open_session(&first_peer);
+    first_peer.send(&thief.batch_with(&[gap(run), run_started(run), iteration(run, 1, thief.hello.host.id)]));
+    first_peer.wait_for_ack(1);
+    robot.open_session(&second_peer);
+    let own_id = robot.hello.host.id;
+    second_peer.send(&robot.batch_with(&[
+        run_started(run),
+        iteration(run, 1, own_id),
+        iteration(run, 2, own_id),
+    ]));
+    second_peer.wait_for_ack(1);
+    first_peer.send(&thief.batch_with(&[Event::RunEnded(RunEnded {
+        run,
+        ended: wall(),
+        reason: "taken".into(),
+    })]));
+    first_peer.wait_for_ack(2);
 
     // The live lane of each host shows its own run.
-    for (misbehaving_peer, host) in [(&one, &thief), (&other, &robot)] {
+    for (misbehaving_peer, host) in [(&first_peer, &thief), (&second_peer, &robot)] {
         misbehaving_peer.send_message(&ToAggregator::Live(LiveUpdate {
             host: host.hello.host.id,
             sent: wall(),
@@ -198,8 +206,11 @@ fn run_id_claimed_early_still_belongs_to_host() {
         let numbers: Vec<i64> = list["pipelines"]
             .as_array()?
             .iter()
-            .filter_map(|it| {
-                it["run"]["number"].as_i64().or(it["run_number"].as_i64()).or(it["run"].as_i64())
+            .filter_map(|pipeline| {
+                pipeline["run"]["number"]
+                    .as_i64()
+                    .or(pipeline["run_number"].as_i64())
+                    .or(pipeline["run"].as_i64())
             })
             .collect();
         (numbers.len() == 2).then_some(numbers)
@@ -207,8 +218,8 @@ fn run_id_claimed_early_still_belongs_to_host() {
     assert_ne!(numbers[0], numbers[1]);
 
     let stored_events = stop(&mut fleet);
-    let of = |host: &str| stored_events.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
-    let (thief, robot) = (of("thief"), of("robot"));
+    let runs_of = |host: &str| stored_events.runs.values().filter(|run| run.host == host).collect::<Vec<_>>();
+    let (thief, robot) = (runs_of("thief"), runs_of("robot"));
     assert_eq!((thief.len(), robot.len()), (1, 1), "{stored_events:?}");
     assert_eq!((robot[0].ranges.as_slice(), robot[0].missing), (&[1..=2][..], 0));
     assert_ne!(robot[0].reason, "taken");

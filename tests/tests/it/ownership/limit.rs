@@ -4,7 +4,7 @@ use peernet_stream::ToAggregator;
 use peernet_tests::truth::query_database;
 use peernet_tests::{InventedHost, MisbehavingPeer, TestRng, record_figures, thousands, wait_until};
 
-use super::measuring;
+use super::start_fleet;
 
 /// Largest number of stored hosts.
 const MAX_HOSTS: usize = 50;
@@ -12,22 +12,22 @@ const MAX_HOSTS: usize = 50;
 #[test]
 fn invented_hosts_leave_pages_and_metrics_bounded() {
     let mut rng = TestRng::new("invented hosts");
-    let mut fleet = measuring(&format!("max_hosts = {MAX_HOSTS}"));
+    let mut fleet = start_fleet(&format!("max_hosts = {MAX_HOSTS}"));
     let bytes = |path: &str| fleet.api.get(path).expect("answers").1.len();
     let before = (bytes("/metrics"), bytes("/api/v1/hosts"));
     // Some hosts only say hello, on many connections, and some prove their id.
-    let crowd: Vec<MisbehavingPeer> =
+    let peers: Vec<MisbehavingPeer> =
         (0..320).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
-    for misbehaving_peer in &crowd {
+    for misbehaving_peer in &peers {
         for _ in 0..62 {
             let name = format!("invented-{}", rng.below(1 << 30));
             misbehaving_peer.send_message(&ToAggregator::Hello(InventedHost::new(&name, &mut rng).hello));
         }
     }
     let (mut proven, mut newest) = (0, String::new());
-    for (n, misbehaving_peer) in (0..).zip(&crowd[..10]) {
-        for m in 0..20 {
-            newest = format!("proven-{n}-{m}");
+    for (peer_number, misbehaving_peer) in (0..).zip(&peers[..10]) {
+        for host_number in 0..20 {
+            newest = format!("proven-{peer_number}-{host_number}");
             InventedHost::new(&newest, &mut rng).open_session(misbehaving_peer);
             proven += 1;
         }
@@ -46,13 +46,13 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
         "0"
     );
     assert_eq!(query_database(fleet.database(), "SELECT count(*) FROM host_secret").trim(), "1");
-    drop(crowd);
+    drop(peers);
     wait_until("they are forgotten", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (hosts["hosts"].as_array()?.len() == 1).then_some(())
     });
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "the robot goes on", |counts| counts.events > seen.events + 20);
+    let before_counts = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "the robot goes on", |counts| counts.events > before_counts.events + 20);
     fleet.stop();
     record_figures(
         "invented hosts",
@@ -68,15 +68,15 @@ fn invented_hosts_leave_pages_and_metrics_bounded() {
 #[test]
 fn host_limit_refuses_new_hosts_only() {
     let mut rng = TestRng::new("too many hosts");
-    let mut fleet = measuring("max_hosts = 2");
+    let mut fleet = start_fleet("max_hosts = 2");
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut second = InventedHost::new("second", &mut rng);
     second.open_session(&misbehaving_peer);
     misbehaving_peer.send(&second.batch(1));
     misbehaving_peer.wait_for_ack(1);
     let third = InventedHost::new("third", &mut rng);
-    let words = third.expect_refusal(&misbehaving_peer);
-    assert!(words.contains("max_hosts"), "{words}");
+    let reason = third.expect_refusal(&misbehaving_peer);
+    assert!(reason.contains("max_hosts"), "{reason}");
     fleet.agents[0].stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");

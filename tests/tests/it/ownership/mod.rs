@@ -8,9 +8,9 @@ use peernet_tests::Fleet;
 use peernet_tests::fleet::{echo, edge, rate};
 
 /// Starts a fleet with one agent that measures.
-fn measuring(keys: &str) -> Fleet {
+fn start_fleet(keys: &str) -> Fleet {
     let mut fleet = Fleet::with_aggregator_keys(keys, &["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 20);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 20);
     fleet
 }

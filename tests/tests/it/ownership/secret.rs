@@ -7,14 +7,14 @@ use peernet_stream::{ToAgent, ToAggregator};
 use peernet_tests::truth::query_database;
 use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, wait_until};
 
-use super::measuring;
+use super::start_fleet;
 
-fn state(fleet: &Fleet) -> PathBuf {
+fn state_folder(fleet: &Fleet) -> PathBuf {
     fleet.deployment.folder().join("edge")
 }
 
-fn secret(fleet: &Fleet) -> String {
-    std::fs::read_to_string(state(fleet).join("host-secret"))
+fn read_secret(fleet: &Fleet) -> String {
+    std::fs::read_to_string(state_folder(fleet).join("host-secret"))
         .expect("made at the first start")
         .trim()
         .to_owned()
@@ -22,7 +22,7 @@ fn secret(fleet: &Fleet) -> String {
 
 /// Returns a host that claims to be the robot, without its secret.
 fn host_without_secret(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
-    let id = std::fs::read_to_string(state(fleet).join("host-id")).expect("made at the first start");
+    let id = std::fs::read_to_string(state_folder(fleet).join("host-id")).expect("made at the first start");
     let mut impostor = InventedHost::new("edge", rng);
     impostor.hello.host.id = id.trim().parse::<HostId>().expect("an id");
     impostor
@@ -30,18 +30,18 @@ fn host_without_secret(fleet: &Fleet, rng: &mut TestRng) -> InventedHost {
 
 /// Runs `peernetd clear-host-secret` for the robot while the aggregator runs.
 fn clear_host_secret(fleet: &Fleet) -> String {
-    let ended = fleet
+    let end = fleet
         .deployment
         .peernetd(&["clear-host-secret", "--config", "aggregator.toml", "edge"])
         .wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    ended.log
+    assert_eq!(end.code(), 0, "{}", end.log);
+    end.log
 }
 
 #[test]
 fn impostor_does_not_exclude_known_host() {
     let mut rng = TestRng::new("impostor");
-    let mut fleet = measuring("");
+    let mut fleet = start_fleet("");
     // The robot leaves with batches that are not stored.
     fleet.aggregator.kill();
     let spooled = fleet.agents[0].process().log().matches("spooled batch=").count();
@@ -51,12 +51,12 @@ fn impostor_does_not_exclude_known_host() {
 
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut impostor = host_without_secret(&fleet, &mut rng);
-    let words = impostor.expect_refusal(&misbehaving_peer);
-    assert!(words.contains("clear-host-secret") && words.contains("spool"), "{words}");
-    assert!(!words.contains("delete the"), "no advice destroys unsent data: {words}");
+    let reason = impostor.expect_refusal(&misbehaving_peer);
+    assert!(reason.contains("clear-host-secret") && reason.contains("spool"), "{reason}");
+    assert!(!reason.contains("delete the"), "no advice destroys unsent data: {reason}");
     // It gets no welcome, whatever it sends afterwards.
     misbehaving_peer.send(&impostor.batch(10));
-    misbehaving_peer.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
+    misbehaving_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     misbehaving_peer.send_message(&ToAggregator::Goodbye(impostor.hello.host.id));
     // While it repeats its hello, the robot comes back with another process number.
     for _ in 0..20 {
@@ -65,10 +65,12 @@ fn impostor_does_not_exclude_known_host() {
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
-    let words = impostor.expect_refusal(&misbehaving_peer);
-    assert!(words.contains("clear-host-secret"), "{words}");
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "it goes on", |counts| counts.events > seen.events + 50 && counts.waiting < 100);
+    let reason = impostor.expect_refusal(&misbehaving_peer);
+    assert!(reason.contains("clear-host-secret"), "{reason}");
+    let before = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "it goes on", |counts| {
+        counts.events > before.events + 50 && counts.waiting < 100
+    });
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
@@ -79,18 +81,18 @@ fn impostor_does_not_exclude_known_host() {
 
 #[test]
 fn host_secret_survives_loss_of_spool_or_database() {
-    let mut fleet = measuring("");
-    let before = secret(&fleet);
+    let mut fleet = start_fleet("");
+    let before = read_secret(&fleet);
     assert_eq!(before.len(), 64);
     fleet.agents[0].stop();
-    for entry in std::fs::read_dir(state(&fleet)).expect("the state is there") {
+    for entry in std::fs::read_dir(state_folder(&fleet)).expect("the state is there") {
         let path = entry.expect("readable").path();
         if path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("spool.sqlite")) {
             std::fs::remove_file(path).expect("deleted");
         }
     }
     fleet.start_without_pipelines(0);
-    assert_eq!(secret(&fleet), before);
+    assert_eq!(read_secret(&fleet), before);
     assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
 
     // The secret is not shown anywhere.
@@ -107,30 +109,30 @@ fn host_secret_survives_loss_of_spool_or_database() {
     std::fs::remove_dir_all(fleet.database().parent().expect("a folder of its own")).expect("it has stopped");
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "it is stored again", |counts| counts.events > 20);
+    fleet.wait_for_counts(0, "it is stored again", |counts| counts.events > 20);
     assert_eq!(query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret").trim(), before);
     fleet.stop();
 }
 
 #[test]
 fn cleared_secret_permits_a_new_one() {
-    let mut fleet = measuring("");
-    let before = secret(&fleet);
+    let mut fleet = start_fleet("");
+    let before = read_secret(&fleet);
     fleet.agents[0].stop();
-    std::fs::remove_file(state(&fleet).join("host-secret")).expect("it was there");
+    std::fs::remove_file(state_folder(&fleet).join("host-secret")).expect("it was there");
     fleet.start(0);
-    let said = fleet.agents[0].process().wait_for("refuses this agent");
-    assert!(said.contains("clear-host-secret"), "{said}");
-    let told = clear_host_secret(&fleet);
-    assert!(told.contains("deleted the secret of edge"), "{told}");
+    let output = fleet.agents[0].process().wait_for("refuses this agent");
+    assert!(output.contains("clear-host-secret"), "{output}");
+    let output = clear_host_secret(&fleet);
+    assert!(output.contains("deleted the secret of edge"), "{output}");
     fleet.agents[0].process().wait_for("connected to the aggregator");
-    let after = secret(&fleet);
+    let after = read_secret(&fleet);
     assert_ne!(after, before);
     wait_until("the new one is stored", || {
         let stored = query_database(fleet.database(), "SELECT lower(hex(secret)) FROM host_secret");
         (stored.trim() == after).then_some(())
     });
-    fleet.counts(0, "what waited is stored", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
@@ -140,7 +142,7 @@ fn cleared_secret_permits_a_new_one() {
 #[test]
 fn robot_takes_its_name_back_from_newcomer() {
     let mut rng = TestRng::new("namesake");
-    let mut fleet = measuring("");
+    let mut fleet = start_fleet("");
     fleet.agents[0].stop();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let namesake = InventedHost::new("edge", &mut rng);
@@ -148,7 +150,7 @@ fn robot_takes_its_name_back_from_newcomer() {
     fleet.start(0);
     fleet.agents[0].process().wait_for("connected to the aggregator");
     assert!(!fleet.agents[0].process().log().contains("refuses this agent"));
-    let words = namesake.expect_refusal(&misbehaving_peer);
-    assert!(words.contains("the name edge is taken"), "{words}");
+    let reason = namesake.expect_refusal(&misbehaving_peer);
+    assert!(reason.contains("the name edge is taken"), "{reason}");
     fleet.stop();
 }

@@ -3,7 +3,7 @@
 use peernet_tests::LoopbackDeployment;
 use serde_json::{Value, json};
 
-use super::{Lab, PUBLISHED, picture};
+use super::{Lab, PUBLISHED_COLUMNS, picture};
 use crate::models::exported_models;
 
 const FILES: [&str; 5] = ["data.csv", "run.json", "summary.md", "summary.csv", "summary.tex"];
@@ -22,11 +22,11 @@ const FIGURES: [&str; 6] = [
 fn published_commands_work_unchanged() {
     let lab = Lab::new();
     std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name dummy \
          --device cuda:6 --iterations 12",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network zmq-tcp --network-config net_config.yaml \
          --dataset-loc sample-image.JPEG --iterations 12 --result-loc results --generate-plots",
     );
@@ -39,17 +39,17 @@ fn published_commands_work_unchanged() {
     assert!(client.log.contains("Total (sum of stages)"), "{}", client.log);
 
     let data = lab.data("results");
-    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
+    assert_eq!(data.header[..PUBLISHED_COLUMNS.len()], PUBLISHED_COLUMNS);
     let numbers: Vec<f64> = (1..=12).map(f64::from).collect();
     assert_eq!(data.numbers("iteration"), numbers);
-    assert_eq!((data.outcomes("ok"), data.rows.len()), (12, 12));
+    assert_eq!((data.count_outcome("ok"), data.rows.len()), (12, 12));
     let warm_up = data.column("warm-up");
     assert_eq!(warm_up.iter().position(|cell| *cell == "0"), Some(5), "{warm_up:?}");
     // Decoded pixels of three bytes each: the size of the pickled picture without the pickle's overhead.
-    let pixels = f64::from(1280 * 960 * 3);
-    assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes == pixels));
-    for (stage, at_least) in [("preprocessing", 0.01), ("inference", 0.08), ("postprocessing", 0.01)] {
-        assert!(data.numbers(stage).iter().all(|seconds| *seconds >= at_least), "{stage}");
+    let picture_bytes = f64::from(1280 * 960 * 3);
+    assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes == picture_bytes));
+    for (stage, min_seconds) in [("preprocessing", 0.01), ("inference", 0.08), ("postprocessing", 0.01)] {
+        assert!(data.numbers(stage).iter().all(|seconds| *seconds >= min_seconds), "{stage}");
     }
     let (upload, low, high) = (data.numbers("upload"), data.numbers("upload-lo"), data.numbers("upload-hi"));
     assert!(upload.iter().zip(low).zip(high).all(|((value, low), high)| low <= *value && *value <= high));
@@ -75,10 +75,10 @@ fn published_commands_work_unchanged() {
     );
     assert!(record["pipeline"].is_object() && record["edge"]["hardware"].is_object(), "{record:#}");
     // Contents of the relative paths, the file of devices and the data set.
-    let here = lab.folder().canonicalize().expect("is there");
-    assert_eq!(record["folder"], here.display().to_string());
+    let folder = lab.folder().canonicalize().expect("is there");
+    assert_eq!(record["folder"], folder.display().to_string());
     let network = &record["network_config"];
-    let text = std::fs::read_to_string(here.join("net_config.yaml")).expect("is there");
+    let text = std::fs::read_to_string(folder.join("net_config.yaml")).expect("is there");
     assert_eq!((&network["file"], &network["text"]), (&"net_config.yaml".into(), &text.into()));
     assert!(
         ["edge", "cloud"]
@@ -88,14 +88,17 @@ fn published_commands_work_unchanged() {
     );
     // Both hosts share one free-running clock, and the wall clock is read a moment after it. In two network
     // namespaces nothing proves that, so that the offset is measured.
-    for which in ["first_offset", "last_offset"] {
-        let offset = &record["clocks"]["upload"][which];
+    for key in ["first_offset", "last_offset"] {
+        let offset = &record["clocks"]["upload"][key];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
         assert!(bounds.is_some_and(|(lo, hi)| lo < 3e-6 && -3e-6 < hi), "one clock: {record:#}");
     }
     let facts = record["facts"].as_array().expect("pairs");
     let data_set = facts.iter().find(|fact| fact[0] == "Data set").map(|fact| &fact[1]);
-    assert!(data_set.and_then(Value::as_str).is_some_and(|told| told.starts_with("1 file, ")), "{record:#}");
+    assert!(
+        data_set.and_then(Value::as_str).is_some_and(|value| value.starts_with("1 file, ")),
+        "{record:#}"
+    );
     assert!(record["trust"].is_object(), "{record:#}");
     let results = lab.folder().join("results");
     assert!(FILES.iter().chain(&FIGURES).all(|name| results.join(name).is_file()), "{}", client.log);
@@ -109,12 +112,12 @@ fn published_commands_work_unchanged() {
 fn published_network_measurement_works_with_random_weights() {
     let lab = Lab::new();
     let models = exported_models().display();
-    let server = lab.server(&format!(
+    let server = lab.start_server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name efficientnet_v2_s \
          --models-dir {models} --device cpu --iterations 50"
     ));
     server.wait_for("serving efficientnet_v2_s");
-    let client = lab.client(&format!(
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --dataset-loc {} --iterations 50 \
          --result-loc results",
         picture().display()
@@ -122,8 +125,8 @@ fn published_network_measurement_works_with_random_weights() {
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
-    assert_eq!((data.outcomes("ok"), data.rows.len()), (50, 50));
-    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
+    assert_eq!((data.count_outcome("ok"), data.rows.len()), (50, 50));
+    assert_eq!(data.header[..PUBLISHED_COLUMNS.len()], PUBLISHED_COLUMNS);
     let record = lab.record("results");
     assert_eq!(
         (&record["model"]["name"], &record["model"]["device"]),
@@ -145,17 +148,17 @@ fn early_client_sends_all_kinds_of_samples() {
     ] {
         let lab = Lab::on_one_machine();
         std::fs::copy(picture(), lab.folder().join("sample-image.JPEG")).expect("writable");
-        let client = lab.client(&format!(
+        let client = lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 20 {options}"
         ));
         client.wait_for("is away");
-        let server = lab.server(
+        let server = lab.start_server(
             "PEERNet --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
         );
         let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
         let data = lab.data("results");
-        assert_eq!(data.outcomes("ok"), 20, "{options}");
+        assert_eq!(data.count_outcome("ok"), 20, "{options}");
         if let Some(bytes) = bytes {
             assert!(data.numbers("upload-bytes").iter().all(|sent| *sent == bytes), "{options}");
         }
@@ -168,29 +171,29 @@ fn streamed_run_is_on_dashboard_with_same_host() {
     let deployment = LoopbackDeployment::new();
     let (_aggregator, api) = deployment.start_aggregator();
     for results in ["first", "second"] {
-        let server = lab.server(
+        let server = lab.start_server(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
         );
-        let client = lab.client(&format!(
+        let client = lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations 20 --result-loc {results} --aggregator tcp://127.0.0.1:{}",
             deployment.events
         ));
         let (client, server) = (client.wait_for_end(), server.wait_for_end());
         assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-        let said = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
+        let message = "see host jetson-orin, pipeline jetson-orin, on the dashboard of the aggregator at 127.0.0.1 \
                     (usually http://127.0.0.1:8040)";
-        assert!(client.log.contains(said), "{}", client.log);
+        assert!(client.log.contains(message), "{}", client.log);
     }
-    let runs = api.wait_until("/api/v1/runs", |found| {
-        let runs = found["runs"].as_array()?.clone();
+    let runs = api.wait_until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?.clone();
         (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
     });
     assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
     // Afterwards the dashboard shows a finished run and a host without problems.
     let line = api.wait_until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
-        let over = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
-        over.then(|| line["state"].clone())
+        let has_ended = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
+        has_ended.then(|| line["state"].clone())
     });
     assert_eq!(line, "finished");
     let waiting = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
@@ -205,10 +208,10 @@ fn streamed_run_is_on_dashboard_with_same_host() {
 fn existing_results_are_replaced_only_on_request() {
     let lab = Lab::on_one_machine();
     let measure = |iterations: u32, options: &str| {
-        let server = lab.server(&format!(
+        let server = lab.start_server(&format!(
             "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
         ));
-        let client = lab.client(&format!(
+        let client = lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
              --iterations {iterations} {options}"
         ));
@@ -227,10 +230,10 @@ fn clock_settings_come_from_configuration() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[clock_fault]\noffset_ms = 5000\n")
         .expect("writable");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 20",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --result-loc results --config edge.toml",
     );
@@ -240,9 +243,9 @@ fn clock_settings_come_from_configuration() {
     let data = lab.data("results");
     // The raw stamps differ by five seconds, but the reported delay is right.
     assert!(data.numbers("upload-raw").iter().all(|raw| *raw < -4.0));
-    let told = data.column("upload").into_iter().filter_map(|cell| cell.parse::<f64>().ok());
-    let told: Vec<f64> = told.collect();
-    assert!(!told.is_empty() && told.iter().all(|delay| (0.0..4.0).contains(delay)), "{told:?}");
+    let delays = data.column("upload").into_iter().filter_map(|cell| cell.parse::<f64>().ok());
+    let delays: Vec<f64> = delays.collect();
+    assert!(!delays.is_empty() && delays.iter().all(|delay| (0.0..4.0).contains(delay)), "{delays:?}");
 }
 
 #[test]
@@ -266,19 +269,19 @@ fn each_order_runs_in_own_process() {
         "warm_up": "the first 5 iterations",
     });
     std::fs::write(lab.folder().join("order.json"), order.to_string()).expect("writable");
-    let ended = lab.client("PEERNet measure --order order.json").wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    let seen: Vec<Value> = ended.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
-    assert!(seen.iter().all(|seen| seen["of"] == 40), "{}", ended.log);
-    assert_eq!(seen.last().map(|seen| &seen["phase"]), Some(&"writing".into()), "{}", ended.log);
+    let end = lab.start_client("PEERNet measure --order order.json").wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let progress: Vec<Value> = end.log.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    assert!(progress.iter().all(|progress| progress["of"] == 40), "{}", end.log);
+    assert_eq!(progress.last().map(|progress| &progress["phase"]), Some(&"writing".into()), "{}", end.log);
     let (data, record) = (lab.data("ordered"), lab.record("ordered"));
-    assert_eq!((data.rows.len(), data.outcomes("ok")), (40, 40));
+    assert_eq!((data.rows.len(), data.count_outcome("ok")), (40, 40));
     assert_eq!((&record["title"], &record["cloud"]), (&"an echo on board".into(), &Value::Null));
     assert_eq!((&record["placement"]["kind"], &record["seeds"]["sensor"]), (&"local".into(), &1.into()));
 
-    let again = lab.client("PEERNet measure --order order.json").wait_for_end();
-    assert_eq!(again.code(), 64, "{}", again.log);
-    assert_eq!(lab.client("PEERNet measure --order nothing.json").wait_for_end().code(), 66);
+    let second = lab.start_client("PEERNet measure --order order.json").wait_for_end();
+    assert_eq!(second.code(), 64, "{}", second.log);
+    assert_eq!(lab.start_client("PEERNet measure --order nothing.json").wait_for_end().code(), 66);
     std::fs::write(lab.folder().join("order.json"), "{}").expect("writable");
-    assert_eq!(lab.client("PEERNet measure --order order.json").wait_for_end().code(), 78);
+    assert_eq!(lab.start_client("PEERNet measure --order order.json").wait_for_end().code(), 78);
 }

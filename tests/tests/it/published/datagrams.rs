@@ -37,14 +37,15 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
     const ITERATIONS: usize = 12;
     let lab = Lab::new();
     std::fs::write(lab.folder().join("payloads.py"), PAYLOADS).expect("writable");
-    let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
-    let server = lab.server(&format!("PEERNet --server --name cluster {both} --model-name payloads::Model"));
-    let client = lab.client(&format!(
-        "PEERNet --client --name jetson-orin {both} --sensor-object payloads::Sensor --result-loc results"
+    let options = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
+    let server =
+        lab.start_server(&format!("PEERNet --server --name cluster {options} --model-name payloads::Model"));
+    let client = lab.start_client(&format!(
+        "PEERNet --client --name jetson-orin {options} --sensor-object payloads::Sensor --result-loc results"
     ));
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     let data = lab.data("results");
-    let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
+    let (answered, lost) = (data.count_outcome("ok"), data.count_outcome("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
     // A lost payload makes the client's run incomplete. For the server that is so only if the request was lost, not
     // the answer.
@@ -70,20 +71,21 @@ fn payloads_of_all_sizes_cross_datagrams_whole() {
 fn iterations_over_bad_path_are_answered_or_lost() {
     const ITERATIONS: usize = 150;
     let sockets = tempfile::tempdir().expect("the temporary folder is writable");
-    let way = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
-    let lab = Lab::with_network(Network::reordering_wire(sockets.path(), way(30), way(5)));
+    let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 3, loss_percent: 2 };
+    let lab =
+        Lab::with_network(Network::reordering_wire(sockets.path(), wire_direction(30), wire_direction(5)));
     std::fs::write(lab.folder().join("edge.toml"), "[agent]\n[clock_fault]\noffset_ms = 5000\n")
         .expect("writable");
-    let both = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
-    let server = lab.server(&format!("PEERNet --server --name cluster {both} --model-name echo"));
-    let client = lab.client(&format!(
-        "PEERNet --client --name jetson-orin {both} --sensor-type synthetic --text-size 5000 --result-loc results \
+    let options = format!("--network zmq-udp --network-config net_config.yaml --iterations {ITERATIONS}");
+    let server = lab.start_server(&format!("PEERNet --server --name cluster {options} --model-name echo"));
+    let client = lab.start_client(&format!(
+        "PEERNet --client --name jetson-orin {options} --sensor-type synthetic --text-size 5000 --result-loc results \
          --config edge.toml"
     ));
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
-    let (answered, lost) = (data.outcomes("ok"), data.outcomes("lost"));
+    let (answered, lost) = (data.count_outcome("ok"), data.count_outcome("lost"));
     assert_eq!((answered + lost, data.rows.len()), (ITERATIONS, ITERATIONS), "{}", client.log);
     assert!(answered > 75 && lost > 5, "{answered} answered, {lost} lost");
     let reasons = data.column("reason").into_iter().zip(data.column("outcome"));
@@ -92,7 +94,7 @@ fn iterations_over_bad_path_are_answered_or_lost() {
     }
     // Both hosts read this machine's clock; the edge's has an injected fault.
     for (name, ahead, delay) in [("upload", -5.0, 0.03), ("download", 5.0, 0.005)] {
-        let [raw, lo, hi] = ["raw", "lo", "hi"].map(|what| numbers(&data, &format!("{name}-{what}")));
+        let [raw, lo, hi] = ["raw", "lo", "hi"].map(|bound| numbers(&data, &format!("{name}-{bound}")));
         let mut compared = 0;
         for ((raw, lo), hi) in raw.into_iter().zip(lo).zip(hi) {
             let (Some(raw), Some(lo), Some(hi)) = (raw, lo, hi) else { continue };

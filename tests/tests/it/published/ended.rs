@@ -10,8 +10,8 @@ use rustix::process::Signal;
 use super::{Lab, picture};
 
 /// Starts a client that measures for a long time.
-fn endless(lab: &Lab, options: &str) -> Process {
-    lab.client(&format!(
+fn start_endless_client(lab: &Lab, options: &str) -> Process {
+    lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 1000000 --dataset-loc {} \
          --encoding file {options}",
         picture().display()
@@ -23,8 +23,8 @@ fn compare_output(lab: &Lab, results: &str) -> String {
     Process::start(&program("peernet"), &["compare", results], lab.folder(), &[]).wait_for_end().log
 }
 
-fn server(lab: &Lab, iterations: u32) -> Process {
-    lab.server(&format!(
+fn start_server(lab: &Lab, iterations: u32) -> Process {
+    lab.start_server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations {iterations}"
     ))
 }
@@ -32,57 +32,57 @@ fn server(lab: &Lab, iterations: u32) -> Process {
 #[test]
 fn ctrl_c_ends_client_with_all_results() {
     let lab = Lab::on_one_machine();
-    let server = server(&lab, 1_000_000);
-    let client = endless(&lab, "--result-loc results");
+    let server = start_server(&lab, 1_000_000);
+    let client = start_endless_client(&lab, "--result-loc results");
     client.wait_for("of 1000000");
     client.signal(Signal::INT);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("ended early"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("ended early"), "{}", end.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
     assert_eq!(record["reason"], "stopped");
-    let ok = data.outcomes("ok");
+    let ok = data.count_outcome("ok");
     assert!(ok >= 6 && data.rows.len() - ok <= 1, "{} rows, {ok} with an answer", data.rows.len());
     assert!(lab.folder().join("results/summary.md").is_file());
     let interrupted = compare_output(&lab, "results");
     assert!(interrupted.contains("results is incomplete: the run was interrupted after "), "{interrupted}");
 
     server.signal(Signal::INT);
-    let ended = server.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("answers"), "{}", ended.log);
+    let end = server.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("answers"), "{}", end.log);
 }
 
 #[test]
 fn ended_session_ends_client_with_all_results() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
-    let client = endless(&lab, "--result-loc results");
+    let _server = start_server(&lab, 1_000_000);
+    let client = start_endless_client(&lab, "--result-loc results");
     client.wait_for("of 1000000");
     // The shell and the system both send it.
     client.signal(Signal::HUP);
     client.wait_for("Ctrl-C again");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
     assert_eq!(lab.record("results")["reason"], "stopped");
 }
 
 #[test]
 fn client_under_nohup_continues_after_sighup() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
+    let _server = start_server(&lab, 1_000_000);
     let peernet = program("peernet");
     let options = "--client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 60 \
                    --result-loc results";
-    let words: Vec<&OsStr> =
+    let arguments: Vec<&OsStr> =
         [peernet.as_os_str()].into_iter().chain(options.split(' ').map(OsStr::new)).collect();
-    let client = Process::start(Path::new("nohup"), &words, lab.folder(), &[]);
+    let client = Process::start(Path::new("nohup"), &arguments, lab.folder(), &[]);
     client.wait_for("of 60");
     client.signal(Signal::HUP);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
     assert_eq!(
-        (lab.data("results").outcomes("ok"), lab.record("results")["reason"].as_str()),
+        (lab.data("results").count_outcome("ok"), lab.record("results")["reason"].as_str()),
         (60, Some("finished"))
     );
 }
@@ -90,10 +90,10 @@ fn client_under_nohup_continues_after_sighup() {
 #[test]
 fn folder_in_use_is_left_unchanged() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
-    let first = endless(&lab, "--result-loc results --overwrite");
+    let _server = start_server(&lab, 1_000_000);
+    let first = start_endless_client(&lab, "--result-loc results --overwrite");
     first.wait_for("of 1000000");
-    let second = endless(&lab, "--result-loc results --overwrite").wait_for_end();
+    let second = start_endless_client(&lab, "--result-loc results --overwrite").wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("another peernet is writing"), "{}", second.log);
     first.signal(Signal::INT);
@@ -101,23 +101,23 @@ fn folder_in_use_is_left_unchanged() {
     assert_eq!(first.code(), 130, "{}", first.log);
     let (record, warm_up) = (lab.record("results"), 5);
     let rows = record["counts"]["ok"].as_u64().expect("a number") + warm_up;
-    assert_eq!(rows, lab.data("results").outcomes("ok") as u64);
+    assert_eq!(rows, lab.data("results").count_outcome("ok") as u64);
 }
 
 #[test]
 fn results_replaced_by_killed_run_are_restored() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
-    let short = || {
-        lab.client(&format!(
+    let _server = start_server(&lab, 1_000_000);
+    let start_short_client = || {
+        lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 6 --dataset-loc {} \
              --encoding file --result-loc results",
             picture().display()
         ))
     };
-    let first = short().wait_for_end();
+    let first = start_short_client().wait_for_end();
     assert_eq!(first.code(), 0, "{}", first.log);
-    let killed = endless(&lab, "--result-loc results --overwrite");
+    let killed = start_endless_client(&lab, "--result-loc results --overwrite");
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert!(!lab.folder().join("results/run.json").exists(), "they are aside");
@@ -126,12 +126,12 @@ fn results_replaced_by_killed_run_are_restored() {
         "{}",
         compare_output(&lab, "results")
     );
-    let next = short().wait_for_end();
-    assert_eq!(next.code(), 64, "{}", next.log);
+    let next_run = start_short_client().wait_for_end();
+    assert_eq!(next_run.code(), 64, "{}", next_run.log);
     assert!(
-        next.log.contains("the previous results are restored; its rows are in killed.csv"),
+        next_run.log.contains("the previous results are restored; its rows are in killed.csv"),
         "{}",
-        next.log
+        next_run.log
     );
     assert_eq!(
         (lab.data("results").rows.len(), lab.record("results")["reason"].as_str()),
@@ -146,31 +146,31 @@ fn results_replaced_by_killed_run_are_restored() {
 #[test]
 fn results_of_killed_run_are_reported() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
-    let killed = endless(&lab, "--result-loc results");
+    let _server = start_server(&lab, 1_000_000);
+    let killed = start_endless_client(&lab, "--result-loc results");
     killed.wait_for("of 1000000");
     let _ = killed.kill();
-    let told = compare_output(&lab, "results");
+    let comparison = compare_output(&lab, "results");
     assert!(
-        told.contains("results is incomplete: run.json is missing: the run is in progress or was"),
-        "{told}"
+        comparison.contains("results is incomplete: run.json is missing: the run is in progress or was"),
+        "{comparison}"
     );
-    assert!(told.contains("\nIncomplete results: results: run.json is missing"), "{told}");
+    assert!(comparison.contains("\nIncomplete results: results: run.json is missing"), "{comparison}");
 }
 
 #[test]
 fn killed_run_leaves_no_files_after_later_runs() {
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
+    let _server = start_server(&lab, 1_000_000);
     let temporary = lab.folder().join("temporary");
     std::fs::create_dir(&temporary).expect("writable");
     // A folder's name may be any bytes.
     let results = OsStr::from_bytes(b"res\xff");
     let start = |line: &str| {
-        let words = line.split(' ').map(OsString::from).chain([results.to_owned()]);
+        let arguments = line.split(' ').map(OsString::from).chain([results.to_owned()]);
         let temporary = temporary.display().to_string();
-        let words: Vec<OsString> = words.collect();
-        Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)])
+        let arguments: Vec<OsString> = arguments.collect();
+        Process::start(&program("peernet"), &arguments, lab.folder(), &[("TMPDIR", &temporary)])
     };
     let client = |iterations: u32| {
         start(&format!(
@@ -181,7 +181,7 @@ fn killed_run_leaves_no_files_after_later_runs() {
     };
     let names = |folder: &Path| {
         let names =
-            std::fs::read_dir(folder).expect("a folder").map(|one| one.expect("readable").file_name());
+            std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("readable").file_name());
         names.map(|name| name.to_string_lossy().into_owned()).collect::<Vec<_>>()
     };
     assert_eq!(client(6).wait_for_end().code(), 0);
@@ -189,50 +189,53 @@ fn killed_run_leaves_no_files_after_later_runs() {
     killed.wait_for("of 1000000");
     let _ = killed.kill();
     assert_eq!(names(&temporary).len(), 1, "nobody was there to remove it");
-    let compared = start("compare").wait_for_end();
-    assert!(compared.log.contains("a run is in progress there or was killed"), "{}", compared.log);
+    let comparison = start("compare").wait_for_end();
+    assert!(comparison.log.contains("a run is in progress there or was killed"), "{}", comparison.log);
 
-    let next = client(6).wait_for_end();
-    assert!(next.code() == 0 && next.log.contains("killed.csv"), "{}", next.log);
+    let next_run = client(6).wait_for_end();
+    assert!(next_run.code() == 0 && next_run.log.contains("killed.csv"), "{}", next_run.log);
     assert_eq!(names(&temporary), [""; 0]);
-    let left = names(&lab.folder().join(results));
-    assert!(left.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')), "{left:?}");
-    let compared = start("compare").wait_for_end();
-    assert!(compared.code() == 0 && !compared.log.contains("not whole"), "{}", compared.log);
+    let remaining = names(&lab.folder().join(results));
+    assert!(
+        remaining.iter().all(|name| !name.starts_with("killed") && !name.starts_with('.')),
+        "{remaining:?}"
+    );
+    let comparison = start("compare").wait_for_end();
+    assert!(comparison.code() == 0 && !comparison.log.contains("not whole"), "{}", comparison.log);
 }
 
 #[test]
 fn second_signal_ends_client_without_waiting() {
     let lab = Lab::on_one_machine();
-    let _server = lab.server(
+    let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name \"exec:sleep 600\" \
          --iterations 9",
     );
-    let client = endless(&lab, "--result-loc results");
+    let client = start_endless_client(&lab, "--result-loc results");
     client.wait_for("no answer from cluster");
     client.signal(Signal::INT);
     client.wait_for("Ctrl-C again");
     // A second SIGINT within half a second would count as the same signal.
     client.signal(Signal::TERM);
     client.wait_for("work in progress was abandoned");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 130, "{}", ended.log);
-    assert!(ended.log.contains("before the first measurement"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 130, "{}", end.log);
+    assert!(end.log.contains("before the first measurement"), "{}", end.log);
 }
 
 #[test]
 fn lost_server_leaves_rows_and_exit_code() {
     let lab = Lab::on_one_machine();
-    let server = server(&lab, 1_000_000);
-    let client = endless(&lab, "--result-loc results --patience 2");
+    let server = start_server(&lab, 1_000_000);
+    let client = start_endless_client(&lab, "--result-loc results --patience 2");
     client.wait_for("of 1000000");
     let _ = server.kill();
     client.wait_for("cluster is away");
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("gave up after 2 s"), "{}", ended.log);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("gave up after 2 s"), "{}", end.log);
     let (data, record) = (lab.data("results"), lab.record("results"));
-    assert_eq!((data.outcomes("lost"), data.outcomes("ok") + 1), (1, data.rows.len()));
+    assert_eq!((data.count_outcome("lost"), data.count_outcome("ok") + 1), (1, data.rows.len()));
     assert!(data.column("reason").last().is_some_and(|reason| !reason.is_empty()));
     assert_eq!(record["counts"]["lost"], 1);
 }
@@ -240,8 +243,8 @@ fn lost_server_leaves_rows_and_exit_code() {
 #[test]
 fn returning_server_is_used_again() {
     let lab = Lab::on_one_machine();
-    let first = server(&lab, 1_000_000);
-    let client = lab.client(&format!(
+    let first = start_server(&lab, 1_000_000);
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations 120 --dataset-loc {} \
          --encoding file --result-loc results",
         picture().display()
@@ -249,49 +252,49 @@ fn returning_server_is_used_again() {
     client.wait_for("of 120");
     let _ = first.kill();
     client.wait_for("cluster is away");
-    let _second = server(&lab, 1_000_000);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 75, "{}", ended.log);
-    assert!(ended.log.contains("1 of 120 iterations has no answer"), "{}", ended.log);
+    let _second = start_server(&lab, 1_000_000);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 75, "{}", end.log);
+    assert!(end.log.contains("1 of 120 iterations has no answer"), "{}", end.log);
     let data = lab.data("results");
-    assert_eq!((data.rows.len(), data.outcomes("lost")), (120, 1));
+    assert_eq!((data.rows.len(), data.count_outcome("lost")), (120, 1));
 }
 
 #[test]
 fn full_result_disk_loses_no_rows() {
     let disk = SmallDisk::new(1 << 20);
     let lab = Lab::on_one_machine();
-    let _server = server(&lab, 1_000_000);
+    let _server = start_server(&lab, 1_000_000);
     let results = disk.folder().join("results");
     let measure = |iterations: u32, options: &str| {
-        lab.client(&format!(
+        lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --iterations {iterations} \
              --dataset-loc {} --encoding file --result-loc {} {options}",
             picture().display(),
             results.display()
         ))
     };
-    let earlier = measure(6, "").wait_for_end();
-    assert_eq!(earlier.code(), 0, "{}", earlier.log);
+    let earlier_run = measure(6, "").wait_for_end();
+    assert_eq!(earlier_run.code(), 0, "{}", earlier_run.log);
     let client = measure(80, "--overwrite");
     client.wait_for("of 80");
     disk.fill();
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 73, "{}", ended.log);
-    assert!(ended.log.contains("Total (sum of stages)"), "{}", ended.log);
-    let said = ended.log.lines().find(|line| line.contains("the measurements are in"));
-    let said = said.unwrap_or_else(|| panic!("it does not say where the results are: {}", ended.log));
-    let (_, elsewhere) = said.split_once("the measurements are in ").expect("it was found by this");
-    let (elsewhere, back) = elsewhere.split_once(" instead").expect("it says so");
-    assert_eq!(back, "; the previous results are restored");
-    let earlier = results.display().to_string();
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 73, "{}", end.log);
+    assert!(end.log.contains("Total (sum of stages)"), "{}", end.log);
+    let output = end.log.lines().find(|line| line.contains("the measurements are in"));
+    let output = output.unwrap_or_else(|| panic!("it does not say where the results are: {}", end.log));
+    let (_, other_folder) = output.split_once("the measurements are in ").expect("it was found by this");
+    let (other_folder, note) = other_folder.split_once(" instead").expect("it says so");
+    assert_eq!(note, "; the previous results are restored");
+    let results_path = results.display().to_string();
     assert_eq!(
-        (lab.data(&earlier).rows.len(), lab.record(&earlier)["reason"].as_str()),
+        (lab.data(&results_path).rows.len(), lab.record(&results_path)["reason"].as_str()),
         (6, Some("finished"))
     );
-    let rows = std::fs::read_to_string(format!("{elsewhere}/data.csv")).expect("the results are there");
+    let rows = std::fs::read_to_string(format!("{other_folder}/data.csv")).expect("the results are there");
     assert_eq!(rows.lines().count(), 81);
-    std::fs::remove_dir_all(elsewhere).expect("they are this test's");
+    std::fs::remove_dir_all(other_folder).expect("they are this test's");
 }
 
 #[test]
@@ -299,23 +302,23 @@ fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::on_one_machine();
     // The model answers at once, so that most rows are written together.
-    let _server = lab.server(
+    let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
     );
     let (results, sample) = (disk.folder().join("results"), picture().display().to_string());
     let (results, temporary) = (results.display().to_string(), other.folder().display().to_string());
-    let words =
+    let arguments =
         "--client --name jetson-orin --network-config net_config.yaml --iterations 1500 --encoding file";
     let options = ["--generate-plots", "--dataset-loc", &sample, "--result-loc", &results];
-    let words: Vec<&str> = words.split(' ').chain(options).collect();
-    let client = Process::start(&program("peernet"), &words, lab.folder(), &[("TMPDIR", &temporary)]);
-    let ended = client.wait_for_end();
-    assert_eq!(ended.code(), 73, "{}", ended.log);
-    let told = "data.csv has the rows that fit; no figure is drawn";
-    assert!(ended.log.contains(told), "{}", ended.log);
+    let arguments: Vec<&str> = arguments.split(' ').chain(options).collect();
+    let client = Process::start(&program("peernet"), &arguments, lab.folder(), &[("TMPDIR", &temporary)]);
+    let end = client.wait_for_end();
+    assert_eq!(end.code(), 73, "{}", end.log);
+    let message = "data.csv has the rows that fit; no figure is drawn";
+    assert!(end.log.contains(message), "{}", end.log);
     let rows = lab.data(&results).rows;
     assert!(rows.len() > 100 && rows.len() < 1500, "{} rows", rows.len());
-    let left = std::fs::read_dir(other.folder()).expect("it is a folder").count();
-    assert_eq!(left, 0, "nothing is left where nothing could be written");
+    let remaining = std::fs::read_dir(other.folder()).expect("it is a folder").count();
+    assert_eq!(remaining, 0, "nothing is left where nothing could be written");
     assert_eq!(std::fs::read_dir(&results).expect("it is a folder").count(), 1, "data.csv alone");
 }

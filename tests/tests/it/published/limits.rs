@@ -14,19 +14,19 @@ class Slow:
         return 'well'
 ";
 
-/// Runs a client against a server that serves `model`, each with options of its own; returns the client's end.
-fn measure(lab: &Lab, model: &str, server: &str, client: &str, results: &str) -> ProcessEnd {
-    let server = lab.server(&format!(
-        "PEERNet --server --name cluster --network-config net_config.yaml --model-name {model} --iterations 2 {server}"
+/// Runs a client against a server that serves `model`, each with its own options; returns the client's end.
+fn measure(lab: &Lab, model: &str, server_options: &str, client_options: &str, results: &str) -> ProcessEnd {
+    let server = lab.start_server(&format!(
+        "PEERNet --server --name cluster --network-config net_config.yaml --model-name {model} --iterations 2 {server_options}"
     ));
-    let client = lab.client(&format!(
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 2 \
-         --result-loc {results} {client}"
+         --result-loc {results} {client_options}"
     ));
-    let ended = client.wait_for_end();
+    let end = client.wait_for_end();
     server.terminate();
     drop(server);
-    ended
+    end
 }
 
 #[test]
@@ -42,32 +42,33 @@ fn slow_model_is_measured_with_longer_timeout() {
     };
 
     // The client waits for a shorter time than the model takes.
-    let ended = measure(&lab, "my_model::Slow", "", "--timeout 0.5", "client");
-    assert_eq!(ended.code(), 75, "{}", ended.log);
+    let end = measure(&lab, "my_model::Slow", "", "--timeout 0.5", "client");
+    assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["no answer of cloud cluster", "within 500 ms", "timeout_ms", "--timeout"];
     assert_eq!(reasons("client", &parts), ["timeout", "timeout"]);
-    assert!(parts.iter().all(|part| ended.log.contains(part)), "{}", ended.log);
+    assert!(parts.iter().all(|part| end.log.contains(part)), "{}", end.log);
 
     // The model's own limit is shorter, so that its reason is seen first.
-    let ended = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
-    assert_eq!(ended.code(), 75, "{}", ended.log);
+    let end = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
+    assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["my_model::Slow did not answer within 0.4 s", "timeout_ms", "--timeout"];
     assert_eq!(reasons("server", &parts), ["failed", "failed"]);
 
-    let ended = measure(&lab, "my_model::Slow", "--timeout 20", "--timeout 30", "both");
-    assert_eq!((ended.code(), lab.data("both").outcomes("ok")), (0, 2), "{}", ended.log);
+    let end = measure(&lab, "my_model::Slow", "--timeout 20", "--timeout 30", "both");
+    assert_eq!((end.code(), lab.data("both").count_outcome("ok")), (0, 2), "{}", end.log);
 }
 
 #[test]
 fn large_sample_names_option_that_lets_it_pass() {
     let lab = Lab::on_one_machine();
-    let large = "--text-size 300000";
-    let ended = measure(&lab, "echo", "--max-message-bytes 100000", large, "refused");
-    assert_eq!(ended.code(), 75, "{}", ended.log);
+    let size_option = "--text-size 300000";
+    let end = measure(&lab, "echo", "--max-message-bytes 100000", size_option, "refused");
+    assert_eq!(end.code(), 75, "{}", end.log);
     for reason in lab.data("refused").column("reason") {
         assert!(reason.contains("300") && reason.contains("--max-message-bytes"), "{reason}");
     }
-    let (server, client) = ("--max-message-bytes 400000", format!("{large} --max-message-bytes 400000"));
-    let ended = measure(&lab, "echo", server, &client, "passed");
-    assert_eq!((ended.code(), lab.data("passed").outcomes("ok")), (0, 2), "{}", ended.log);
+    let (server, client) =
+        ("--max-message-bytes 400000", format!("{size_option} --max-message-bytes 400000"));
+    let end = measure(&lab, "echo", server, &client, "passed");
+    assert_eq!((end.code(), lab.data("passed").count_outcome("ok")), (0, 2), "{}", end.log);
 }

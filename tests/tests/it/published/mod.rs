@@ -17,7 +17,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Columns that the published program writes for a model with all three steps, in its order.
-const PUBLISHED: [&str; 13] = [
+const PUBLISHED_COLUMNS: [&str; 13] = [
     "iteration",
     "sensing",
     "upload",
@@ -51,7 +51,7 @@ impl Lab {
     /// Creates two machines with this network.
     fn with_network(network: Network) -> Self {
         let (edge, cloud) = (network.edge().address.to_string(), network.cloud().address.to_string());
-        Self::with(
+        Self::with_configuration(
             Some(network),
             &format!("devices:\n  jetson-orin: {edge}\n  cluster: {cloud}\nserver: cluster\n"),
         )
@@ -60,10 +60,13 @@ impl Lab {
     /// Creates one machine.
     fn on_one_machine() -> Self {
         let devices = "  jetson-orin: 127.0.0.1\n  cluster: 127.0.0.1\n  spare: 127.0.0.1\n";
-        Self::with(None, &format!("devices:\n{devices}server: cluster\nstart_port: {}\n", free_port()))
+        Self::with_configuration(
+            None,
+            &format!("devices:\n{devices}server: cluster\nstart_port: {}\n", free_port()),
+        )
     }
 
-    fn with(network: Option<Network>, configuration: &str) -> Self {
+    fn with_configuration(network: Option<Network>, configuration: &str) -> Self {
         let folder = tempfile::tempdir().expect("the temporary folder is writable");
         std::fs::write(folder.path().join("net_config.yaml"), configuration).expect("writable");
         let published = folder.path().join("PEERNet");
@@ -76,17 +79,17 @@ impl Lab {
     }
 
     /// Executes a command on the device that serves.
-    fn server(&self, command: &str) -> Process {
+    fn start_server(&self, command: &str) -> Process {
         self.start(self.network.as_ref().map(Network::cloud), command)
     }
 
     /// Executes a command on the device that senses.
-    fn client(&self, command: &str) -> Process {
+    fn start_client(&self, command: &str) -> Process {
         self.start(self.network.as_ref().map(Network::edge), command)
     }
 
     fn start(&self, host: Option<&Host>, command: &str) -> Process {
-        let mut words = words(command).into_iter();
+        let mut words = split_words(command).into_iter();
         assert_eq!(words.next().as_deref(), Some("PEERNet"), "{command}");
         let arguments: Vec<String> = words.collect();
         let (program, folder) = (self.folder().join("PEERNet"), self.folder());
@@ -109,9 +112,9 @@ impl Lab {
     fn data(&self, results: &str) -> Data {
         let file = csv::Reader::from_path(self.folder().join(results).join("data.csv"));
         let mut file = file.expect("the results are there");
-        let words = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
-        let header = words(file.headers().expect("there is a header"));
-        let rows = file.records().map(|row| words(&row.expect("as many cells as the header")));
+        let cells = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
+        let header = cells(file.headers().expect("there is a header"));
+        let rows = file.records().map(|row| cells(&row.expect("as many cells as the header")));
         Data { header, rows: rows.collect() }
     }
 
@@ -122,7 +125,7 @@ impl Lab {
 }
 
 /// Splits a command into words; quotes join several words.
-fn words(command: &str) -> Vec<String> {
+fn split_words(command: &str) -> Vec<String> {
     let parts = command.split('"').enumerate();
     parts
         .flat_map(|(index, part)| match index % 2 {
@@ -140,9 +143,9 @@ struct Data {
 
 impl Data {
     fn column(&self, name: &str) -> Vec<&str> {
-        let at = self.header.iter().position(|column| column == name);
-        let at = at.unwrap_or_else(|| panic!("no column {name} in {:?}", self.header));
-        self.rows.iter().map(|row| row[at].as_str()).collect()
+        let index = self.header.iter().position(|column| column == name);
+        let index = index.unwrap_or_else(|| panic!("no column {name} in {:?}", self.header));
+        self.rows.iter().map(|row| row[index].as_str()).collect()
     }
 
     fn numbers(&self, name: &str) -> Vec<f64> {
@@ -150,8 +153,8 @@ impl Data {
         self.column(name).into_iter().map(number).collect()
     }
 
-    fn outcomes(&self, of: &str) -> usize {
-        self.column("outcome").into_iter().filter(|outcome| *outcome == of).count()
+    fn count_outcome(&self, outcome: &str) -> usize {
+        self.column("outcome").into_iter().filter(|cell| *cell == outcome).count()
     }
 }
 

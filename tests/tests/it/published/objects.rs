@@ -2,7 +2,7 @@
 
 use peernet_tests::ProcessEnd;
 
-use super::{Lab, PUBLISHED};
+use super::{Lab, PUBLISHED_COLUMNS};
 
 /// Sensor in the form of the published program: any object with `sample()`.
 const SENSOR: &str = r#"
@@ -75,23 +75,23 @@ class Stuck:
 fn hanging_sensor_is_named_in_progress() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_camera.py"), HANGING).expect("writable");
-    let _server = lab.server(
+    let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name dummy --iterations 9",
     );
-    for (class, told) in
+    for (class, message) in
         [("Slow", "the sensor gave no sample for"), ("Stuck", "the sensor is not ready after")]
     {
-        let client = lab.client(&format!(
+        let client = lab.start_client(&format!(
             "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
              --sensor-object my_camera::{class} --iterations 9 --result-loc results"
         ));
-        client.wait_for(told);
+        client.wait_for(message);
         client.signal(rustix::process::Signal::INT);
         client.wait_for("Ctrl-C again");
         // A second SIGINT within half a second would count as the same signal.
         client.signal(rustix::process::Signal::TERM);
-        let ended = client.wait_for_end();
-        assert_eq!(ended.code(), 130, "{}", ended.log);
+        let end = client.wait_for_end();
+        assert_eq!(end.code(), 130, "{}", end.log);
     }
 }
 
@@ -100,31 +100,31 @@ fn python_sensor_and_model_run_on_their_hosts() {
     let lab = Lab::new();
     std::fs::write(lab.folder().join("my_camera.py"), SENSOR).expect("writable");
     std::fs::write(lab.folder().join("my_model.py"), MODEL).expect("writable");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Brightness \
          --iterations 20",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type external \
          --sensor-object my_camera::Camera --iterations 20 --result-loc results",
     );
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
     let data = lab.data("results");
-    assert_eq!(data.header[..PUBLISHED.len()], PUBLISHED);
-    assert_eq!((data.outcomes("ok"), data.rows.len()), (20, 20));
+    assert_eq!(data.header[..PUBLISHED_COLUMNS.len()], PUBLISHED_COLUMNS);
+    assert_eq!((data.count_outcome("ok"), data.rows.len()), (20, 20));
     assert!(data.numbers("upload-bytes").iter().all(|bytes| *bytes >= f64::from(48 * 64 * 3)));
     // The time between the processes is separate from that of the user's code.
     assert!(data.numbers("ipc").iter().all(|seconds| *seconds > 0.0));
 }
 
 /// Runs client and server for this number of iterations with this camera and an echo; returns both results.
-fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd) {
+fn run_with_camera(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd) {
     std::fs::write(lab.folder().join("my_camera.py"), camera).expect("writable");
-    let server = lab.server(&format!(
+    let server = lab.start_server(&format!(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations {iterations}"
     ));
-    let client = lab.client(&format!(
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations {iterations} --result-loc results"
     ));
@@ -135,10 +135,10 @@ fn seen_by(camera: &str, iterations: u32, lab: &Lab) -> (ProcessEnd, ProcessEnd)
 fn exception_gives_failed_iteration() {
     let lab = Lab::on_one_machine();
     // The server does not wait for answers that will never come.
-    let (client, server) = seen_by(FAILING, 20, &lab);
+    let (client, server) = run_with_camera(FAILING, 20, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
-    let told = "1 of 20 iterations has no answer; iteration 3 failed: ";
-    assert!(client.log.contains(told), "{}", client.log);
+    let message = "1 of 20 iterations has no answer; iteration 3 failed: ";
+    assert!(client.log.contains(message), "{}", client.log);
     assert_eq!(client.log.matches("ValueError: the lens cap is on").count(), 1, "{}", client.log);
     assert!(server.log.contains("19 answers, 1 iteration did not arrive here"), "{}", server.log);
     assert!(
@@ -147,7 +147,7 @@ fn exception_gives_failed_iteration() {
         server.log
     );
     let data = lab.data("results");
-    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (19, 1));
+    assert_eq!((data.count_outcome("ok"), data.count_outcome("failed")), (19, 1));
 }
 
 /// After consecutive failures the client waits longer and longer; the server must end all the same.
@@ -155,16 +155,16 @@ fn exception_gives_failed_iteration() {
 fn server_ends_when_all_samples_failed() {
     let lab = Lab::on_one_machine();
     let unplugged = "class Camera:\n    def sample(self):\n        raise OSError('unplugged')\n";
-    let (client, server) = seen_by(unplugged, 14, &lab);
+    let (client, server) = run_with_camera(unplugged, 14, &lab);
     assert_eq!((client.code(), server.code()), (75, 75), "{}\n{}", client.log, server.log);
     assert!(server.log.contains("14 of 14 iterations did not arrive here"), "{}", server.log);
-    assert_eq!(lab.data("results").outcomes("failed"), 14);
+    assert_eq!(lab.data("results").count_outcome("failed"), 14);
 }
 
 #[test]
 fn restart_of_python_process_is_recorded() {
     let lab = Lab::on_one_machine();
-    let dying = |class: &str, method: &str, last: u32| {
+    let class_that_exits = |class: &str, method: &str, last: u32| {
         format!(
             "
 import os, time
@@ -180,12 +180,14 @@ class {class}:
 "
         )
     };
-    std::fs::write(lab.folder().join("my_camera.py"), dying("Camera", "sample(self)", 12)).expect("writable");
-    std::fs::write(lab.folder().join("my_model.py"), dying("Model", "infer(self, x)", 8)).expect("writable");
-    let server = lab.server(
+    std::fs::write(lab.folder().join("my_camera.py"), class_that_exits("Camera", "sample(self)", 12))
+        .expect("writable");
+    std::fs::write(lab.folder().join("my_model.py"), class_that_exits("Model", "infer(self, x)", 8))
+        .expect("writable");
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Model --iterations 16",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 16 --result-loc results",
     );
@@ -202,17 +204,17 @@ class {class}:
         client.log
     );
     let data = lab.data("results");
-    assert_eq!((data.outcomes("ok"), data.outcomes("failed")), (14, 2));
-    let told = |column: &str| -> Vec<f64> {
+    assert_eq!((data.count_outcome("ok"), data.count_outcome("failed")), (14, 2));
+    let cells_of = |column: &str| -> Vec<f64> {
         let cells = data.column(column).into_iter().filter(|cell| !cell.is_empty());
         cells.map(|cell| cell.parse().expect("a number")).collect()
     };
     for column in ["restart", "capture_capture-restart"] {
-        let waited = told(column);
-        assert!(waited.len() == 1 && waited[0] >= 0.3, "{column}: {waited:?}");
+        let seconds = cells_of(column);
+        assert!(seconds.len() == 1 && seconds[0] >= 0.3, "{column}: {seconds:?}");
     }
     // It belongs neither to the model nor to the transfer.
-    assert!(told("unattributed").into_iter().fold(0.0, f64::max) >= told("restart")[0]);
+    assert!(cells_of("unattributed").into_iter().fold(0.0, f64::max) >= cells_of("restart")[0]);
     drop(server);
 }
 
@@ -220,35 +222,35 @@ class {class}:
 fn server_prints_number_of_error_answers() {
     let lab = Lab::on_one_machine();
     std::fs::write(lab.folder().join("my_model.py"), REFUSING).expect("writable");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Odd --iterations 10",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic --iterations 10 \
          --result-loc results",
     );
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (75, 0), "{}\n{}", client.log, server.log);
     assert!(server.log.contains("10 answers, 5 of them errors"), "{}", server.log);
-    assert_eq!(lab.data("results").outcomes("failed"), 5);
+    assert_eq!(lab.data("results").count_outcome("failed"), 5);
 }
 
 #[test]
 fn programs_run_on_their_hosts() {
     let lab = Lab::on_one_machine();
     let light = peernet_tests::root().join("docs/examples/external/light.sh");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
     );
-    let client = lab.client(&format!(
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object exec:{} \
          --iterations 20 --result-loc results",
         light.display()
     ));
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    let sent = lab.data("results").numbers("upload-bytes");
-    assert!(sent.len() == 20 && sent.iter().all(|bytes| *bytes == 3072.0), "{sent:?}");
+    let sizes = lab.data("results").numbers("upload-bytes");
+    assert!(sizes.len() == 20 && sizes.iter().all(|bytes| *bytes == 3072.0), "{sizes:?}");
 }
 
 #[test]
@@ -270,17 +272,18 @@ class Echo:
         return x
 ";
     std::fs::write(lab.folder().join("my_model.py"), model).expect("writable");
-    let server = lab.server(
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name my_model::Echo \
          --iterations 8 --quiet",
     );
-    let client = lab.client(
+    let client = lab.start_client(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-object my_camera::Camera \
          --iterations 8 --result-loc results --quiet",
     );
     let (client, server) = (client.wait_for_end(), server.wait_for_end());
     assert_eq!((client.code(), server.code()), (0, 0), "{}\n{}", client.log, server.log);
-    let printed = |log: &str, line: &str| log.lines().filter(|said| *said == line).count();
-    assert!(printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);
-    assert_eq!(printed(&server.log, "model my_model-Echo: a picture came"), 8, "{}", server.log);
+    let count_printed =
+        |log: &str, line: &str| log.lines().filter(|printed_line| *printed_line == line).count();
+    assert!(count_printed(&client.log, "sensor my_camera::Camera: the lens is clean") >= 8, "{}", client.log);
+    assert_eq!(count_printed(&server.log, "model my_model-Echo: a picture came"), 8, "{}", server.log);
 }

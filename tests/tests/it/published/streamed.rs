@@ -5,11 +5,11 @@ use peernet_tests::LoopbackDeployment;
 use super::Lab;
 
 /// Measures and streams; returns the client's output.
-fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
-    let server = lab.server(
+fn measure_and_stream(lab: &Lab, deployment: &LoopbackDeployment) -> String {
+    let server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 20",
     );
-    let client = lab.client(&format!(
+    let client = lab.start_client(&format!(
         "PEERNet --client --name jetson-orin --network-config net_config.yaml --sensor-type synthetic \
          --iterations 20 --result-loc results --overwrite --aggregator tcp://127.0.0.1:{}",
         deployment.events
@@ -22,30 +22,35 @@ fn streamed(lab: &Lab, deployment: &LoopbackDeployment) -> String {
 #[test]
 fn aggregators_store_their_stream_and_unsent_is_reported() {
     let lab = Lab::on_one_machine();
-    let (there, away) = (LoopbackDeployment::new(), LoopbackDeployment::new());
-    let (_first, first) = there.start_aggregator();
-    let waits = format!("wait for the aggregator at localhost:{}, in ", away.events);
-    let (now, later) = ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
-    let said = streamed(&lab, &there);
-    assert!(said.contains(now) && !said.contains("wait for the aggregator"), "all is taken: {said}");
-    for (deployment, whose, sent_to, not_yet) in
-        [(&away, "its own", later, now), (&there, "another one's", now, later)]
-    {
-        let said = streamed(&lab, deployment);
-        assert!(said.contains(&waits), "{whose}: {said}");
-        assert!(said.contains(sent_to) && !said.contains(not_yet), "{whose}: {said}");
+    let (first_deployment, absent_deployment) = (LoopbackDeployment::new(), LoopbackDeployment::new());
+    let (_first, first) = first_deployment.start_aggregator();
+    let waiting_note = format!("wait for the aggregator at localhost:{}, in ", absent_deployment.events);
+    let (link_text, later_text) =
+        ("see host jetson-orin", "will be on the dashboard of the aggregator at 127.0.0.1:");
+    let output = measure_and_stream(&lab, &first_deployment);
+    assert!(
+        output.contains(link_text) && !output.contains("wait for the aggregator"),
+        "all is taken: {output}"
+    );
+    for (deployment, title, expected, unexpected) in [
+        (&absent_deployment, "its own", later_text, link_text),
+        (&first_deployment, "another one's", link_text, later_text),
+    ] {
+        let output = measure_and_stream(&lab, deployment);
+        assert!(output.contains(&waiting_note), "{title}: {output}");
+        assert!(output.contains(expected) && !output.contains(unexpected), "{title}: {output}");
     }
-    let (_second, second) = away.start_aggregator();
-    let said = streamed(&lab, &away);
-    assert!(!said.contains(&waits), "it was handed over: {said}");
+    let (_second, second) = absent_deployment.start_aggregator();
+    let output = measure_and_stream(&lab, &absent_deployment);
+    assert!(!output.contains(&waiting_note), "it was handed over: {output}");
     for api in [first, second] {
         let host = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
-            let over = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
-            over.then(|| host.clone())
+            let is_delivered = host["connected"] == false && host["now"]["events"]["waiting"] == 0;
+            is_delivered.then(|| host.clone())
         });
         assert_eq!(host["stored"]["gaps"], 0, "{host:#}");
-        api.wait_until("/api/v1/runs", |found| {
-            let runs = found["runs"].as_array()?;
+        api.wait_until("/api/v1/runs", |runs| {
+            let runs = runs["runs"].as_array()?;
             (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(())
         });
     }
@@ -55,19 +60,19 @@ fn aggregators_store_their_stream_and_unsent_is_reported() {
 fn export_of_aggregator_equals_file_of_run() {
     let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let (_aggregator, api) = deployment.start_aggregator();
-    streamed(&lab, &deployment);
+    measure_and_stream(&lab, &deployment);
     let (status, text) = api
         .get(&format!("/api/v1/runs/{}/export", api.wait_for_finished_run()))
         .expect("the dashboard answers");
     assert_eq!(status, 200, "{text}");
     let written = std::fs::read_to_string(lab.folder().join("results/data.csv")).expect("written");
-    let differs = text.lines().zip(written.lines()).find(|(export, file)| export != file);
-    assert!(text == written, "{differs:#?}");
+    let difference = text.lines().zip(written.lines()).find(|(export, file)| export != file);
+    assert!(text == written, "{difference:#?}");
 
     std::fs::write(lab.folder().join("export.csv"), text).expect("writable");
-    let compared = lab.client("PEERNet compare results export.csv").wait_for_end();
-    assert_eq!(compared.code(), 0, "{}", compared.log);
-    assert!(compared.log.contains("export"), "{}", compared.log);
+    let comparison = lab.start_client("PEERNet compare results export.csv").wait_for_end();
+    assert_eq!(comparison.code(), 0, "{}", comparison.log);
+    assert!(comparison.log.contains("export"), "{}", comparison.log);
 }
 
 #[test]
@@ -79,9 +84,9 @@ fn second_concurrent_stream_of_device_is_refused() {
          --iterations 20 --aggregator tcp://127.0.0.1:{}",
         deployment.events
     );
-    let first = lab.client(&command);
+    let first = lab.start_client(&command);
     first.wait_for("is away");
-    let second = lab.client(&command).wait_for_end();
+    let second = lab.start_client(&command).wait_for_end();
     assert_eq!(second.code(), 69, "{}", second.log);
     assert!(second.log.contains("runs as the host whose id is in"), "{}", second.log);
     assert!(!second.log.contains("state_dir"), "there is nothing to set here: {}", second.log);
@@ -90,27 +95,28 @@ fn second_concurrent_stream_of_device_is_refused() {
 
 #[test]
 fn experiment_prints_no_link_to_unused_dashboard() {
-    let (lab, away) = (Lab::on_one_machine(), LoopbackDeployment::new());
+    let (lab, absent_deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
     let file = format!(
         "[experiment]\nname = \"board\"\niterations = 20\naggregator = \"tcp://127.0.0.1:{}\"\n\
          [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
          [[model]]\nname = \"echo\"\nkind = \"echo\"\n",
-        away.events
+        absent_deployment.events
     );
     std::fs::write(lab.folder().join("board.toml"), file).expect("writable");
     // A spool that the file names is not in the host's folder, and is examined, too.
     for (options, spool) in
         [("--result-loc a", "spool-localhost:"), ("--result-loc b --set spool.file=mine", "mine;")]
     {
-        let ended = lab.client(&format!("PEERNet run board.toml {options}")).wait_for_end();
-        assert_eq!(ended.code(), 0, "{}", ended.log);
-        let later = format!(
+        let end = lab.start_client(&format!("PEERNet run board.toml {options}")).wait_for_end();
+        assert_eq!(end.code(), 0, "{}", end.log);
+        let later_text = format!(
             "the runs of experiment board will be on the dashboard of the aggregator at 127.0.0.1:{}",
-            away.events
+            absent_deployment.events
         );
-        assert!(ended.log.contains(&later) && !ended.log.contains("see the runs"), "{}", ended.log);
-        let waits = ended.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
-        assert!(waits, "{spool}: {}", ended.log);
+        assert!(end.log.contains(&later_text) && !end.log.contains("see the runs"), "{}", end.log);
+        let names_spool =
+            end.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
+        assert!(names_spool, "{spool}: {}", end.log);
         std::fs::remove_dir_all(lab.folder().join("state")).expect("it was made");
     }
 }

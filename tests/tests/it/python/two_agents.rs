@@ -9,9 +9,9 @@ fn python_objects_exchange_arrays_with_one_stage_each() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     write_modules(testbed.folder());
     let cloud = testbed.start_cloud(&model());
-    let there = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
-    let more = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
-    let edge = testbed.start_edge(&(drive(&there) + more), &[]);
+    let placement = format!("{{ kind = \"remote\", peer = \"{}\", model = \"follower\" }}", testbed.peer());
+    let keys = "limit = { iterations = 30 }\nactuator = { kind = \"log\" }\n";
+    let edge = testbed.start_edge(&(drive(&placement) + keys), &[]);
     edge.wait_for("the rig is up");
     let api = &testbed.api;
     let run = api.wait_for_finished_run();
@@ -25,13 +25,13 @@ fn python_objects_exchange_arrays_with_one_stage_each() {
         assert!(facts.contains(fact), "{fact} is missing in {facts}");
     }
     let failed = api.json(&format!("/api/v1/runs/{run}/iterations/10"));
-    let said = failed["outcome"].to_string() + &failed["reason"].to_string();
-    assert!(said.contains("the path is lost at 10") && said.contains("follower.py"), "{failed}");
+    let text = failed["outcome"].to_string() + &failed["reason"].to_string();
+    assert!(text.contains("the path is lost at 10") && text.contains("follower.py"), "{failed}");
 
     // The time between the processes is a stage, and the stages add up to the total.
-    let here = ["sensing", "encode", "upload", "download", "actuation"];
-    let there = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
-    api.assert_stages_sum_to_total(run, &[&here[..], &there].concat());
+    let edge_stages = ["sensing", "encode", "upload", "download", "actuation"];
+    let cloud_stages = ["queue", "ipc", "preprocessing", "inference", "postprocessing"];
+    api.assert_stages_sum_to_total(run, &[&edge_stages[..], &cloud_stages].concat());
     assert!(api.mean(run, "capture-ipc") <= api.mean(run, "capture"));
 
     cloud.wait_for("following on cuda:0");

@@ -10,7 +10,7 @@ use super::{drive, model, write_modules};
 const CONFIGURATION: i32 = 78;
 
 /// Creates a deployment with both modules in its folder; `follower` replaces the model's.
-fn deployment(follower: Option<&str>) -> LoopbackDeployment {
+fn create_deployment(follower: Option<&str>) -> LoopbackDeployment {
     let deployment = LoopbackDeployment::new();
     write_modules(deployment.folder());
     if let Some(text) = follower {
@@ -23,12 +23,12 @@ fn deployment(follower: Option<&str>) -> LoopbackDeployment {
 fn start(deployment: &LoopbackDeployment, keys: &str) -> (Process, Process) {
     let serve = "[serve]\nlisten = \"tcp://127.0.0.1:{data}\"\n";
     let cloud = deployment.start_agent("cloud", &(serve.to_owned() + &model()));
-    let there = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
-    (cloud, deployment.start_agent("edge", &(there + keys)))
+    let pipeline = drive("{ kind = \"remote\", peer = \"tcp://127.0.0.1:{data}\", model = \"follower\" }");
+    (cloud, deployment.start_agent("edge", &(pipeline + keys)))
 }
 
 /// Returns the folder of the model's process in `/proc`, once the process exists.
-fn worker(deployment: &LoopbackDeployment) -> PathBuf {
+fn wait_for_worker(deployment: &LoopbackDeployment) -> PathBuf {
     let number = wait_until("the model is there", || {
         let text = fs::read_to_string(deployment.folder().join("pid")).ok()?;
         (!text.is_empty()).then_some(text)
@@ -38,9 +38,9 @@ fn worker(deployment: &LoopbackDeployment) -> PathBuf {
 
 #[test]
 fn killed_agent_leaves_no_python_process() {
-    let deployment = deployment(None);
+    let deployment = create_deployment(None);
     let (cloud, _edge) = start(&deployment, "");
-    let worker = worker(&deployment);
+    let worker = wait_for_worker(&deployment);
     assert!(worker.exists());
     cloud.kill();
     wait_until("the worker is gone", || (!worker.exists()).then_some(()));
@@ -48,24 +48,21 @@ fn killed_agent_leaves_no_python_process() {
 
 #[test]
 fn check_names_missing_parts_without_running_code() {
-    let deployment = deployment(None);
-    let broken = model().replace("follower::Follower", "folower::Follower");
-    let here = drive("{ kind = \"local\", model = \"follower\" }");
-    deployment.write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{broken}{here}"));
-    let ended = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
-    assert_eq!(ended.code(), CONFIGURATION, "{}", ended.log);
-    assert!(
-        ended.log.contains("model[0]") && ended.log.contains("no Python module folower"),
-        "{}",
-        ended.log
-    );
-    assert!(!ended.log.contains("the rig is up"), "{}", ended.log);
+    let deployment = create_deployment(None);
+    let invalid_model = model().replace("follower::Follower", "folower::Follower");
+    let pipeline = drive("{ kind = \"local\", model = \"follower\" }");
+    deployment
+        .write("it.toml", &format!("[agent]\nstate_dir = \"{{folder}}/it\"\n{invalid_model}{pipeline}"));
+    let end = deployment.peernetd(&["check", "it.toml"]).wait_for_end();
+    assert_eq!(end.code(), CONFIGURATION, "{}", end.log);
+    assert!(end.log.contains("model[0]") && end.log.contains("no Python module folower"), "{}", end.log);
+    assert!(!end.log.contains("the rig is up"), "{}", end.log);
     assert!(!deployment.folder().join("pid").exists(), "no object was made");
 }
 
 #[test]
 fn dead_model_process_is_restarted() {
-    let deployment = deployment(Some(
+    let deployment = create_deployment(Some(
         "
 import os
 class Follower:
@@ -88,7 +85,7 @@ class Follower:
 
 #[test]
 fn hanging_model_delays_neither_iterations_nor_stop() {
-    let deployment = deployment(Some(
+    let deployment = create_deployment(Some(
         "
 import os, time
 open('pid', 'w').write(str(os.getpid()))
@@ -101,7 +98,7 @@ class Follower:
     let (_aggregator, api) = deployment.start_aggregator();
     let (cloud, edge) = start(&deployment, "timeout_ms = 300\n");
     cloud.wait_for("hanging");
-    let worker = worker(&deployment);
+    let worker = wait_for_worker(&deployment);
     api.wait_until("/api/v1/runs", |runs| {
         (runs["runs"][0]["counts"]["timeout"].as_u64() > Some(2)).then_some(())
     });

@@ -11,24 +11,24 @@ use super::wait_for_turn;
 fn produced_events_are_stored_or_counted_as_dropped() {
     let _turn = wait_for_turn();
     // The spool is too small for what is measured without an aggregator, and hardly large enough with one.
-    let small = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
-    let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(small + &echo("loop", "")));
+    let configuration = edge("queue_events = 2000", "[spool]\nlimit_bytes = 1048576\n");
+    let mut fleet = Fleet::new(&["edge-1", "edge-2"], &(configuration + &echo("loop", "")));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.counts(agent, "something is stored", |counts| counts.events > 100);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 100);
     }
     fleet.aggregator.stop();
     fleet.restart_aggregator();
-    let accounts: Vec<EventCounts> = (0..2)
+    let counts_of_agents: Vec<EventCounts> = (0..2)
         .map(|agent| {
-            fleet.counts(agent, "drops are told", |counts| counts.dropped > 0);
+            fleet.wait_for_counts(agent, "drops are told", |counts| counts.dropped > 0);
             fleet.agents[agent].stop();
             fleet.deliver_spool(agent)
         })
         .collect();
 
     // The counts of the agent, of the aggregator, and of the metrics.
-    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+    for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         counts.assert_balanced();
         assert_eq!((counts.waiting, counts.missing), (0, counts.dropped), "{counts:?}");
         let expected = [
@@ -46,7 +46,7 @@ fn produced_events_are_stored_or_counted_as_dropped() {
     }
     // The counts of the tables.
     let stored_events = fleet.stop();
-    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+    for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         let host = &stored_events.hosts[&agent.name];
         assert_eq!(host.missing, counts.dropped, "{host:?}, {counts:?}");
         assert!(host.events >= counts.stored && host.quarantined == 0, "{host:?}, {counts:?}");

@@ -12,28 +12,30 @@ fn full_database_disk_stops_storing_without_loss() {
     let database = disk.folder().join("aggregator.sqlite").display().to_string();
     let mut fleet = Fleet::with_database(&database, &["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
 
     disk.fill();
-    let words = wait_until("not ready", || {
-        fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, words)| words)
+    let reason = wait_until("not ready", || {
+        fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, text)| text)
     });
-    assert!(words.contains("full"), "why: {words}");
+    assert!(reason.contains("full"), "why: {reason}");
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("full"), "the page says so: {page}");
     // The live state contains seconds that began after the disk was full.
-    let second = || {
+    let newest_second = || {
         let pipeline = fleet.api.json("/api/v1/pipelines/edge/loop");
         pipeline["seconds"].as_array().and_then(|seconds| seconds.last()?["at"].as_i64())
     };
-    let at = second().expect("it measures");
-    wait_until("newer figures", || second().filter(|now| *now > at + 1));
-    let kept = fleet.counts(0, "events wait", |counts| counts.waiting > 400);
-    assert_eq!(kept.dropped, 0, "{kept:?}");
+    let before = newest_second().expect("it measures");
+    wait_until("newer figures", || newest_second().filter(|second| *second > before + 1));
+    let waiting = fleet.wait_for_counts(0, "events wait", |counts| counts.waiting > 400);
+    assert_eq!(waiting.dropped, 0, "{waiting:?}");
 
     disk.free();
     wait_until("ready", || fleet.api.get("/readyz").filter(|(status, _)| *status == 200));
-    fleet.counts(0, "what waited is stored", |counts| counts.events > kept.events + kept.waiting);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| {
+        counts.events > waiting.events + waiting.waiting
+    });
     let outage = fleet.api.wait_until("/api/v1/incidents", |list| {
         let storage = list["incidents"].as_array()?.iter().find(|incident| incident["kind"] == "storage")?;
         storage["text"].as_str().map(str::to_owned)
@@ -48,7 +50,7 @@ fn full_database_disk_stops_storing_without_loss() {
     record_figures(
         "full disk, database",
         &[
-            ("events that waited, at least", number(kept.waiting)),
+            ("events that waited, at least", number(waiting.waiting)),
             ("iterations reported as spooled", number(spooled)),
             ("iterations stored", number(stored_events.iterations())),
         ],

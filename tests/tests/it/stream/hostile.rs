@@ -7,17 +7,17 @@ use peernet_tests::{Fleet, InventedHost, MisbehavingPeer, TestRng, record_figure
 use super::{assert_nothing_lost, wait_for_turn};
 
 /// Starts a fleet whose agent measures meanwhile.
-fn with_agent() -> Fleet {
+fn start_fleet() -> Fleet {
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 0);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
     fleet
 }
 
 /// Checks that the normal agent lost nothing and that the aggregator exits with 0.
-fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
-    let seen = fleet.counts(0, "it is there", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.events > seen.events + 100);
+fn assert_agent_lost_nothing(mut fleet: Fleet) -> u64 {
+    let before = fleet.wait_for_counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let mut stored_events = fleet.stop();
@@ -29,8 +29,8 @@ fn assert_nobody_was_harmed(mut fleet: Fleet) -> u64 {
 fn counter(fleet: &Fleet, name: &str) -> u64 {
     let (status, text) = fleet.api.get("/metrics").expect("the aggregator answers");
     assert_eq!(status, 200, "{text}");
-    let of_name = text.lines().filter(|line| line.starts_with(name));
-    let values = of_name.filter_map(|line| line.rsplit_once(' ')?.1.parse::<f64>().ok());
+    let lines = text.lines().filter(|line| line.starts_with(name));
+    let values = lines.filter_map(|line| line.rsplit_once(' ')?.1.parse::<f64>().ok());
     values.sum::<f64>() as u64
 }
 
@@ -38,7 +38,7 @@ fn counter(fleet: &Fleet, name: &str) -> u64 {
 fn damaged_frames_are_refused_and_counted() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("damaged frames");
-    let fleet = with_agent();
+    let fleet = start_fleet();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
@@ -50,8 +50,8 @@ fn damaged_frames_are_refused_and_counted() {
     let next = host.batch(10);
     let mut sent = 0;
     for _ in 0..300 {
-        let whole = if rng.once_in(2) { &hello } else { &next };
-        let mut frame = whole[..rng.below(whole.len())].to_vec();
+        let original = if rng.once_in(2) { &hello } else { &next };
+        let mut frame = original[..rng.below(original.len())].to_vec();
         if rng.once_in(3) {
             frame.iter_mut().for_each(|byte| *byte = rng.bits() as u8);
         }
@@ -66,20 +66,20 @@ fn damaged_frames_are_refused_and_counted() {
     // Each flipped bit of a batch is noticed, in any part of it.
     for _ in 0..300 {
         let mut frame = next.clone();
-        let at = rng.below(frame.len());
-        frame[at] ^= 1 << rng.below(8);
+        let index = rng.below(frame.len());
+        frame[index] ^= 1 << rng.below(8);
         misbehaving_peer.send(&frame);
         sent += 1;
     }
-    misbehaving_peer.send_hello_until(&host, |said| matches!(said, ToAgent::Welcome { stored: 2, .. }));
+    misbehaving_peer.send_hello_until(&host, |message| matches!(message, ToAgent::Welcome { stored: 2, .. }));
     wait_until("it is counted", || {
         (counter(&fleet, "peernet_aggregator_damaged_batches_total") > 0).then_some(())
     });
     let damaged = counter(&fleet, "peernet_aggregator_damaged_batches_total");
-    let told = fleet.aggregator.process().wait_for("messages were rejected");
-    assert!(told.contains("unreadable="), "{told}");
+    let line = fleet.aggregator.process().wait_for("messages were rejected");
+    assert!(line.contains("unreadable="), "{line}");
     misbehaving_peer.send_message(&ToAggregator::Goodbye(host.hello.host.id));
-    let spooled = assert_nobody_was_harmed(fleet);
+    let spooled = assert_agent_lost_nothing(fleet);
     record_figures(
         "damaged frames",
         &[
@@ -94,7 +94,7 @@ fn damaged_frames_are_refused_and_counted() {
 fn invalid_batch_is_quarantined_and_stream_continues() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("wrong batches");
-    let fleet = with_agent();
+    let fleet = start_fleet();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     let mut host = InventedHost::new("stranger", &mut rng);
     host.open_session(&misbehaving_peer);
@@ -102,8 +102,9 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     // Correctly hashed, but noise, too few events, too many events, or longer than permitted.
     let noise: Vec<u8> = (0..10_000).map(|_| rng.bits() as u8).collect();
     let event = host.clone().batch(1).split_off(0);
-    let wrong = [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
-    for (number, (events, body, compress)) in (1..).zip(wrong) {
+    let invalid_batches =
+        [(7, noise.clone(), false), (u32::MAX, noise, true), (3, event, false), (0, vec![], false)];
+    for (number, (events, body, compress)) in (1..).zip(invalid_batches) {
         let batch = host.batch_of(events, &body, compress);
         misbehaving_peer.send(&batch);
         misbehaving_peer.wait_for_ack(number);
@@ -129,89 +130,89 @@ fn invalid_batch_is_quarantined_and_stream_continues() {
     assert!(stored["gaps"].as_u64() >= Some(4), "{stored}");
     // An impossible number of events in a batch is not believed.
     assert!(stored["missing"].as_u64() < Some(1_000), "{stored}");
-    assert_nobody_was_harmed(fleet);
+    assert_agent_lost_nothing(fleet);
 }
 
 #[test]
 fn foreign_batches_are_refused_and_repeated_ones_ignored() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("replayed batches");
-    let fleet = with_agent();
-    let (own, other) = (
+    let fleet = start_fleet();
+    let (own_peer, other_peer) = (
         MisbehavingPeer::connect(fleet.deployment.events),
         MisbehavingPeer::connect(fleet.deployment.events),
     );
     let mut host = InventedHost::new("victim", &mut rng);
-    host.open_session(&own);
+    host.open_session(&own_peer);
     let batches: Vec<Vec<u8>> = (0..5).map(|_| host.batch(20)).collect();
-    batches[..4].iter().for_each(|batch| own.send(batch));
-    own.wait_for_ack(4);
+    batches[..4].iter().for_each(|batch| own_peer.send(batch));
+    own_peer.wait_for_ack(4);
 
     // Batches of another host, recorded and sent again: old batches and the next batch.
     for batch in &batches {
-        other.send(batch);
-        other.receive_until(|said| (*said == ToAgent::Unknown).then_some(()));
+        other_peer.send(batch);
+        other_peer.receive_until(|message| (*message == ToAgent::Unknown).then_some(()));
     }
     // A hello with its own name, with the victim's name, and with the victim's stream.
     let mut thief = InventedHost::new("thief", &mut rng);
     thief.hello.stream = host.hello.stream;
-    let words = thief.expect_refusal(&other);
-    assert!(words.contains(&host.hello.host.id.to_string()), "{words}");
+    let reason = thief.expect_refusal(&other_peer);
+    assert!(reason.contains(&host.hello.host.id.to_string()), "{reason}");
     let mut impostor = InventedHost::new("victim", &mut rng);
-    let words = impostor.expect_refusal(&other);
-    assert!(words.contains("name"), "{words}");
+    let reason = impostor.expect_refusal(&other_peer);
+    assert!(reason.contains("name"), "{reason}");
     impostor.hello.host.name = "impostor".parse().expect("a name");
-    impostor.open_session(&other);
-    batches.iter().for_each(|batch| other.send(batch));
+    impostor.open_session(&other_peer);
+    batches.iter().for_each(|batch| other_peer.send(batch));
 
     // The host itself may repeat batches.
     for batch in batches.iter().chain(&batches) {
-        own.send(batch);
+        own_peer.send(batch);
     }
-    own.wait_for_ack(5);
+    own_peer.wait_for_ack(5);
     let stored = wait_until("all is stored and duplicates are counted", || {
         let victim = fleet.api.json("/api/v1/hosts/victim");
         let stored = &victim["stored"];
         // Repeated batches are visible at once, new batches with the first live update after their commit.
-        let all = stored["duplicates"].as_u64()? >= 8 && stored["events"].as_u64()? >= 100;
-        all.then(|| stored.clone())
+        let is_complete = stored["duplicates"].as_u64()? >= 8 && stored["events"].as_u64()? >= 100;
+        is_complete.then(|| stored.clone())
     });
     assert_eq!((stored["events"].as_u64(), stored["gaps"].as_u64()), (Some(100), Some(0)), "{stored}");
-    assert_nobody_was_harmed(fleet);
+    assert_agent_lost_nothing(fleet);
 }
 
 #[test]
 fn hello_flood_excludes_no_agent() {
     let _turn = wait_for_turn();
     let mut rng = TestRng::new("hello storm");
-    let fleet = with_agent();
+    let fleet = start_fleet();
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
     // More hosts than one connection may represent.
-    for n in 0..200 {
-        let one = InventedHost::new(&format!("crowd-{n}"), &mut rng);
-        let welcome_or_not =
-            |said: &ToAgent| matches!(said, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
-        misbehaving_peer.send_hello_until(&one, welcome_or_not);
+    for number in 0..200 {
+        let host = InventedHost::new(&format!("crowd-{number}"), &mut rng);
+        let is_answer =
+            |message: &ToAgent| matches!(message, ToAgent::Welcome { .. } | ToAgent::Refused { .. });
+        misbehaving_peer.send_hello_until(&host, is_answer);
     }
-    let words = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
-    assert!(words.contains("connection"), "{words}");
+    let reason = InventedHost::new("one-more", &mut rng).expect_refusal(&misbehaving_peer);
+    assert!(reason.contains("connection"), "{reason}");
     // Many connections, many with the normal agent's name, wrong versions, and long texts.
-    let crowd: Vec<MisbehavingPeer> =
+    let peers: Vec<MisbehavingPeer> =
         (0..60).map(|_| MisbehavingPeer::connect(fleet.deployment.events)).collect();
-    for (n, one) in crowd.iter().enumerate() {
-        let name = if n % 2 == 0 { "edge" } else { "somebody" };
+    for (number, misbehaving_peer) in peers.iter().enumerate() {
+        let name = if number % 2 == 0 { "edge" } else { "somebody" };
         let mut hello = InventedHost::new(name, &mut rng).hello;
-        match n % 3 {
+        match number % 3 {
             0 => hello.protocol = u16::MAX,
             1 => hello.host.hardware.cpu = "x".repeat(3 << 20),
             _ => hello.oldest = u64::MAX,
         }
         for _ in 0..20 {
-            one.send_message(&ToAggregator::Hello(hello.clone()));
+            misbehaving_peer.send_message(&ToAggregator::Hello(hello.clone()));
         }
     }
-    let words = crowd[0].wait_for_refusal();
-    assert!(words.contains("version"), "{words}");
+    let reason = peers[0].wait_for_refusal();
+    assert!(reason.contains("version"), "{reason}");
     wait_until("refusals are shown", || {
         let hosts = fleet.api.json("/api/v1/hosts");
         (!hosts["refused"].as_array()?.is_empty()).then_some(())
@@ -219,5 +220,5 @@ fn hello_flood_excludes_no_agent() {
     wait_until("refusals are counted", || {
         (counter(&fleet, "peernet_aggregator_refused_hosts") > 0).then_some(())
     });
-    assert_nobody_was_harmed(fleet);
+    assert_agent_lost_nothing(fleet);
 }

@@ -9,7 +9,7 @@ use peernet_tests::{Daemon, Fleet, record_figures, thousands};
 use super::{assert_nothing_lost, wait_for_turn};
 
 /// Copies a folder with all its files.
-fn copy(from: &Path, to: &Path) {
+fn copy_folder(from: &Path, to: &Path) {
     std::fs::create_dir_all(to).expect("the temporary folder is writable");
     for entry in std::fs::read_dir(from).expect("the folder is there") {
         let entry = entry.expect("readable");
@@ -22,7 +22,7 @@ fn stop_measuring_and_deliver(fleet: &mut Fleet, agent: usize) {
     fleet.agents[agent].stop();
     let since = fleet.start_without_pipelines(agent);
     fleet
-        .counts(agent, "nothing waits", |counts| counts.seen > since && counts.waiting == 0)
+        .wait_for_counts(agent, "nothing waits", |counts| counts.last_seen > since && counts.waiting == 0)
         .assert_balanced();
 }
 
@@ -39,23 +39,25 @@ fn restored_database_records_gap_and_continues() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(500.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 500);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 500);
     let store = fleet.database().parent().expect("a folder of its own").to_owned();
     let backup = fleet.deployment.folder().join("backup");
     fleet.aggregator.stop();
-    copy(&store, &backup);
-    let older = fleet.stored_events();
+    copy_folder(&store, &backup);
+    let backup_events = fleet.stored_events();
 
     fleet.restart_aggregator();
-    let before = fleet.counts(0, "it is back", |_| true);
-    fleet.counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
+    let before = fleet.wait_for_counts(0, "it is back", |_| true);
+    fleet.wait_for_counts(0, "more is stored", |counts| counts.stored > before.stored + 1_000);
     fleet.aggregator.stop();
-    let newer = fleet.stored_events();
+    let later_events = fleet.stored_events();
     std::fs::remove_dir_all(&store).expect("the aggregator has stopped");
-    copy(&backup, &store);
+    copy_folder(&backup, &store);
 
     fleet.restart_aggregator();
-    fleet.counts(0, "newer batches are stored", |counts| counts.events > older.iterations() + 1_000);
+    fleet.wait_for_counts(0, "newer batches are stored", |counts| {
+        counts.events > backup_events.iterations() + 1_000
+    });
     stop_measuring_and_deliver(&mut fleet, 0);
     let stored_events = fleet.stop();
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
@@ -63,17 +65,17 @@ fn restored_database_records_gap_and_continues() {
     assert_eq!((stored_events.runs.len(), run.ranges.len()), (1, 2), "one hole: {run:?}");
     assert_eq!(run.reason, "stopped");
     // The gap begins where the copy ended, and is not longer than the lost part of the database.
-    assert_eq!(run.ranges[0], 1..=older.iterations());
-    assert!(*run.ranges[1].start() <= newer.iterations() + 1, "{run:?}, {newer:?}");
-    let why = query_database(fleet.database(), "SELECT reason FROM gap");
-    assert!(!why.trim().is_empty());
+    assert_eq!(run.ranges[0], 1..=backup_events.iterations());
+    assert!(*run.ranges[1].start() <= later_events.iterations() + 1, "{run:?}, {later_events:?}");
+    let reason = query_database(fleet.database(), "SELECT reason FROM gap");
+    assert!(!reason.trim().is_empty());
     let (first, last) = (run.ranges[0].end() + 1, run.ranges[1].start() - 1);
     record_figures(
         "restored database",
         &[
             ("iterations missing by the hole", thousands((last - first + 1) as f64)),
             ("stored before and after", thousands(stored_events.iterations() as f64)),
-            ("gap", why.trim().to_owned()),
+            ("gap", reason.trim().to_owned()),
         ],
     );
 }
@@ -84,21 +86,21 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     let configuration = edge("", &echo("loop", &rate(200.0)));
     let mut fleet = Fleet::new(&["edge"], &configuration);
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
     // The copied spool contains batches that the first agent delivers before the copy connects.
     kill_with_batches(&mut fleet);
     let folder = fleet.deployment.folder();
-    copy(&folder.join("edge"), &folder.join("copy"));
+    copy_folder(&folder.join("edge"), &folder.join("copy"));
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "it delivers", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "it delivers", |counts| counts.waiting < 100);
 
-    let copied = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
-    let mut copy = Daemon::start_new(&fleet.deployment, "copy", &copied);
-    let said = copy.process().wait_for("refused");
-    assert!(said.contains("another agent with the host id"), "{said}");
+    let configuration = edge_in("{folder}/copy", "", &echo("loop", &rate(200.0))).replace("NAME", "copy");
+    let mut copy = Daemon::start_new(&fleet.deployment, "copy", &configuration);
+    let line = copy.process().wait_for("refused");
+    assert!(line.contains("another agent with the host id"), "{line}");
     copy.stop();
-    fleet.counts(0, "the first goes on", |counts| counts.waiting < 100);
+    fleet.wait_for_counts(0, "the first goes on", |counts| counts.waiting < 100);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     fleet.agents[0].stop();
@@ -106,7 +108,9 @@ fn copied_state_folder_starts_new_stream_after_refusal() {
     copy.start(&fleet.deployment);
     copy.process().wait_for("new stream");
     fleet.agents.push(copy);
-    fleet.counts(1, "what the copy measures is stored", |counts| counts.waiting < 100 && counts.stored > 500);
+    fleet.wait_for_counts(1, "what the copy measures is stored", |counts| {
+        counts.waiting < 100 && counts.stored > 500
+    });
     stop_measuring_and_deliver(&mut fleet, 1);
     let stored_events = fleet.stop();
     assert_eq!(stored_events.count_missing(fleet.agents[0].spooled()), 0, "{stored_events:?}");
@@ -123,7 +127,7 @@ fn deleted_spool_causes_new_stream_and_gap() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(200.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
     kill_with_batches(&mut fleet);
     for entry in std::fs::read_dir(fleet.deployment.folder().join("edge")).expect("the state is there") {
         let path = entry.expect("readable").path();
@@ -133,13 +137,13 @@ fn deleted_spool_causes_new_stream_and_gap() {
     }
     fleet.restart_aggregator();
     fleet.start(0);
-    fleet.counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
+    fleet.wait_for_counts(0, "a gap", |counts| counts.missing > 0 || counts.events > 300);
     stop_measuring_and_deliver(&mut fleet, 0);
     let mut stored_events = fleet.stop();
     let host = stored_events.hosts.get_mut("edge").expect("stored");
     assert_eq!((host.streams, host.gaps, host.quarantined), (2, 1, 0), "{host:?}");
-    let why = query_database(fleet.database(), "SELECT reason FROM gap");
-    assert!(why.contains("spool"), "{why}");
+    let reason = query_database(fleet.database(), "SELECT reason FROM gap");
+    assert!(reason.contains("spool"), "{reason}");
     // Apart from the gap, which is in the run that was killed, everything is right.
     host.gaps = 0;
     assert_eq!(stored_events.runs.len(), 2, "{stored_events:?}");
@@ -151,12 +155,12 @@ fn second_agent_in_state_folder_is_refused() {
     let _turn = wait_for_turn();
     let mut fleet = Fleet::new(&["edge"], &edge("", &echo("loop", &rate(100.0))));
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 0);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
     let second = edge_in("{folder}/edge", "", "").replace("NAME", "second");
     fleet.deployment.write("second.toml", &second);
-    let ended = fleet.deployment.start("second.toml").wait_for_end();
-    assert_eq!(ended.code(), 69, "{}", ended.log);
-    assert!(ended.log.contains("another agent uses"), "{}", ended.log);
+    let end = fleet.deployment.start("second.toml").wait_for_end();
+    assert_eq!(end.code(), 69, "{}", end.log);
+    assert!(end.log.contains("another agent uses"), "{}", end.log);
     fleet.agents[0].stop();
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();

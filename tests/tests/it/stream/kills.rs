@@ -13,12 +13,12 @@ const AGENTS: [&str; 2] = ["hasty", "steady"];
 const STEADY_HZ: f64 = 1_000.0;
 
 /// Longest time that a process lives after its first action.
-const LIFE: Duration = Duration::from_millis(900);
+const MAX_LIFETIME: Duration = Duration::from_millis(900);
 /// Longest time before a killed process is started again.
-const DEATH: Duration = Duration::from_millis(400);
+const MAX_DOWNTIME: Duration = Duration::from_millis(400);
 
 #[derive(Default)]
-struct Tally {
+struct KillCounts {
     agents: u64,
     aggregator: u64,
     duplicates: u64,
@@ -27,32 +27,32 @@ struct Tally {
 #[test]
 fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     let _turn = wait_for_turn();
-    let (mut rng, began) = (TestRng::new("kills"), Stopwatch::now());
+    let (mut rng, stopwatch) = (TestRng::new("kills"), Stopwatch::now());
     let mut fleet = Fleet::new(&AGENTS, &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.agents[1].configure(&fleet.deployment, &edge("", &echo("loop", &rate(STEADY_HZ))));
     fleet.start_all();
-    let mut tally = Tally::default();
+    let mut kill_counts = KillCounts::default();
     let kills = setting("PEERNET_KILLS", 10);
-    while tally.agents + tally.aggregator < kills {
+    while kill_counts.agents + kill_counts.aggregator < kills {
         let agent = rng.below(AGENTS.len());
         match rng.below(5) {
-            0 | 1 => kill(&mut fleet, None, true, &mut rng, &mut tally),
-            2 | 3 => kill(&mut fleet, Some(agent), false, &mut rng, &mut tally),
-            _ => kill(&mut fleet, Some(agent), true, &mut rng, &mut tally),
+            0 | 1 => kill(&mut fleet, None, true, &mut rng, &mut kill_counts),
+            2 | 3 => kill(&mut fleet, Some(agent), false, &mut rng, &mut kill_counts),
+            _ => kill(&mut fleet, Some(agent), true, &mut rng, &mut kill_counts),
         }
     }
 
     fleet.wait_until_ready();
-    let accounts: Vec<EventCounts> = (0..AGENTS.len())
+    let counts_of_agents: Vec<EventCounts> = (0..AGENTS.len())
         .map(|agent| {
             fleet.agents[agent].stop();
             fleet.deliver_spool(agent)
         })
         .collect();
-    tally.duplicates += accounts.iter().map(|counts| counts.duplicates).sum::<u64>();
+    kill_counts.duplicates += counts_of_agents.iter().map(|counts| counts.duplicates).sum::<u64>();
     let stored_events = fleet.stop();
     let spooled = assert_nothing_lost(&fleet, &stored_events);
-    for (agent, counts) in fleet.agents.iter().zip(&accounts) {
+    for (agent, counts) in fleet.agents.iter().zip(&counts_of_agents) {
         counts.assert_balanced();
         let host = &stored_events.hosts[&agent.name];
         assert!(host.missing == counts.dropped && host.streams == 1, "{counts:?}, {host:?}");
@@ -67,8 +67,8 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
     record_figures(
         "kills",
         &[
-            ("kills of agents", number(tally.agents)),
-            ("kills of the aggregator", number(tally.aggregator)),
+            ("kills of agents", number(kill_counts.agents)),
+            ("kills of the aggregator", number(kill_counts.aggregator)),
             ("runs", number(stored_events.runs.len() as u64)),
             ("iterations reported as spooled", number(spooled)),
             ("iterations stored", number(stored_events.iterations())),
@@ -77,37 +77,43 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
             ("twice", number(0)),
             (
                 "dropped with a full spool, and counted",
-                number(accounts.iter().map(|counts| counts.dropped).sum()),
+                number(counts_of_agents.iter().map(|counts| counts.dropped).sum()),
             ),
-            ("duplicate batches recognised, at least", number(tally.duplicates)),
-            ("seconds", number(began.elapsed().as_secs())),
+            ("duplicate batches recognised, at least", number(kill_counts.duplicates)),
+            ("seconds", number(stopwatch.elapsed().as_secs())),
         ],
     );
 }
 
 /// Kills an agent, the aggregator or both at a random moment, and starts them again a random time later.
-fn kill(fleet: &mut Fleet, agent: Option<usize>, aggregator: bool, rng: &mut TestRng, tally: &mut Tally) {
+fn kill(
+    fleet: &mut Fleet,
+    agent: Option<usize>,
+    aggregator: bool,
+    rng: &mut TestRng,
+    kill_counts: &mut KillCounts,
+) {
     // Sometimes during the start, otherwise after some activity.
     if !rng.once_in(4) {
         if let Some(agent) = agent {
             fleet.agents[agent].process().wait_for("spooled batch=");
         }
         if aggregator {
-            fleet.counts(0, "something is stored", |counts| counts.events > 0);
+            fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 0);
         }
     }
-    rng.sleep_up_to(LIFE);
+    rng.sleep_up_to(MAX_LIFETIME);
     if aggregator {
         let duplicates = |name| EventCounts::read(&fleet.api, name).map_or(0, |counts| counts.duplicates);
-        tally.duplicates += AGENTS.iter().map(|name| duplicates(name)).sum::<u64>();
+        kill_counts.duplicates += AGENTS.iter().map(|name| duplicates(name)).sum::<u64>();
         fleet.aggregator.kill();
-        tally.aggregator += 1;
+        kill_counts.aggregator += 1;
     }
     if let Some(agent) = agent {
         fleet.agents[agent].kill();
-        tally.agents += 1;
+        kill_counts.agents += 1;
     }
-    rng.sleep_up_to(DEATH);
+    rng.sleep_up_to(MAX_DOWNTIME);
     if let Some(agent) = agent {
         fleet.start(agent);
     }

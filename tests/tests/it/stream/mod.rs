@@ -27,10 +27,10 @@ pub(super) fn wait_for_turn() -> MutexGuard<'static, ()> {
 }
 
 /// Returns the value of an environment variable, or the default.
-pub(super) fn setting(variable: &str, usual: u64) -> u64 {
+pub(super) fn setting(variable: &str, default: u64) -> u64 {
     match std::env::var(variable) {
         Ok(text) => text.parse().unwrap_or_else(|_| panic!("{variable}={text:?} is no number")),
-        Err(_) => usual,
+        Err(_) => default,
     }
 }
 

@@ -9,12 +9,12 @@ use peernet_tests::{EventCounts, Fleet, Stopwatch, record_figures, thousands, wa
 use super::{assert_nothing_lost, setting, wait_for_turn};
 
 /// Interval of queries of the stored data.
-const LOOK: Duration = Duration::from_millis(100);
+const QUERY_INTERVAL: Duration = Duration::from_millis(100);
 const DAY_S: f64 = 86_400.0;
 
 /// Largest lag of the live state, in a debug build on a busy machine. `make bench` measures the relevant figure, and
 /// `make soak` sets a stricter limit.
-const USUAL_LAG_MS: u64 = 5_000;
+const DEFAULT_MAX_LAG_MS: u64 = 5_000;
 
 #[test]
 fn day_long_outage_is_delivered_in_order() {
@@ -29,7 +29,7 @@ fn day_long_outage_is_delivered_in_order() {
     let mut fleet = Fleet::new(&["edge"], &edge("queue_events = 16000", &pipelines));
     // The host is known before the aggregator stops.
     fleet.start(0);
-    fleet.counts(0, "it is there", |_| true);
+    fleet.wait_for_counts(0, "it is there", |_| true);
     fleet.aggregator.kill();
     let agent = &fleet.agents[0];
     // The other pipeline never reaches that number.
@@ -38,41 +38,41 @@ fn day_long_outage_is_delivered_in_order() {
     });
 
     fleet.restart_aggregator();
-    let (begin, before) = (Stopwatch::now(), stored(&fleet));
+    let (stopwatch, before) = (Stopwatch::now(), stored_iterations(&fleet));
     let mut lags = Vec::new();
-    let mut seen = before.unwrap_or_default();
+    let mut newest = before.unwrap_or_default();
     loop {
-        let (number, done) = wait_until("more of the day is stored", || {
+        let (number, has_ended) = wait_until("more of the day is stored", || {
             let counts = EventCounts::read(&fleet.api, "edge").filter(|counts| counts.connected)?;
             lags.push(counts.live_lag_s);
-            std::thread::sleep(LOOK);
-            Some(stored(&fleet)?).filter(|(number, done)| *number > seen.0 || *done)
+            std::thread::sleep(QUERY_INTERVAL);
+            Some(stored_iterations(&fleet)?).filter(|(number, has_ended)| *number > newest.0 || *has_ended)
         });
-        seen = (number, done);
-        if done {
+        newest = (number, has_ended);
+        if has_ended {
             break;
         }
     }
-    let seconds = begin.elapsed().as_secs_f64();
+    let seconds = stopwatch.elapsed().as_secs_f64();
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     counts.assert_balanced();
-    let day = stored_events.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
-    assert_eq!((day.iterations(), day.reason.as_str()), (iterations, "finished"));
+    let run = stored_events.runs.values().find(|run| run.pipeline == "day").expect("it was measured");
+    assert_eq!((run.iterations(), run.reason.as_str()), (iterations, "finished"));
 
     lags.sort_by(f64::total_cmp);
     let lag = |share: f64| lags[((lags.len() - 1) as f64 * share) as usize];
-    let caught_up = (iterations - before.map_or(0, |(number, _)| number)) as f64;
-    let per_second = caught_up / seconds * (day.nodes as f64 / iterations as f64);
+    let delivered = (iterations - before.map_or(0, |(number, _)| number)) as f64;
+    let per_second = delivered / seconds * (run.nodes as f64 / iterations as f64);
     let ms = |seconds: f64| format!("{:.0} ms", seconds * 1e3);
     record_figures(
         "outage",
         &[
-            ("iterations while away", thousands(caught_up)),
+            ("iterations while away", thousands(delivered)),
             ("which is a day at", format!("{:.2} Hz", iterations as f64 / DAY_S)),
-            ("nodes", thousands(day.nodes as f64)),
+            ("nodes", thousands(run.nodes as f64)),
             ("caught up in", format!("{seconds:.1} s")),
             ("nodes per second", thousands(per_second)),
             ("live picture behind meanwhile, p50", ms(lag(0.5))),
@@ -81,7 +81,7 @@ fn day_long_outage_is_delivered_in_order() {
         ],
     );
     assert!(
-        lag(0.99) * 1e3 <= setting("PEERNET_LAG_MS", USUAL_LAG_MS) as f64,
+        lag(0.99) * 1e3 <= setting("PEERNET_LAG_MS", DEFAULT_MAX_LAG_MS) as f64,
         "the picture was not live: {}",
         ms(lag(0.99))
     );
@@ -90,7 +90,7 @@ fn day_long_outage_is_delivered_in_order() {
 
 /// Returns the newest stored iteration of the day and whether its run has ended; checks that none before it is
 /// missing.
-fn stored(fleet: &Fleet) -> Option<(u64, bool)> {
+fn stored_iterations(fleet: &Fleet) -> Option<(u64, bool)> {
     let sql = "SELECT r.ok + r.warm_up + r.failed, coalesce((SELECT max(number) FROM iteration WHERE run = r.number), 0),
                       r.end_reason IS NOT NULL
                FROM run AS r JOIN pipeline AS p ON p.id = r.pipeline WHERE p.name = 'day'";
@@ -99,7 +99,7 @@ fn stored(fleet: &Fleet) -> Option<(u64, bool)> {
         return None;
     }
     let mut columns = row.trim().split('|').map(|column| column.parse::<u64>().expect("a count"));
-    let (counted, newest, ended) = (columns.next()?, columns.next()?, columns.next()?);
-    assert_eq!(counted, newest, "stored in order, so that what is there has no hole");
-    Some((newest, ended == 1))
+    let (count, newest, end) = (columns.next()?, columns.next()?, columns.next()?);
+    assert_eq!(count, newest, "stored in order, so that what is there has no hole");
+    Some((newest, end == 1))
 }

@@ -12,7 +12,7 @@ const KBIT: u32 = 50;
 const HZ: f64 = 100.0;
 const ITERATIONS: u64 = 3_500;
 /// Largest lag of the live state on a busy machine, seconds; 2.5 s were observed.
-const MOST_BEHIND_S: f64 = 5.0;
+const MAX_LAG_S: f64 = 5.0;
 
 #[test]
 fn host_on_50_kbit_link_loses_nothing() {
@@ -20,26 +20,26 @@ fn host_on_50_kbit_link_loses_nothing() {
     let testbed = TwoHostTestbed::new(|_| Network::direct());
     let host = testbed.network.edge();
     host.throttle(CONTROL_INTERFACE, KBIT);
-    let more = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
+    let keys = format!("{}\nlimit = {{ total = {ITERATIONS} }}", rate(HZ));
     let model = "[[model]]\nname = \"echo\"\nkind = \"echo\"\n";
-    let edge = testbed.start_edge(&format!("{model}{}", echo("line", &more)), &[]);
-    let began = Stopwatch::now();
+    let edge = testbed.start_edge(&format!("{model}{}", echo("line", &keys)), &[]);
+    let stopwatch = Stopwatch::now();
     let first = EventCounts::wait_until(&testbed.api, "edge", "it is live", |counts| counts.produced > 0);
 
-    let (mut behind, mut stored, mut asked) = (0.0_f64, first.events, 0);
-    while began.elapsed() < Duration::from_secs(35) {
+    let (mut max_lag_s, mut stored, mut queries) = (0.0_f64, first.events, 0);
+    while stopwatch.elapsed() < Duration::from_secs(35) {
         let counts = EventCounts::read(&testbed.api, "edge").expect("the aggregator answers");
-        assert!(counts.connected, "away after {:?}: {counts:?}", began.elapsed());
+        assert!(counts.connected, "away after {:?}: {counts:?}", stopwatch.elapsed());
         assert!(counts.events >= stored, "{counts:?}");
         counts.assert_balanced();
-        behind = behind.max(counts.live_lag_s);
-        (stored, asked) = (counts.events, asked + 1);
+        max_lag_s = max_lag_s.max(counts.live_lag_s);
+        (stored, queries) = (counts.events, queries + 1);
         std::thread::sleep(Duration::from_millis(250));
     }
     print_line(&format!(
-        "{KBIT} kbit/s: {behind:.2} s behind at most, {stored} events stored, asked {asked} times"
+        "{KBIT} kbit/s: {max_lag_s:.2} s behind at most, {stored} events stored, asked {queries} times"
     ));
-    assert!(behind <= MOST_BEHIND_S, "the live picture was {behind} s behind");
+    assert!(max_lag_s <= MAX_LAG_S, "the live picture was {max_lag_s} s behind");
     // Compressed events have some hundred bytes each.
     assert!(stored >= 300, "the durable lane stored {stored} events only");
     assert!(stored < ITERATIONS, "the link was not slow");
@@ -48,9 +48,9 @@ fn host_on_50_kbit_link_loses_nothing() {
     let counts = EventCounts::wait_until_at_rest(&testbed.api, "edge", wall());
     counts.assert_balanced();
     assert_eq!((counts.dropped, counts.gaps, counts.missing, counts.duplicates), (0, 0, 0, 0));
-    let ended = edge.stop();
-    assert_eq!(ended.code(), 0, "{}", ended.log);
-    assert_eq!(ended.log.matches("connected to the aggregator").count(), 1, "{}", ended.log);
+    let end = edge.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert_eq!(end.log.matches("connected to the aggregator").count(), 1, "{}", end.log);
     let database = testbed.folder().join("aggregator.sqlite");
     testbed.stop_and_inspect(|| {
         let stored_events = StoredEvents::read(&database);

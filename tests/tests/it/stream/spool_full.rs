@@ -16,26 +16,26 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     let agent = edge_in(&folder, "queue_events = 4000", &echo("loop", &rate(2_000.0)));
     let mut fleet = Fleet::with_database(&database, &["edge"], &agent);
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 100);
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 100);
 
     // Only the spool's disk is full: events still reach the aggregator.
     state.fill();
-    let before = fleet.counts(0, "it is known", |_| true);
-    let now = fleet.counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
-    assert_eq!(now.dropped, 0, "{now:?}");
+    let before = fleet.wait_for_counts(0, "it is known", |_| true);
+    let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
+    assert_eq!(after.dropped, 0, "{after:?}");
 
     // The aggregator accepts no more events, so that the spool would have to grow.
     store.fill();
-    let troubled = fleet.counts(0, "the spool fails", |counts| counts.trouble.is_some());
-    let words = troubled.trouble.as_deref().unwrap_or_default();
-    assert!(words.contains("full"), "why: {words}");
-    let full = fleet.counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
-    assert!(full.produced > troubled.produced, "measuring goes on: {full:?}");
+    let failing = fleet.wait_for_counts(0, "the spool fails", |counts| counts.trouble.is_some());
+    let reason = failing.trouble.as_deref().unwrap_or_default();
+    assert!(reason.contains("full"), "why: {reason}");
+    let dropping = fleet.wait_for_counts(0, "memory is full, too", |counts| counts.dropped > 1_000);
+    assert!(dropping.produced > failing.produced, "measuring goes on: {dropping:?}");
 
     state.free();
-    fleet.counts(0, "the spool works again", |counts| counts.trouble.is_none());
+    fleet.wait_for_counts(0, "the spool works again", |counts| counts.trouble.is_none());
     store.free();
-    fleet.counts(0, "what waited is stored", |counts| counts.events > full.events + 5_000);
+    fleet.wait_for_counts(0, "what waited is stored", |counts| counts.events > dropping.events + 5_000);
     fleet.agents[0].stop();
     let counts = fleet.deliver_spool(0);
     counts.assert_balanced();
@@ -82,20 +82,20 @@ fn start_on_full_disk_counts_dropped_events() {
     fleet.agents[0].process().wait_for("the disk is full");
     fleet.agents[0].process().wait_for_nth("actuators: answer", 1_500);
     let spool = state.folder().join("edge").join("spool.sqlite").display().to_string();
-    let examined = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).wait_for_end();
+    let doctor = fleet.deployment.peernetd(&["doctor", "--json", "--spool", &spool]).wait_for_end();
     let report: Value =
-        serde_json::from_str(&examined.log).unwrap_or_else(|error| panic!("{error}: {}", examined.log));
-    assert_eq!((examined.code(), &report["healthy"]), (65, &Value::Bool(false)), "{report}");
+        serde_json::from_str(&doctor.log).unwrap_or_else(|error| panic!("{error}: {}", doctor.log));
+    assert_eq!((doctor.code(), &report["healthy"]), (65, &Value::Bool(false)), "{report}");
     assert!(report["spool"]["disk_free_bytes"].as_u64().is_some_and(|bytes| bytes < 1 << 20), "{report}");
-    assert!(examined.log.contains("KiB of free space"), "{report}");
-    let ended = fleet.agents[0].stop();
-    let answers = ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64;
-    assert!(ended.log.contains("a gap reports them"), "{}", ended.log);
+    assert!(doctor.log.contains("KiB of free space"), "{report}");
+    let end = fleet.agents[0].stop();
+    let answers = end.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64;
+    assert!(end.log.contains("a gap reports them"), "{}", end.log);
 
     state.free();
     fleet.restart_aggregator();
     fleet.start_without_pipelines(0);
-    let counts = fleet.counts(0, "what was lost is told", |counts| {
+    let counts = fleet.wait_for_counts(0, "what was lost is told", |counts| {
         counts.gaps > 0 && counts.waiting == 0 && counts.events == counts.stored
     });
     counts.assert_balanced();

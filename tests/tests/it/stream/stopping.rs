@@ -7,28 +7,28 @@ use super::{SMALL_SPOOL, assert_nothing_lost, wait_for_turn};
 
 /// Returns an agent that logs each answer, so that the number of measured iterations is known independently of the
 /// spool.
-fn counted() -> String {
+fn counting_agent() -> String {
     edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", "actuator = { kind = \"log\" }")))
 }
 
 /// Returns the number of answers in an agent's log.
-fn answers(ended: &ProcessEnd) -> u64 {
-    ended.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
+fn answers(end: &ProcessEnd) -> u64 {
+    end.log.lines().filter(|line| line.contains("actuators: answer")).count() as u64
 }
 
 /// Checks that every measured iteration is stored or counted in gaps, and that the end of the run is stored.
-fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u64) {
+fn assert_everything_is_stored(title: &str, mut fleet: Fleet, measured: u64) {
     fleet.deliver_spool(0).assert_balanced();
     let stored_events = fleet.stop();
     assert_nothing_lost(&fleet, &stored_events);
     let run = stored_events.runs.values().next().expect("one run");
     assert_eq!((stored_events.runs.len(), run.reason.as_str()), (1, "stopped"), "{stored_events:?}");
-    assert_eq!(run.iterations() + run.missing, measured_in_all, "{stored_events:?}");
+    assert_eq!(run.iterations() + run.missing, measured, "{stored_events:?}");
     let number = |count: u64| thousands(count as f64);
     record_figures(
-        what,
+        title,
         &[
-            ("iterations measured", number(measured_in_all)),
+            ("iterations measured", number(measured)),
             ("iterations stored", number(run.iterations())),
             ("iterations in gaps", number(run.missing)),
         ],
@@ -38,23 +38,23 @@ fn assert_everything_is_stored(what: &str, mut fleet: Fleet, measured_in_all: u6
 #[test]
 fn agent_stopped_without_aggregator_keeps_all_in_spool() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &counted());
+    let mut fleet = Fleet::new(&["edge"], &counting_agent());
     fleet.aggregator.stop();
     fleet.start(0);
     fleet.agents[0].process().wait_for_nth("spooled batch=", 8);
-    let ended = fleet.agents[0].stop();
+    let end = fleet.agents[0].stop();
     fleet.restart_aggregator();
-    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&ended));
+    assert_everything_is_stored("SIGTERM, agent alone", fleet, answers(&end));
 }
 
 #[test]
 fn agent_stopped_under_load_spooled_or_stored_everything() {
     let _turn = wait_for_turn();
-    let mut fleet = Fleet::new(&["edge"], &counted());
+    let mut fleet = Fleet::new(&["edge"], &counting_agent());
     fleet.start(0);
-    fleet.counts(0, "something is stored", |counts| counts.events > 1_000);
-    let ended = fleet.agents[0].stop();
-    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&ended));
+    fleet.wait_for_counts(0, "something is stored", |counts| counts.events > 1_000);
+    let end = fleet.agents[0].stop();
+    assert_everything_is_stored("SIGTERM, agent", fleet, answers(&end));
 }
 
 #[test]
@@ -64,7 +64,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
         Fleet::new(&["edge-1", "edge-2"], &edge("", &(SMALL_SPOOL.to_owned() + &echo("loop", ""))));
     fleet.start_all();
     for agent in 0..2 {
-        fleet.counts(agent, "something is stored", |counts| counts.events > 1_000);
+        fleet.wait_for_counts(agent, "something is stored", |counts| counts.events > 1_000);
     }
     fleet.aggregator.stop();
     let first = fleet.stored_events();
@@ -72,7 +72,7 @@ fn aggregator_stopped_under_load_stored_acknowledged_batches() {
     // Acknowledged batches are deleted in the spools: if they had not been stored, there would be a gap now.
     fleet.restart_aggregator();
     for (agent, before) in before.into_iter().enumerate() {
-        fleet.counts(agent, "more is stored", |counts| counts.events > before);
+        fleet.wait_for_counts(agent, "more is stored", |counts| counts.events > before);
         fleet.agents[agent].stop();
         fleet.deliver_spool(agent).assert_balanced();
     }

@@ -26,16 +26,16 @@ fn newer_agent_is_served_unknown_versions_refused() {
     let newest = STREAM_VERSIONS.newest();
     let since = Some(Release(0, 9, 0));
 
-    let mut later = InventedHost::new("later", &mut rng);
-    later.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
+    let mut later_host = InventedHost::new("later", &mut rng);
+    later_host.hello.extension = Some(HelloExtension { newest: Some(newest + 4), since });
     let misbehaving_peer = MisbehavingPeer::connect(fleet.deployment.events);
-    misbehaving_peer.send(&later_frame(&later.hello));
+    misbehaving_peer.send(&later_frame(&later_host.hello));
     let challenge = misbehaving_peer.receive();
     let ToAgent::Challenge { version, .. } = challenge else { panic!("{challenge:?}") };
-    assert_eq!(version.unwrap_or(later.hello.protocol), newest, "the highest that both speak");
-    misbehaving_peer.answer_challenge(&later.hello, &later.secret, &challenge);
-    misbehaving_peer.receive_until(|said| matches!(said, ToAgent::Welcome { .. }).then_some(()));
-    misbehaving_peer.send(&later.batch(3));
+    assert_eq!(version.unwrap_or(later_host.hello.protocol), newest, "the highest that both speak");
+    misbehaving_peer.answer_challenge(&later_host.hello, &later_host.secret, &challenge);
+    misbehaving_peer.receive_until(|message| matches!(message, ToAgent::Welcome { .. }).then_some(()));
+    misbehaving_peer.send(&later_host.batch(3));
     misbehaving_peer.wait_for_ack(1);
 
     let mut too_new = InventedHost::new("too-new", &mut rng);
@@ -50,10 +50,11 @@ fn newer_agent_is_served_unknown_versions_refused() {
 
     wait_until("both are shown with what to do", || {
         let hosts = fleet.api.json("/api/v1/hosts");
-        let reasons: Vec<_> = hosts["refused"].as_array()?.iter().map(|one| one["reason"].as_str()).collect();
-        let has =
+        let reasons: Vec<_> =
+            hosts["refused"].as_array()?.iter().map(|host| host["reason"].as_str()).collect();
+        let is_reported =
             |host: &str| reasons.iter().flatten().any(|reason| reason.contains(&format!("update {host}")));
-        (has("the aggregator") && has("the agent on too-old")).then_some(())
+        (is_reported("the aggregator") && is_reported("the agent on too-old")).then_some(())
     });
     let stored_events = fleet.stop();
     assert_eq!(stored_events.hosts["later"].quarantined, 0, "{stored_events:?}");

@@ -9,7 +9,7 @@ use super::{CountOwner, SHARED_MEMORY, open_owned_file, read_owner, remove};
 
 /// Removes the files of counts that no process uses, if their spool no longer exists or is `spool`.
 ///
-/// Files named in `needed`, which `spool` still needs, stay. So does a file without the identity of a spool.
+/// The files named in `needed` stay, because `spool` still needs them. A file without the identity of a spool stays, too.
 pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     let entries = match fs::read_dir(SHARED_MEMORY) {
         Ok(entries) => entries,
@@ -36,13 +36,13 @@ pub(crate) fn remove_abandoned(spool: &CountOwner, needed: &[&str]) {
     }
 }
 
-/// Returns whether a file with this name has counts.
+/// Returns whether this is the name of a file of counts.
 fn is_count_file_name(name: &str) -> bool {
     let id = name.strip_prefix("peernet-").and_then(|name| name.strip_suffix(".count"));
     id.is_some_and(|id| Uuid::try_parse(id).is_ok()) && Path::new(name).file_name().is_some()
 }
 
-/// Returns whether no process counts in a file and none can need it later. The file is locked during the check.
+/// Returns whether no process counts in a file and no process can need it later. The check locks the file.
 fn is_abandoned(file: &File, spool: &CountOwner) -> bool {
     file.try_lock().is_ok()
         && read_owner(file).is_some_and(|owner| owner.is_same_file(spool) || owner.is_gone())

@@ -12,7 +12,7 @@ use std::time::UNIX_EPOCH;
 pub(super) const OWNER_BYTES: usize = 4096;
 /// Bytes before the path: four numbers and the length of the path.
 const NUMBERS_BYTES: usize = 4 * 8 + 2;
-/// Path that identifies the mount namespace, within which paths have their meaning.
+/// Path of the file that identifies the mount namespace. A path means the same file only within one mount namespace.
 const MOUNT_NAMESPACE: &str = "/proc/self/ns/mnt";
 
 /// Identity of a spool file. A copy of the spool has another identity.
@@ -47,31 +47,36 @@ impl CountOwner {
         })
     }
 
-    /// Returns whether both are the same file, under any path.
+    /// Returns whether both identities belong to the same file, even if its paths differ.
     pub(crate) fn is_same_file(&self, other: &Self) -> bool {
         (self.device, self.inode, self.created) == (other.device, other.inode, other.created)
     }
 
-    /// Returns whether the file is certainly no longer at its path. It is not certain in another mount namespace, nor
-    /// if another file system is mounted in the place of the file's, which may be mounted again.
+    /// Returns whether the file is certainly no longer at its path. This is not certain from within another mount
+    /// namespace. Nor is it certain while another file system is mounted there, because the file's own file system may be
+    /// mounted again.
     pub(super) fn is_gone(&self) -> bool {
-        if !self.path.is_absolute() || mount_namespace().is_none_or(|own| own != self.mount_namespace) {
+        if !self.path.is_absolute()
+            || mount_namespace().is_none_or(|namespace| namespace != self.mount_namespace)
+        {
             return false;
         }
         match fs::metadata(&self.path) {
-            Ok(found) => {
-                found.dev() == self.device
-                    && (found.ino(), creation_time_ns(&found)) != (self.inode, self.created)
+            Ok(metadata) => {
+                metadata.dev() == self.device
+                    && (metadata.ino(), creation_time_ns(&metadata)) != (self.inode, self.created)
             }
-            Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_of_its_device(),
-            // For example without permission to read the folder: then nothing is certain.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => self.nearest_folder_is_on_same_device(),
+            // Nothing is certain, for example without permission to read the folder.
             Err(_) => false,
         }
     }
 
-    fn nearest_folder_is_of_its_device(&self) -> bool {
+    fn nearest_folder_is_on_same_device(&self) -> bool {
         let mut folders = self.path.ancestors().skip(1);
-        folders.find_map(|folder| fs::metadata(folder).ok()).is_some_and(|found| found.dev() == self.device)
+        folders
+            .find_map(|folder| fs::metadata(folder).ok())
+            .is_some_and(|metadata| metadata.dev() == self.device)
     }
 
     pub(super) fn encode(&self) -> Vec<u8> {
@@ -85,7 +90,7 @@ impl CountOwner {
     pub(super) fn decode(bytes: &[u8]) -> Option<Self> {
         let (numbers, rest) = bytes.split_at_checked(NUMBERS_BYTES - 2)?;
         let number =
-            |place: usize| numbers[place * 8..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes));
+            |index: usize| numbers[index * 8..].first_chunk().map(|bytes| u64::from_be_bytes(*bytes));
         let (length, path) = rest.split_first_chunk()?;
         let path = path.get(..u16::from_be_bytes(*length).into())?;
         Some(Self {
@@ -99,8 +104,8 @@ impl CountOwner {
 }
 
 fn creation_time_ns(metadata: &Metadata) -> u64 {
-    let since = metadata.created().ok().and_then(|created| created.duration_since(UNIX_EPOCH).ok());
-    since.and_then(|since| u64::try_from(since.as_nanos()).ok()).unwrap_or_default()
+    let since_epoch = metadata.created().ok().and_then(|created| created.duration_since(UNIX_EPOCH).ok());
+    since_epoch.and_then(|duration| u64::try_from(duration.as_nanos()).ok()).unwrap_or_default()
 }
 
 fn mount_namespace() -> Option<u64> {

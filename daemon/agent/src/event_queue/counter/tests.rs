@@ -23,8 +23,8 @@ fn another_process_reads_what_was_counted() {
     let (counter, line) = (EventCounter::create(&owner).expect("shared memory"), "line".parse::<Slug>().ok());
     let name = counter.name().expect("a file");
     let (first, second) = (RunId::random(), RunId::random());
-    for n in 1..=5 {
-        counter.count(line.as_ref(), Some(first), at(n));
+    for nanos in 1..=5 {
+        counter.count(line.as_ref(), Some(first), at(nanos));
     }
     counter.count(None, None, at(6));
     counter.count(line.as_ref(), Some(second), at(7));
@@ -33,15 +33,15 @@ fn another_process_reads_what_was_counted() {
     (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
     let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
-    let mut counted = read(&name, &owner).expect("readable");
-    counted.runs.sort_by_key(|run| run.last);
+    let mut counted_events = read(&name, &owner).expect("readable");
+    counted_events.runs.sort_by_key(|run| run.last);
     let runs = vec![run(first, 5, 5), run(second, 1, 7)];
-    assert_eq!(counted, CountedEvents { total: 7, last: at(7), sent, runs });
+    assert_eq!(counted_events, CountedEvents { total: 7, last: at(7), sent, runs });
 
     assert!(!counter.release(second, 0), "it has an event that the spool does not have");
     assert!(counter.release(first, 5) && counter.release(second, 1));
-    let counted = read(&name, &owner).expect("readable");
-    assert_eq!((counted.total, counted.runs.len()), (7, 0));
+    let counted_events = read(&name, &owner).expect("readable");
+    assert_eq!((counted_events.total, counted_events.runs.len()), (7, 0));
     counter.remove();
     assert_eq!(read(&name, &owner), None);
 }
@@ -55,8 +55,8 @@ fn deleted_file_is_made_again() {
     remove(&name);
     counter.recreate_if_deleted();
     counter.count(None, Some(run), at(2));
-    let counted = read(&name, &owner).expect("is there");
-    assert_eq!((counted.total, counted.runs[0].events), (2, 2));
+    let counted_events = read(&name, &owner).expect("is there");
+    assert_eq!((counted_events.total, counted_events.runs[0].events), (2, 2));
     counter.remove();
 }
 
@@ -65,8 +65,8 @@ fn other_files_of_the_name_are_not_read() {
     let (_folder, owner) = spool();
     let name = format!("peernet-{}.count", Uuid::new_v4());
     let path = Path::new(SHARED_MEMORY).join(&name);
-    let created = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
-    assert!(created.success() && read(&name, &owner).is_none());
+    let status = std::process::Command::new("mkfifo").arg(&path).status().expect("coreutils");
+    assert!(status.success() && read(&name, &owner).is_none());
     fs::remove_file(path).expect("is there");
 }
 
@@ -76,38 +76,44 @@ fn runs_beyond_capacity_are_counted_in_total() {
     let counter = EventCounter::create(&owner).expect("shared memory");
     let runs: Vec<RunId> = (0..=MAX_COUNTED_RUNS).map(|_| RunId::random()).collect();
     runs.iter().for_each(|run| counter.count(None, Some(*run), at(1)));
-    let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
-    assert_eq!((counted.total, counted.runs.len()), (MAX_COUNTED_RUNS as u64 + 1, MAX_COUNTED_RUNS));
+    let counted_events = read(&counter.name().expect("a file"), &owner).expect("readable");
+    assert_eq!(
+        (counted_events.total, counted_events.runs.len()),
+        (MAX_COUNTED_RUNS as u64 + 1, MAX_COUNTED_RUNS)
+    );
     assert!(counter.release(runs[0], 1));
     counter.count(None, Some(RunId::random()), at(2));
-    let counted = read(&counter.name().expect("a file"), &owner).expect("readable");
-    assert_eq!((counted.total, counted.runs.len()), (MAX_COUNTED_RUNS as u64 + 2, MAX_COUNTED_RUNS));
+    let counted_events = read(&counter.name().expect("a file"), &owner).expect("readable");
+    assert_eq!(
+        (counted_events.total, counted_events.runs.len()),
+        (MAX_COUNTED_RUNS as u64 + 2, MAX_COUNTED_RUNS)
+    );
     counter.remove();
 }
 
 #[test]
-fn file_is_abandoned_once_its_process_and_spool_are_gone() {
-    let (_own_folder, own) = spool();
+fn file_is_abandoned_without_process_and_spool() {
+    let (_own_folder, own_owner) = spool();
     let (folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     let is_there = || Path::new(SHARED_MEMORY).join(&name).exists();
     drop(folder);
-    remove_abandoned(&own, &[]);
+    remove_abandoned(&own_owner, &[]);
     assert!(is_there(), "a process counts in it");
     drop(counter);
-    remove_abandoned(&own, &[]);
+    remove_abandoned(&own_owner, &[]);
     assert!(!is_there());
 }
 
 #[test]
 fn file_of_existing_spool_stays() {
-    let (_own_folder, own) = spool();
+    let (_own_folder, own_owner) = spool();
     let (_folder, owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     drop(counter);
-    remove_abandoned(&own, &[]);
+    remove_abandoned(&own_owner, &[]);
     assert!(read(&name, &owner).is_some(), "the next start of its agent needs it");
     remove_abandoned(&owner, &[&name]);
     assert!(read(&name, &owner).is_some(), "it is needed");
@@ -118,7 +124,7 @@ fn file_of_existing_spool_stays() {
 #[test]
 fn files_of_others_are_never_removed() {
     let (folder, owner) = spool();
-    let (_own_folder, own) = spool();
+    let (_own_folder, own_owner) = spool();
     let counter = EventCounter::create(&owner).expect("shared memory");
     let name = counter.name().expect("a file");
     drop(counter);
@@ -129,11 +135,11 @@ fn files_of_others_are_never_removed() {
         .open(&path)
         .and_then(|file| file.write_all_at(b"PNcount2", 0))
         .expect("written");
-    let other = Path::new(SHARED_MEMORY).join(format!("{name}.kept"));
-    fs::copy(&path, &other).expect("copied");
+    let copy = Path::new(SHARED_MEMORY).join(format!("{name}.kept"));
+    fs::copy(&path, &copy).expect("copied");
     drop(folder);
-    remove_abandoned(&own, &[]);
-    assert!(path.exists() && other.exists());
-    assert!(read(&name, &own).is_some(), "it is read for the spool that names it");
-    fs::remove_file(path).and_then(|()| fs::remove_file(other)).expect("removed");
+    remove_abandoned(&own_owner, &[]);
+    assert!(path.exists() && copy.exists());
+    assert!(read(&name, &own_owner).is_some(), "it is read for the spool that names it");
+    fs::remove_file(path).and_then(|()| fs::remove_file(copy)).expect("removed");
 }

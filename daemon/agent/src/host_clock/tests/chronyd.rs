@@ -10,17 +10,17 @@ use crate::config::{ClockConfig, DisciplineSource};
 /// Returns the path of a program of the unpacked package, or of the system.
 fn program(name: &str) -> PathBuf {
     let tools = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.venv-tools/chrony/usr");
-    let places = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
-    let found = places.iter().map(|place| place.join(name)).find(|path| path.exists());
-    found.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
+    let folders = [tools.join("sbin"), tools.join("bin"), "/usr/sbin".into(), "/usr/bin".into()];
+    let path = folders.iter().map(|folder| folder.join(name)).find(|path| path.exists());
+    path.unwrap_or_else(|| panic!("{name} is not there: run `deploy/install-tools.sh test`"))
 }
 
 /// A chronyd with separate files, killed at the end of the test.
 pub(super) struct Chronyd {
     child: Child,
     folder: tempfile::TempDir,
-    ntp: u16,
-    commands: u16,
+    ntp_port: u16,
+    command_port: u16,
 }
 
 impl Chronyd {
@@ -31,34 +31,36 @@ impl Chronyd {
 
     /// Starts a client of `server`, whose time it corrects by `offset_s`.
     pub(super) fn client(server: &Self, offset_s: f64) -> Self {
-        let line =
-            format!("server 127.0.0.1 port {} iburst minpoll -2 maxpoll 0 offset {offset_s}\n", server.ntp);
+        let line = format!(
+            "server 127.0.0.1 port {} iburst minpoll -2 maxpoll 0 offset {offset_s}\n",
+            server.ntp_port
+        );
         let client = Self::start(&line, 0);
-        let mut waiting = client.chronyc();
+        let mut command = client.chronyc();
         // Right after its first measurement chrony reports an unbounded rate. This waits, in steps of 0.1 s, until
         // the rate is known to 100 ppm.
-        let waited = waiting.args(["waitsync", "600", "0", "100", "0.1"]).output().expect("chronyc runs");
-        assert!(waited.status.success(), "not synchronised within a minute:\n{}", client.log());
+        let output = command.args(["waitsync", "600", "0", "100", "0.1"]).output().expect("chronyc runs");
+        assert!(output.status.success(), "not synchronised within a minute:\n{}", client.log());
         client
     }
 
     /// Starts a daemon without a server.
-    pub(super) fn lonely() -> Self {
-        let mut lonely = Self::start("", 0);
+    pub(super) fn without_server() -> Self {
+        let mut daemon = Self::start("", 0);
         // The loop is paced by chronyc itself.
-        while !lonely.answers() {
-            let ended = lonely.child.try_wait().expect("it is our child");
-            assert_eq!(ended, None, "chronyd ended:\n{}", lonely.log());
+        while !daemon.answers() {
+            let status = daemon.child.try_wait().expect("it is our child");
+            assert_eq!(status, None, "chronyd ended:\n{}", daemon.log());
         }
-        lonely
+        daemon
     }
 
-    fn start(lines: &str, ntp: u16) -> Self {
+    fn start(lines: &str, ntp_port: u16) -> Self {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
-        let commands = free_port();
+        let command_port = free_port();
         let path = |name: &str| folder.path().join(name).display().to_string();
         let configuration = format!(
-            "{lines}port {ntp}\nbindaddress 127.0.0.1\ncmdport {commands}\nbindcmdaddress /\n\
+            "{lines}port {ntp_port}\nbindaddress 127.0.0.1\ncmdport {command_port}\nbindcmdaddress /\n\
              bindcmdaddress 127.0.0.1\npidfile {}\n",
             path("pid")
         );
@@ -73,7 +75,7 @@ impl Chronyd {
             .stderr(log)
             .spawn()
             .expect("chronyd starts");
-        Self { child, folder, ntp, commands }
+        Self { child, folder, ntp_port, command_port }
     }
 
     /// Returns the configuration of an agent that queries only this chronyd.
@@ -88,13 +90,17 @@ impl Chronyd {
     }
 
     /// Kills the daemon.
-    pub(super) fn end(&mut self) {
+    pub(super) fn kill(&mut self) {
         self.child.kill().expect("it was running");
         self.child.wait().expect("it is our child");
     }
 
     fn arguments(&self) -> Vec<String> {
-        ["-h", "127.0.0.1", "-p"].into_iter().map(str::to_owned).chain([self.commands.to_string()]).collect()
+        ["-h", "127.0.0.1", "-p"]
+            .into_iter()
+            .map(str::to_owned)
+            .chain([self.command_port.to_string()])
+            .collect()
     }
 
     fn chronyc(&self) -> Command {

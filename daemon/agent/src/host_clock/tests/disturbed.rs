@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use peernet_clock::{ClockIdentity, FaultyClock, SharedClock, Span, SteppedClock};
 
-use super::{system_clock, watched};
+use super::{start_watching, system_clock};
 use crate::config::{ClaimedDiscipline, ClockConfig, ClockFaultConfig, ClockFaultStepConfig};
 
 /// Returns the machine's clock with injected faults.
@@ -22,30 +22,32 @@ async fn step_is_published_with_its_clock_fault() {
         ..ClockFaultConfig::default()
     };
     let clock = faulty_clock(&faults);
-    let (mut published, _running) = watched(ClockConfig::default(), Some(faults), &clock);
-    let first = published.wait_for(|known| known.faults.is_some()).await.expect("the task runs").clone();
+    let (mut published, _running) = start_watching(ClockConfig::default(), Some(faults), &clock);
+    let first = published.wait_for(|state| state.faults.is_some()).await.expect("the task runs").clone();
     assert_eq!(first.faults.as_ref(), clock.injected_faults());
     let epoch = first.epoch;
-    let after = published.wait_for(|known| known.epoch > epoch).await.expect("the task runs").clone();
+    let after = published.wait_for(|state| state.epoch > epoch).await.expect("the task runs").clone();
     assert_eq!(after.discipline, None);
 }
 
 #[tokio::test]
 async fn host_with_clock_fault_claims_nothing_or_exact_error() {
-    let silent = ClockFaultConfig { offset_ms: 1000.0, ..ClockFaultConfig::default() };
-    let clock = faulty_clock(&silent);
-    let (mut published, _running) = watched(ClockConfig::default(), Some(silent.clone()), &clock);
-    let known =
-        published.wait_for(|known| known.text.starts_with("clock fault")).await.expect("the task runs");
-    assert_eq!((known.discipline, known.text.as_str()), (None, "clock fault injection, claims nothing"));
-    drop(known);
+    let without_claim = ClockFaultConfig { offset_ms: 1000.0, ..ClockFaultConfig::default() };
+    let clock = faulty_clock(&without_claim);
+    let (mut published, _running) =
+        start_watching(ClockConfig::default(), Some(without_claim.clone()), &clock);
+    let state =
+        published.wait_for(|state| state.text.starts_with("clock fault")).await.expect("the task runs");
+    assert_eq!((state.discipline, state.text.as_str()), (None, "clock fault injection, claims nothing"));
+    drop(state);
 
-    let exact = ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimedDiscipline::Exact, ..silent };
-    let clock = faulty_clock(&exact);
+    let exact_claim =
+        ClockFaultConfig { drift_ppm: -50.0, discipline: ClaimedDiscipline::Exact, ..without_claim };
+    let clock = faulty_clock(&exact_claim);
     let description = clock.injected_faults().expect("it has faults").clone();
-    let (mut published, _running) = watched(ClockConfig::default(), Some(exact), &clock);
-    let known = published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs").clone();
-    let error = known.discipline.expect("it was waited for").error;
+    let (mut published, _running) = start_watching(ClockConfig::default(), Some(exact_claim), &clock);
+    let state = published.wait_for(|state| state.discipline.is_some()).await.expect("the task runs").clone();
+    let error = state.discipline.expect("it was waited for").error;
     let now = description.wall_error_at(description.true_wall(clock.wall()));
     assert!(error.lo <= now && now <= error.hi, "{now} is not in {error:?}");
     assert!(error.width() < Span::from_millis(1), "{error:?}");

@@ -20,7 +20,7 @@ fn system_clock() -> SharedClock {
 }
 
 /// Starts the task, which runs until the guard is dropped.
-fn watched(
+fn start_watching(
     config: ClockConfig,
     faults: Option<ClockFaultConfig>,
     clock: &SharedClock,

@@ -5,13 +5,14 @@ use peernet_networks::PeerClock;
 use tokio::sync::watch;
 
 use super::chronyd::Chronyd;
-use super::{system_clock, watched};
+use super::{start_watching, system_clock};
 use crate::config::ClockConfig;
 
 /// Waits for the first state after chrony was queried.
-async fn first_answer(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
-    let answered = published.wait_for(|known| !known.text.is_empty() && !known.text.contains("not queried"));
-    answered.await.expect("the task runs").clone()
+async fn wait_for_first_answer(published: &mut watch::Receiver<PeerClock>) -> PeerClock {
+    let state_after_query =
+        published.wait_for(|state| !state.text.is_empty() && !state.text.contains("not queried"));
+    state_after_query.await.expect("the task runs").clone()
 }
 
 #[tokio::test]
@@ -22,10 +23,10 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
     for (offset_s, error) in [(0.050, Span::from_millis(-50)), (-0.050, Span::from_millis(50))] {
         let client = Chronyd::client(&server, offset_s);
         let clock = system_clock();
-        let (mut published, _running) = watched(client.clock_config(), None, &clock);
-        let known = first_answer(&mut published).await;
-        assert_eq!(known.text, "chrony, stratum 11, to 127.0.0.1");
-        let claim = known.discipline.expect("chrony is synchronised");
+        let (mut published, _running) = start_watching(client.clock_config(), None, &clock);
+        let state = wait_for_first_answer(&mut published).await;
+        assert_eq!(state.text, "chrony, stratum 11, to 127.0.0.1");
+        let claim = state.discipline.expect("chrony is synchronised");
         assert_eq!(claim.source, DelaySource::Chrony);
         let contains = |error: Span| claim.error.lo <= error && error <= claim.error.hi;
         assert!(contains(error), "{error} is not in {:?}", claim.error);
@@ -37,15 +38,15 @@ async fn interval_contains_known_bias_and_not_its_opposite() {
 
 #[tokio::test]
 async fn daemon_without_other_source_claims_nothing() {
-    let (server, lonely) = (Chronyd::server(), Chronyd::lonely());
+    let (server, unsynchronised) = (Chronyd::server(), Chronyd::without_server());
     // The server answers commands once a client is synchronised to it.
     let _client = Chronyd::client(&server, 0.0);
-    let expected = [(&server, "chrony, local reference only"), (&lonely, "chrony, not synchronised")];
+    let expected = [(&server, "chrony, local reference only"), (&unsynchronised, "chrony, not synchronised")];
     for (daemon, text) in expected {
         let clock = system_clock();
-        let (mut published, _running) = watched(daemon.clock_config(), None, &clock);
-        let known = first_answer(&mut published).await;
-        assert_eq!((known.discipline, known.text.as_str()), (None, text));
+        let (mut published, _running) = start_watching(daemon.clock_config(), None, &clock);
+        let state = wait_for_first_answer(&mut published).await;
+        assert_eq!((state.discipline, state.text.as_str()), (None, text));
     }
 }
 
@@ -54,26 +55,26 @@ async fn claim_ends_with_its_daemon() {
     let server = Chronyd::server();
     let mut client = Chronyd::client(&server, 0.0);
     let clock = system_clock();
-    let (mut published, _running) = watched(client.clock_config(), None, &clock);
-    published.wait_for(|known| known.discipline.is_some()).await.expect("the task runs");
-    client.end();
-    let known = published.wait_for(|known| known.discipline.is_none()).await.expect("the task runs").clone();
-    assert!(known.text.starts_with("chrony, "), "{}", known.text);
+    let (mut published, _running) = start_watching(client.clock_config(), None, &clock);
+    published.wait_for(|state| state.discipline.is_some()).await.expect("the task runs");
+    client.kill();
+    let state = published.wait_for(|state| state.discipline.is_none()).await.expect("the task runs").clone();
+    assert!(state.text.starts_with("chrony, "), "{}", state.text);
 }
 
 #[tokio::test]
 async fn host_without_chrony_reports_kernel() {
     let clock = system_clock();
     let config = ClockConfig { chronyc: "/nowhere/chronyc".to_owned(), ..ClockConfig::default() };
-    let (mut published, _running) = watched(config, None, &clock);
-    let known = first_answer(&mut published).await;
-    assert!(known.text.starts_with("kernel, "), "{}", known.text);
+    let (mut published, _running) = start_watching(config, None, &clock);
+    let state = wait_for_first_answer(&mut published).await;
+    assert!(state.text.starts_with("kernel, "), "{}", state.text);
 }
 
 #[tokio::test]
 async fn hanging_or_invalid_command_claims_nothing() {
     let clock = system_clock();
-    for (script, words) in [("sleep 60", "no answer within"), ("echo hello", "cannot read the output")] {
+    for (script, text) in [("sleep 60", "no answer within"), ("echo hello", "cannot read the output")] {
         let folder = tempfile::tempdir().expect("there is room for a temporary folder");
         let command = folder.path().join("chronyc");
         std::fs::write(&command, format!("#!/bin/sh\n{script}\n")).expect("the temporary folder is writable");
@@ -84,9 +85,9 @@ async fn hanging_or_invalid_command_claims_nothing() {
             discipline: vec![crate::config::DisciplineSource::Chrony],
             ..ClockConfig::default()
         };
-        let (mut published, _running) = watched(config, None, &clock);
-        let known = first_answer(&mut published).await;
-        assert_eq!(known.discipline, None);
-        assert!(known.text.contains(words), "{}", known.text);
+        let (mut published, _running) = start_watching(config, None, &clock);
+        let state = wait_for_first_answer(&mut published).await;
+        assert_eq!(state.discipline, None);
+        assert!(state.text.contains(text), "{}", state.text);
     }
 }

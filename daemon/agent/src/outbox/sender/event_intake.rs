@@ -6,7 +6,7 @@ use peernet_stream::{Accounting, Event, Sending, SentUnspooled};
 use crate::event_queue::QueueReceiver;
 use crate::runs::Runs;
 
-/// Time without an event after which the task waits for the next one instead of polling.
+/// Time without an event after which the task waits for the next event instead of polling the queue.
 const IDLE_AFTER: Span = Span::from_millis(500);
 
 /// Receiving end of the event queue, and the runs in progress.
@@ -71,7 +71,7 @@ impl EventIntake {
         }
     }
 
-    /// Adds the events that have not reached the state machine to its counts.
+    /// Adds the events that have not reached the state machine to the counts of the state machine.
     pub(super) fn add_to(&self, account: &mut Accounting) {
         let (queued, dropped) = (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
         account.produced += queued + dropped;
@@ -79,7 +79,7 @@ impl EventIntake {
         account.dropped += dropped;
     }
 
-    /// Records a batch that is sent without being in the spool, in the counter's file.
+    /// Records, in the counter's file, a batch that is sent without being in the spool.
     pub(super) fn record_sent_unspooled(&self, sent: SentUnspooled) {
         self.receiver.counter.record_sent_unspooled(sent);
     }
@@ -94,7 +94,7 @@ impl EventIntake {
         self.receiver.counter.total().is_some()
     }
 
-    /// Removes the counter if all events that it counted are in the spool, stored or dropped: `settled` is their number.
+    /// Removes the counter if all counted events are settled: in the spool, stored or dropped. `settled` is the number of settled events.
     pub(super) fn remove_counter(&self, settled: u64) {
         if self.receiver.counter.total() == Some(settled) {
             self.receiver.counter.remove();

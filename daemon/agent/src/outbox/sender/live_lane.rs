@@ -13,10 +13,10 @@ pub(super) struct LiveLane {
     sources: LiveSources,
     /// `true` if a live update is due.
     is_due: bool,
-    /// `true` if the update waits for the socket; otherwise it may wait for the flow control.
+    /// `true` if the due update waits for the socket. A due update that does not wait for the socket waits for the flow control.
     is_blocked: bool,
-    /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of their
-    /// connections from earlier updates.
+    /// Number of sessions that had ended when the last update was sent. The aggregator stores the totals of these
+    /// sessions' connections from earlier updates.
     reported_ends: u64,
 }
 
@@ -55,8 +55,8 @@ impl LiveLane {
         self.sources.live_statistics.mark_all_unsent();
     }
 
-    /// Sends a live update if the flow control allows it. It is sent before all waiting frames, because it is useless
-    /// later, and composed only when it can be sent.
+    /// Sends a live update if the flow control allows it. The update is sent before all waiting frames, because it would be
+    /// useless later. It is composed only when it can be sent.
     pub(super) fn send_update(
         &mut self,
         machine: &mut Sending,
@@ -73,13 +73,13 @@ impl LiveLane {
         if !machine.may_send_live() {
             return;
         }
-        // Read before the update is composed, so that a session that ends in between is counted as unreported.
-        let ends = self.sources.links.ended_sessions();
+        // The number is read before the update is composed, so that a session that ends in between counts as unreported.
+        let ended_sessions = self.sources.links.ended_sessions();
         let (frame, receipt) = self.update(machine, sent, account);
         let bytes = frame.len();
         self.is_blocked = connection.send(frame).is_err();
         if !self.is_blocked {
-            (self.is_due, self.reported_ends) = (false, ends);
+            (self.is_due, self.reported_ends) = (false, ended_sessions);
             machine.record_live_sent(bytes);
             self.sources.live_statistics.mark_sent(&receipt);
         }

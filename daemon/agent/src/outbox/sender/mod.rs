@@ -20,21 +20,21 @@ use super::connection_state::{ConnectionEvent, ConnectionState};
 use super::live_sources::LiveSources;
 use super::reports::Reports;
 use super::shutdown::Shutdown;
-use super::spool::{Done, Order, SpoolTask, SpoolTaskError};
+use super::spool::{Order, OrderResult, SpoolTask, SpoolTaskError};
 use crate::event_queue::QueueReceiver;
 use crate::live;
 use crate::reconnect_backoff::ReconnectBackoff;
 use crate::runs::Runs;
 
 /// Interval at which the queue is emptied while events arrive.
-// Polled, because waking the task for each event would cost the pipelines more time.
+// The queue is polled, because waking the task for each event would cost the pipelines more time.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Longest wait for the aggregator's answer to the hello.
 const WELCOME_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Longest time for passing the last update and the goodbye to the socket; after that, the same time again for the socket
-/// to send them.
+/// Longest time for passing the last update and the goodbye to the socket. The socket then has the same time again to send
+/// them.
 const LAST_FRAMES_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// Longest time for recording losses, sending the last frames and closing the spool together. The spool's content is safe
@@ -99,19 +99,19 @@ impl Sender {
             // After a stall one tick suffices, because each tick empties the queue completely.
             ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         }
-        let mut stopping = pin!(deadline_of(stop));
+        let mut stop_deadline = pin!(deadline_of(stop));
         let mut shutdown: Option<Shutdown> = None;
         let mut alarm = pin!(tokio::time::sleep(Duration::ZERO));
-        let mut welcome = pin!(tokio::time::sleep(Duration::ZERO));
+        let mut welcome_timeout = pin!(tokio::time::sleep(Duration::ZERO));
         // `true` while a connection is open on which no message has been received yet.
         let mut awaits_welcome = false;
         let mut connection_state = ConnectionState::dial(&address, Duration::ZERO);
         loop {
-            let blocked = self.live.is_blocked() || !self.unsent_frames.is_empty();
-            let quiet = self.intake.is_quiet(self.clock.mono());
+            let is_blocked = self.live.is_blocked() || !self.unsent_frames.is_empty();
+            let is_quiet = self.intake.is_quiet(self.clock.mono());
             tokio::select! {
                 biased;
-                deadline = &mut stopping, if shutdown.is_none() => {
+                deadline = &mut stop_deadline, if shutdown.is_none() => {
                     shutdown = Some(Shutdown::start(Instant::now(), deadline, self.machine.accounting().stored));
                     self.drain_queue();
                 }
@@ -120,13 +120,13 @@ impl Sender {
                     self.intake.recreate_counter_if_deleted();
                     self.drain_queue();
                 }
-                done = self.spool.next_result() => {
-                    self.handle_spool_result(done.ok_or(SpoolTaskError::Ended)?);
+                result = self.spool.next_result() => {
+                    self.handle_spool_result(result.ok_or(SpoolTaskError::Ended)?);
                 }
-                event = connection_state.next(blocked) => match event {
+                event = connection_state.next(is_blocked) => match event {
                     ConnectionEvent::Connected(connection) => {
                         awaits_welcome = true;
-                        welcome.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
+                        welcome_timeout.as_mut().reset(Instant::now() + WELCOME_TIMEOUT);
                         self.is_unreachable = false;
                         self.machine.on_connected(self.clock.mono());
                         connection_state = ConnectionState::Open(connection);
@@ -153,14 +153,14 @@ impl Sender {
                     // `perform_actions` below sends the unsent frames.
                     ConnectionEvent::SendReady => {}
                 },
-                () = &mut welcome, if awaits_welcome => {
+                () = &mut welcome_timeout, if awaits_welcome => {
                     awaits_welcome = false;
                     self.handle_lost_connection();
                     self.reports.report_silent(&address);
                     connection_state = ConnectionState::dial(&address, reconnect_backoff.next_pause());
                 }
-                _ = polls.tick(), if !quiet => self.drain_queue(),
-                Some(event) = self.intake.next(), if quiet => {
+                _ = polls.tick(), if !is_quiet => self.drain_queue(),
+                Some(event) = self.intake.next(), if is_quiet => {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.drain_queue();
                 }
@@ -175,7 +175,7 @@ impl Sender {
             self.publish();
             if let Some(shutdown) = &mut shutdown {
                 match shutdown.next(Instant::now(), self.state()) {
-                    Some(until) => alarm.as_mut().reset(until),
+                    Some(end) => alarm.as_mut().reset(end),
                     None => break,
                 }
             }
@@ -198,8 +198,8 @@ impl Sender {
     }
 
     async fn close(mut self, connection_state: ConnectionState) {
-        let closed = Instant::now() + CLOSE_TIMEOUT;
-        self.record_losses(closed).await;
+        let close_deadline = Instant::now() + CLOSE_TIMEOUT;
+        self.record_losses(close_deadline).await;
         let account = self.current_accounting();
         if account.waiting > 0 {
             tracing::info!(
@@ -224,7 +224,7 @@ impl Sender {
             connection.close(LAST_FRAMES_TIMEOUT).await;
         }
         self.publish();
-        match tokio::time::timeout_at(closed, self.spool.close()).await {
+        match tokio::time::timeout_at(close_deadline, self.spool.close()).await {
             Ok(Ok(())) => {
                 self.intake.remove_counter(self.machine.settled_events());
             }
@@ -244,18 +244,18 @@ impl Sender {
         update.into_iter().chain(self.machine.goodbye()).collect()
     }
 
-    /// Handles the events that are only in memory at the end. If some of them were sent, the aggregator may have stored
-    /// these, and the next start reports the others. Otherwise all are lost: their number is written to the spool, if it can
-    /// be written, and the next start reports it.
-    async fn record_losses(&mut self, by: Instant) {
+    /// Handles the events that are only in memory at the end. If some of these events were sent, the aggregator may have
+    /// stored them; the next start finds out and reports the others as lost. If none was sent, all are lost. Their number is
+    /// written to the spool, if the spool can be written, and the next start reports this number.
+    async fn record_losses(&mut self, deadline: Instant) {
         if self.machine.is_spooled() {
             return;
         }
         self.drain_queue();
         if self.machine.is_appending() {
             // A write in progress may still succeed.
-            let appended = self.wait_for_append(by).await;
-            self.handle_spool_result(Done::Appended(appended));
+            let append_result = self.wait_for_append(deadline).await;
+            self.handle_spool_result(OrderResult::Appended(append_result));
         }
         if self.machine.is_spooled() {
             return;
@@ -271,15 +271,15 @@ impl Sender {
             );
             return;
         }
-        let dropped = self.machine.accounting().dropped;
+        let dropped_before = self.machine.accounting().dropped;
         let totals = self.machine.give_up();
-        let events = totals.dropped - dropped;
+        let events = totals.dropped - dropped_before;
         let order = Order::Append { batches: Vec::new(), totals };
-        let written = match self.spool.order(order) {
-            Ok(()) => self.wait_for_append(by).await,
-            refused => refused,
+        let append_result = match self.spool.order(order) {
+            Ok(()) => self.wait_for_append(deadline).await,
+            refusal => refusal,
         };
-        match written {
+        match append_result {
             Ok(()) => tracing::warn!(
                 events,
                 "stopped before these events were in the spool or stored: they are lost; a gap reports them after the next \
@@ -300,10 +300,10 @@ impl Sender {
     }
 
     /// Waits for the result of the append in progress.
-    async fn wait_for_append(&mut self, by: Instant) -> Result<(), SpoolTaskError> {
+    async fn wait_for_append(&mut self, deadline: Instant) -> Result<(), SpoolTaskError> {
         loop {
-            match tokio::time::timeout_at(by, self.spool.next_result()).await {
-                Ok(Some(Done::Appended(appended))) => return appended,
+            match tokio::time::timeout_at(deadline, self.spool.next_result()).await {
+                Ok(Some(OrderResult::Appended(append_result))) => return append_result,
                 Ok(Some(_)) => {}
                 Ok(None) => return Err(SpoolTaskError::Ended),
                 Err(_) => return Err(SpoolTaskError::Slow),
@@ -312,7 +312,7 @@ impl Sender {
     }
 }
 
-/// Waits for the deadline that `stop` receives; for ever if its sender is dropped.
+/// Waits for the deadline that `stop` receives. If the sender of `stop` is dropped, it waits for ever.
 async fn deadline_of(stop: oneshot::Receiver<Instant>) -> Instant {
     match stop.await {
         Ok(deadline) => deadline,

@@ -6,7 +6,7 @@ use super::Sender;
 use crate::outbox::connection_state::ConnectionState;
 use crate::outbox::reports::Welcome;
 use crate::outbox::shutdown::OutboxState;
-use crate::outbox::spool::{Done, Order, SpoolTaskError};
+use crate::outbox::spool::{Order, OrderResult, SpoolTaskError};
 
 impl Sender {
     /// Sends a due live update, performs the actions of the state machine, and sends the waiting frames.
@@ -23,7 +23,7 @@ impl Sender {
         while let Some(action) = self.machine.next(self.clock.mono()) {
             let order = match action {
                 Action::Send(frame) => {
-                    // Recorded before it is sent. If the process is killed in between, the aggregator is queried for a
+                    // The batch is recorded before it is sent. If the process is killed in between, the aggregator is queried for a
                     // batch that it does not have, which does no harm.
                     if let Some(sent) = self.machine.sent_unspooled() {
                         self.intake.record_sent_unspooled(sent);
@@ -42,8 +42,8 @@ impl Sender {
         }
         let ConnectionState::Open(connection) = connection_state else { return Ok(()) };
         while let Some(frame) = self.unsent_frames.pop_front() {
-            if let Err(back) = connection.send(frame) {
-                self.unsent_frames.push_front(back);
+            if let Err(unsent) = connection.send(frame) {
+                self.unsent_frames.push_front(unsent);
                 break;
             }
         }
@@ -51,32 +51,32 @@ impl Sender {
     }
 
     /// Handles a result of the spool's task.
-    pub(super) fn handle_spool_result(&mut self, done: Done) {
+    pub(super) fn handle_spool_result(&mut self, result: OrderResult) {
         let now = self.clock.stamp();
-        let notice = match done {
-            Done::Appended(Ok(())) => {
+        let notice = match result {
+            OrderResult::Appended(Ok(())) => {
                 let notice = self.machine.on_appended(now);
                 self.intake.release_runs(&mut self.machine);
                 notice
             }
-            Done::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
-            Done::Loaded(Ok(loaded)) => {
-                if let Some(what) = loaded.damage {
-                    self.reports.report_damage(what);
+            OrderResult::Appended(Err(reason)) => self.machine.on_append_failed(reason.to_string(), now),
+            OrderResult::Loaded(Ok(loaded)) => {
+                if let Some(damage) = loaded.damage {
+                    self.reports.report_damage(damage);
                 }
                 self.machine.on_loaded(loaded.batches, now)
             }
-            Done::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
-            Done::Deleted(Ok(())) => {
+            OrderResult::Loaded(Err(reason)) => self.machine.on_load_failed(reason.to_string(), now),
+            OrderResult::Deleted(Ok(())) => {
                 self.machine.on_deleted();
                 None
             }
-            Done::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
-            Done::Renewed(Ok(())) => {
+            OrderResult::Deleted(Err(reason)) => self.machine.on_delete_failed(reason.to_string(), now),
+            OrderResult::Renewed(Ok(())) => {
                 self.machine.on_renewed(now);
                 None
             }
-            Done::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
+            OrderResult::Renewed(Err(reason)) => self.machine.on_renew_failed(reason.to_string(), now),
         };
         if let Some(notice) = notice {
             self.handle_notice(notice);
@@ -100,16 +100,16 @@ impl Sender {
 
     fn handle_notice(&mut self, notice: Notice) {
         match notice {
-            Notice::Welcomed { aggregator, stored, has_lost_batches: lacks } => {
+            Notice::Welcomed { aggregator, stored, has_lost_batches } => {
                 let welcome = Welcome {
                     stored,
-                    lacks_batches: lacks,
+                    lacks_batches: has_lost_batches,
                     waiting: self.current_accounting().waiting,
                     unreported_ends: self.live.unreported_ends(),
                 };
                 self.reports.report_welcome(&aggregator, &welcome);
                 self.live.mark_all_unsent();
-                if lacks {
+                if has_lost_batches {
                     self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }
@@ -144,10 +144,10 @@ impl Sender {
     pub(super) fn publish(&mut self) {
         let account = self.current_accounting();
         self.reports.report_dropping(&account, self.clock.mono());
-        self.accounting.send_if_modified(|shown| {
-            let changed = *shown != account;
-            *shown = account;
-            changed
+        self.accounting.send_if_modified(|published| {
+            let is_changed = *published != account;
+            *published = account;
+            is_changed
         });
     }
 }

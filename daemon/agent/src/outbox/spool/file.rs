@@ -31,7 +31,7 @@ pub(in crate::outbox) struct SpoolFile {
     connection: SqliteConnection,
     reserve: Reserve,
     /// `true` if this process counts the events that it queues.
-    counts: bool,
+    counts_events: bool,
     _lock: FileLock,
 }
 
@@ -49,11 +49,11 @@ impl SpoolFile {
         path: PathBuf,
         connection: SqliteConnection,
         reserve: Reserve,
-        counts: bool,
+        counts_events: bool,
         lock: FileLock,
     ) -> io::Result<Self> {
         let identity = identity(&path)?;
-        Ok(Self { path, identity, connection, reserve, counts, _lock: lock })
+        Ok(Self { path, identity, connection, reserve, counts_events, _lock: lock })
     }
 
     /// Returns the path of the file.
@@ -61,7 +61,7 @@ impl SpoolFile {
         &self.path
     }
 
-    /// Writes batches together with the totals up to the last of them, in one transaction. Without batches the totals are
+    /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches the totals are
     /// synced to the disk. If the disk is full, the reserve is then used, because the number of lost events must not be
     /// lost as well.
     pub(in crate::outbox) async fn append(
@@ -75,7 +75,7 @@ impl SpoolFile {
         if !self.reserve.allocate() && !batches.is_empty() {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
-        let resolved = match totals.unreported {
+        let resolved_counter = match totals.unreported {
             Some(_) => {
                 tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
             }
@@ -83,14 +83,14 @@ impl SpoolFile {
         };
         match self.try_to_append(ACTION, batches, totals).await {
             Err(SpoolFileError::Full { .. }) if batches.is_empty() && self.reserve.release() => {
-                let appended = self.append_on_full_disk(ACTION, totals).await;
+                let append_result = self.append_on_full_disk(ACTION, totals).await;
                 self.reserve.allocate();
-                appended?;
+                append_result?;
             }
-            appended => appended?,
+            append_result => append_result?,
         }
         // The file now contains the losses of the earlier process, so that process's counts are no longer needed.
-        if let Some(counter) = resolved {
+        if let Some(counter) = resolved_counter {
             counter::remove(&counter);
         }
         if batches.is_empty() {
@@ -110,25 +110,25 @@ impl SpoolFile {
         let mut loaded = Loaded { batches: Vec::new(), damage: None };
         let mut size = 0;
         // If the chain before `from` is on a damaged page, the first batch is read without a check, as after a gap.
-        let mut before = match self.chain_before(from).await {
+        let mut previous_chain = match self.chain_before(from).await {
             Err(SpoolFileError::Corrupt { .. }) => None,
             chain => chain?,
         };
         let mut number = from;
         while loaded.batches.is_empty() || size < bytes {
-            match self.read(number, before).await {
+            match self.read(number, previous_chain).await {
                 Ok(Ok(batch)) => {
-                    (size, before) = (size + batch.body.len(), Some(batch.chain));
+                    (size, previous_chain) = (size + batch.body.len(), Some(batch.chain));
                     loaded.batches.push(batch);
                 }
                 // A missing batch is the end of the list, unless it is the first one.
                 Ok(Err(BatchDamage::Missing)) if !loaded.batches.is_empty() => break,
                 Ok(Err(batch_damage)) => {
-                    loaded.damage = Some(self.damage(number, batch_damage));
+                    loaded.damage = Some(self.damage_text(number, batch_damage));
                     break;
                 }
                 Err(SpoolFileError::Corrupt { source, .. }) => {
-                    loaded.damage = Some(self.damage(number, format!("cannot be read ({source})")));
+                    loaded.damage = Some(self.damage_text(number, format!("cannot be read ({source})")));
                     break;
                 }
                 // The batches that were read are returned. If the error persists, the next call returns it.
@@ -149,11 +149,11 @@ impl SpoolFile {
         self.check_in_place()?;
         match self.try_to_delete(through, chain).await {
             Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
-                let deleted = self.delete_on_full_disk(through, chain).await;
+                let result = self.delete_on_full_disk(through, chain).await;
                 self.reserve.allocate();
-                deleted
+                result
             }
-            deleted => deleted,
+            result => result,
         }
     }
 
@@ -168,14 +168,14 @@ impl SpoolFile {
         self.check_in_place()?;
         let statement =
             "UPDATE stream SET uuid = ?, previous = ?, first = ?, events_before_first = ? WHERE id = 1";
-        let renewed = sqlx::query(statement)
+        let result = sqlx::query(statement)
             .bind(stream.to_string())
             .bind(previous.to_string())
             .bind(first.cast_signed())
             .bind(events_before.cast_signed())
             .execute(&mut self.connection)
             .await;
-        renewed.map_err(self.file_error(ACTION))?;
+        result.map_err(self.file_error(ACTION))?;
         self.check_in_place()?;
         // Without this sync a power cut could restore the old stream, and batches that were stored in the new stream
         // would be sent again.
@@ -184,14 +184,14 @@ impl SpoolFile {
 
     /// Returns some of the unused pages to the file system, after a backlog. Returns whether there may be more.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
-        let shrunk = vacuum(&mut self.connection).await;
-        match shrunk.map_err(self.file_error("shrink")) {
+        let result = vacuum(&mut self.connection).await;
+        match result.map_err(self.file_error("shrink")) {
             Err(SpoolFileError::Full { .. }) if self.reserve.release() => {
-                let shrunk = self.shrink_on_full_disk().await;
+                let result = self.shrink_on_full_disk().await;
                 self.reserve.allocate();
-                shrunk.map(|()| false)
+                result.map(|()| false)
             }
-            shrunk => shrunk,
+            result => result,
         }
     }
 
@@ -218,8 +218,8 @@ impl SpoolFile {
         batches: &[SpooledBatch],
         totals: &Totals,
     ) -> Result<(), SpoolFileError> {
-        let written = insert(&mut self.connection, batches, totals, self.counts).await;
-        self.end_transaction(action, written).await
+        let result = insert(&mut self.connection, batches, totals, self.counts_events).await;
+        self.end_transaction(action, result).await
     }
 
     /// Writes the totals after emptying the log, so that repeated writes do not make it longer each time.
@@ -233,8 +233,8 @@ impl SpoolFile {
     }
 
     async fn try_to_delete(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
-        let deleted = delete(&mut self.connection, through, chain).await;
-        self.end_transaction("delete from", deleted).await
+        let result = delete(&mut self.connection, through, chain).await;
+        self.end_transaction("delete from", result).await
     }
 
     /// Deletes batches after emptying the log, which may be longer than the reserve. Returns the deleted pages to the file
@@ -247,14 +247,14 @@ impl SpoolFile {
 
     /// Returns all unused pages to the file system.
     async fn shrink_on_full_disk(&mut self) -> Result<(), SpoolFileError> {
-        let given = async {
+        let shrink = async {
             checkpoint(&mut self.connection).await?;
             vacuum_all(&mut self.connection).await
         };
-        given.await.map_err(self.file_error("shrink"))
+        shrink.await.map_err(self.file_error("shrink"))
     }
 
-    /// Returns the chain of the batch before `number`; `None` if the file does not contain it.
+    /// Returns the chain of the batch before `number`; `None` if the file does not contain this chain.
     async fn chain_before(&mut self, number: u64) -> Result<Option<Chain>, SpoolFileError> {
         let bytes: Option<Vec<u8>> = sqlx::query_scalar(
             "SELECT chain FROM batch WHERE number = ?1 UNION ALL SELECT chain FROM stream WHERE acknowledged = ?1",
@@ -269,7 +269,7 @@ impl SpoolFile {
     async fn read(
         &mut self,
         number: u64,
-        before: Option<Chain>,
+        previous_chain: Option<Chain>,
     ) -> Result<Result<SpooledBatch, BatchDamage>, SpoolFileError> {
         let row: Option<(i64, u32, Vec<u8>, Vec<u8>)> =
             sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
@@ -277,25 +277,25 @@ impl SpoolFile {
                 .fetch_optional(&mut self.connection)
                 .await
                 .map_err(self.file_error("read"))?;
-        let Some((since, events, kept, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
+        let Some((since, events, stored_chain, body)) = row else { return Ok(Err(BatchDamage::Missing)) };
         let since = WallTime::from_unix_nanos(since);
-        Ok(match chain(&kept) {
+        Ok(match chain(&stored_chain) {
             // The first batch after a gap cannot be checked here; the next batch can.
-            Ok(chain) if before.is_none_or(|before| before.next(events, &body) == chain) => {
+            Ok(chain) if previous_chain.is_none_or(|previous| previous.next(events, &body) == chain) => {
                 Ok(SpooledBatch { number, since, events, chain, body: Bytes::from(body) })
             }
             _ => Err(BatchDamage::Changed),
         })
     }
 
-    fn damage(&self, number: u64, what: impl fmt::Display) -> String {
-        format!("batch {number} in the spool {} {what}; it is not sent", self.path.display())
+    fn damage_text(&self, number: u64, damage: impl fmt::Display) -> String {
+        format!("batch {number} in the spool {} {damage}; it is not sent", self.path.display())
     }
 
     /// Waits until the log is on the disk.
     async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
-        let synced = wait_for_sync(&mut self.log().sync()).await;
-        synced.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
+        let result = wait_for_sync(&mut self.log().sync()).await;
+        result.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
     }
 
     /// Commits the transaction if it succeeded, and rolls it back if it failed.
@@ -304,11 +304,11 @@ impl SpoolFile {
         action: &'static str,
         result: Result<(), sqlx::Error>,
     ) -> Result<(), SpoolFileError> {
-        let ended = match result {
+        let commit_result = match result {
             Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
             Err(error) => Err(error),
         };
-        if let Err(error) = ended {
+        if let Err(error) = commit_result {
             // After some errors SQLite has rolled back already and reports that there is nothing to roll back.
             if let Err(error) = sqlx::query("ROLLBACK").execute(&mut self.connection).await {
                 tracing::debug!(%error, "nothing to roll back in the spool");
@@ -319,7 +319,7 @@ impl SpoolFile {
     }
 
     /// Checks that the path still refers to the open file.
-    // Cheap enough for each operation: the file system answers from its cache.
+    // The check is cheap enough for each operation: the file system answers from its cache.
     fn check_in_place(&self) -> Result<(), SpoolFileError> {
         match identity(&self.path) {
             Ok(identity) if identity == self.identity => Ok(()),
@@ -348,7 +348,7 @@ pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
     /// Syncs the log to the disk on a blocking thread, because a memory card sometimes takes seconds.
-    // The log is opened for it. SQLite does not lock the log, so closing this descriptor releases no lock. The spool file
+    // The log is opened for the sync. SQLite does not lock the log, so closing this descriptor releases no lock. The spool file
     // must never be opened in this way, because closing that descriptor would release SQLite's locks.
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {
         let path = self.0.clone();

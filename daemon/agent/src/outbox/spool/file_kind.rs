@@ -10,11 +10,11 @@ pub(super) const APPLICATION_ID: i32 = i32::from_be_bytes(*b"PNsp");
 /// First bytes of every SQLite file (sqlite.org/fileformat2.html, 1.3).
 const MAGIC: &[u8] = b"SQLite format 3\0";
 /// Offset of the application id in the header, four bytes.
-const ID_AT: usize = 68;
+const ID_OFFSET: usize = 68;
 /// Offset of the number of cells in the first page, two bytes; 0 means that the database has no table.
-const CELLS_AT: usize = 103;
+const CELLS_OFFSET: usize = 103;
 /// Number of bytes that are read.
-const HEAD: usize = 105;
+const HEADER_BYTES: usize = 105;
 
 /// Kind of a file, by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,21 +34,23 @@ impl FileKind {
     /// # Errors
     /// When the file exists and cannot be read.
     pub(crate) fn from_path(path: &Path) -> io::Result<Self> {
-        let mut head = Vec::with_capacity(HEAD);
+        let mut header = Vec::with_capacity(HEADER_BYTES);
         match File::open(path) {
-            Ok(file) => file.take(HEAD as u64).read_to_end(&mut head)?,
+            Ok(file) => file.take(HEADER_BYTES as u64).read_to_end(&mut header)?,
             Err(error) if error.kind() == io::ErrorKind::NotFound => 0,
             Err(error) => return Err(error),
         };
-        Ok(Self::from_header(&head))
+        Ok(Self::from_header(&header))
     }
 
-    fn from_header(head: &[u8]) -> Self {
-        if !head.iter().zip(MAGIC).all(|(found, expected)| found == expected) {
+    fn from_header(header: &[u8]) -> Self {
+        if !header.iter().zip(MAGIC).all(|(actual, expected)| actual == expected) {
             return Self::Other;
         }
         // A truncated header counts as the header of an SQLite file.
-        let Some((id, cells)) = head.get(ID_AT..ID_AT + 4).zip(head.get(CELLS_AT..HEAD)) else {
+        let Some((id, cells)) =
+            header.get(ID_OFFSET..ID_OFFSET + 4).zip(header.get(CELLS_OFFSET..HEADER_BYTES))
+        else {
             return Self::Spool;
         };
         if id == APPLICATION_ID.to_be_bytes() || (id == [0; 4] && cells == [0; 2]) {
@@ -79,15 +81,15 @@ mod tests {
 
     #[test]
     fn first_bytes_identify_file_kind() {
-        let mut head = [0; HEAD];
-        head[..MAGIC.len()].copy_from_slice(MAGIC);
-        assert_eq!(FileKind::from_header(&head), FileKind::Spool, "without tables");
-        head[CELLS_AT + 1] = 3;
-        assert_eq!(FileKind::from_header(&head), FileKind::Database, "with tables");
-        head[ID_AT..ID_AT + 4].copy_from_slice(b"PNsp");
-        assert_eq!(FileKind::from_header(&head), FileKind::Spool);
-        head[ID_AT] = b'X';
-        assert_eq!(FileKind::from_header(&head), FileKind::Database, "another program's");
+        let mut header = [0; HEADER_BYTES];
+        header[..MAGIC.len()].copy_from_slice(MAGIC);
+        assert_eq!(FileKind::from_header(&header), FileKind::Spool, "without tables");
+        header[CELLS_OFFSET + 1] = 3;
+        assert_eq!(FileKind::from_header(&header), FileKind::Database, "with tables");
+        header[ID_OFFSET..ID_OFFSET + 4].copy_from_slice(b"PNsp");
+        assert_eq!(FileKind::from_header(&header), FileKind::Spool);
+        header[ID_OFFSET] = b'X';
+        assert_eq!(FileKind::from_header(&header), FileKind::Database, "another program's");
         for (text, expected) in
             [("", FileKind::Spool), ("SQLite for", FileKind::Spool), ("d3adb33f\n", FileKind::Other)]
         {

@@ -38,7 +38,7 @@ pub struct Inspection {
     pub produced: i64,
     /// Number of these events that were dropped and counted in gaps.
     pub dropped: i64,
-    /// Number of dropped events that were in the memory of a killed agent; the others did not fit. `None` in a spool of
+    /// Number of dropped events that were in the memory of a killed agent; the other dropped events did not fit. `None` in a spool of
     /// an earlier release, which did not count them separately.
     pub lost_when_killed: Option<i64>,
     /// All damage that was found.
@@ -109,13 +109,13 @@ impl From<sqlx::Error> for InspectError {
 /// # Errors
 /// When the file is not a spool or cannot be read. Damage is not an error: it is in [`Inspection::damages`].
 pub async fn inspect(path: &Path) -> Result<Inspection, InspectError> {
-    let mut found = Inspection::default();
-    match found.read(path).await {
+    let mut inspection = Inspection::default();
+    match inspection.read(path).await {
         Err(InspectError::Read(SpoolReadError(error))) if is_corrupt(&error) => {
-            found.damages.push(SpoolDamage::Unreadable(error.to_string()));
-            Ok(found)
+            inspection.damages.push(SpoolDamage::Unreadable(error.to_string()));
+            Ok(inspection)
         }
-        read => read.map(|()| found),
+        result => result.map(|()| inspection),
     }
 }
 
@@ -171,7 +171,7 @@ struct Batch {
 impl Inspection {
     async fn read(&mut self, path: &Path) -> Result<(), InspectError> {
         let mut connection = read_only_options(path).connect().await?;
-        // One transaction, so that concurrent writes of the agent do not look like damage.
+        // All reads are in one transaction, so that concurrent writes of the agent do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
         let is_spool = check_is_spool(&mut connection).await;
         if is_spool.is_ok() {
@@ -183,11 +183,11 @@ impl Inspection {
     }
 
     async fn check_pages(&mut self, connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
-        let mut found: Vec<String> =
+        let mut problems: Vec<String> =
             sqlx::query_scalar("PRAGMA quick_check(100)").fetch_all(connection).await?;
-        found.retain(|line| line != "ok");
-        let places = found.len();
-        self.damages.extend(found.into_iter().next().map(|first| SpoolDamage::Pages { places, first }));
+        problems.retain(|line| line != "ok");
+        let places = problems.len();
+        self.damages.extend(problems.into_iter().next().map(|first| SpoolDamage::Pages { places, first }));
         Ok(())
     }
 
@@ -204,25 +204,26 @@ impl Inspection {
         (self.acknowledged, self.produced, self.dropped) =
             (stream.acknowledged, stream.produced, stream.dropped);
         self.lost_when_killed = lost_when_killed(connection).await?;
-        let mut before = (stream.acknowledged, chain(&stream.chain));
+        let (mut previous_number, mut previous_chain) = (stream.acknowledged, chain(&stream.chain));
         let mut rows = sqlx::query_as::<_, Batch>(
             "SELECT number, since_ns, events, chain, body FROM batch ORDER BY number",
         )
         .fetch(connection);
         let (mut altered, mut gaps) = (Vec::new(), Vec::new());
         while let Some(batch) = rows.try_next().await? {
-            let follows = batch.number == before.0 + 1;
-            let stored = chain(&batch.chain);
-            if !follows {
+            let is_consecutive = batch.number == previous_number + 1;
+            let stored_chain = chain(&batch.chain);
+            if !is_consecutive {
                 gaps.push(batch.number);
             }
-            // A batch after a missing one cannot be checked, because the hash before it is unknown.
-            if stored.is_none()
-                || (follows && before.1.is_some_and(|before| batch.chain_after(before) != stored))
+            // A batch after a missing batch cannot be checked, because the hash of the missing batch is unknown.
+            if stored_chain.is_none()
+                || (is_consecutive
+                    && previous_chain.is_some_and(|previous| batch.chain_after(previous) != stored_chain))
             {
                 altered.push(batch.number);
             }
-            before = (batch.number, stored);
+            (previous_number, previous_chain) = (batch.number, stored_chain);
             self.count(&batch);
         }
         if let Some(first) = altered.first() {
@@ -242,9 +243,9 @@ impl Inspection {
 }
 
 impl Batch {
-    /// Returns the hash that the batch has if the previous one has the hash `before`.
-    fn chain_after(&self, before: Chain) -> Option<Chain> {
-        Some(before.next(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
+    /// Returns the hash that the batch must have if the previous batch has the hash `previous`.
+    fn chain_after(&self, previous: Chain) -> Option<Chain> {
+        Some(previous.next(u32::try_from(self.events).unwrap_or(u32::MAX), &self.body))
     }
 }
 
@@ -258,12 +259,12 @@ async fn check_is_spool(connection: &mut SqliteConnection) -> Result<(), Inspect
     if id == APPLICATION_ID {
         return Ok(());
     }
-    let (all, database): (i64, i64) = sqlx::query_as(
+    let (tables, aggregator_tables): (i64, i64) = sqlx::query_as(
         "SELECT count(*), coalesce(sum(name IN ('host', 'run', 'iteration')), 0) FROM sqlite_schema WHERE type = 'table'",
     )
     .fetch_one(connection)
     .await?;
-    Err(match (all, database) {
+    Err(match (tables, aggregator_tables) {
         (0, _) => InspectError::Empty,
         (_, 3) => InspectError::Database,
         _ => InspectError::Other,

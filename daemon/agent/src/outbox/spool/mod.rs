@@ -29,4 +29,4 @@ pub(crate) use file_kind::FileKind;
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, pending_events};
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use quarantine::QuarantinedSpool;
-pub(in crate::outbox) use task::{Done, Order, SpoolTask, SpoolTaskError};
+pub(in crate::outbox) use task::{Order, OrderResult, SpoolTask, SpoolTaskError};

@@ -48,7 +48,7 @@ impl OpenSpool {
     /// may be other data.
     ///
     /// # Errors
-    /// When the spool cannot be opened, is not one, or belongs to another host.
+    /// When the spool cannot be opened, the file is not a spool, or the spool belongs to another host.
     pub(crate) async fn open(
         path: &Path,
         host: HostId,
@@ -62,12 +62,12 @@ impl OpenSpool {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let folder = folder.unwrap_or_else(|| Path::new("."));
         fs::create_dir_all(folder).map_err(io("create", folder))?;
-        // A separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
+        // The lock is on a separate file, because closing a second descriptor of the spool would release SQLite's locks on it.
         let lock_file = with_suffix(path, "-lock");
         let lock = FileLock::try_acquire(&lock_file).map_err(io("lock", &lock_file))?;
         let lock = lock.ok_or_else(|| SpoolError::InUse(path.to_owned()))?;
 
-        // Checked before SQLite opens the file, because SQLite may change it.
+        // The file is checked before SQLite opens it, because SQLite may change it.
         let file_kind = FileKind::from_path(path).map_err(io("read", path))?;
         if !(is_default_path && file_kind == FileKind::Other)
             && let Some(objection) = file_kind.refusal_reason()
@@ -76,20 +76,20 @@ impl OpenSpool {
         }
         let mut reserve = Reserve::new(with_suffix(path, "-reserve"));
         let mut quarantined = None;
-        let opened = match connect_despite_full_disk(path, host, &mut reserve).await {
+        let connect_result = match connect_despite_full_disk(path, host, &mut reserve).await {
             // A damaged spool must not prevent the robot from measuring. The file is not deleted, because a user may
             // recover its events.
             Err(error) if error.is_damage() => {
-                let moved = quarantine(path, error.to_string(), clock.wall());
-                quarantined = Some(moved.map_err(io("quarantine the damaged spool", path))?);
+                let quarantine_result = quarantine(path, error.to_string(), clock.wall());
+                quarantined = Some(quarantine_result.map_err(io("quarantine the damaged spool", path))?);
                 connect_despite_full_disk(path, host, &mut reserve).await
             }
-            opened => opened,
+            result => result,
         };
-        let (connection, state, counter) = opened?;
+        let (connection, state, counter) = connect_result?;
         // The directory entry of a new file must be on the disk, or a power cut could remove the file.
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(io("write", folder))?;
-        // Allocated after the spool was opened, because opening it may need the space.
+        // The reserve is allocated after the spool was opened, because opening may need the space.
         reserve.allocate();
         let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
             .map_err(io("read", path))?;
@@ -117,37 +117,37 @@ fn settings(path: &Path) -> SqliteConnectOptions {
 /// A connection, the state in the file, and the counter of this process.
 type Connected = (SqliteConnection, SpoolState, EventCounter);
 
-/// Connects. If the disk is full, the reserve is released first. If it is still full, this process does not count its
-/// events, and a later start determines the losses of the previous process.
+/// Connects to the spool. If the disk is full, the reserve is released first. If the disk is still full, this process does
+/// not count its events, and a later start determines the losses of the previous process.
 async fn connect_despite_full_disk(
     path: &Path,
     host: HostId,
     reserve: &mut Reserve,
 ) -> Result<Connected, SpoolError> {
-    let opened = match connect(path, host, true).await {
+    let result = match connect(path, host, true).await {
         Err(error) if error.may_be_full_disk() && reserve.release() => connect(path, host, true).await,
-        opened => opened,
+        result => result,
     };
-    match opened {
+    match result {
         Err(error) if error.may_be_full_disk() => {
-            let opened = connect(path, host, false).await?;
+            let connected = connect(path, host, false).await?;
             tracing::warn!(%error, "the spool's disk is full; if the agent is killed, its lost events are not reported");
-            Ok(opened)
+            Ok(connected)
         }
-        opened => opened,
+        result => result,
     }
 }
 
-async fn connect(path: &Path, host: HostId, counts: bool) -> Result<Connected, SpoolError> {
+async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Connected, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
         return Err(SpoolError::Damaged { path: path.to_owned(), what: SpoolDefect::Condemned(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;
-    match prepare(path, host, &mut connection, counts).await {
+    match prepare(path, host, &mut connection, counts_events).await {
         Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
-            // Closed before the file is renamed, because closing deletes the log by its name.
+            // The connection is closed before the file is renamed, because closing deletes the log by its name.
             if let Err(error) = connection.close().await {
                 tracing::debug!(%error, "closing the unusable spool failed");
             }
@@ -160,7 +160,7 @@ async fn prepare(
     path: &Path,
     host: HostId,
     connection: &mut SqliteConnection,
-    counts: bool,
+    counts_events: bool,
 ) -> Result<(SpoolState, EventCounter), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     // SQLite opens a read-only file without an error; the start of a write transaction fails.
@@ -175,7 +175,7 @@ async fn prepare(
         source => SpoolError::Migrate { path: path.to_owned(), source },
     })?;
     let row = read_or_create_stream(connection, host).await.map_err(cannot_open)?;
-    // This host would send the other host's events as its own.
+    // Otherwise this host would send the events of the other host as its own.
     if row.host != host.to_string() {
         return Err(SpoolError::OtherHost { path: path.to_owned(), found: row.host, own: host });
     }
@@ -190,15 +190,15 @@ async fn prepare(
         source,
     })?;
     state.unresolved = tail::read_unresolved(connection, &owner).await.map_err(cannot_open)?;
-    let counter = match counts {
+    let counter = match counts_events {
         true => tail::start_counter(connection, &mut state, &owner).await.map_err(cannot_open)?,
         false => EventCounter::default(),
     };
     Ok((state, counter))
 }
 
-/// Sets the application id of an empty database before it has tables, so that the file is recognised as a spool even if
-/// the disk becomes full then.
+/// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool even
+/// if the disk becomes full in between.
 async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(
@@ -213,8 +213,8 @@ async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), Spo
     if let (true, Some(objection)) = (id != 0 || tables != 0, FileKind::Database.refusal_reason()) {
         return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
     }
-    let mark = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));
-    sqlx::query(mark).execute(connection).await.map(drop).map_err(cannot_open)
+    let set_id = AssertSqlSafe(format!("PRAGMA application_id = {APPLICATION_ID}"));
+    sqlx::query(set_id).execute(connection).await.map(drop).map_err(cannot_open)
 }
 
 #[derive(FromRow)]
@@ -277,32 +277,32 @@ async fn waiting_totals(connection: &mut SqliteConnection) -> Result<WaitingTota
     .await
 }
 
-/// Returns the last batch number of each of the newest processes.
+/// Returns the number of the newest sent batch of each process, for the newest processes.
 async fn newest_sent_batches(connection: &mut SqliteConnection) -> Result<Vec<NewestSentBatch>, sqlx::Error> {
     let rows: Vec<(i64, i64)> =
         sqlx::query_as("SELECT process, number FROM reached ORDER BY number DESC LIMIT ?")
             .bind(MAX_PROCESSES)
             .fetch_all(connection)
             .await?;
-    let reached = |(process, number): (i64, i64)| NewestSentBatch {
+    let sent_batch = |(process, number): (i64, i64)| NewestSentBatch {
         process: process.cast_unsigned(),
         number: number.cast_unsigned(),
     };
-    Ok(rows.into_iter().map(reached).collect())
+    Ok(rows.into_iter().map(sent_batch).collect())
 }
 
 impl StreamRow {
     fn into_state(
         self,
         waiting: WaitingTotals,
-        reached: Vec<NewestSentBatch>,
+        newest_sent: Vec<NewestSentBatch>,
     ) -> Result<SpoolState, SpoolDefect> {
         let id = |text: &str| text.parse().map_err(|_| SpoolDefect::StreamId(text.to_owned()));
-        let before = chain(&self.chain)?;
+        let acknowledged_chain = chain(&self.chain)?;
         let acknowledged = self.acknowledged.cast_unsigned();
         let newest = match (waiting.newest, waiting.chain) {
             (Some(newest), Some(bytes)) => (newest.cast_unsigned(), chain(&bytes)?),
-            _ => (acknowledged, before),
+            _ => (acknowledged, acknowledged_chain),
         };
         if newest.0 < acknowledged || self.first.cast_unsigned() > acknowledged + 1 {
             return Err(SpoolDefect::BatchNumbers { first: self.first, acknowledged, newest: newest.0 });
@@ -321,7 +321,7 @@ impl StreamRow {
             first: self.first.cast_unsigned(),
             events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
-            before,
+            before: acknowledged_chain,
             newest,
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
             waiting_usage: Usage {
@@ -337,7 +337,7 @@ impl StreamRow {
                 newest_sent: None,
                 unreported: None,
             },
-            newest_sent: reached,
+            newest_sent,
             unreported: Vec::new(),
             unresolved: None,
         })

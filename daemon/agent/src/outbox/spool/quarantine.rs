@@ -26,11 +26,12 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
         let path = with_suffix(spool, &format!(".damaged-{seconds}"));
         (!path.exists()).then_some(path)
     };
-    let first = now.unix_seconds();
-    let new_path = (first..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
-    for part in ["-wal", "-shm", ""] {
-        match fs::rename(with_suffix(spool, part), with_suffix(&new_path, part)) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound || part.is_empty() => return Err(error),
+    let first_seconds = now.unix_seconds();
+    let new_path =
+        (first_seconds..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
+    for suffix in ["-wal", "-shm", ""] {
+        match fs::rename(with_suffix(spool, suffix), with_suffix(&new_path, suffix)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound || suffix.is_empty() => return Err(error),
             _ => {}
         }
     }
@@ -47,7 +48,7 @@ pub(super) fn flag_as_damaged(spool: &Path, reason: &str) {
     }
 }
 
-/// Returns the reason why the spool is flagged as damaged; `None` if it is not. A damage flag without a spool is removed:
+/// Returns the reason why the spool is flagged as damaged; `None` if it is not flagged. A damage flag without a spool is removed:
 /// the spool was deleted, or its quarantine was interrupted.
 pub(super) fn quarantine_reason(spool: &Path) -> Option<String> {
     let reason = fs::read_to_string(damage_flag_path(spool)).ok()?;
@@ -66,8 +67,8 @@ fn damage_flag_path(spool: &Path) -> PathBuf {
 }
 
 /// Returns the path with a suffix appended to its last component.
-pub(super) fn with_suffix(path: &Path, ending: &str) -> PathBuf {
+pub(super) fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
-    name.push(ending);
+    name.push(suffix);
     name.into()
 }

@@ -42,7 +42,7 @@ pub(super) fn ranges(batch: &SpooledBatch) -> Vec<(RunId, u64, u64)> {
         numbers.sort_unstable();
         for number in numbers {
             match ranges.last_mut() {
-                Some((same, _, last)) if *same == run && *last + 1 == number => *last = number,
+                Some((other_run, _, last)) if *other_run == run && *last + 1 == number => *last = number,
                 _ => ranges.push((run, number, number)),
             }
         }

@@ -1,7 +1,7 @@
 //! Disk space that is reserved for deleting.
 //!
 //! To delete rows, SQLite writes first to the log and then to the file. A spool that filled its disk could neither be
-//! emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space. It is released
+//! emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space. This space is released
 //! for a deletion or such a record, and allocated again afterwards. The file remains when the process ends, because on a
 //! full disk the next process could not allocate it.
 
@@ -39,7 +39,7 @@ impl Reserve {
         Self { file, allocated, is_unsupported: false }
     }
 
-    /// Releases the space. Returns whether there was any.
+    /// Releases the space. Returns whether any space was released.
     pub(super) fn release(&mut self) -> bool {
         if self.allocated == 0 {
             return false;
@@ -56,8 +56,8 @@ impl Reserve {
         }
     }
 
-    /// Allocates the space, or as much as is free. Returns whether the reserve is complete, or the file system does not
-    /// support it.
+    /// Allocates the space, or as much as is free. Returns `true` if the reserve is complete, or if the file system does not
+    /// support the allocation of space.
     pub(super) fn allocate(&mut self) -> bool {
         if self.is_unsupported || self.allocated == RESERVE_BYTES {
             return true;
@@ -80,11 +80,11 @@ impl Reserve {
     fn try_allocate(&mut self) -> Result<(), Errno> {
         let file = File::options().create(true).truncate(false).write(true).open(&self.file);
         let file = file.map_err(|error| Errno::from_io_error(&error).unwrap_or(Errno::IO))?;
-        let none = FallocateFlags::empty();
-        if fallocate(&file, none, 0, RESERVE_BYTES).is_err() {
+        let no_flags = FallocateFlags::empty();
+        if fallocate(&file, no_flags, 0, RESERVE_BYTES).is_err() {
             while self.allocated < RESERVE_BYTES {
                 let step = STEP_BYTES.min(RESERVE_BYTES - self.allocated);
-                fallocate(&file, none, self.allocated, step)?;
+                fallocate(&file, no_flags, self.allocated, step)?;
                 self.allocated += step;
             }
         }

@@ -12,13 +12,13 @@ pub(super) const MAX_PROCESSES: i64 = 64;
 /// Number of unused pages that are kept for the next batches: 8 MiB.
 const SPARE_PAGES: i64 = 2048;
 
-/// Starts a transaction that inserts these batches. `counts` is `true` if the process counts the events that it queues.
+/// Starts a transaction that inserts these batches. `counts_events` is `true` if the process counts the events that it queues.
 // A batch replaces itself if a commit that seemed to fail had succeeded.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     batches: &[SpooledBatch],
     totals: &Totals,
-    counts: bool,
+    counts_events: bool,
 ) -> Result<(), sqlx::Error> {
     begin(connection).await?;
     for batch in batches {
@@ -33,7 +33,7 @@ pub(super) async fn insert(
         .execute(&mut *connection)
         .await?;
     }
-    let settled = counts.then(|| totals.submitted.settled());
+    let settled_events = counts_events.then(|| totals.submitted.settled());
     sqlx::query(
         "UPDATE stream SET produced = ?, dropped = ?, gaps = ?, told = ?, counted = coalesce(?, counted), \
          taken = coalesce(?, taken), counted_ns = coalesce(?, counted_ns) WHERE id = 1",
@@ -42,9 +42,9 @@ pub(super) async fn insert(
     .bind(totals.dropped.cast_signed())
     .bind(totals.gaps.cast_signed())
     .bind(totals.reported_drops.cast_signed())
-    .bind(settled.as_ref().map(|settled| tail::encode_counts(&settled.events)))
-    .bind(settled.as_ref().map(|settled| settled.batched.cast_signed()))
-    .bind(settled.and_then(|settled| settled.last).map(WallTime::unix_nanos))
+    .bind(settled_events.as_ref().map(|settled_events| tail::encode_counts(&settled_events.events)))
+    .bind(settled_events.as_ref().map(|settled_events| settled_events.batched.cast_signed()))
+    .bind(settled_events.and_then(|settled_events| settled_events.last).map(WallTime::unix_nanos))
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported WHERE told_through <= ?")
@@ -54,10 +54,10 @@ pub(super) async fn insert(
     if let Some(unreported) = &totals.unreported {
         tail::resolve(connection, totals.reported_drops, unreported).await?;
     }
-    let Some(reached) = totals.newest_sent else { return Ok(()) };
+    let Some(newest_sent) = totals.newest_sent else { return Ok(()) };
     sqlx::query("INSERT OR REPLACE INTO reached (process, number) VALUES (?, ?)")
-        .bind(reached.process.cast_signed())
-        .bind(reached.number.cast_signed())
+        .bind(newest_sent.process.cast_signed())
+        .bind(newest_sent.number.cast_signed())
         .execute(connection)
         .await
         .map(drop)
@@ -95,10 +95,10 @@ async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
 /// Returns some unused pages to the file system if more than half of the file is unused. Returns whether there may be
 /// more.
 ///
-/// Below that share the pages at the end of the file would have to be moved, and the next batches need the space.
+/// If less of the file is unused, the pages at its end would have to be moved, and the next batches need the space.
 pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
-    let (free, all) = pages(connection).await?;
-    if free <= all - free + SPARE_PAGES {
+    let (unused_pages, all_pages) = pages(connection).await?;
+    if unused_pages <= all_pages - unused_pages + SPARE_PAGES {
         return Ok(false);
     }
     vacuum_step(connection).await?;

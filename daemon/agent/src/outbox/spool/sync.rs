@@ -12,12 +12,12 @@ pub(super) struct Syncing {
     log: Log,
     /// `true` if a transaction was written since the last sync started.
     is_dirty: bool,
-    running: Option<JoinHandle<io::Result<()>>>,
+    running_sync: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Syncing {
     pub(super) const fn new(log: Log) -> Self {
-        Self { log, is_dirty: false, running: None }
+        Self { log, is_dirty: false, running_sync: None }
     }
 
     /// Records that a transaction was written.
@@ -27,25 +27,25 @@ impl Syncing {
 
     /// Starts a sync if a transaction was written and no sync is in progress.
     pub(super) fn start(&mut self) {
-        if self.is_dirty && self.running.is_none() {
+        if self.is_dirty && self.running_sync.is_none() {
             self.is_dirty = false;
-            self.running = Some(self.log.sync());
+            self.running_sync = Some(self.log.sync());
         }
     }
 
-    /// Returns whether [`ended`](Self::ended) has something to wait for.
+    /// Returns whether a sync is in progress, for whose end [`wait`](Self::wait) waits.
     pub(super) const fn is_running(&self) -> bool {
-        self.running.is_some()
+        self.running_sync.is_some()
     }
 
     /// Waits for the end of the sync in progress. A failed sync is repeated by the next [`start`](Self::start).
     /// Cancel-safe.
     pub(super) async fn wait(&mut self) -> io::Result<()> {
-        let Some(running) = &mut self.running else { return Ok(()) };
-        let synced = wait_for_sync(running).await;
-        self.running = None;
-        self.is_dirty |= synced.is_err();
-        synced
+        let Some(running_sync) = &mut self.running_sync else { return Ok(()) };
+        let result = wait_for_sync(running_sync).await;
+        self.running_sync = None;
+        self.is_dirty |= result.is_err();
+        result
     }
 
     /// Syncs all written transactions, and waits for the end of the sync.
@@ -58,5 +58,5 @@ impl Syncing {
 
 /// Waits for a sync and returns its result.
 pub(super) async fn wait_for_sync(sync: &mut JoinHandle<io::Result<()>>) -> io::Result<()> {
-    sync.await.unwrap_or_else(|died| Err(io::Error::other(died)))
+    sync.await.unwrap_or_else(|join_error| Err(io::Error::other(join_error)))
 }

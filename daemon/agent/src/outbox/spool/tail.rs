@@ -10,7 +10,7 @@ use crate::event_queue::counter::{self, CountOwner, EventCounter};
 
 /// State that the previous process left in the file.
 #[derive(FromRow)]
-struct Before {
+struct PreviousProcess {
     counter: Option<String>,
     counted: Option<Vec<u8>>,
     taken: Option<i64>,
@@ -49,8 +49,8 @@ pub(super) fn encode_counts(counts: &RunCounts) -> Vec<u8> {
 }
 
 fn decode_counts(bytes: &[u8]) -> Option<RunCounts> {
-    let (all, runs) = bytes.split_first_chunk()?;
-    let mut counts = RunCounts { total: u64::from_be_bytes(*all), ..RunCounts::default() };
+    let (total, runs) = bytes.split_first_chunk()?;
+    let mut counts = RunCounts { total: u64::from_be_bytes(*total), ..RunCounts::default() };
     for entry in runs.chunks_exact(24) {
         let (run, events) = entry.split_first_chunk::<16>()?;
         counts.runs.insert(RunId::from_bytes(*run), u64::from_be_bytes(*events.first_chunk()?));
@@ -76,8 +76,9 @@ pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result
     Ok(rows.into_iter().map(gap).collect())
 }
 
-/// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if its
-/// file of counts no longer exists, after a restart of the machine, or belongs to the spool that was copied to this one.
+/// Returns the unresolved batches of an earlier process, whose losses only the aggregator can determine. `None` if the
+/// process's file of counts no longer exists because the machine was restarted, or if the file belongs to the spool of
+/// which this spool is a copy.
 pub(super) async fn read_unresolved(
     connection: &mut SqliteConnection,
     owner: &CountOwner,
@@ -100,7 +101,7 @@ pub(super) async fn read_unresolved(
     }))
 }
 
-/// Returns the name of the file in which that process counted.
+/// Returns the name of the file in which the process with unresolved batches counted its events.
 pub(super) async fn unresolved_counter(
     connection: &mut SqliteConnection,
 ) -> Result<Option<String>, sqlx::Error> {
@@ -109,58 +110,58 @@ pub(super) async fn unresolved_counter(
 
 /// Determines which events the previous process lost, records them, and starts a new counter. The record is one
 /// transaction, so that each loss is reported once, whenever a process is killed. Without shared memory events are not
-/// counted. The copy of a spool does not use the counts of the original, which reports its losses itself.
+/// counted. A copy of a spool does not use the counts of the original spool, whose agent reports the losses itself.
 pub(super) async fn start_counter(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
     owner: &CountOwner,
 ) -> Result<EventCounter, sqlx::Error> {
-    let mut before: Before =
+    let mut previous: PreviousProcess =
         sqlx::query_as("SELECT counter, counted, taken, counted_ns FROM stream WHERE id = 1")
             .fetch_one(&mut *connection)
             .await?;
-    if before.counter.take_if(|name| counter::belongs_to_another_spool(name, owner)).is_some() {
+    if previous.counter.take_if(|name| counter::belongs_to_another_spool(name, owner)).is_some() {
         tracing::warn!(
             "the spool is a copy: the count of queued events belongs to the original spool, whose agent reports the events that \
              were lost"
         );
     }
     // Number of lost events; `None` if only the aggregator knows it.
-    let mut lost = Some(0);
-    let counted = before.counter.as_deref().and_then(|name| counter::read(name, owner));
-    if let Some(counted) = counted {
-        let events = before.counted.as_deref().and_then(decode_counts).unwrap_or_default();
-        let taken = before.taken.unwrap_or_default().cast_unsigned();
-        let last = before.counted_ns.map(WallTime::from_unix_nanos);
-        lost = state.lose_tail(counted, SettledEvents { events, batched: taken, last });
+    let mut lost_events = Some(0);
+    let counted_events = previous.counter.as_deref().and_then(|name| counter::read(name, owner));
+    if let Some(counted_events) = counted_events {
+        let events = previous.counted.as_deref().and_then(decode_counts).unwrap_or_default();
+        let batched = previous.taken.unwrap_or_default().cast_unsigned();
+        let last = previous.counted_ns.map(WallTime::from_unix_nanos);
+        lost_events = state.lose_tail(counted_events, SettledEvents { events, batched, last });
     }
     let counter = EventCounter::create(owner).unwrap_or_else(|error| {
         tracing::warn!(%error, "cannot count events in shared memory; if the agent is killed, its lost events are not reported");
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-    let written = match write(connection, state, lost.is_none(), &counter).await {
+    let result = match write(connection, state, lost_events.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
-        failed => failed,
+        error => error,
     };
-    if let Err(error) = written {
+    if let Err(error) = result {
         counter.remove();
         if let Err(error) = sqlx::query("ROLLBACK").execute(connection).await {
             tracing::debug!(%error, "nothing to roll back in the spool");
         }
         return Err(error);
     }
-    match (lost, &before.counter) {
+    match (lost_events, &previous.counter) {
         (None, _) => tracing::warn!(
             "the agent was killed while it sent events that its spool could not store: the aggregator reports which of them are \
              stored, and a gap reports the others"
         ),
-        (Some(lost), Some(name)) => {
-            // Removed after the commit: if this process is killed before it, the next one needs the file again.
+        (Some(lost_events), Some(name)) => {
+            // The file is removed after the commit: if this process is killed before the commit, the next process needs the file.
             counter::remove(name);
-            if lost > 0 {
+            if lost_events > 0 {
                 tracing::warn!(
-                    events = lost,
+                    events = lost_events,
                     "the agent was killed before these events reached its spool; a gap reports them"
                 );
             }
@@ -211,27 +212,28 @@ async fn write(
 
 async fn write_unreported(
     connection: &mut SqliteConnection,
-    mut reported: u64,
+    mut reported_through: u64,
     unreported: &[Gap],
 ) -> Result<(), sqlx::Error> {
-    // Losses that are in the table already were added when they were written.
-    let killed: u64 = unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
+    // Losses that are already in the table were added to the column when they were inserted.
+    let lost_when_killed: u64 =
+        unreported.iter().filter(|gap| gap.reason == KILLED_REASON).map(|gap| gap.count).sum();
     sqlx::query(
         "UPDATE stream SET lost_when_killed = lost_when_killed + ? - \
          (SELECT coalesce(sum(count), 0) FROM unreported WHERE reason = ?) WHERE id = 1",
     )
-    .bind(killed.cast_signed())
+    .bind(lost_when_killed.cast_signed())
     .bind(KILLED_REASON)
     .execute(&mut *connection)
     .await?;
     sqlx::query("DELETE FROM unreported").execute(&mut *connection).await?;
     for gap in unreported {
-        reported += gap.count;
+        reported_through += gap.count;
         sqlx::query(
             "INSERT INTO unreported (told_through, pipeline, run, from_ns, to_ns, count, reason) \
              VALUES (?, ?, ?, ?, ?, ?, ?)",
         )
-        .bind(reported.cast_signed())
+        .bind(reported_through.cast_signed())
         .bind(gap.pipeline.as_ref().map(ToString::to_string))
         .bind(gap.run.map(|run| run.to_string()))
         .bind(gap.from.unix_nanos())

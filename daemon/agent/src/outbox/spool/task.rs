@@ -33,7 +33,7 @@ pub(in crate::outbox) enum Order {
 
 /// Result of an order.
 #[derive(Debug)]
-pub(in crate::outbox) enum Done {
+pub(in crate::outbox) enum OrderResult {
     Appended(Result<(), SpoolTaskError>),
     Loaded(Result<Loaded, SpoolTaskError>),
     Deleted(Result<(), SpoolTaskError>),
@@ -64,7 +64,7 @@ pub(in crate::outbox) enum SpoolTaskError {
 #[derive(Debug)]
 pub(in crate::outbox) struct SpoolTask {
     orders: mpsc::Sender<Order>,
-    done: mpsc::Receiver<Done>,
+    results: mpsc::Receiver<OrderResult>,
     task: AbortOnDropHandle<Result<(), SpoolFileError>>,
 }
 
@@ -72,9 +72,10 @@ impl SpoolTask {
     /// Starts the task.
     pub(in crate::outbox) fn start(file: SpoolFile, sync_interval: Duration) -> Self {
         let (orders, received_orders) = mpsc::channel(MAX_ORDERS);
-        let (results, done) = mpsc::channel(MAX_ORDERS);
-        let task = AbortOnDropHandle::new(tokio::spawn(run(file, sync_interval, received_orders, results)));
-        Self { orders, done, task }
+        let (result_sender, results) = mpsc::channel(MAX_ORDERS);
+        let task =
+            AbortOnDropHandle::new(tokio::spawn(run(file, sync_interval, received_orders, result_sender)));
+        Self { orders, results, task }
     }
 
     /// Sends an order to the task, without waiting.
@@ -89,14 +90,14 @@ impl SpoolTask {
     }
 
     /// Waits for the next result; `None` if the task has ended.
-    pub(in crate::outbox) async fn next_result(&mut self) -> Option<Done> {
-        self.done.recv().await
+    pub(in crate::outbox) async fn next_result(&mut self) -> Option<OrderResult> {
+        self.results.recv().await
     }
 
     /// Waits until all orders are done and the task has closed the file.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolTaskError> {
-        let Self { orders, done, task } = self;
-        drop((orders, done));
+        let Self { orders, results, task } = self;
+        drop((orders, results));
         Ok(task.await??)
     }
 }
@@ -105,7 +106,7 @@ async fn run(
     mut file: SpoolFile,
     sync_interval: Duration,
     mut orders: mpsc::Receiver<Order>,
-    results: mpsc::Sender<Done>,
+    results: mpsc::Sender<OrderResult>,
 ) -> Result<(), SpoolFileError> {
     let mut ticks = tokio::time::interval(sync_interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -113,49 +114,49 @@ async fn run(
     loop {
         tokio::select! {
             biased;
-            synced = syncing.wait(), if syncing.is_running() => report(&file, synced),
+            result = syncing.wait(), if syncing.is_running() => log_failed_sync(&file, result),
             _ = ticks.tick() => {
                 syncing.start();
-                // In steps between orders, because a vacuum of the whole file would delay orders.
+                // The file shrinks in steps between orders, because a vacuum of the whole file would delay orders.
                 shrink(&mut file, &orders).await;
             }
             order = orders.recv() => {
                 let Some(order) = order else { break };
-                let done = execute(&mut file, &mut syncing, order).await;
+                let result = execute(&mut file, &mut syncing, order).await;
                 // Sending fails only if the outbox has ended; the order is done nevertheless.
-                let _ = results.send(done).await;
+                let _ = results.send(result).await;
             }
         }
     }
-    let synced = syncing.finish().await;
-    report(&file, synced);
+    let result = syncing.finish().await;
+    log_failed_sync(&file, result);
     file.close().await
 }
 
-async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> Done {
+async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> OrderResult {
     match order {
         Order::Append { batches, totals } => {
-            let appended = file.append(&batches, &totals).await;
-            if appended.is_ok() {
+            let result = file.append(&batches, &totals).await;
+            if result.is_ok() {
                 syncing.mark_written();
                 range_log::log_ranges(&batches);
             }
-            Done::Appended(mark_if_corrupt(file, appended))
+            OrderResult::Appended(flag_if_corrupt(file, result))
         }
-        Order::Load { from, bytes } => Done::Loaded(file.load(from, bytes).await.map_err(Into::into)),
+        Order::Load { from, bytes } => OrderResult::Loaded(file.load(from, bytes).await.map_err(Into::into)),
         Order::Delete { through, chain } => {
-            let deleted = file.delete_through(through, chain).await;
-            Done::Deleted(mark_if_corrupt(file, deleted))
+            let result = file.delete_through(through, chain).await;
+            OrderResult::Deleted(flag_if_corrupt(file, result))
         }
         Order::Renew { stream, previous, first, events_before_first } => {
-            let renewed = file.renew(stream, previous, (first, events_before_first)).await;
-            Done::Renewed(mark_if_corrupt(file, renewed))
+            let result = file.renew(stream, previous, (first, events_before_first)).await;
+            OrderResult::Renewed(flag_if_corrupt(file, result))
         }
     }
 }
 
 /// Flags the file as damaged if SQLite reports damage, so that the next start quarantines it.
-fn mark_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
+fn flag_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
     if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
         flag_as_damaged(file.path(), &file_error.to_string());
     }
@@ -176,8 +177,8 @@ async fn shrink(file: &mut SpoolFile, orders: &mpsc::Receiver<Order>) {
     }
 }
 
-fn report(file: &SpoolFile, synced: io::Result<()>) {
-    if let Err(error) = synced {
+fn log_failed_sync(file: &SpoolFile, result: io::Result<()>) {
+    if let Err(error) = result {
         let spool = file.path().display();
         tracing::warn!(%error, "cannot sync the spool {spool}; a power cut may lose its newest events; retrying");
     }

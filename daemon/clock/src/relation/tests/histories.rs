@@ -43,11 +43,14 @@ impl History {
         // The two clocks share the limit; in a third of the histories they reach it.
         let clock = |random: &mut RandomSource| {
             let offset = Span::from_nanos(random.between(-1e15, 1e15) as i64);
-            let half = LIMIT_PPM / 2.0;
+            let half_limit = LIMIT_PPM / 2.0;
             if random.chance(0.33) {
-                return SimulatedClock::drifting(offset, if random.chance(0.5) { half } else { -half });
+                return SimulatedClock::drifting(
+                    offset,
+                    if random.chance(0.5) { half_limit } else { -half_limit },
+                );
             }
-            SimulatedClock::warming(offset, half, CHANGE_PPM_PER_S / 2.0, length, random)
+            SimulatedClock::warming(offset, half_limit, CHANGE_PPM_PER_S / 2.0, length, random)
         };
         let (mut edge, mut cloud) = (clock(random), clock(random));
         // The path is so short that only the assumptions separate the bounds from the truth.
@@ -56,52 +59,58 @@ impl History {
             edge = SimulatedClock::drifting(Span::ZERO, 0.0);
             cloud = SimulatedClock::warming(Span::ZERO, LIMIT_PPM, CHANGE_PPM_PER_S, length, random);
         }
-        let paused = random.between(5.0, LENGTH - 5.0);
+        let pause_start = random.between(5.0, LENGTH - 5.0);
         // A cloud that was restarted has another clock, and reports it.
-        let restarted = random.chance(0.2);
-        if restarted {
+        let cloud_restarts = random.chance(0.2);
+        if cloud_restarts {
             let by = Span::from_nanos(random.between(-1e12, 1e12) as i64);
-            cloud = cloud.stepped(Span::from_seconds_f64(paused + pause / 2.0), by);
+            cloud = cloud.stepped(Span::from_seconds_f64(pause_start + pause / 2.0), by);
         }
         let host_clocks = HostClocks { edge, cloud };
         let hz = random.between(1f64.ln(), 30f64.ln()).exp() / if is_tight { 4.0 } else { 1.0 };
-        let tight = Path { up: 1e3, down: 1e3, jitter: 1e3, loss: 0.2, burst: 1e4 };
-        let mut route = if is_tight { tight } else { path(random) };
-        let other =
+        let tight_path = Path { up: 1e3, down: 1e3, jitter: 1e3, loss: 0.2, burst: 1e4 };
+        let mut route = if is_tight { tight_path } else { path(random) };
+        let other_route =
             if random.chance(0.5) { Path { up: route.down, down: route.up, ..route } } else { path(random) };
-        let flaps = if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
+        let flap_interval =
+            if random.chance(0.4) && !is_tight { random.between(1.0, 20.0) } else { f64::INFINITY };
         let mut trips = Vec::new();
-        for (begin, end) in [(0.0, paused), (paused + pause, LENGTH + pause)] {
+        for (begin, end) in [(0.0, pause_start), (pause_start + pause, LENGTH + pause)] {
             let mut from = begin;
             while from < end {
-                let until = (from + flaps).min(end);
+                let until = (from + flap_interval).min(end);
                 trips.extend(route.trips(&host_clocks, (from, until), hz, random));
                 if until < end {
-                    route = if route.up == other.up { Path { up: other.down, ..other } } else { other };
+                    route = if route.up == other_route.up {
+                        Path { up: other_route.down, ..other_route }
+                    } else {
+                        other_route
+                    };
                 }
                 from = until;
             }
         }
-        let restart = (paused + pause / 2.0) * 1e9;
+        let restart_time = (pause_start + pause / 2.0) * 1e9;
         // A restarted cloud answers no request that was in flight.
         trips.retain(|trip| {
-            !restarted
-                || trip.ended < restart
-                || trip.ended - (trip.up + trip.down).nanos() as f64 - 1e9 > restart
+            !cloud_restarts
+                || trip.end < restart_time
+                || trip.end - (trip.up + trip.down).nanos() as f64 - 1e9 > restart_time
         });
-        let with_epochs = trips.into_iter().map(|trip| (trip, u32::from(restarted && trip.ended > restart)));
+        let with_epochs =
+            trips.into_iter().map(|trip| (trip, u32::from(cloud_restarts && trip.end > restart_time)));
         let mut trips: Vec<(Trip, u32)> = with_epochs.collect();
         for (trip, _) in &mut trips {
-            trip.ended += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
+            trip.end += if random.chance(0.05) { random.exponential(5e8) } else { 0.0 };
         }
-        trips.sort_by(|a, b| a.0.ended.total_cmp(&b.0.ended));
+        trips.sort_by(|a, b| a.0.end.total_cmp(&b.0.end));
         Self { trips }
     }
 }
 
 #[test]
-fn delays_of_generated_histories_contain_the_truth() {
-    let (mut judged, mut trusted, mut jumps) = (0_u64, 0_u64, 0_u64);
+fn delays_of_generated_histories_contain_truth() {
+    let (mut judged_delays, mut trusted_delays, mut jumps) = (0_u64, 0_u64, 0_u64);
     for seed in 0..histories() {
         let history = History::generate(&mut RandomSource::new(seed.wrapping_mul(0x5851_F42D_4C95_7F2D)));
         let settings = RelationSettings { retention: Span::from_seconds(30), ..settings() };
@@ -109,33 +118,36 @@ fn delays_of_generated_histories_contain_the_truth() {
         let mut newest_epoch = 0;
         for (n, (trip, epoch)) in history.trips.iter().enumerate() {
             newest_epoch = newest_epoch.max(*epoch);
-            let answer =
+            let judged_exchange =
                 relation.judge(&ExchangeObservation { cloud_epoch: Some(*epoch), ..trip.observation() });
-            jumps += u64::from(matches!(answer.learned, LearnResult::Jumped(_)));
-            let is_stepped = answer.learned == LearnResult::Refused(Refusal::Stepped);
+            jumps += u64::from(matches!(judged_exchange.learned, LearnResult::Jumped(_)));
+            let is_stepped = judged_exchange.learned == LearnResult::Refused(Refusal::Stepped);
             assert!(
-                is_stepped || !matches!(answer.learned, LearnResult::Refused(_)),
-                "{seed}: {n}: {answer:?}"
+                is_stepped || !matches!(judged_exchange.learned, LearnResult::Refused(_)),
+                "{seed}: {n}: {judged_exchange:?}"
             );
             let mut check = |delay: OneWayDelay, truth: Span| {
-                judged += 1;
-                trusted += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));
+                judged_delays += 1;
+                trusted_delays += u64::from(matches!(delay.verdict, Verdict::Ok | Verdict::Limited));
                 assert!(delay.verdict != Verdict::Inconsistent, "{seed}: {n}: {delay:?}");
                 let is_inside = delay.bounds.is_none_or(|bounds| bounds.contains(truth));
                 assert!(is_inside, "history {seed}, exchange {n}: {delay:?}, truth {truth}");
             };
-            check(answer.up, trip.up);
-            check(answer.down, trip.down);
+            check(judged_exchange.up, trip.up);
+            check(judged_exchange.down, trip.down);
             // Judges an earlier delay again, with the exchanges that followed it.
             let earlier = n - n.min((n * 7919) % 50);
-            let (before, _) = &history.trips[earlier];
+            let (earlier_trip, _) = &history.trips[earlier];
             if newest_epoch == 0 {
-                let exchange = &before.exchange;
-                check(relation.delay(Direction::Up, exchange.sent, exchange.received), before.up);
-                check(relation.delay(Direction::Down, exchange.replied, exchange.returned), before.down);
+                let exchange = &earlier_trip.exchange;
+                check(relation.delay(Direction::Up, exchange.sent, exchange.received), earlier_trip.up);
+                check(
+                    relation.delay(Direction::Down, exchange.replied, exchange.returned),
+                    earlier_trip.down,
+                );
             }
         }
     }
-    assert!(trusted * 2 > judged, "{trusted} of {judged}");
+    assert!(trusted_delays * 2 > judged_delays, "{trusted_delays} of {judged_delays}");
     assert!(jumps > 0, "no flap was noticed");
 }

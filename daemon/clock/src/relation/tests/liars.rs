@@ -55,25 +55,25 @@ proptest! {
     #[test]
     fn isolated_outliers_change_nothing(seed: u64, by in prop_oneof![-1e9..-1e5f64, 1e5..1e9f64]) {
         let host_clocks = host_clocks(Span::from_millis(3));
-        let (mut honest, mut lied_to) = (relation_with_history(&host_clocks), relation_with_history(&host_clocks));
+        let (mut honest_relation, mut deceived_relation) = (relation_with_history(&host_clocks), relation_with_history(&host_clocks));
         let mut random = RandomSource::new(seed);
         let calm = Path { burst: 0.0, ..Path::VETH };
         let mut lies = 0;
         for (n, trip) in calm.trips(&host_clocks, (10.0, 30.0), 20.0, &mut random).iter().enumerate() {
-            honest.learn(&trip.observation());
-            lied_to.learn(&trip.observation());
+            honest_relation.learn(&trip.observation());
+            deceived_relation.learn(&trip.observation());
             if n % 4 < 3 {
-                let mut lie = host_clocks.trip(trip.ended, 3e4, 1e5, 3e4).observation();
+                let mut lie = host_clocks.trip(trip.end, 3e4, 1e5, 3e4).observation();
                 lie.exchange.received = lie.exchange.received + Span::from_nanos(by as i64);
                 lie.exchange.replied = lie.exchange.replied + Span::from_nanos(by as i64);
-                let learned = lied_to.learn(&lie);
+                let learned = deceived_relation.learn(&lie);
                 prop_assert_eq!(learned, LearnResult::Refused(Refusal::Outlier));
                 lies += 1;
             }
         }
-        prop_assert_eq!(all_intervals(&honest), all_intervals(&lied_to));
-        prop_assert_eq!(lied_to.counts().outliers, lies);
-        prop_assert_eq!(lied_to.window_number(), 0);
+        prop_assert_eq!(all_intervals(&honest_relation), all_intervals(&deceived_relation));
+        prop_assert_eq!(deceived_relation.counts().outliers, lies);
+        prop_assert_eq!(deceived_relation.window_number(), 0);
     }
 }
 
@@ -109,7 +109,7 @@ fn wide_exchange_does_not_end_suspicion() {
 fn impossible_exchanges_are_recognised() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation_with_history(&host_clocks);
-    let refused = |edit: fn(&mut Exchange)| {
+    let result_after = |edit: fn(&mut Exchange)| {
         let mut observation = host_clocks.trip(10e9, 3e4, 1e5, 3e4).observation();
         edit(&mut observation.exchange);
         (relation.learn(&observation), relation.counts().impossible)
@@ -122,16 +122,16 @@ fn impossible_exchanges_are_recognised() {
         |exchange| exchange.received = RawTime::from_nanos(i64::MIN),
     ];
     let impossible = LearnResult::Refused(Refusal::Impossible);
-    let told: Vec<_> = edits.into_iter().map(refused).collect();
-    assert_eq!(told, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
+    let refusals: Vec<_> = edits.into_iter().map(result_after).collect();
+    assert_eq!(refusals, (1..=5).map(|count| (impossible, count)).collect::<Vec<_>>());
 }
 
-/// A peer that shifts both its stamps alike shows what another clock would show; two-way exchanges cannot detect it. A
-/// claim about both hosts' clocks that does not come from the peer's stamps can.
+/// A peer that shifts both of its stamps by the same amount looks like a peer with another clock; exchanges cannot detect
+/// this. Claims of both hosts' time daemons can, because they do not depend on the peer's stamps.
 #[test]
 fn consistently_wrong_stamps_contradict_time_daemons_only() {
-    let (honest, lying) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
-    let mut relation = relation_with_history(&honest);
+    let (honest_relation, lying) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(40)));
+    let mut relation = relation_with_history(&honest_relation);
     let trips = Path::VETH.trips(&lying, (10.0, 20.0), 20.0, &mut RandomSource::new(3));
     for trip in &trips {
         relation.learn(&trip.observation());
@@ -202,9 +202,9 @@ fn suspicion_ends_with_window_if_nothing_refutes_it() {
     }
 }
 
-/// Eight exchanges bound the offset at any age: until all of them follow the suspect, either may be wrong.
+/// The newest eight exchanges bound the offset at any age. While some of them are older than the suspect, either these or the suspect may be wrong.
 #[test]
-fn suspicion_lasts_while_rare_exchanges_from_before_it_count() {
+fn suspicion_lasts_while_earlier_rare_exchanges_count() {
     let (before, after) = (host_clocks(Span::ZERO), host_clocks(Span::from_millis(1)));
     let mut relation = relation_with_history(&before);
     assert_eq!(

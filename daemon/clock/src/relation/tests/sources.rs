@@ -11,7 +11,7 @@ fn claim(source: DelaySource, lo: i64, hi: i64) -> Option<Discipline> {
 
 /// Creates a relation whose band is about [-15, 35] ms with an estimate of 10 ms: 30 ms up, 20 ms down, the cloud 5 ms
 /// ahead.
-fn asymmetric() -> Relation {
+fn relation_over_asymmetric_path() -> Relation {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::from_millis(5), 0.0),
@@ -25,7 +25,7 @@ fn asymmetric() -> Relation {
 }
 
 /// Returns the source, the bounds and the estimate in milliseconds, and the verdict.
-fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
+fn combined_offset(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
     let offset = relation.offset(at(10), WallTime::default()).expect("known");
     let millis = |span: Span| (span.seconds() * 1e3).round() as i64;
     (
@@ -40,7 +40,7 @@ fn answer(relation: &Relation) -> (DelaySource, (i64, i64), i64, Verdict) {
 fn two_claims_alone_relate_two_clocks() {
     let mut relation = relation();
     relation.set_claims(claim(DelaySource::Kernel, -1, 2), claim(DelaySource::Kernel, 3, 8));
-    assert_eq!(answer(&relation), (DelaySource::Kernel, (1, 9), 5, Verdict::Ok));
+    assert_eq!(combined_offset(&relation), (DelaySource::Kernel, (1, 9), 5, Verdict::Ok));
     assert_eq!(relation.offset(at(0), WallTime::default()).and_then(|offset| offset.age), None);
     let delay = relation.delay(Direction::Up, at(1), at(1) + Span::from_millis(105));
     assert_eq!((delay.value, delay.verdict), (Some(Span::from_millis(100)), Verdict::Ok));
@@ -67,20 +67,20 @@ fn claims_that_are_not_trusted_change_nothing() {
 
 #[test]
 fn source_of_offset_is_claim_band_or_intersection() {
-    let mut relation = asymmetric();
-    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
+    let mut relation = relation_over_asymmetric_path();
+    assert_eq!(combined_offset(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     let exact = claim(DelaySource::Kernel, 0, 0);
     relation.set_claims(exact, claim(DelaySource::Chrony, 4, 6));
     // The claim reveals an asymmetry by which the estimate is wrong.
-    assert_eq!(answer(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
+    assert_eq!(combined_offset(&relation), (DelaySource::Chrony, (4, 6), 5, Verdict::Ok));
     relation.set_claims(exact, claim(DelaySource::Kernel, 4, 12));
-    assert_eq!(answer(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));
+    assert_eq!(combined_offset(&relation), (DelaySource::Kernel, (4, 12), 10, Verdict::Ok));
     relation.set_claims(exact, claim(DelaySource::Kernel, -100, 100));
-    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
+    assert_eq!(combined_offset(&relation), (DelaySource::InBand, (-15, 35), 10, Verdict::Ok));
     relation.set_claims(exact, claim(DelaySource::Kernel, 0, 100));
-    assert_eq!(answer(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
+    assert_eq!(combined_offset(&relation), (DelaySource::Intersection, (0, 35), 10, Verdict::Ok));
     relation.set_claims(exact, claim(DelaySource::Kernel, 50, 100));
-    assert_eq!(answer(&relation), (DelaySource::InBand, (-15, 100), 10, Verdict::Inconsistent));
+    assert_eq!(combined_offset(&relation), (DelaySource::InBand, (-15, 100), 10, Verdict::Inconsistent));
     let sources = relation.offset(at(10), WallTime::default()).expect("known").sources;
     assert_eq!(sources[1], (DelaySource::Kernel, millis(50, 100)));
     assert_eq!(sources[0].0, DelaySource::InBand);
@@ -88,10 +88,13 @@ fn source_of_offset_is_claim_band_or_intersection() {
 
 #[test]
 fn claim_holds_without_exchanges_until_step() {
-    let mut relation = asymmetric();
+    let mut relation = relation_over_asymmetric_path();
     relation.set_claims(claim(DelaySource::Kernel, 0, 0), claim(DelaySource::Chrony, 4, 6));
-    let late = relation.offset(at(300), WallTime::default()).expect("known");
-    assert_eq!((late.source, late.verdict), (DelaySource::Chrony, Verdict::Ok));
+    let offset_without_exchanges = relation.offset(at(300), WallTime::default()).expect("known");
+    assert_eq!(
+        (offset_without_exchanges.source, offset_without_exchanges.verdict),
+        (DelaySource::Chrony, Verdict::Ok)
+    );
     relation.restart_after_edge_step(1);
     assert_eq!(relation.offset(at(300), WallTime::default()), None);
 }

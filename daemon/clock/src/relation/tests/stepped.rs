@@ -2,48 +2,48 @@ use super::*;
 
 const STEP: Span = Span::from_seconds(3);
 
-/// Returns host clocks of which the edge is set by `by` at the tenth second.
-fn edge_set(by: Span) -> HostClocks {
+/// Returns host clocks of which the edge's clock is stepped by `by` at the tenth second.
+fn with_edge_step(by: Span) -> HostClocks {
     let host_clocks = host_clocks(Span::from_millis(5));
     HostClocks { edge: host_clocks.edge.stepped(Span::from_seconds(10), by), ..host_clocks }
 }
 
-fn cloud_set(by: Span) -> HostClocks {
+fn with_cloud_step(by: Span) -> HostClocks {
     let host_clocks = host_clocks(Span::from_millis(5));
     HostClocks { cloud: host_clocks.cloud.stepped(Span::from_seconds(10), by), ..host_clocks }
 }
 
-/// Judges ten exchanges per second until the tenth second, then a hundred per second for three seconds. `witness` adds
+/// Judges ten exchanges per second until the tenth second, then a hundred per second for three seconds. `observe` adds
 /// the epochs that the hosts report.
 ///
 /// Returns the time from the step to the first `ok` or `limited` delay, and the relation. Panics if such a delay does
 /// not contain the truth.
-fn survive(
+fn judge_across_step(
     host_clocks: &HostClocks,
-    witness: impl Fn(&Trip) -> ExchangeObservation,
+    observe: impl Fn(&Trip) -> ExchangeObservation,
 ) -> (Option<f64>, Relation) {
     let mut relation = relation_with_history(host_clocks);
-    let mut recovered = None;
+    let mut recovery_time = None;
     for trip in Path::VETH.trips(host_clocks, (9.95, 13.0), 100.0, &mut RandomSource::new(6)) {
-        let JudgedExchange { up, down, .. } = relation.judge(&witness(&trip));
+        let JudgedExchange { up, down, .. } = relation.judge(&observe(&trip));
         for (delay, truth) in [(up, trip.up), (down, trip.down)] {
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
-            assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
-            if trusted && trip.ended > 10.002e9 {
-                recovered.get_or_insert(trip.ended / 1e9 - 10.0);
+            assert!(!trusted || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
+            if trusted && trip.end > 10.002e9 {
+                recovery_time.get_or_insert(trip.end / 1e9 - 10.0);
             }
         }
     }
-    (recovered, relation)
+    (recovery_time, relation)
 }
 
 #[test]
-fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
+fn reported_step_starts_new_window_at_once() {
     for by in [STEP, -STEP, Span::from_micros(30), Span::from_micros(-30), Span::from_seconds(-3600)] {
-        for host_clocks in [edge_set(by), cloud_set(by)] {
+        for host_clocks in [with_edge_step(by), with_cloud_step(by)] {
             let edge = host_clocks.edge.error(20e9) != 0.0;
-            let (recovered, relation) = survive(&host_clocks, |trip| {
-                let epoch = u32::from(trip.ended >= 10e9);
+            let (recovery_time, relation) = judge_across_step(&host_clocks, |trip| {
+                let epoch = u32::from(trip.end >= 10e9);
                 let (edge_epoch, cloud_epoch) = if edge { (epoch, 0) } else { (0, epoch) };
                 ExchangeObservation { edge_epoch, cloud_epoch: Some(cloud_epoch), ..trip.observation() }
             });
@@ -52,7 +52,7 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
             // step.
             let limit =
                 if by.abs() < Span::from_seconds(10) { by.abs().seconds().min(2.0) + 0.3 } else { 0.3 };
-            assert!(recovered.is_some_and(|after| after < limit), "{by} {recovered:?}");
+            assert!(recovery_time.is_some_and(|after| after < limit), "{by} {recovery_time:?}");
         }
     }
 }
@@ -60,45 +60,45 @@ fn steps_that_a_host_noticed_begin_a_new_window_at_once() {
 #[test]
 fn unannounced_step_is_accepted_after_agreement() {
     for by in [STEP, -STEP, Span::from_millis(20), Span::from_millis(-20)] {
-        for host_clocks in [edge_set(by), cloud_set(by)] {
-            let (recovered, relation) = survive(&host_clocks, Trip::observation);
+        for host_clocks in [with_edge_step(by), with_cloud_step(by)] {
+            let (recovery_time, relation) = judge_across_step(&host_clocks, Trip::observation);
             assert_eq!(relation.counts().restarts, 1, "{by}");
-            assert!(recovered.is_some_and(|after| after < 0.5), "{by} {recovered:?}");
+            assert!(recovery_time.is_some_and(|after| after < 0.5), "{by} {recovery_time:?}");
         }
     }
 }
 
 #[test]
 fn first_exchange_after_step_states_its_size() {
-    let host_clocks = cloud_set(STEP);
+    let host_clocks = with_cloud_step(STEP);
     let mut relation = relation_with_history(&host_clocks);
-    let mut reported = Vec::new();
+    let mut sizes = Vec::new();
     for trip in Path::VETH.trips(&host_clocks, (10.0, 11.0), 50.0, &mut RandomSource::new(6)) {
         if let LearnResult::Restarted(by) =
             relation.learn(&ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() })
         {
-            reported.push(by.expect("it was known before"));
+            sizes.push(by.expect("it was known before"));
         }
     }
-    assert_eq!(reported.len(), 1);
-    assert!((reported[0] - STEP).abs() < Span::from_millis(1), "{}", reported[0]);
+    assert_eq!(sizes.len(), 1);
+    assert!((sizes[0] - STEP).abs() < Span::from_millis(1), "{}", sizes[0]);
 }
 
 #[test]
-fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
+fn exchange_spanning_cloud_step_is_refused() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation_with_history(&host_clocks);
     let before = all_intervals(&relation);
     let trip = host_clocks.trip(10e9, 300e3, 1e6, 300e3);
-    let spans = |by: i64| ExchangeObservation {
+    let observation_with_step = |by: i64| ExchangeObservation {
         cloud_elapsed: Some(trip.exchange.replied - trip.exchange.received + Span::from_micros(by)),
         ..trip.observation()
     };
     for by in [60, -60] {
-        assert_eq!(relation.learn(&spans(by)), LearnResult::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&observation_with_step(by)), LearnResult::Refused(Refusal::Stepped));
     }
     assert_eq!(all_intervals(&relation), before);
-    assert_eq!(relation.learn(&spans(40)), LearnResult::Accepted);
+    assert_eq!(relation.learn(&observation_with_step(40)), LearnResult::Accepted);
     // A clock with an injected drift of 100 ppm, for ten seconds.
     let long = host_clocks.trip(11e9, 300e3, 10e9, 300e3);
     let elapsed = long.exchange.replied - long.exchange.received;
@@ -111,34 +111,34 @@ fn exchange_that_spans_step_of_cloud_is_refused_by_its_monotonic_clock() {
 #[test]
 fn exchange_sent_before_step_notice_is_refused() {
     for (host_clocks, edge_epoch, cloud_epoch) in
-        [(cloud_set(Span::from_micros(-40)), 0, 1), (edge_set(Span::from_micros(40)), 1, 0)]
+        [(with_cloud_step(Span::from_micros(-40)), 0, 1), (with_edge_step(Span::from_micros(40)), 1, 0)]
     {
-        let reported = |trip: Trip| ExchangeObservation {
+        let observation_of = |trip: Trip| ExchangeObservation {
             edge_epoch,
             cloud_epoch: Some(cloud_epoch),
             ..trip.observation()
         };
         let mut relation = relation_with_history(&host_clocks);
-        let (news, spanning) =
+        let (reporting_trip, spanning_trip) =
             (host_clocks.trip(10.0001e9, 3e4, 1e4, 3e4), host_clocks.trip(9.9999e9, 5e4, 2e5, 5e4));
-        assert_eq!(relation.learn(&reported(news)), LearnResult::Refused(Refusal::Stepped));
+        assert_eq!(relation.learn(&observation_of(reporting_trip)), LearnResult::Refused(Refusal::Stepped));
         assert_eq!(relation.window_number(), 1);
-        assert_eq!(relation.learn(&reported(spanning)), LearnResult::Refused(Refusal::Stepped));
-        let after = relation.learn(&reported(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
+        assert_eq!(relation.learn(&observation_of(spanning_trip)), LearnResult::Refused(Refusal::Stepped));
+        let after = relation.learn(&observation_of(host_clocks.trip(10.001e9, 3e4, 1e4, 3e4)));
         assert!(matches!(after, LearnResult::Restarted(Some(_))), "{after:?}");
     }
 }
 
 #[test]
 fn step_notice_ends_window_once() {
-    let host_clocks = cloud_set(STEP);
+    let host_clocks = with_cloud_step(STEP);
     let mut relation = relation_with_history(&host_clocks);
     relation.restart_after_cloud_step(1);
     assert_eq!((relation.window_number(), relation.offset(at(10), WallTime::default())), (1, None));
     relation.restart_after_cloud_step(1);
-    let reported = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
+    let observation_of = |trip: Trip| ExchangeObservation { cloud_epoch: Some(1), ..trip.observation() };
     // The first exchange may have been in flight during the step.
-    let first = relation.judge(&reported(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
+    let first = relation.judge(&observation_of(host_clocks.trip(10.1e9, 3e4, 1e5, 3e4)));
     assert_eq!(first.learned, LearnResult::Refused(Refusal::Stepped));
     for delay in [first.up, first.down] {
         assert_eq!(
@@ -147,7 +147,7 @@ fn step_notice_ends_window_once() {
             "though nothing is known any more"
         );
     }
-    let second = relation.learn(&reported(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
+    let second = relation.learn(&observation_of(host_clocks.trip(10.2e9, 3e4, 1e5, 3e4)));
     assert!(matches!(second, LearnResult::Restarted(Some(_))), "{second:?}");
     relation.restart_after_cloud_step(1);
     relation.restart_after_edge_step(0);
@@ -160,19 +160,19 @@ fn step_notice_ends_window_once() {
 fn older_epoch_is_refused_and_restarted_counter_accepted() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
-    let reported = |n: u32, epoch| ExchangeObservation {
+    let observation_of = |n: u32, epoch| ExchangeObservation {
         cloud_epoch: Some(epoch),
         ..host_clocks.trip(f64::from(n) * 1e8, 3e4, 1e5, 3e4).observation()
     };
-    (0..5).for_each(|n| assert_eq!(relation.learn(&reported(n, 7)), LearnResult::Accepted));
+    (0..5).for_each(|n| assert_eq!(relation.learn(&observation_of(n, 7)), LearnResult::Accepted));
     for n in 5..20 {
         let epoch = if n % 3 == 0 { 7 } else { 6 };
-        let learned = relation.learn(&reported(n, epoch));
+        let learned = relation.learn(&observation_of(n, epoch));
         assert_eq!(learned == LearnResult::Accepted, epoch == 7);
     }
     assert_eq!(relation.window_number(), 0);
     // The agent of the cloud was restarted.
-    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&reported(n, 0))).collect();
+    let learned: Vec<LearnResult> = (20..40).map(|n| relation.learn(&observation_of(n, 0))).collect();
     assert_eq!(relation.window_number(), 1);
     assert!(matches!(learned[8], LearnResult::Restarted(_)), "{learned:?}");
     assert!(learned[9..].iter().all(|learned| *learned == LearnResult::Accepted));

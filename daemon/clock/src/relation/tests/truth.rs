@@ -6,7 +6,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(16))]
 
     #[test]
-    fn judged_delay_always_contains_the_truth(
+    fn interval_of_judged_delay_contains_truth(
         seed: u64,
         up in 1e3..100e6f64,
         down in 1e3..100e6f64,
@@ -45,7 +45,7 @@ proptest! {
     }
 
     #[test]
-    fn delay_that_is_judged_again_contains_the_truth(seed: u64, wander in 0.0..50.0f64) {
+    fn delay_judged_later_contains_truth(seed: u64, wander in 0.0..50.0f64) {
         let mut random = RandomSource::new(seed);
         let length = Span::from_seconds(60);
         let host_clocks = HostClocks {
@@ -68,7 +68,7 @@ proptest! {
     }
 
     #[test]
-    fn difference_of_two_receivers_contains_the_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
+    fn difference_of_two_receivers_contains_truth(seed: u64, ppm in -50.0..50.0f64, late in 0..200_000_000i64) {
         let mut random = RandomSource::new(seed);
         let host_clocks = HostClocks {
             edge: SimulatedClock::drifting(Span::ZERO, 0.0),
@@ -133,9 +133,9 @@ fn exchange_with_long_service_at_drift_limit_is_accepted() {
     }
 }
 
-/// A second of one clock is not a second of the other. The interval contains the delay by either clock.
+/// A second of one clock is not a second of the other clock. The interval contains the delay as measured by either clock.
 #[test]
-fn long_delay_is_inside_by_whichever_clock_it_is_counted() {
+fn interval_of_long_delay_holds_by_either_clock() {
     let host_clocks = HostClocks {
         edge: SimulatedClock::drifting(Span::ZERO, 0.0),
         cloud: SimulatedClock::drifting(Span::ZERO, 50.0),

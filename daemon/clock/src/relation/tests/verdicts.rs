@@ -52,7 +52,7 @@ fn exchanges_check_proof_of_one_clock() {
 }
 
 #[test]
-fn pair_is_measured_before_and_after_proof_of_one_clock() {
+fn exchanges_relate_clocks_before_and_after_proof() {
     let one = || SimulatedClock::drifting(Span::ZERO, 0.0);
     let host_clocks = HostClocks { edge: one(), cloud: one() };
     let mut relation = relation_with_history(&host_clocks);
@@ -80,16 +80,17 @@ fn delay_without_fresh_exchange_is_stale() {
     let host_clocks = host_clocks(Span::from_millis(5));
     let mut relation = relation_with_history(&host_clocks);
     // An image whose transfer takes half a second, so that the width of the interval is no limit.
-    let big = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
-    assert_eq!(relation.judge(&big(10.5e9).observation()).up.verdict, Verdict::Ok);
-    let late = big(40e9);
-    let judged = relation.judge(&late.observation());
+    let trip_with_large_image = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
+    assert_eq!(relation.judge(&trip_with_large_image(10.5e9).observation()).up.verdict, Verdict::Ok);
+    let late_trip = trip_with_large_image(40e9);
+    let judged = relation.judge(&late_trip.observation());
     assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Accepted, Verdict::Stale));
-    assert!(contains(&judged.up, late.up) && judged.up.value.is_some());
-    // Its own exchange makes the next delay recent, and itself when it is judged again.
-    assert_eq!(relation.judge(&big(42e9).observation()).up.verdict, Verdict::Ok);
-    let again = relation.delay(Direction::Up, late.exchange.sent, late.exchange.received);
-    assert_eq!(again.verdict, Verdict::Ok);
+    assert!(contains(&judged.up, late_trip.up) && judged.up.value.is_some());
+    // This exchange makes the next delay recent. It also makes its own delay recent when that is judged later.
+    assert_eq!(relation.judge(&trip_with_large_image(42e9).observation()).up.verdict, Verdict::Ok);
+    let delay_judged_later =
+        relation.delay(Direction::Up, late_trip.exchange.sent, late_trip.exchange.received);
+    assert_eq!(delay_judged_later.verdict, Verdict::Ok);
     assert_eq!(relation.offset(at(41), WallTime::default()).map(|offset| offset.verdict), Some(Verdict::Ok));
     assert_eq!(
         relation.offset(at(90), WallTime::default()).map(|offset| offset.verdict),
@@ -98,7 +99,7 @@ fn delay_without_fresh_exchange_is_stale() {
 }
 
 #[test]
-fn two_exchanges_are_too_few() {
+fn delays_of_first_two_exchanges_are_stale() {
     let host_clocks = host_clocks(Span::ZERO);
     let mut relation = relation();
     let verdicts: Vec<Verdict> = (0..4)

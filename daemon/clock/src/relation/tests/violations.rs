@@ -7,19 +7,19 @@ const WINDOW: f64 = 10.0;
 /// Observations after an assumption was violated.
 #[derive(Debug, Default)]
 struct ViolationEffect {
-    /// Delays outside their intervals although `ok` or `limited`.
-    wrong: u32,
+    /// Number of `ok` or `limited` delays that are outside their intervals.
+    wrong_delays: u32,
     judged: u32,
     /// Seconds from the violation to the last wrong delay.
-    last_wrong: f64,
+    last_wrong_delay: f64,
     /// Seconds from the violation to the last `stale` delay.
-    last_stale: f64,
+    last_stale_delay: f64,
     /// Seconds from the violation to the first violated limit, and that limit.
-    violated: Option<(f64, ViolatedLimit)>,
+    violated_limit: Option<(f64, ViolatedLimit)>,
     /// Seconds from the violation to the first suspected jump.
-    jumped: Option<f64>,
+    first_jump: Option<f64>,
     /// `true` if a limit was violated at the end.
-    violated_at_end: bool,
+    violates_limit_at_end: bool,
     jumps: u32,
 }
 
@@ -45,28 +45,28 @@ fn observe_violation_at(
     let mut effect = ViolationEffect::default();
     for trip in path.trips(host_clocks, (0.0, end), hz, &mut RandomSource::new(12)) {
         let judged = relation.judge(&trip.observation());
-        let after = trip.ended / 1e9 - at;
+        let after = trip.end / 1e9 - at;
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
             effect.judged += 1;
             if delay.verdict == Verdict::Stale {
-                effect.last_stale = after;
+                effect.last_stale_delay = after;
             }
             let trusted = matches!(delay.verdict, Verdict::Ok | Verdict::Limited);
             if trusted && !contains(&delay, truth) {
-                assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.ended);
-                effect.wrong += 1;
-                effect.last_wrong = after;
+                assert!(after >= 0.0, "{delay:?} {truth} at {}", trip.end);
+                effect.wrong_delays += 1;
+                effect.last_wrong_delay = after;
             }
         }
         if let Some(limit) = relation.violated_limit() {
-            effect.violated.get_or_insert((after, limit));
+            effect.violated_limit.get_or_insert((after, limit));
         }
         if matches!(judged.learned, LearnResult::Jumped(_)) {
             effect.jumps += 1;
-            effect.jumped.get_or_insert(after);
+            effect.first_jump.get_or_insert(after);
         }
     }
-    effect.violated_at_end = relation.violates_limit();
+    effect.violates_limit_at_end = relation.violates_limit();
     effect
 }
 
@@ -94,12 +94,12 @@ fn excess_drift_on_long_path_is_proven() {
     {
         let effect =
             observe_violation(&drifting(ppm), path(5.0, 40.0, 1.0), free_running(50.0), (0.0, 1_100.0));
-        assert_eq!(effect.wrong, 0, "{ppm}: {effect:?}");
-        let violated =
-            effect.violated.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
-        assert_eq!(violated.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
+        assert_eq!(effect.wrong_delays, 0, "{ppm}: {effect:?}");
+        let violated_limit =
+            effect.violated_limit.filter(|(_, limit)| *limit == ViolatedLimit::Drift).map(|(after, _)| after);
+        assert_eq!(violated_limit.is_some(), proven_after.is_some(), "{ppm}: {effect:?}");
         assert!(
-            violated <= proven_after && effect.violated_at_end == violated.is_some(),
+            violated_limit <= proven_after && effect.violates_limit_at_end == violated_limit.is_some(),
             "{ppm}: {effect:?}"
         );
     }
@@ -109,9 +109,9 @@ fn excess_drift_on_long_path_is_proven() {
 fn excess_drift_on_short_path_is_noticed_within_window() {
     for ppm in [75.0, 100.0, 150.0] {
         let effect = observe_violation(&drifting(ppm), Path::VETH, free_running(50.0), (0.0, 300.0));
-        assert!(effect.last_wrong < WINDOW && effect.violated_at_end, "{ppm}: {effect:?}");
+        assert!(effect.last_wrong_delay < WINDOW && effect.violates_limit_at_end, "{ppm}: {effect:?}");
         assert!(
-            matches!(effect.violated, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
+            matches!(effect.violated_limit, Some((after, ViolatedLimit::Drift)) if after < WINDOW),
             "{ppm}: {effect:?}"
         );
     }
@@ -120,7 +120,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
 /// A jump as after the migration of a virtual machine. It is smaller than the round trip, so that no exchange
 /// contradicts the others.
 #[test]
-fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
+fn unannounced_jump_is_suspected_by_first_exchanges() {
     for (delays, jitter) in [((20.0, 20.0), 1.0), ((20.0, 20.0), 5.0), ((5.0, 40.0), 1.0)] {
         for millis in [-39, -10, 10, 39] {
             let jump = Span::from_millis(millis);
@@ -135,10 +135,13 @@ fn jump_without_notice_is_suspected_by_the_first_exchanges_after_it() {
             );
             // 39 ms move the middle of every exchange with a short wait by more than waiting explains, 10 ms only that
             // of exchanges without a wait.
-            let soon = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
-            assert!(effect.jumped.is_some_and(|after| after < soon), "{delays:?} {jump}: {effect:?}");
+            let latest_suspicion = if jitter > 1.0 && millis.abs() < 39 { 5.0 } else { 0.5 };
             assert!(
-                effect.last_wrong < 0.5 && effect.jumps == 1 && effect.violated.is_none(),
+                effect.first_jump.is_some_and(|after| after < latest_suspicion),
+                "{delays:?} {jump}: {effect:?}"
+            );
+            assert!(
+                effect.last_wrong_delay < 0.5 && effect.jumps == 1 && effect.violated_limit.is_none(),
                 "{delays:?} {jump}: {effect:?}"
             );
         }
@@ -166,10 +169,10 @@ fn edge_jump_is_suspected_with_exchanges_in_flight() {
             let is_suspected = delays.0 > 1.0 && millis.abs() >= 15;
             let in_time = |after: f64| after < 0.1;
             assert!(
-                !is_suspected || effect.jumped.is_some_and(in_time),
+                !is_suspected || effect.first_jump.is_some_and(in_time),
                 "{delays:?} {jitter} {jump}: {effect:?}"
             );
-            assert!(in_time(effect.last_wrong), "{delays:?} {jitter} {jump}: {effect:?}");
+            assert!(in_time(effect.last_wrong_delay), "{delays:?} {jitter} {jump}: {effect:?}");
         }
     }
 }
@@ -185,16 +188,16 @@ fn path_that_becomes_shorter_is_no_jump() {
             let judged = relation.judge(&trip.observation());
             assert_eq!(judged.learned, LearnResult::Accepted);
             assert!(contains(&judged.up, trip.up) && contains(&judged.down, trip.down), "{judged:?}");
-            widths.push((trip.ended, judged.up.bounds.expect("bounds").width()));
+            widths.push((trip.end, judged.up.bounds.expect("bounds").width()));
         }
     }
-    let at_once = widths.iter().filter(|(ended, _)| *ended > 30.3e9);
+    let at_once = widths.iter().filter(|(end, _)| *end > 30.3e9);
     assert!(at_once.clone().all(|(_, width)| *width < Span::from_millis(14)), "{widths:?}");
 }
 
 /// Covers random paths, jumps and changes of rate.
 #[test]
-fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
+fn violated_assumption_spoils_intervals_for_one_window() {
     let mut longest: f64 = 0.0;
     for seed in 0..300 {
         let mut random = RandomSource::new(seed);
@@ -214,18 +217,18 @@ fn violated_assumption_spoils_intervals_for_no_longer_than_the_window() {
             false => HostClocks { edge: change(host_clocks.edge), ..host_clocks },
         };
         let effect = observe_violation(&host_clocks, path, free_running(200.0), (30.0, 60.0));
-        assert!(effect.last_wrong <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
-        assert!(effect.last_stale <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
-        longest = longest.max(effect.last_wrong);
+        assert!(effect.last_wrong_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        assert!(effect.last_stale_delay <= WINDOW + 0.5, "{seed}: {path:?} {effect:?}");
+        longest = longest.max(effect.last_wrong_delay);
     }
     assert!(longest > 0.1, "nothing was violated: {longest}");
 }
 
-/// Under jitter few exchanges after the change contradict those before it, too few to prove anything, and the others
-/// fit both.
+/// Under jitter, few exchanges after the change contradict the exchanges before it. They are too few to prove a step, and
+/// the other exchanges fit both the time before the change and the time after it.
 #[test]
 fn suspicion_after_change_of_rate_ends_with_window() {
-    let mut last_stale: f64 = 0.0;
+    let mut last_stale_delay: f64 = 0.0;
     for seed in 0..100 {
         let host_clocks = drifting(0.0);
         let host_clocks =
@@ -240,12 +243,12 @@ fn suspicion_after_change_of_rate_ends_with_window() {
                 relation.judge(&host_clocks.trip(begin, up.floor(), 1e5, down.floor()).observation());
             let after = begin / 1e9 - 30.0;
             if judged.up.verdict == Verdict::Stale && after > 0.0 {
-                last_stale = last_stale.max(after);
+                last_stale_delay = last_stale_delay.max(after);
             }
         }
     }
-    assert!(last_stale > 1.0, "nothing was suspected: {last_stale}");
-    assert!(last_stale <= WINDOW, "{last_stale}");
+    assert!(last_stale_delay > 1.0, "nothing was suspected: {last_stale_delay}");
+    assert!(last_stale_delay <= WINDOW, "{last_stale_delay}");
 }
 
 #[test]
@@ -288,23 +291,23 @@ fn suspected_jump_is_a_boundary_for_earlier_delays() {
     trips.iter().for_each(|trip| _ = relation.learn(&trip.observation()));
     assert_eq!(relation.window_number(), 1);
     let mut hulls = 0;
-    for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.ended)) {
+    for trip in trips.iter().filter(|trip| (5e9..55e9).contains(&trip.end)) {
         let exchange = &trip.exchange;
-        let spans_the_jump = trip.ended > 30e9 && trip.ended - 60e6 < 30e9;
+        let spans_the_jump = trip.end > 30e9 && trip.end - 60e6 < 30e9;
         for (delay, truth) in [
             (relation.delay(Direction::Up, exchange.sent, exchange.received), trip.up),
             (relation.delay(Direction::Down, exchange.replied, exchange.returned), trip.down),
         ] {
-            assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.ended);
+            assert!(spans_the_jump || contains(&delay, truth), "{delay:?} {truth} at {}", trip.end);
             hulls += u32::from(delay.bounds.is_some_and(|bounds| bounds.width() > Span::from_millis(60)));
-            let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.ended);
+            let is_near_suspected_jump = (30.3e9..39.5e9).contains(&trip.end);
             assert!(!is_near_suspected_jump || delay.verdict == Verdict::Limited, "{delay:?}");
         }
     }
     assert!((2..30).contains(&hulls), "{hulls}");
 }
 
-/// An exchange that waited does not show the jump, and is taken for one from before it.
+/// An exchange whose message waited does not show the jump, and counts as an exchange from before the jump.
 #[test]
 fn exchange_hiding_jump_bounds_no_earlier_delay() {
     let host_clocks = drifting(0.0);
@@ -313,12 +316,12 @@ fn exchange_hiding_jump_bounds_no_earlier_delay() {
         ..host_clocks
     };
     let mut relation = Relation::new(free_running(200.0));
-    let near = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
-    (0..300).for_each(|n| _ = relation.learn(&near(f64::from(n) / 10.0).observation()));
+    let unloaded_trip = |t: f64| host_clocks.trip(t * 1e9, 20e6, 1e5, 20e6);
+    (0..300).for_each(|n| _ = relation.learn(&unloaded_trip(f64::from(n) / 10.0).observation()));
     let waited = host_clocks.trip(30.02e9, 60e6, 1e5, 20e6);
     assert_eq!(relation.learn(&waited.observation()), LearnResult::Accepted);
-    assert!(matches!(relation.learn(&near(30.1).observation()), LearnResult::Jumped(_)));
-    let before = near(29.8);
+    assert!(matches!(relation.learn(&unloaded_trip(30.1).observation()), LearnResult::Jumped(_)));
+    let before = unloaded_trip(29.8);
     let delay = relation.delay(Direction::Up, before.exchange.sent, before.exchange.received);
     assert!(contains(&delay, before.up), "{delay:?}");
 }

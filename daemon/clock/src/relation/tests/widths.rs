@@ -10,7 +10,7 @@ fn measure(path: Path, settings: RelationSettings, host_clocks: &HostClocks) -> 
     for trip in path.trips(host_clocks, (0.0, 300.0), 10.0, &mut RandomSource::new(9)) {
         let judged = relation.judge(&trip.observation());
         for (delay, truth) in [(judged.up, trip.up), (judged.down, trip.down)] {
-            if trip.ended > 20e9 {
+            if trip.end > 20e9 {
                 widths.push(delay.bounds.expect("bounds").width().seconds() * 1e3);
                 errors += (delay.value.expect("a value") - truth).abs().seconds() * 1e3;
             }
@@ -39,21 +39,24 @@ fn free_running(max_drift_ppm: f64) -> RelationSettings {
 #[test]
 fn limit_of_drift_change_narrows_intervals_under_jitter() {
     let host_clocks = host_clocks();
-    for (jitter, cones, both) in [(5e6, 1.2, 0.8), (20e6, 2.0, 1.8)] {
+    for (jitter, max_wide, max_narrow) in [(5e6, 1.2, 0.8), (20e6, 2.0, 1.8)] {
         let path = Path { up: 100e3, down: 100e3, jitter, loss: 0.0, burst: 0.0 };
         let (wide, ..) = measure(path, limit(200.0), &host_clocks);
         let (narrow, _, jumps) = measure(path, free_running(200.0), &host_clocks);
-        assert!(narrow < wide && wide < cones && narrow < both, "{narrow} {wide}");
+        assert!(narrow < wide && wide < max_wide && narrow < max_narrow, "{narrow} {wide}");
         assert_eq!(jumps, 0);
     }
 }
 
 /// A four times higher limit of drift does not widen intervals if the change of the drift is limited, too.
 #[test]
-fn quiet_path_is_as_narrow_as_with_a_lower_limit_of_drift() {
+fn higher_drift_limit_does_not_widen_quiet_path() {
     let host_clocks = host_clocks();
-    let (before, error_before, _) = measure(Path::VETH, limit(50.0), &host_clocks);
+    let (width_before, error_before, _) = measure(Path::VETH, limit(50.0), &host_clocks);
     let (width, error, jumps) = measure(Path::VETH, free_running(200.0), &host_clocks);
-    assert!(width <= before && error <= error_before && error < 0.001, "{width} {before} {error}");
+    assert!(
+        width <= width_before && error <= error_before && error < 0.001,
+        "{width} {width_before} {error}"
+    );
     assert_eq!(jumps, 0);
 }

@@ -47,7 +47,7 @@ pub(crate) struct Arguments {
 
 /// Results of the examination.
 #[derive(Debug, Default, Serialize)]
-struct Examined {
+struct ExaminationResult {
     healthy: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     database: Option<Report>,
@@ -62,7 +62,7 @@ struct Examined {
 pub(crate) fn doctor(arguments: Arguments) -> Exit {
     let _log = log::install_temporary();
     let (full, json, repair) = (arguments.full, arguments.json, arguments.repair);
-    let result = arguments.data_files().and_then(|data_files| {
+    let exit = arguments.data_files().and_then(|data_files| {
         let unavailable = |error: std::io::Error| Failure::new(Exit::Unavailable, error);
         let now = clock::system(ClockIdentity::SYSTEM).map_err(unavailable)?.wall();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
@@ -71,11 +71,12 @@ pub(crate) fn doctor(arguments: Arguments) -> Exit {
             let database = data_files.database.ok_or_else(no_database)?;
             return runtime.block_on(repair::repair_database(&database, now));
         }
-        let examined = runtime.block_on(Examined::examine_files(data_files, Examination { full, now }));
-        print_result(&examined, now, json)?;
-        Ok(examined.exit())
+        let result =
+            runtime.block_on(ExaminationResult::examine_files(data_files, Examination { full, now }));
+        print_result(&result, now, json)?;
+        Ok(result.exit())
     });
-    result.unwrap_or_else(|failure| {
+    exit.unwrap_or_else(|failure| {
         print_to_stderr(&failure);
         failure.exit
     })
@@ -104,34 +105,34 @@ fn no_database() -> Failure {
     Failure::new(Exit::Configuration, error)
 }
 
-fn print_result(examined: &Examined, now: WallTime, json: bool) -> Result<(), Failure> {
+fn print_result(result: &ExaminationResult, now: WallTime, json: bool) -> Result<(), Failure> {
     if json {
-        let text = serde_json::to_string_pretty(examined);
+        let text = serde_json::to_string_pretty(result);
         print_to_stdout(text.map_err(|error| Failure::new(Exit::Software, error))?);
     } else {
-        print::print(examined, now);
+        print::print(result, now);
     }
-    examined.unavailable.iter().for_each(print_to_stderr);
+    result.unavailable.iter().for_each(print_to_stderr);
     Ok(())
 }
 
-impl Examined {
-    async fn examine_files(data_files: DataFiles, how: Examination) -> Self {
-        let mut all = Self::default();
+impl ExaminationResult {
+    async fn examine_files(data_files: DataFiles, examination: Examination) -> Self {
+        let mut result = Self::default();
         if let Some(path) = &data_files.database {
-            match examine(path, how).await {
-                Ok(report) => all.database = Some(report),
-                Err(error) => all.unavailable.push(error.to_string()),
+            match examine(path, examination).await {
+                Ok(report) => result.database = Some(report),
+                Err(error) => result.unavailable.push(error.to_string()),
             }
         }
         if let Some(path) = &data_files.spool {
             match spool::examine(path).await {
-                Ok(report) => all.spool = Some(report),
-                Err(error) => all.unavailable.push(error_line(&error)),
+                Ok(report) => result.spool = Some(report),
+                Err(error) => result.unavailable.push(error_line(&error)),
             }
         }
-        all.healthy = all.exit() == Exit::Ok;
-        all
+        result.healthy = result.exit() == Exit::Ok;
+        result
     }
 
     fn findings(&self) -> impl Iterator<Item = &Finding> {

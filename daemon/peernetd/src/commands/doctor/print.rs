@@ -6,34 +6,34 @@ use peernet_clock::WallTime;
 use peernet_statistics::number::{bytes, fixed};
 use peernet_store::maintenance::{Report, Severity};
 
-use super::Examined;
+use super::ExaminationResult;
 use super::spool::SpoolReport;
 
-/// Largest number of lines of a table; the JSON form has all.
+/// Largest number of lines of a printed table; the JSON form has all lines.
 const MAX_TABLE_LINES: usize = 20;
-/// Largest number of problems that SQLite reports, and of findings.
+/// Largest number of printed problems from SQLite, and of printed findings.
 const MAX_FINDINGS: usize = 10;
 
-pub(super) fn print(examined: &Examined, now: WallTime) {
-    if let Some(report) = &examined.database {
+pub(super) fn print(result: &ExaminationResult, now: WallTime) {
+    if let Some(report) = &result.database {
         print_database(report, now);
     }
-    if let Some(report) = &examined.spool {
+    if let Some(report) = &result.spool {
         print_spool(report, now);
     }
-    for finding in examined.findings().take(MAX_FINDINGS) {
+    for finding in result.findings().take(MAX_FINDINGS) {
         let severity = match finding.severity {
             Severity::Problem => "PROBLEM",
             Severity::Notice => "notice",
         };
         print_to_stdout(format_args!("{severity}: {}\n  → {}", finding.what, finding.advice));
     }
-    if let Some(more) = examined.findings().count().checked_sub(MAX_FINDINGS + 1) {
+    if let Some(more) = result.findings().count().checked_sub(MAX_FINDINGS + 1) {
         print_to_stdout(format_args!("… and {} more (--json shows all)", more + 1));
     }
-    let problems = examined.findings().filter(|finding| finding.severity == Severity::Problem).count();
-    let notices = examined.findings().count() - problems;
-    match (problems, examined.unavailable.is_empty()) {
+    let problems = result.findings().filter(|finding| finding.severity == Severity::Problem).count();
+    let notices = result.findings().count() - problems;
+    match (problems, result.unavailable.is_empty()) {
         (0, true) if notices == 0 => print_to_stdout("healthy"),
         (0, true) => print_to_stdout("healthy; see the notices above"),
         (0, false) => {}
@@ -55,7 +55,7 @@ fn print_database(report: &Report, now: WallTime) {
     if let Some(schema) = report.schema {
         print_to_stdout(format_args!("  schema {} (this program supports {})", schema.found, schema.known));
     }
-    let how = if report.integrity.full { "full check" } else { "quick check" };
+    let check = if report.integrity.full { "full check" } else { "quick check" };
     let result = match report.integrity.problems.as_slice() {
         [] if report.is_healthy() => "ok".to_owned(),
         [] => "no damage found; see the problems below".to_owned(),
@@ -65,7 +65,7 @@ fn print_database(report: &Report, now: WallTime) {
         }
         problems => problems.join("\n    "),
     };
-    print_to_stdout(format_args!("  {how}: {result}\n"));
+    print_to_stdout(format_args!("  {check}: {result}\n"));
     let rows = report.tables.iter().map(|table| {
         let about = if table.estimated { "about " } else { "" };
         vec![table.table.to_owned(), format!("{about}{}", fixed(table.rows as f64, 0))]
@@ -82,13 +82,17 @@ fn print_database(report: &Report, now: WallTime) {
     });
     print_table(&["host", "stream", "stored up to batch", "last"], rows);
     let rows = report.rollups.iter().map(|extent| {
-        let at = |second: Option<i64>| {
+        let age = |second: Option<i64>| {
             second.map_or_else(
                 || "—".to_owned(),
                 |second| format_age(second.saturating_mul(1_000_000_000), now),
             )
         };
-        vec![format!("{} s", fixed(extent.resolution_s as f64, 0)), at(extent.oldest_s), at(extent.newest_s)]
+        vec![
+            format!("{} s", fixed(extent.resolution_s as f64, 0)),
+            age(extent.oldest_s),
+            age(extent.newest_s),
+        ]
     });
     print_table(&["roll-ups of", "oldest starts", "newest starts"], rows);
     let rows = report.gaps.iter().map(|gap| {
@@ -120,23 +124,23 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
         format_size(report.file_bytes),
         format_size(report.disk_free_bytes)
     ));
-    let found = &report.inspection;
-    if found.stream.is_empty() {
+    let inspection = &report.inspection;
+    if inspection.stream.is_empty() {
         return print_to_stdout("");
     }
     print_to_stdout(format_args!(
         "  stream {} of host {}\n  stored by the aggregator up to batch {}\n  {} events produced, {} lost",
-        found.stream,
-        found.host,
-        fixed(found.acknowledged as f64, 0),
-        fixed(found.produced as f64, 0),
-        fixed(found.dropped as f64, 0)
+        inspection.stream,
+        inspection.host,
+        fixed(inspection.acknowledged as f64, 0),
+        fixed(inspection.produced as f64, 0),
+        fixed(inspection.dropped as f64, 0)
     ));
-    match (found.waiting, found.oldest_ns) {
+    match (inspection.waiting, inspection.oldest_ns) {
         (Some((first, last)), Some(oldest)) => print_to_stdout(format_args!(
             "  waiting: batches {first} to {last}, {} events, {}, the oldest from {}\n",
-            fixed(found.events as f64, 0),
-            format_size(found.bytes),
+            fixed(inspection.events as f64, 0),
+            format_size(inspection.bytes),
             format_age(oldest, now)
         )),
         _ => print_to_stdout("  no events wait\n"),
@@ -167,7 +171,7 @@ fn format_age(nanos: i64, now: WallTime) -> String {
         s if s < 172_800.0 => (s / 3_600.0, "h"),
         s => (s / 86_400.0, "days"),
     };
-    // The clock of another host may be ahead of this machine's.
-    let when = if seconds < -1.0 { "ahead" } else { "ago" };
-    format!("{value:.0} {unit} {when}")
+    // The clock of another host may be ahead of this machine's clock.
+    let direction = if seconds < -1.0 { "ahead" } else { "ago" };
+    format!("{value:.0} {unit} {direction}")
 }

@@ -14,13 +14,13 @@ use peernet_store::maintenance::{RepairError, Repaired, repair};
 /// Repairs a database and prints the result for each table.
 pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {
     let stamp = DateTime::<Utc>::from_timestamp_nanos(now.unix_nanos()).format("%Y%m%dT%H%M%SZ").to_string();
-    let progress = |what: &str| {
+    let log_progress = |item: &str| {
         if std::io::stderr().is_terminal() {
-            tracing::info!("salvaging {what}");
+            tracing::info!("salvaging {item}");
         }
     };
-    let repaired = repair(database, now, &stamp, progress).await;
-    match repaired.map_err(|error| Failure::new(exit(&error), error))? {
+    let result = repair(database, now, &stamp, log_progress).await;
+    match result.map_err(|error| Failure::new(exit(&error), error))? {
         Some(repaired) => print(database, &repaired),
         None => print_to_stdout(format_args!(
             "database {}: not damaged, so it was not repaired",

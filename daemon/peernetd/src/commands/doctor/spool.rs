@@ -24,7 +24,7 @@ pub(super) struct SpoolReport {
     pub(super) inspection: Inspection,
     /// Size of the file and its log, bytes.
     pub(super) file_bytes: u64,
-    /// Free space on its disk, bytes, without the agent's own reserve for deleting.
+    /// Free space on the disk of the spool, bytes, without the agent's reserve for deleting.
     pub(super) disk_free_bytes: u64,
     pub(super) findings: Vec<Finding>,
 }
@@ -39,15 +39,15 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
     }
     let mut report = SpoolReport { spool: path.to_owned(), ..SpoolReport::default() };
     let length = |path: &Path| std::fs::metadata(path).map_or(0, |file| file.len());
-    let mut log = path.as_os_str().to_owned();
-    log.push("-wal");
-    report.file_bytes = length(path) + length(Path::new(&log));
+    let mut log_path = path.as_os_str().to_owned();
+    log_path.push("-wal");
+    report.file_bytes = length(path) + length(Path::new(&log_path));
     report.check_free_space(path);
     match inspect(path).await {
         Ok(inspection) => report.add_inspection(inspection),
         // SQLite needs some disk space even for reading.
         Err(InspectError::Read(error)) if report.disk_free_bytes < MIN_FREE_BYTES => {
-            report.problem(format!("the spool cannot be read: {error}"), FREE_SPACE_ADVICE);
+            report.add_problem(format!("the spool cannot be read: {error}"), FREE_SPACE_ADVICE);
         }
         Err(InspectError::Read(error)) => {
             return Err(error).with_context(|| format!("cannot read the spool {}", path.display()));
@@ -58,7 +58,7 @@ pub(super) async fn examine(path: &Path) -> anyhow::Result<SpoolReport> {
                 InspectError::Empty => "start its agent, which creates the spool",
                 _ => "give the path of [spool] file",
             };
-            report.problem(other.to_string(), advice);
+            report.add_problem(other.to_string(), advice);
         }
     }
     Ok(report)
@@ -70,14 +70,14 @@ impl SpoolReport {
             Ok(bytes) => {
                 self.disk_free_bytes = bytes;
                 if bytes < MIN_FREE_BYTES {
-                    self.problem(
+                    self.add_problem(
                         format!("its disk has only {} KiB of free space", bytes >> 10),
                         FREE_SPACE_ADVICE,
                     );
                 }
             }
             Err(error) => {
-                self.problem(
+                self.add_problem(
                     format!("cannot read the free space of its disk: {error}"),
                     "check it with `df`",
                 );
@@ -86,14 +86,14 @@ impl SpoolReport {
     }
 
     fn add_inspection(&mut self, inspection: Inspection) {
-        for what in inspection.damages.iter().map(SpoolDamage::to_string) {
-            self.problem(what, RENEW_ADVICE);
+        for damage in inspection.damages.iter().map(SpoolDamage::to_string) {
+            self.add_problem(damage, RENEW_ADVICE);
         }
         self.findings.extend(losses(inspection.dropped, inspection.lost_when_killed));
         self.inspection = inspection;
     }
 
-    fn problem(&mut self, what: String, advice: &str) {
+    fn add_problem(&mut self, what: String, advice: &str) {
         self.findings.push(Finding { severity: Severity::Problem, what, advice: advice.to_owned() });
     }
 }
@@ -101,25 +101,29 @@ impl SpoolReport {
 /// Returns the findings about lost events: events that were dropped for lack of space, and events that were lost with a
 /// killed agent.
 fn losses(dropped: i64, lost_when_killed: Option<i64>) -> Vec<Finding> {
-    let finding = |events: i64, how: &str, advice: &str| {
+    let finding = |events: i64, cause: &str, advice: &str| {
         (events > 0).then(|| Finding {
             severity: Severity::Notice,
-            what: format!("{events} events {how}; gaps report them"),
+            what: format!("{events} events {cause}; gaps report them"),
             advice: advice.to_owned(),
         })
     };
     const ADVICE: &str = "raise [spool] limit_bytes, or check why the aggregator was unreachable";
-    let Some(killed) = lost_when_killed else {
-        let how = "were dropped for lack of space, or lost when the agent was killed";
-        return Vec::from_iter(finding(dropped, how, "look up the reason of the gaps on the page Incidents"));
+    let Some(lost_when_killed) = lost_when_killed else {
+        let cause = "were dropped for lack of space, or lost when the agent was killed";
+        return Vec::from_iter(finding(
+            dropped,
+            cause,
+            "look up the reason of the gaps on the page Incidents",
+        ));
     };
-    let dropped = finding(dropped - killed, "were dropped for lack of space", ADVICE);
-    let killed = finding(
-        killed,
+    let lack_of_space = finding(dropped - lost_when_killed, "were dropped for lack of space", ADVICE);
+    let kill = finding(
+        lost_when_killed,
         "were lost when the agent was killed before they reached its spool",
         "stop the agent with SIGTERM or Ctrl-C, which writes everything to the spool first",
     );
-    dropped.into_iter().chain(killed).collect()
+    lack_of_space.into_iter().chain(kill).collect()
 }
 
 #[cfg(test)]

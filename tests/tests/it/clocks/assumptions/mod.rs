@@ -40,7 +40,7 @@ const LOAD: &str = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64\nt
 
 /// Two hosts whose clocks the shim shows, and a pipeline that runs until the edge is stopped.
 struct Scene {
-    what: &'static str,
+    case: &'static str,
     edge: Process,
     cloud: Option<Process>,
     /// The edge's clocks and the cloud's.
@@ -52,7 +52,7 @@ impl Scene {
     /// Starts the hosts. `keys` are additional keys of the edge's table `[clock]`; `prepare` sets the clocks of edge
     /// and cloud before they start.
     fn new(
-        what: &'static str,
+        case: &'static str,
         network: impl FnOnce(&Path) -> Network,
         keys: &str,
         prepare: impl FnOnce([&ClockShim; 2]),
@@ -67,7 +67,7 @@ impl Scene {
         let pipeline = testbed.pipeline("misled", 1000, LOAD);
         let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
         let edge = testbed.start_edge(&tables, &edge.environment());
-        Self { what, edge, cloud: Some(cloud), shims, testbed }
+        Self { case, edge, cloud: Some(cloud), shims, testbed }
     }
 
     /// Returns the edge's clocks.
@@ -100,7 +100,7 @@ impl Scene {
 
     /// Waits until all uploads that arrived before a time are stored.
     fn wait_until_stored_to(&self, time: RawTime) {
-        wait_until_grown(self.what, time.nanos().unsigned_abs(), || {
+        wait_until_grown(self.case, time.nanos().unsigned_abs(), || {
             Some(self.stored_until()?.nanos().unsigned_abs())
         });
     }
@@ -121,7 +121,7 @@ impl Scene {
         });
         let incidents = self.testbed.api.json("/api/v1/incidents").to_string();
         let [edge, cloud] = self.shims.map(|shim| HostClock::shown(shim.errors()));
-        Outcome::new(self.what, &self.testbed.iterations(), [&edge, &cloud], incidents)
+        Outcome::new(self.case, &self.testbed.iterations(), [&edge, &cloud], incidents)
     }
 }
 

@@ -4,8 +4,8 @@ use peernet_clock::{RawTime, Span};
 use peernet_tests::record_figures;
 use peernet_tests::truth::{Delay, HostClock, Iteration, true_times};
 
-/// Error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
-const TRUTH_ERROR: Span = Span::from_nanos(3);
+/// Largest error of the computed truth: the inverse of both clocks' drift is rounded, and so are stored values.
+const MAX_TRUTH_ERROR: Span = Span::from_nanos(3);
 
 /// Length of the time at the end of a case whose delays show its result.
 const END: Span = Span::from_seconds(3);
@@ -45,7 +45,7 @@ impl JudgedDelay {
 
 /// Result of a case.
 pub(super) struct Outcome {
-    what: &'static str,
+    case: &'static str,
     /// Delays in the order of time, by the kernel's clock.
     delays: Vec<JudgedDelay>,
     incidents: String,
@@ -53,37 +53,38 @@ pub(super) struct Outcome {
 
 impl Outcome {
     pub(super) fn new(
-        what: &'static str,
+        case: &'static str,
         iterations: &[Iteration],
         [edge, cloud]: [&HostClock; 2],
         incidents: String,
     ) -> Self {
-        let delays = iterations.iter().flat_map(|both| {
-            [JudgedDelay::new(&both.up, edge, cloud), JudgedDelay::new(&both.down, cloud, edge)]
+        let delays = iterations.iter().flat_map(|iteration| {
+            [JudgedDelay::new(&iteration.up, edge, cloud), JudgedDelay::new(&iteration.down, cloud, edge)]
         });
         let mut delays: Vec<JudgedDelay> = delays.collect();
         delays.sort_by_key(|delay| delay.sent);
-        Self { what, delays, incidents }
+        Self { case, delays, incidents }
     }
 
     /// Prints how often and for how long intervals were wrong. None of a message that arrived before `violated`, or
     /// was sent later than `allowed` after it, may be wrong.
     pub(super) fn assert_wrong_for_at_most(&self, allowed: Span, violated: RawTime) {
-        let wrong: Vec<&JudgedDelay> = self.delays.iter().filter(|delay| delay.error > TRUTH_ERROR).collect();
-        let since = |delay: &JudgedDelay| delay.sent - violated;
-        let longest = wrong.last().map_or(Span::ZERO, |last| since(last));
-        let most = wrong.iter().map(|delay| delay.error).max().unwrap_or_default();
+        let wrong: Vec<&JudgedDelay> =
+            self.delays.iter().filter(|delay| delay.error > MAX_TRUTH_ERROR).collect();
+        let since_violation = |delay: &JudgedDelay| delay.sent - violated;
+        let last_wrong = wrong.last().map_or(Span::ZERO, |last| since_violation(last));
+        let max_error = wrong.iter().map(|delay| delay.error).max().unwrap_or_default();
         let good = self.delays.iter().filter(|delay| delay.is_good).count();
         let figures = [
             ("delays judged ok or limited", format!("{good} of {}", self.delays.len())),
             ("of those without the truth", wrong.len().to_string()),
-            ("the last of those after the violation", longest.to_string()),
-            ("truth missed by at most", most.to_string()),
+            ("the last of those after the violation", last_wrong.to_string()),
+            ("truth missed by at most", max_error.to_string()),
         ];
-        record_figures(self.what, &figures);
+        record_figures(self.case, &figures);
         for delay in wrong {
-            let is_allowed = delay.received >= violated && since(delay) <= allowed;
-            assert!(is_allowed, "{}: {} after the violation: {delay:?}", self.what, since(delay));
+            let is_allowed = delay.received >= violated && since_violation(delay) <= allowed;
+            assert!(is_allowed, "{}: {} after the violation: {delay:?}", self.case, since_violation(delay));
         }
     }
 
@@ -92,32 +93,32 @@ impl Outcome {
         self.assert_wrong_for_at_most(Span::ZERO, self.delays[0].sent - Span::from_seconds(1));
     }
 
-    fn last(&self) -> impl Iterator<Item = &JudgedDelay> {
-        let last = self.delays[self.delays.len() - 1].sent;
-        self.delays.iter().filter(move |delay| last - delay.sent < END)
+    fn last_delays(&self) -> impl Iterator<Item = &JudgedDelay> {
+        let end = self.delays[self.delays.len() - 1].sent;
+        self.delays.iter().filter(move |delay| end - delay.sent < END)
     }
 
     /// Checks that all delays at the end are good.
     pub(super) fn assert_good_at_end(&self) {
-        let bad: Vec<&JudgedDelay> = self.last().filter(|delay| !delay.is_good).collect();
+        let not_good: Vec<&JudgedDelay> = self.last_delays().filter(|delay| !delay.is_good).collect();
         assert!(
-            bad.is_empty(),
+            not_good.is_empty(),
             "{}: {} of the last, the first of them {:?}; incidents: {}",
-            self.what,
-            bad.len(),
-            bad[0],
+            self.case,
+            not_good.len(),
+            not_good[0],
             self.incidents
         );
     }
 
     /// Checks that no delay at the end is good.
     pub(super) fn assert_no_good_delay_at_end(&self) {
-        let believed: Vec<&JudgedDelay> = self.last().filter(|delay| delay.is_good).collect();
-        assert!(believed.is_empty(), "{}: {believed:?}", self.what);
+        let good: Vec<&JudgedDelay> = self.last_delays().filter(|delay| delay.is_good).collect();
+        assert!(good.is_empty(), "{}: {good:?}", self.case);
     }
 
-    /// Checks that an incident contains these words.
-    pub(super) fn assert_incidents_contain(&self, words: &str) {
-        assert!(self.incidents.contains(words), "{}: {words} is not in {}", self.what, self.incidents);
+    /// Checks that an incident contains this text.
+    pub(super) fn assert_incidents_contain(&self, text: &str) {
+        assert!(self.incidents.contains(text), "{}: {text} is not in {}", self.case, self.incidents);
     }
 }

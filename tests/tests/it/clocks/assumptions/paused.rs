@@ -5,26 +5,26 @@ use rustix::process::Signal;
 
 use super::{Outcome, Process, Scene, WINDOW, wire_direction, wire_network};
 
-/// Stops a process for a while and calls `and` meanwhile. Returns the result, and the times at which the process was
+/// Stops a process for a while and calls `during_pause` meanwhile. Returns the result, and the times at which the process was
 /// stopped and resumed.
-fn stop(
-    what: &'static str,
+fn pause_process(
+    case: &'static str,
     length: Span,
-    of: fn(&Scene) -> &Process,
-    and: impl FnOnce(&Scene),
+    process_of: fn(&Scene) -> &Process,
+    during_pause: impl FnOnce(&Scene),
 ) -> (Outcome, RawTime, RawTime) {
     let scene =
-        Scene::new(what, wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)), "", |[edge, _]| {
+        Scene::new(case, wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)), "", |[edge, _]| {
             edge.schedule_change(Span::from_seconds(77), 150.0, 0.0);
         });
     scene.wait_for_full_window();
-    of(&scene).signal(Signal::STOP);
+    process_of(&scene).signal(Signal::STOP);
     let stopped = scene.shim().now();
-    and(&scene);
+    during_pause(&scene);
     // Nothing but time ends the pause.
     std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
     let resumed = scene.shim().now();
-    of(&scene).signal(Signal::CONT);
+    process_of(&scene).signal(Signal::CONT);
     scene.wait_until_stored_to(resumed + WINDOW + Span::from_seconds(5));
     (scene.end(), stopped, resumed)
 }
@@ -34,15 +34,15 @@ const fn edge(scene: &Scene) -> &Process {
 }
 
 /// Stops only the process; its clocks keep running.
-fn check_stopped_process(what: &'static str, length: Span, of: fn(&Scene) -> &Process) {
-    let (outcome, ..) = stop(what, length, of, |_| ());
+fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&Scene) -> &Process) {
+    let (outcome, ..) = pause_process(case, length, process_of, |_| ());
     outcome.assert_never_wrong();
     outcome.assert_good_at_end();
 }
 
 /// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
-fn check_paused_machine(what: &'static str, length: Span) {
-    let (outcome, stopped, resumed) = stop(what, length, edge, |scene| {
+fn check_paused_machine(case: &'static str, length: Span) {
+    let (outcome, stopped, resumed) = pause_process(case, length, edge, |scene| {
         let begin = scene.shim().now() + Span::from_millis(200);
         scene.shim().schedule_change_at(begin, -length, 150.0, 0.0);
     });
@@ -79,9 +79,9 @@ fn long_vm_pause_affects_one_window_at_most() {
 
 #[test]
 fn intervals_are_right_after_cloud_reboot() {
-    let what = "the cloud is rebooted, 2/6 ms";
+    let case = "the cloud is rebooted, 2/6 ms";
     let mut scene = Scene::new(
-        what,
+        case,
         wire_network(wire_direction(2, 0, 0), wire_direction(6, 0, 0)),
         "",
         |[edge, cloud]| {

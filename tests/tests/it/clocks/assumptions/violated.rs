@@ -9,18 +9,18 @@ use super::{Outcome, Scene, WINDOW, direct_network, wire_direction, wire_network
 
 /// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
 fn run_with_hidden_drift(
-    what: &'static str,
+    case: &'static str,
     [up, down]: [WireProperties; 2],
     limit: f64,
     drift: f64,
-    for_s: i64,
+    duration_s: i64,
 ) -> Outcome {
     let limit = format!("max_drift_ppm = {limit:?}");
-    let scene = Scene::new(what, wire_network(up, down), &limit, |[edge, _]| {
+    let scene = Scene::new(case, wire_network(up, down), &limit, |[edge, _]| {
         edge.schedule_change(Span::ZERO, drift, 0.0);
     });
     let settled = scene.wait_for_full_window();
-    scene.wait_until_stored_to(settled + Span::from_seconds(for_s));
+    scene.wait_until_stored_to(settled + Span::from_seconds(duration_s));
     let outcome = scene.end();
     outcome.assert_never_wrong();
     outcome
@@ -43,25 +43,26 @@ fn intervals_are_right_with_hidden_drift() {
 #[test]
 #[ignore = "takes a quarter of an hour; for make soak"]
 fn drift_of_100_ppm_is_proven_despite_delays() {
-    let ways = [wire_direction(5, 0, 0), wire_direction(40, 0, 0)];
-    let outcome = run_with_hidden_drift("drift of 100 ppm of 50, 5/40 ms", ways, 50.0, 100.0, 1_100);
+    let wire_directions = [wire_direction(5, 0, 0), wire_direction(40, 0, 0)];
+    let outcome =
+        run_with_hidden_drift("drift of 100 ppm of 50, 5/40 ms", wire_directions, 50.0, 100.0, 1_100);
     outcome.assert_no_good_delay_at_end();
     outcome.assert_incidents_contain("max_drift_ppm");
 }
 
 /// Runs a case in which the edge's clocks change once during the run.
 fn run_with_change(
-    what: &'static str,
+    case: &'static str,
     network: impl FnOnce(&Path) -> Network,
     (step_ms, ppm): (i64, f64),
-    for_s: i64,
+    duration_s: i64,
 ) -> Outcome {
-    let scene = Scene::new(what, network, "", |_| ());
+    let scene = Scene::new(case, network, "", |_| ());
     scene.wait_for_full_window();
-    let violated = scene.shim().schedule_change(Span::from_millis(step_ms), ppm, 0.0);
-    scene.wait_until_stored_to(violated + Span::from_seconds(for_s));
+    let begin = scene.shim().schedule_change(Span::from_millis(step_ms), ppm, 0.0);
+    scene.wait_until_stored_to(begin + Span::from_seconds(duration_s));
     let outcome = scene.end();
-    outcome.assert_wrong_for_at_most(WINDOW, violated);
+    outcome.assert_wrong_for_at_most(WINDOW, begin);
     outcome
 }
 
@@ -95,13 +96,13 @@ fn common_time_gain_affects_one_window_at_most() {
 /// Exchanges of a short path would narrow those of a longer path for ever, if the window did not end.
 #[test]
 fn expired_exchange_bounds_no_delay() {
-    let what = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
-    let scene = Scene::new(what, wire_network(wire_direction(1, 0, 0), wire_direction(1, 0, 0)), "", |_| ());
+    let case = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
+    let scene = Scene::new(case, wire_network(wire_direction(1, 0, 0), wire_direction(1, 0, 0)), "", |_| ());
     scene.wait_for_full_window();
     scene.testbed.network.set_delays(wire_direction(40, 0, 0), wire_direction(40, 0, 0));
-    let violated = scene.shim().schedule_change(Span::ZERO, 1_000.0, 0.0);
-    scene.wait_until_stored_to(violated + WINDOW + Span::from_seconds(8));
+    let begin = scene.shim().schedule_change(Span::ZERO, 1_000.0, 0.0);
+    scene.wait_until_stored_to(begin + WINDOW + Span::from_seconds(8));
     let outcome = scene.end();
-    outcome.assert_wrong_for_at_most(WINDOW, violated);
+    outcome.assert_wrong_for_at_most(WINDOW, begin);
     outcome.assert_good_at_end();
 }

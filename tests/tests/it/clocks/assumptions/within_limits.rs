@@ -8,14 +8,14 @@ use super::{Scene, wire_direction, wire_network};
 
 /// Runs a case for this time after the window is full, and checks every interval.
 fn check_case(
-    what: &'static str,
+    case: &'static str,
     [up, down]: [WireProperties; 2],
-    for_s: i64,
+    duration_s: i64,
     prepare: impl FnOnce([&ClockShim; 2]),
 ) {
-    let scene = Scene::new(what, wire_network(up, down), "", prepare);
+    let scene = Scene::new(case, wire_network(up, down), "", prepare);
     let settled = scene.wait_for_full_window();
-    scene.wait_until_stored_to(settled + Span::from_seconds(for_s));
+    scene.wait_until_stored_to(settled + Span::from_seconds(duration_s));
     let outcome = scene.end();
     outcome.assert_never_wrong();
     outcome.assert_good_at_end();
@@ -32,13 +32,13 @@ fn constant_drift(ppm: f64) -> impl FnOnce([&ClockShim; 2]) {
 }
 
 /// Simulates a crystal that is warmed and cooled: its rate stays within `ppm` of nominal and changes by `ppm_per_s`.
-fn schedule_temperature_cycles(shim: &ClockShim, ppm: f64, ppm_per_s: f64, for_s: f64) {
-    let half = 2.0 * ppm / ppm_per_s;
+fn schedule_temperature_cycles(shim: &ClockShim, ppm: f64, ppm_per_s: f64, duration_s: f64) {
+    let half_period = 2.0 * ppm / ppm_per_s;
     let mut begin = shim.schedule_change(Span::from_seconds(1_234), -ppm, ppm_per_s);
-    let turns = (for_s / half).ceil() as u32;
-    for turn in 1..=turns {
-        begin = begin + Span::from_seconds_f64(half);
-        let sign = if turn % 2 == 0 { 1.0 } else { -1.0 };
+    let half_cycles = (duration_s / half_period).ceil() as u32;
+    for half_cycle in 1..=half_cycles {
+        begin = begin + Span::from_seconds_f64(half_period);
+        let sign = if half_cycle % 2 == 0 { 1.0 } else { -1.0 };
         shim.schedule_change_at(begin, Span::ZERO, -sign * ppm, sign * ppm_per_s);
     }
 }
@@ -50,23 +50,26 @@ fn intervals_are_right_at_200_ppm() {
 
 #[test]
 fn intervals_hold_at_200_ppm_on_bad_path() {
-    let ways = [wire_direction(5, 3, 2), wire_direction(40, 3, 2)];
-    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", ways, 10, constant_drift(-200.0));
+    let wire_directions = [wire_direction(5, 3, 2), wire_direction(40, 3, 2)];
+    check_case("-200 ppm, 5/40 ms, 3 ms of jitter, 2 % lost", wire_directions, 10, constant_drift(-200.0));
 }
 
 #[test]
 fn intervals_are_right_with_temperature_changes() {
     // A degree per second at 1 ppm/°C: the limit of the rate's change.
-    let waves = |[edge, _]: [&ClockShim; 2]| schedule_temperature_cycles(edge, 4.0, 0.999, 120.0);
-    check_case("rate changes by 1 ppm/s, 2/2 ms", [wire_direction(2, 0, 0); 2], 20, waves);
+    let temperature_cycles =
+        |[edge, _]: [&ClockShim; 2]| schedule_temperature_cycles(edge, 4.0, 0.999, 120.0);
+    check_case("rate changes by 1 ppm/s, 2/2 ms", [wire_direction(2, 0, 0); 2], 20, temperature_cycles);
 }
 
 #[test]
 #[ignore = "takes half an hour; for make soak"]
 fn intervals_are_right_for_all_crystals_and_paths() {
     let paths = [("1/1 ms", 1, 1), ("5/40 ms", 5, 40), ("20/20 ms", 20, 20), ("5/300 ms", 5, 300)];
-    for (what, up, down) in paths {
-        let ways = [wire_direction(up, up / 2, 1), wire_direction(down, down / 4, 1)];
-        check_case(what, ways, 420, |[edge, _]| schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0));
+    for (case, up, down) in paths {
+        let wire_directions = [wire_direction(up, up / 2, 1), wire_direction(down, down / 4, 1)];
+        check_case(case, wire_directions, 420, |[edge, _]| {
+            schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0)
+        });
     }
 }

@@ -26,8 +26,8 @@ async fn invalid_database_is_quarantined_and_replaced() {
     file.append(&batches(Chain::START, 1..=2, 10), &totals(6)).await.expect("appends");
     drop(file.close().await);
 
-    let (file, again) = spool_folder.open_undamaged().await;
-    assert_eq!((again.stream, again.newest.0), (state.stream, 2));
+    let (file, reopened) = spool_folder.open_undamaged().await;
+    assert_eq!((reopened.stream, reopened.newest.0), (state.stream, 2));
     drop(file.close().await);
     fs::write(spool_folder.path(), b"once more").expect("written");
     let second = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
@@ -43,8 +43,8 @@ async fn file_of_another_program_is_kept() {
     let spool_folder = SpoolFolder::new();
     let notes = spool_folder.folder.path().join("notes");
     fs::write(&notes, "not for you").expect("written");
-    let refused = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
-    assert!(refused.contains("notes is not a spool") && refused.contains("[spool] file"), "{refused}");
+    let error = OpenSpool::open(&notes, host(), false, &clock()).await.expect_err("no spool").to_string();
+    assert!(error.contains("notes is not a spool") && error.contains("[spool] file"), "{error}");
     assert_eq!(fs::read(&notes).expect("there"), b"not for you");
 
     // The database of another program is refused, also at the default path, and also while all of it is in its log.
@@ -53,8 +53,8 @@ async fn file_of_another_program_is_kept() {
     let mut other = options.connect().await.expect("opens");
     sqlx::query("CREATE TABLE theirs (id)").execute(&mut other).await.expect("makes a table");
     for _ in 0..2 {
-        let refused = spool_folder.open().await.expect_err("no spool").to_string();
-        assert!(refused.contains("another program"), "{refused}");
+        let error = spool_folder.open().await.expect_err("no spool").to_string();
+        assert!(error.contains("another program"), "{error}");
         sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut other).await.expect("moves the log");
     }
     let tables: Vec<String> =
@@ -73,8 +73,8 @@ async fn spool_that_is_only_in_log_is_recognised() {
             .expect("copied");
     }
     drop(file);
-    let (_, again) = killed.open_undamaged().await;
-    assert_eq!(again, state);
+    let (_, reopened) = killed.open_undamaged().await;
+    assert_eq!(reopened, state);
 }
 
 #[tokio::test]
@@ -85,10 +85,10 @@ async fn file_with_broken_tables_is_quarantined() {
     drop(file.close().await);
     // All pages but the first, which has the header.
     let length = fs::metadata(spool_folder.path()).expect("there").len();
-    let mut broken = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
-    broken.seek(SeekFrom::Start(4096)).expect("seeks");
-    broken.write_all(&vec![0xa5; (length - 4096) as usize]).expect("written");
-    drop(broken);
+    let mut damaged_file = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
+    damaged_file.seek(SeekFrom::Start(4096)).expect("seeks");
+    damaged_file.write_all(&vec![0xa5; (length - 4096) as usize]).expect("written");
+    drop(damaged_file);
 
     let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
     assert!(quarantined.is_some());
@@ -108,8 +108,8 @@ async fn damaged_batch_ends_list_and_is_named() {
         .expect("changed");
     let loaded = file.load(1, usize::MAX).await.expect("loads");
     assert_eq!(loaded.batches, written[..2]);
-    let said = loaded.damage.expect("said");
-    assert!(said.contains("batch 3") && said.contains("was changed"), "{said}");
+    let damage = loaded.damage.expect("said");
+    assert!(damage.contains("batch 3") && damage.contains("was changed"), "{damage}");
     let loaded = file.load(3, usize::MAX).await.expect("loads");
     assert!(loaded.batches.is_empty() && loaded.damage.is_some());
     assert_eq!(file.load(4, usize::MAX).await.expect("loads").batches, written[3..], "what follows is sound");
@@ -144,8 +144,8 @@ async fn spool_of_newer_version_is_refused_and_kept() {
     .await
     .expect("changed");
     drop(file.close().await);
-    let refused = spool_folder.open().await.expect_err("too new").to_string();
-    assert!(refused.contains("newer version") && refused.contains('9'), "{refused}");
+    let error = spool_folder.open().await.expect_err("too new").to_string();
+    assert!(error.contains("newer version") && error.contains('9'), "{error}");
     assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite"]);
 }
 
@@ -158,25 +158,25 @@ async fn damaged_page_loses_only_its_batches() {
     for statement in ["PRAGMA wal_checkpoint(TRUNCATE)", "PRAGMA shrink_memory"] {
         sqlx::query(statement).execute(file.connection()).await.expect("brings all to the file");
     }
-    let mut broken = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
-    broken.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
-    broken.write_all(&[0xa5; 4096]).expect("written");
+    let mut damaged_file = fs::File::options().write(true).open(spool_folder.path()).expect("opens");
+    damaged_file.seek(SeekFrom::Start(50 * 4096)).expect("seeks");
+    damaged_file.write_all(&[0xa5; 4096]).expect("written");
 
-    let (mut open_undamaged, mut damaged, mut next) = (Vec::new(), 0, 1);
+    let (mut readable, mut damaged_count, mut next) = (Vec::new(), 0, 1);
     while next <= 200 {
         let loaded = file.load(next, usize::MAX).await.expect("what can be read is read");
         next += loaded.batches.len() as u64;
-        open_undamaged.extend(loaded.batches);
+        readable.extend(loaded.batches);
         if loaded.damage.is_some() {
-            (damaged, next) = (damaged + 1, next + 1);
+            (damaged_count, next) = (damaged_count + 1, next + 1);
         }
     }
     assert!(
-        (1..=3).contains(&damaged) && open_undamaged.len() == 200 - damaged,
-        "{} sound, {damaged} not",
-        open_undamaged.len()
+        (1..=3).contains(&damaged_count) && readable.len() == 200 - damaged_count,
+        "{} sound, {damaged_count} not",
+        readable.len()
     );
-    assert!(open_undamaged.iter().all(|batch| written.contains(batch)));
+    assert!(readable.iter().all(|batch| written.contains(batch)));
 }
 
 #[tokio::test]

@@ -7,11 +7,11 @@ use peernet_stream::Chain;
 
 use super::*;
 
-/// Limits the growth of the file to `more` pages.
-async fn limit(file: &mut SpoolFile, more: i64) {
-    let pages: i64 =
+/// Limits the growth of the file to a number of pages.
+async fn limit_growth(file: &mut SpoolFile, pages: i64) {
+    let current: i64 =
         sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
-    let limit = format!("PRAGMA max_page_count = {}", pages + more);
+    let limit = format!("PRAGMA max_page_count = {}", current + pages);
     sqlx::query(sqlx::AssertSqlSafe(limit)).execute(file.connection()).await.expect("limited");
 }
 
@@ -21,9 +21,9 @@ async fn appends_are_refused_whole_while_disk_is_full() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=40, 10_000);
     file.append(&written[..2], &totals(6)).await.expect("appends");
-    limit(&mut file, 10).await;
-    let refused = file.append(&written[2..], &totals(120)).await.expect_err("no room").to_string();
-    assert!(refused.contains("the disk is full") && refused.contains("spool.sqlite"), "{refused}");
+    limit_growth(&mut file, 10).await;
+    let error = file.append(&written[2..], &totals(120)).await.expect_err("no room").to_string();
+    assert!(error.contains("the disk is full") && error.contains("spool.sqlite"), "{error}");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written[..2], "none of them");
 
     file.append(&written[2..4], &totals(12)).await.expect("two fit");
@@ -39,35 +39,35 @@ async fn appends_are_refused_whole_while_disk_is_full() {
 #[tokio::test]
 async fn reserve_for_deleting_survives_restart() {
     let spool_folder = SpoolFolder::new();
-    let reserve = || {
-        let held = fs::metadata(spool_folder.folder.path().join("spool.sqlite-reserve"));
+    let reserve_file = || {
+        let reserved = fs::metadata(spool_folder.folder.path().join("spool.sqlite-reserve"));
         // `None` on a file system that cannot allocate space.
-        held.ok().map(|held| (held.ino(), held.blocks()))
+        reserved.ok().map(|reserved| (reserved.ino(), reserved.blocks()))
     };
     let (file, _) = spool_folder.open_undamaged().await;
-    let held = reserve();
+    let reserved = reserve_file();
     drop(file);
-    assert_eq!(reserve(), held);
+    assert_eq!(reserve_file(), reserved);
     let (file, _) = spool_folder.open_undamaged().await;
-    assert_eq!(reserve(), held, "given free and taken again: another program may have been faster");
+    assert_eq!(reserve_file(), reserved, "given free and taken again: another program may have been faster");
     file.close().await.expect("closes");
-    assert_eq!(reserve(), held);
+    assert_eq!(reserve_file(), reserved);
 }
 
 #[tokio::test]
-async fn moved_file_is_not_written_until_it_is_back() {
+async fn moved_file_is_not_written_until_moved_back() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=2, 10);
     file.append(&written[..1], &totals(3)).await.expect("appends");
-    let away = spool_folder.folder.path().join("away");
-    fs::rename(spool_folder.path(), &away).expect("moved");
-    let refused = file.append(&written[1..], &totals(6)).await.expect_err("moved").to_string();
-    assert!(refused.contains("deleted, moved or replaced"), "{refused}");
+    let moved = spool_folder.folder.path().join("away");
+    fs::rename(spool_folder.path(), &moved).expect("moved");
+    let error = file.append(&written[1..], &totals(6)).await.expect_err("moved").to_string();
+    assert!(error.contains("deleted, moved or replaced"), "{error}");
     file.delete_through(1, written[0].chain).await.expect_err("moved");
     fs::write(spool_folder.path(), b"something else").expect("written");
     file.append(&written[1..], &totals(6)).await.expect_err("replaced");
-    fs::rename(&away, spool_folder.path()).expect("moved back");
+    fs::rename(&moved, spool_folder.path()).expect("moved back");
     file.append(&written[1..], &totals(6)).await.expect("appends");
     assert_eq!(file.load(1, usize::MAX).await.expect("loads").batches, written);
 }
@@ -77,6 +77,6 @@ async fn folder_that_cannot_be_created_is_named() {
     let spool_folder = SpoolFolder::new();
     fs::write(spool_folder.folder.path().join("file"), b"").expect("written");
     let path = spool_folder.folder.path().join("file").join("spool.sqlite");
-    let refused = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
-    assert!(refused.contains("cannot create") && refused.contains("[spool] file"), "{refused}");
+    let error = OpenSpool::open(&path, host(), true, &clock()).await.expect_err("no folder").to_string();
+    assert!(error.contains("cannot create") && error.contains("[spool] file"), "{error}");
 }

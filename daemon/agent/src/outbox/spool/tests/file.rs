@@ -17,8 +17,8 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
         (None, None, Usage::default(), Totals::default())
     );
     file.close().await.expect("closes");
-    let (_, again) = spool_folder.open_undamaged().await;
-    assert_eq!(again, fresh);
+    let (_, reopened) = spool_folder.open_undamaged().await;
+    assert_eq!(reopened, fresh);
     let (_, other) = SpoolFolder::new().open_undamaged().await;
     assert_ne!(other.stream, fresh.stream);
 }
@@ -45,8 +45,8 @@ async fn batches_totals_and_deletions_survive_reopening() {
     assert_eq!((all.batches.as_slice(), all.damage), (&written[3..], None));
     let some = file.load(6, 150).await.expect("loads");
     assert_eq!((some.batches.as_slice(), some.damage), (&written[5..7], None), "until they exceed it");
-    let one = file.load(6, 0).await.expect("loads");
-    assert_eq!(one.batches.as_slice(), &written[5..6], "one at least");
+    let single = file.load(6, 0).await.expect("loads");
+    assert_eq!(single.batches.as_slice(), &written[5..6], "one at least");
 }
 
 #[tokio::test]
@@ -71,18 +71,18 @@ async fn batches_stored_without_spool_leave_no_gap() {
     // While the disk failed, batches 3 to 5 were sent from memory and acknowledged.
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
-    let made = batches(Chain::START, 1..=7, 10);
-    file.append(&made[..2], &totals(6)).await.expect("appends");
-    file.delete_through(5, made[4].chain).await.expect("deletes");
-    file.append(&made[5..], &totals(21)).await.expect("appends");
-    assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, made[5..]);
+    let created = batches(Chain::START, 1..=7, 10);
+    file.append(&created[..2], &totals(6)).await.expect("appends");
+    file.delete_through(5, created[4].chain).await.expect("deletes");
+    file.append(&created[5..], &totals(21)).await.expect("appends");
+    assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, created[5..]);
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.oldest, state.before, state.newest), (6, made[4].chain, (7, made[6].chain)));
+    assert_eq!((state.oldest, state.before, state.newest), (6, created[4].chain, (7, created[6].chain)));
 }
 
 #[tokio::test]
-async fn renewed_spool_keeps_its_batches_under_new_stream_id() {
+async fn renewed_spool_keeps_batches_under_new_stream_id() {
     let spool_folder = SpoolFolder::new();
     let (mut file, fresh) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=3, 10);
@@ -102,25 +102,28 @@ async fn senders_from_file_are_remembered() {
     let (mut file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(fresh.newest_sent, []);
     let written = batches(Chain::START, 1..=6, 10);
-    let by = |process, number| {
-        let reached = NewestSentBatch { process, number };
-        (reached, Totals { newest_sent: Some(reached), ..totals(9) })
+    let totals_of_sender = |process, number| {
+        let newest_sent = NewestSentBatch { process, number };
+        (newest_sent, Totals { newest_sent: Some(newest_sent), ..totals(9) })
     };
-    let ((first, as_first), (second, as_second)) = (by(u64::MAX, 2), by(5, 4));
+    let ((first, as_first), (second, as_second)) = (totals_of_sender(u64::MAX, 2), totals_of_sender(5, 4));
     file.append(&written[..2], &as_first).await.expect("appends");
-    file.append(&[], &by(5, 2).1).await.expect("appends");
+    file.append(&[], &totals_of_sender(5, 2).1).await.expect("appends");
     file.append(&written[2..4], &as_second).await.expect("appends");
     file.append(&written[4..], &totals(18)).await.expect("appends out of contact");
     file.close().await.expect("closes");
     let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(state.newest_sent, [second, first]);
     for process in 100..200 {
-        file.append(&[], &by(process, 6).1).await.expect("appends");
+        file.append(&[], &totals_of_sender(process, 6).1).await.expect("appends");
     }
     file.delete_through(6, written[5].chain).await.expect("deletes");
     file.close().await.expect("closes");
-    let reached = spool_folder.open_undamaged().await.1.newest_sent;
-    assert!(reached.len() == 64 && reached.iter().all(|reached| reached.number == 6), "{reached:?}");
+    let newest_sent = spool_folder.open_undamaged().await.1.newest_sent;
+    assert!(
+        newest_sent.len() == 64 && newest_sent.iter().all(|newest_sent| newest_sent.number == 6),
+        "{newest_sent:?}"
+    );
 }
 
 #[tokio::test]
@@ -137,14 +140,14 @@ async fn repeated_append_replaces_batches() {
 async fn second_agent_and_other_hosts_spool_are_refused() {
     let spool_folder = SpoolFolder::new();
     let (file, _) = spool_folder.open_undamaged().await;
-    let refused = spool_folder.open().await.expect_err("one has it").to_string();
-    assert!(refused.contains("another agent uses") && refused.contains("spool.sqlite"), "{refused}");
+    let error = spool_folder.open().await.expect_err("one has it").to_string();
+    assert!(error.contains("another agent uses") && error.contains("spool.sqlite"), "{error}");
     drop(file.close().await);
     let other = HostId::from_bytes([8; 16]);
-    let refused = OpenSpool::open(&spool_folder.path(), other, true, &clock())
+    let error = OpenSpool::open(&spool_folder.path(), other, true, &clock())
         .await
         .expect_err("another host's")
         .to_string();
-    assert!(refused.contains(&host().to_string()) && refused.contains(&other.to_string()), "{refused}");
+    assert!(error.contains(&host().to_string()) && error.contains(&other.to_string()), "{error}");
     spool_folder.open().await.expect("nothing was changed");
 }

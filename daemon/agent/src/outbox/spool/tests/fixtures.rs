@@ -18,15 +18,15 @@ use super::super::open::MIGRATIONS;
 use super::range_log::batch;
 use super::*;
 
-/// Texts of the events in each of them.
-const WAITING: [&str; 4] = ["first", "second", "third", "fourth"];
+/// Texts of the events in each fixture.
+const EVENT_TEXTS: [&str; 4] = ["first", "second", "third", "fourth"];
 
-fn fixtures() -> PathBuf {
+fn fixture_folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/spools")
 }
 
 fn fixture(version: i64) -> PathBuf {
-    fixtures().join(format!("{version:04}.sql"))
+    fixture_folder().join(format!("{version:04}.sql"))
 }
 
 async fn connect(path: &Path) -> SqliteConnection {
@@ -45,7 +45,7 @@ fn event(text: &str) -> Event {
 }
 
 /// Copies the spool to a file with the schema of an earlier migration.
-async fn as_of_version(new: &Path, old: &Path, version: i64) {
+async fn copy_as_version(new: &Path, old: &Path, version: i64) {
     let mut connection = connect(old).await;
     let migrations = MIGRATIONS.iter().filter(|migration| migration.version <= version).cloned().collect();
     let migrator = Migrator { migrations: Cow::Owned(migrations), ..Migrator::DEFAULT };
@@ -71,13 +71,13 @@ async fn as_of_version(new: &Path, old: &Path, version: i64) {
 async fn write_missing_fixtures() {
     let spool_folder = SpoolFolder::new();
     let (mut file, state) = spool_folder.open_undamaged().await;
-    let batch = batch(&clock(), state, &WAITING.map(event));
+    let batch = batch(&clock(), state, &EVENT_TEXTS.map(event));
     file.append(&[batch], &Totals { produced: 4, ..Totals::default() }).await.expect("appends");
     file.close().await.expect("closes");
-    fs::create_dir_all(fixtures()).expect("a folder");
+    fs::create_dir_all(fixture_folder()).expect("a folder");
     for migration in MIGRATIONS.iter().filter(|migration| !fixture(migration.version).exists()) {
         let old = spool_folder.folder.path().join(format!("{}.sqlite", migration.version));
-        as_of_version(&spool_folder.path(), &old, migration.version).await;
+        copy_as_version(&spool_folder.path(), &old, migration.version).await;
         let dump = Command::new("sqlite3").arg(&old).arg(".dump").output().expect("sqlite3 is installed");
         assert!(dump.status.success(), "{}", String::from_utf8_lossy(&dump.stderr));
         let text = String::from_utf8(dump.stdout).expect("SQL is text");
@@ -105,7 +105,7 @@ async fn spool_of_each_migration_is_readable() {
             .batches
             .iter()
             .flat_map(|batch| codec::decode_events(&batch.body, batch.events).expect("events"));
-        let expected: Vec<Event> = WAITING.into_iter().map(event).collect();
+        let expected: Vec<Event> = EVENT_TEXTS.into_iter().map(event).collect();
         assert_eq!(events.collect::<Vec<_>>(), expected, "migration {}", migration.version);
     }
 }

@@ -6,7 +6,7 @@ use super::*;
 
 const MIB: u64 = 1 << 20;
 
-async fn pages(file: &mut SpoolFile) -> u64 {
+async fn file_bytes(file: &mut SpoolFile) -> u64 {
     let pages: i64 =
         sqlx::query_scalar("PRAGMA page_count").fetch_one(file.connection()).await.expect("counts");
     pages.unsigned_abs() * 4096
@@ -17,22 +17,22 @@ async fn file_size_follows_content_and_shrinks_after_backlog() {
     let spool_folder = SpoolFolder::new();
     let (mut file, _) = spool_folder.open_undamaged().await;
     let written = batches(Chain::START, 1..=40, MIB as usize);
-    for some in written.chunks(8) {
-        file.append(some, &totals(120)).await.expect("appends");
+    for chunk in written.chunks(8) {
+        file.append(chunk, &totals(120)).await.expect("appends");
     }
-    let full = pages(&mut file).await;
-    assert!((40 * MIB..42 * MIB).contains(&full), "{full}");
+    let full_size = file_bytes(&mut file).await;
+    assert!((40 * MIB..42 * MIB).contains(&full_size), "{full_size}");
     assert!(!file.shrink().await.expect("looks"), "nothing is free");
 
     file.delete_through(39, written[38].chain).await.expect("deletes");
-    assert_eq!(pages(&mut file).await, full, "free pages are kept for the next batches");
+    assert_eq!(file_bytes(&mut file).await, full_size, "free pages are kept for the next batches");
     let mut steps = 0;
     while file.shrink().await.expect("shrinks") {
         steps += 1;
     }
     assert!((7..=9).contains(&steps), "{steps} steps of 4 MiB");
-    let rest = pages(&mut file).await;
-    assert!(rest <= 12 * MIB, "{rest}");
+    let size = file_bytes(&mut file).await;
+    assert!(size <= 12 * MIB, "{size}");
     assert_eq!(file.load(40, usize::MAX).await.expect("loads").batches, written[39..]);
     file.close().await.expect("closes");
     assert!(std::fs::metadata(spool_folder.path()).expect("there").len() <= 12 * MIB);
@@ -44,8 +44,8 @@ async fn sqlite_settings_keep_durability_promise() {
     let (mut file, _) = spool_folder.open_undamaged().await;
     for (pragma, expected) in [("auto_vacuum", "2"), ("journal_mode", "wal"), ("synchronous", "1")] {
         let query = format!("SELECT CAST({pragma} AS TEXT) FROM pragma_{pragma}");
-        let found: String =
+        let value: String =
             sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_one(file.connection()).await.expect("asks");
-        assert_eq!(found, expected, "{pragma}");
+        assert_eq!(value, expected, "{pragma}");
     }
 }

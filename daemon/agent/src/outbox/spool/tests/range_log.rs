@@ -34,14 +34,14 @@ pub(super) fn batch(clock: &SharedClock, state: SpoolState, events: &[Event]) ->
         serves: None,
         models: Vec::new(),
     };
-    let mut machine =
+    let mut state_machine =
         Sending::new(SendingConfig::default(), description, peernet_stream::HostSecret::random(), 1, state);
     let now: Stamp = clock.stamp();
-    events.iter().for_each(|event| machine.offer(event, now));
-    machine.flush(now.wall);
-    match machine.next(now.mono) {
+    events.iter().for_each(|event| state_machine.offer(event, now));
+    state_machine.flush(now.wall);
+    match state_machine.next(now.mono) {
         Some(Action::Append { mut batches, .. }) if batches.len() == 1 => batches.remove(0),
-        other => panic!("{other:?}"),
+        action => panic!("{action:?}"),
     }
 }
 
@@ -53,8 +53,9 @@ async fn each_iteration_of_batch_is_in_one_range() {
     runs.sort();
     let [first, second] = runs;
     // Iterations in flight end in any order, and some are missing.
-    let mixed = [(second, 7), (first, 4), (first, 2), (second, 6), (first, 3), (first, 9)];
-    let events: Vec<Event> = mixed.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
+    let iterations = [(second, 7), (first, 4), (first, 2), (second, 6), (first, 3), (first, 9)];
+    let events: Vec<Event> =
+        iterations.iter().map(|(run, number)| iteration(&clock, *run, *number)).collect();
     let batch = batch(&clock, state, &events);
     assert_eq!(ranges(&batch), [(first, 2, 4), (first, 9, 9), (second, 6, 7)]);
     let damaged = SpooledBatch { events: 99, ..batch };

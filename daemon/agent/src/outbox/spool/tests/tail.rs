@@ -11,13 +11,13 @@ fn at(nanos: i64) -> WallTime {
 }
 
 /// Counts `events` events of a run.
-fn hand_in(counter: &EventCounter, run: RunId, events: u64) {
+fn count_events(counter: &EventCounter, run: RunId, events: u64) {
     let pipeline: Slug = "line".parse().expect("a name");
-    (0..events).for_each(|n| counter.count(Some(&pipeline), Some(run), at(n.cast_signed())));
+    (0..events).for_each(|nanos| counter.count(Some(&pipeline), Some(run), at(nanos.cast_signed())));
 }
 
-/// Returns totals after `events` more events of a run are in batches and `reported` lost events are in gaps.
-fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
+/// Returns totals after `events` further events of a run are in batches and `reported` lost events are in gaps.
+fn totals_after(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
     let mut submitted = SubmittedEvents { last: Some(at(1)), ..SubmittedEvents::default() };
     submitted.batched.add(Some(run), events);
     Totals { produced: before.produced + events, reported_drops: reported, submitted, ..before.clone() }
@@ -27,8 +27,8 @@ fn settled(run: RunId, events: u64, reported: u64, before: &Totals) -> Totals {
 async fn losses_of_killed_process_stay_until_reported() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    hand_in(&counter, run, 10);
-    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+    count_events(&counter, run, 10);
+    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     drop((file, counter));
@@ -42,22 +42,22 @@ async fn losses_of_killed_process_stay_until_reported() {
     assert_eq!(lost(&state), [(Some(run), 4, KILLED_REASON.to_owned())]);
     assert_eq!((state.unreported[0].from, state.unreported[0].to), (at(1), at(9)));
     // The second process is killed, too, before it could report the loss. It lost one event itself.
-    hand_in(&counter, second, 1);
+    count_events(&counter, second, 1);
     drop((file, counter));
 
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    let both = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
-    assert_eq!((lost(&state), state.totals.dropped), (both.to_vec(), 5));
+    let losses = [(Some(run), 4, KILLED_REASON.to_owned()), (Some(second), 1, KILLED_REASON.to_owned())];
+    assert_eq!((lost(&state), state.totals.dropped), (losses.to_vec(), 5));
     assert_eq!(spool_folder.lost_when_killed().await, Some(5));
     let third = RunId::random();
-    hand_in(&counter, third, 3);
-    file.append(&batches(state.newest.1, 3..=3, 10), &settled(third, 3, 4, &state.totals))
+    count_events(&counter, third, 3);
+    file.append(&batches(state.newest.1, 3..=3, 10), &totals_after(third, 3, 4, &state.totals))
         .await
         .expect("appends");
     drop((file, counter));
 
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!(lost(&state), both[1..], "what was told is not told again");
+    assert_eq!(lost(&state), losses[1..], "what was told is not told again");
     assert_eq!(spool_folder.lost_when_killed().await, Some(5), "what was told stays counted");
 }
 
@@ -65,8 +65,8 @@ async fn losses_of_killed_process_stay_until_reported() {
 async fn unspooled_sends_stay_open_until_resolved() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    hand_in(&counter, run, 10);
-    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+    count_events(&counter, run, 10);
+    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     counter.record_sent_unspooled(SentUnspooled {
@@ -84,7 +84,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
     assert_eq!((unresolved.settled.batched, unresolved.events), (6, 6));
     assert_eq!((state.totals.dropped, state.unreported.len()), (0, 0));
     // Killed before the aggregator answered.
-    hand_in(&counter, run, 1);
+    count_events(&counter, run, 1);
     drop((file, counter));
 
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
@@ -105,7 +105,7 @@ async fn unspooled_sends_stay_open_until_resolved() {
 async fn missing_counter_file_reports_no_loss() {
     let (spool_folder, run) = (SpoolFolder::new(), RunId::random());
     let OpenSpool { file, counter, .. } = spool_folder.open().await.expect("opens");
-    hand_in(&counter, run, 10);
+    count_events(&counter, run, 10);
     counter.remove();
     drop((file, counter));
     let (_, state) = spool_folder.open_undamaged().await;
@@ -116,16 +116,16 @@ async fn missing_counter_file_reports_no_loss() {
 async fn copied_spool_leaves_count_to_original() {
     let (spool_folder, copy, run) = (SpoolFolder::new(), SpoolFolder::new(), RunId::random());
     let OpenSpool { mut file, state, counter, .. } = spool_folder.open().await.expect("opens");
-    file.append(&batches(Chain::START, 1..=2, 10), &settled(run, 6, 0, &state.totals))
+    file.append(&batches(Chain::START, 1..=2, 10), &totals_after(run, 6, 0, &state.totals))
         .await
         .expect("appends");
     for name in ["spool.sqlite", "spool.sqlite-wal"] {
         std::fs::copy(spool_folder.folder.path().join(name), copy.folder.path().join(name)).expect("copied");
     }
-    hand_in(&counter, run, 10);
+    count_events(&counter, run, 10);
 
-    let (_, of_copy) = copy.open_undamaged().await;
-    assert_eq!((of_copy.unreported, of_copy.totals.dropped), (Vec::new(), 0));
+    let (_, copy_state) = copy.open_undamaged().await;
+    assert_eq!((copy_state.unreported, copy_state.totals.dropped), (Vec::new(), 0));
     drop((file, counter));
 
     let (_, state) = spool_folder.open_undamaged().await;
@@ -133,11 +133,11 @@ async fn copied_spool_leaves_count_to_original() {
 }
 
 #[tokio::test]
-async fn counts_of_deleted_spools_are_removed_by_the_next_start() {
-    let (gone, spool_folder) = (SpoolFolder::new(), SpoolFolder::new());
-    let OpenSpool { file, counter, .. } = gone.open().await.expect("opens");
+async fn counts_of_deleted_spools_are_removed_at_start() {
+    let (deleted, spool_folder) = (SpoolFolder::new(), SpoolFolder::new());
+    let OpenSpool { file, counter, .. } = deleted.open().await.expect("opens");
     let count = Path::new("/dev/shm").join(counter.name().expect("counts"));
-    drop((file, counter, gone));
+    drop((file, counter, deleted));
     spool_folder.open_undamaged().await;
     assert!(!count.exists());
 }

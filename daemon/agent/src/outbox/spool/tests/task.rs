@@ -5,7 +5,7 @@ use std::time::Duration;
 use peernet_stream::{Chain, StreamId};
 
 use super::super::error::SpoolFileError;
-use super::super::task::{Done, Order, SpoolTask, SpoolTaskError};
+use super::super::task::{Order, OrderResult, SpoolTask, SpoolTaskError};
 use super::*;
 
 const HOUR: Duration = Duration::from_secs(3600);
@@ -22,11 +22,11 @@ async fn orders_are_done_in_sequence_and_answered() {
     let stream = StreamId::random();
     task.order(Order::Renew { stream, previous: fresh.stream, first: 2, events_before_first: 3 })
         .expect("takes it");
-    assert!(matches!(task.next_result().await, Some(Done::Appended(Ok(())))));
-    let Some(Done::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
+    assert!(matches!(task.next_result().await, Some(OrderResult::Appended(Ok(())))));
+    let Some(OrderResult::Loaded(Ok(loaded))) = task.next_result().await else { panic!("loads") };
     assert_eq!(loaded.batches, written[1..]);
-    assert!(matches!(task.next_result().await, Some(Done::Deleted(Ok(())))));
-    assert!(matches!(task.next_result().await, Some(Done::Renewed(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(OrderResult::Deleted(Ok(())))));
+    assert!(matches!(task.next_result().await, Some(OrderResult::Renewed(Ok(())))));
     task.close().await.expect("closes");
     let (_, state) = spool_folder.open_undamaged().await;
     assert_eq!((state.stream, state.oldest, state.newest.0), (stream, 2, 3));
@@ -51,7 +51,7 @@ async fn error_names_the_moved_file() {
     std::fs::rename(spool_folder.path(), spool_folder.folder.path().join("away")).expect("moved");
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
+    let Some(OrderResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(matches!(error, SpoolTaskError::File(SpoolFileError::Moved(_))), "{error}");
     assert!(error.to_string().contains("spool.sqlite"), "{error}");
 }
@@ -72,7 +72,7 @@ async fn file_found_damaged_is_quarantined_at_next_start() {
     let mut task = SpoolTask::start(file, HOUR);
     task.order(Order::Append { batches: batches(Chain::START, 1..=1, 10), totals: totals(3) })
         .expect("takes it");
-    let Some(Done::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
+    let Some(OrderResult::Appended(Err(error))) = task.next_result().await else { panic!("fails") };
     assert!(error.to_string().contains("quarantines the file"), "{error}");
     drop(task.close().await);
     let quarantined = spool_folder.open().await.expect("opens").quarantined.expect("put quarantined");
