@@ -79,8 +79,8 @@ pub fn rank(name: &str) -> (usize, &str) {
     // The first stage is `sensing`. Its two parts follow it, as children do in a tree, so that the positions of the standard names
     // are multiples of three.
     let standard_position = || {
-        let mut standard_names = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES);
-        standard_names.position(|standard| standard == name).map(|index| 3 * index)
+        let index = stage::ORDER.iter().chain(&NAMES_AFTER_STAGES).position(|standard| standard == name)?;
+        Some(3 * index)
     };
     let sensing_part = match name {
         "capture" => Some(1),

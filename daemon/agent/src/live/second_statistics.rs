@@ -20,6 +20,7 @@ pub(super) struct SecondStatistics {
     /// Version of the ring at the last change of this second.
     pub(super) version: u64,
     /// Version of this second that was last sent.
+    pub(super) sent_version: u64,
     counts: OutcomeCounts,
     values: Summaries,
     bounds: Summaries,

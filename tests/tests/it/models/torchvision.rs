@@ -113,7 +113,7 @@ fn logits(pool: &Pool, sample: Sample) -> Vec<f64> {
     let reply = Box::new(move |done| sender.send(done).expect("is awaited"));
     let recorder = Recorder::new(clock(), HostId::random());
     let received = recorder.clock().mono();
-    pool.submit(Job { sample, recorder, received, reply }).expect("the queue has room");
+    pool.submit(Job::for_whole_answer(sample, recorder, received, reply)).expect("the queue has room");
     let answer = receiver.recv().expect("is answered").result.unwrap_or_else(|error| panic!("{error}"));
     let answer: Value = serde_json::from_slice(&answer.parts[0].bytes).expect("is JSON");
     let mut numbers = vec![f64::NAN; 1000];

@@ -165,14 +165,14 @@ impl Link {
         if self.committing.1 > now {
             return;
         }
-        for head in std::mem::receive(&mut self.committing.0) {
+        for head in std::mem::take(&mut self.committing.0) {
             self.stored += u64::from(head.events);
             let (_, reply) =
                 self.receiving.handle_stored(head.stream, Mark::from(head)).expect("the agent is connected");
             self.reply(reply);
         }
         if !self.waiting.is_empty() {
-            self.committing = (std::mem::receive(&mut self.waiting), now + self.settings.commit);
+            self.committing = (std::mem::take(&mut self.waiting), now + self.settings.commit);
         }
     }
 
