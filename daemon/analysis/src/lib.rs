@@ -17,6 +17,7 @@
 //! Writing tables is the only I/O. Files of results are read and written by `peernet-results`, figures drawn by `peernet-figures`.
 
 pub mod accuracy;
+pub mod actuator_results;
 pub mod answer_length;
 mod batches;
 pub mod calibration;

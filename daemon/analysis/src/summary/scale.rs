@@ -3,7 +3,7 @@
 use peernet_logger::Unit;
 
 /// Columns that are times, wherever their nodes are in the tree, and in the files of any program.
-const DURATION_COLUMNS: [&str; 17] = [
+const DURATION_COLUMNS: [&str; 18] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -19,6 +19,7 @@ const DURATION_COLUMNS: [&str; 17] = [
     "capture-ipc",
     "restart",
     "capture-restart",
+    "actuation-ipc",
     "actuation-restart",
     "actuation",
 ];

@@ -14,6 +14,9 @@ pub struct Limits {
     pub iterations: Option<f64>,
     /// Iterations including the warm-up.
     pub total: Option<f64>,
+    /// Episodes including the warm-up. The actuator may end each before its last step, so that the number of iterations is not known
+    /// beforehand.
+    pub episodes: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
 }
@@ -66,8 +69,10 @@ impl EndedEarly {
         });
         // The run ends at the first limit that it reaches, so the nearest one counts.
         let early = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
-        // The last iteration ends shortly before a limit of time, so the reason for the end decides whether such a run is complete.
-        let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
+        // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
+        // such a run is complete.
+        let has_open_number = limits.duration_s.is_some() || limits.episodes.is_some();
+        let whole = early.share() >= 1.0 || (*reason == EndReason::Finished && has_open_number);
         (!whole).then_some(early)
     }
 
