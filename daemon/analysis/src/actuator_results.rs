@@ -169,7 +169,7 @@ mod tests {
             found.sentences(1_000),
             [
                 "Superseded: 1 of 1,000 answers were not acted on, because a newer answer had been or the episode had ended.",
-                "Success: 50 % of 2 episodes (95 % confidence: 9.5 – 90.5 %).",
+                "Success: 50 % of 2 episodes (95 % confidence: 9.5 – 91 %).",
                 "Return per episode: 2.00 ± 1.41 over 2 episodes."
             ]
         );
