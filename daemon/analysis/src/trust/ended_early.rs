@@ -98,3 +98,18 @@ pub(crate) fn measured_seconds(rows: &Rows) -> f64 {
     let at = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     at().next_back().zip(at().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finished_run_of_short_episodes_is_complete() {
+        let limits = Limits { total: Some(900.0), episodes: Some(30.0), ..Limits::default() };
+        let progress = Progress { measured: 400, warm_up: 50, seconds: 9.0 };
+        assert_eq!(EndedEarly::from_progress(&limits, &progress, &EndReason::Finished), None);
+        assert!(EndedEarly::from_progress(&limits, &progress, &EndReason::Stopped).is_some());
+        let without_episodes = Limits { episodes: None, ..limits };
+        assert!(EndedEarly::from_progress(&without_episodes, &progress, &EndReason::Finished).is_some());
+    }
+}

@@ -131,7 +131,8 @@ async fn actuator_results(
     readers: &Readers,
     rows: &[RunRow],
 ) -> Result<HashMap<i64, ActuatorResults>, StoreError> {
-    let with_actuator = rows.iter().filter(|row| has_actuator(&row.configuration));
+    // Only an actuator has the fact of this name. Searched in the text, because a list of runs has many facts.
+    let with_actuator = rows.iter().filter(|row| row.facts.contains("\"Actuator\""));
     let numbers: Vec<i64> = with_actuator.map(|row| row.number).collect();
     if numbers.is_empty() {
         return Ok(HashMap::new());
@@ -147,13 +148,6 @@ async fn actuator_results(
         })
     };
     Ok(numbers.iter().map(|number| (*number, results(number))).collect())
-}
-
-/// Returns whether the pipeline's table, as the agent writes it, has an actuator.
-fn has_actuator(configuration: &str) -> bool {
-    let table = configuration.lines().skip_while(|line| *line != "[actuator]").skip(1);
-    let mut keys = table.take_while(|line| !line.starts_with('['));
-    keys.any(|line| line.starts_with("kind = ") && line != "kind = \"none\"")
 }
 
 /// Returns the missed deadlines among answered iterations, for the runs with a deadline.

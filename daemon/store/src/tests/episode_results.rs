@@ -8,14 +8,14 @@ use peernet_stream::{Event, Iteration, Outcome, RunDescription};
 use super::{NOW, TestStore, generate};
 use crate::rebuild::rebuild;
 
-/// Stores a run with this configuration: three episodes, of which the first ends with a lost answer and the second with a warm-up step.
-async fn store(test_store: &mut TestStore, configuration: &str) {
+/// Stores a run with these facts: three episodes, of which the first ends with a lost answer and the second with a warm-up step.
+async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
     let run = RunId::random();
     let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {
         panic!("the start of a run")
     };
-    let configuration = configuration.to_owned();
-    let mut events = vec![Event::RunStarted(RunDescription { configuration, ..description })];
+    let facts = facts.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+    let mut events = vec![Event::RunStarted(RunDescription { facts, ..description })];
     let ends = [
         (Outcome::Ok, false, vec![("superseded", 1.0)]),
         (Outcome::Lost("gone".into()), false, vec![("episode-success", 0.0), ("episode-return", 1.0)]),
@@ -42,8 +42,8 @@ async fn results(test_store: &TestStore, run: i64) -> ActuatorResults {
 #[tokio::test]
 async fn episodes_count_whatever_their_last_iteration_was() {
     let mut test_store = TestStore::new().await;
-    store(&mut test_store, "name = \"line\"\n\n[actuator]\nkind = \"exec\"\n").await;
-    store(&mut test_store, "name = \"line\"\n\n[actuator]\nkind = \"none\"\n\n[load]\nkind = \"x\"\n").await;
+    store(&mut test_store, &[("Load", "closed"), ("Actuator", "an arm")]).await;
+    store(&mut test_store, &[("Load", "closed")]).await;
     let found = results(&test_store, 1).await;
     let (success, returns) =
         (found.success.expect("is reported"), found.episode_return.expect("is reported"));
