@@ -22,6 +22,9 @@ pub(crate) const LATENESS: &str = "lateness";
 /// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
+/// Value of the success of episodes, and its title: a mean of 0 and 1.
+pub(crate) const SUCCESS: (&str, &str) = (peernet_analysis::actuator_results::EPISODE_SUCCESS, "Success");
+
 /// Returns the label of a node in tables and sentences: its name, except for `lateness`.
 pub(crate) fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }

@@ -1,7 +1,10 @@
 //! Errors of actuators.
 
 use peernet_external::exec::{CommandError, ProgramCallError};
+use peernet_external::python::PythonError;
 use peernet_ros::topics::{InvalidMessageType, TopicError};
+
+use crate::socket_error::SocketError;
 
 /// Reason why an actuator did not act on an answer or cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -17,6 +20,22 @@ pub enum ActuatorError {
         /// The error.
         error: ProgramCallError,
     },
+    /// The Python object cannot be created or did not act.
+    #[error(transparent)]
+    Python(#[from] PythonError),
+    /// The feedback cannot be read.
+    #[error(
+        "cannot read the feedback of {actuator}: {reason}; it is an object with any of episode_ended, success and reward"
+    )]
+    Feedback {
+        /// Name of the actuator.
+        actuator: String,
+        /// Defect of the feedback.
+        reason: serde_json::Error,
+    },
+    /// The answer was not sent to the controller, or the controller gave no feedback.
+    #[error(transparent)]
+    Socket(#[from] SocketError),
     /// ROS has no message type of this name.
     #[error(transparent)]
     MessageType(#[from] InvalidMessageType),

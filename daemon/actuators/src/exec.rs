@@ -2,12 +2,11 @@
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{FingerprintKey, Program, Request, Role};
+use peernet_external::exec::{FingerprintKey, Program, ReplyNotes, Request, Role};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
-use peernet_sample::Sample;
 
-use crate::{Actuator, ActuatorError, ActuatorKind};
+use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
 /// Program that receives each answer and replies after it has acted.
 struct Exec {
@@ -22,6 +21,10 @@ impl ActuatorKind for ExecConfig {
             Ok(program) => Ok(Box::new(Exec { command, program })),
             Err(error) => Err(ActuatorError::Program { command, error }),
         }
+    }
+
+    fn ends_episodes(&self) -> bool {
+        true
     }
 
     fn facts(&self) -> Vec<(String, String)> {
@@ -40,15 +43,15 @@ impl ActuatorKind for ExecConfig {
         hide_values(&mut self.env);
     }
 
-    fn check(&self) -> Result<(), ActuatorError> {
+    fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
         // This check does not run the program.
         Self::check(self).map_err(ActuatorError::Command)
     }
 }
 
 impl Actuator for Exec {
-    fn act(&mut self, source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError> {
-        let request = Request::Answer { answer, source };
+    fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
+        let request = Request::Answer { answer: action.answer, source: action.source };
         let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
         let program_call = self.program.call(request).map_err(failed)?;
         if let Some((from, to)) = program_call.restart_interval() {
@@ -64,7 +67,8 @@ impl Actuator for Exec {
         for (name, value, unit) in &program_call.notes.values {
             recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
-        Ok(())
+        let ReplyNotes { reward, success, episode_ended, .. } = program_call.notes;
+        Ok(Feedback { episode_ended, success, reward })
     }
 
     fn blocks(&self) -> bool {
@@ -79,7 +83,7 @@ mod tests {
     use peernet_clock::{ClockIdentity, SystemClock};
     use peernet_external::exec::CommandLine;
     use peernet_logger::HostId;
-    use peernet_sample::{Description, MediaType};
+    use peernet_sample::{Description, MediaType, Sample};
 
     use crate::ActuatorConfig;
 
@@ -101,9 +105,10 @@ mod tests {
         assert!(actuator.blocks());
         let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
         let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
-        actuator.act("door", &answer, &mut recorder).expect("acts");
+        actuator.act(Action::first(&answer, "door"), &mut recorder).expect("acts");
         assert_eq!(recorder.tree().find(&["force"]).and_then(|(_, node)| node.measure.value()), Some(2.5));
-        let error = actuator.act("wall", &answer, &mut recorder).expect_err("says so").to_string();
+        let error =
+            actuator.act(Action::first(&answer, "wall"), &mut recorder).expect_err("says so").to_string();
         assert!(error.contains("too close"), "{error}");
         let written = std::fs::read_to_string(&file).expect("was written");
         assert_eq!(written, "answer text/plain door: left\nanswer text/plain wall: left\n");
@@ -121,11 +126,27 @@ mod tests {
         {
             let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
             let answer = Sample::from_part(Description::unshaped(MediaType::Text), answer.into());
-            assert_eq!(actuator.act("door", &answer, &mut recorder).is_ok(), acts);
+            assert_eq!(actuator.act(Action::first(&answer, "door"), &mut recorder).is_ok(), acts);
             let waited =
                 recorder.tree().find(&["actuation-restart"]).and_then(|(_, node)| node.measure.value());
             assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
         }
+    }
+
+    #[test]
+    fn program_reports_reward_success_and_end() {
+        let script = "n=0; while read -r word bytes rest; do head -c \"$bytes\" > /dev/null; n=$((n + 1)); \
+                      echo reward 0.$n; if [ $n = 2 ]; then echo success 1; echo episode-ended; fi; echo done; done";
+        let config = ActuatorConfig::Exec(ExecConfig::new(CommandLine::Shell(script.to_owned())));
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut actuator = config.build(&clock).expect("sh is there");
+        let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
+        let mut act = || {
+            let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
+            actuator.act(Action::first(&answer, "door"), &mut recorder).expect("acts")
+        };
+        assert_eq!(act(), Feedback { reward: Some(0.1), ..Feedback::default() });
+        assert_eq!(act(), Feedback { episode_ended: true, success: Some(true), reward: Some(0.2) });
     }
 
     #[test]
@@ -143,7 +164,8 @@ mod tests {
     #[test]
     fn missing_command_is_found_by_check() {
         let config = ExecConfig::new(CommandLine::Words(vec!["no-such-program-anywhere".to_owned()]));
-        let error = ActuatorConfig::Exec(config).check().expect_err("is not there").to_string();
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let error = ActuatorConfig::Exec(config).check(&clock).expect_err("is not there").to_string();
         assert!(error.contains("no-such-program-anywhere"), "{error}");
     }
 }

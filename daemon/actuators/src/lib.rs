@@ -1,30 +1,57 @@
 //! Actuators, which act on a model's answers.
 //!
-//! `none` does nothing, `log` writes answers to the log, `exec` passes them to a program of the user, `ros` publishes
-//! them. A new kind is one file here, registered in [`ActuatorConfig`].
+//! `none` does nothing, `log` writes answers to the log, `exec` and `python` pass them to code of the user, `socket` sends
+//! them to a robot's controller, `ros` publishes them. A new kind is one file or folder here, registered in
+//! [`ActuatorConfig`].
 
+mod action;
 mod error;
 pub mod exec;
+mod feedback;
 pub mod log;
 pub mod none;
+pub mod python;
 pub mod ros;
+pub mod socket;
+mod socket_error;
 
+pub use action::Action;
 pub use error::ActuatorError;
+pub use feedback::Feedback;
+pub use socket_error::SocketError;
 
 use enum_dispatch::enum_dispatch;
 use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Recorder;
-use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
 /// Acts on the answers of a model.
 pub trait Actuator: Send {
-    /// Acts on `answer`, which belongs to the sample with the origin `source`.
+    /// Acts on an answer, and returns what the controlled system reports about the action. Values and stages beside the
+    /// duration are recorded in `recorder`.
     ///
     /// # Errors
     /// If the action fails; the iteration is recorded as failed.
-    fn act(&mut self, source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError>;
+    fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError>;
+
+    /// Returns whether the actuator has to be reset before each episode.
+    fn resets(&self) -> bool {
+        false
+    }
+
+    /// Prepares the controlled system for an episode. May block if [`blocks`](Self::blocks) returns `true`.
+    ///
+    /// # Errors
+    /// If the reset fails; a later reset may succeed.
+    fn reset(&mut self) -> Result<(), ActuatorError> {
+        Ok(())
+    }
+
+    /// Returns facts for the run's page that are known only once the actuator is built. May read files.
+    fn facts(&self) -> Vec<(String, String)> {
+        Vec::new()
+    }
 
     /// Returns whether `act` may block, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
@@ -46,7 +73,13 @@ pub trait ActuatorKind {
         true
     }
 
-    /// Returns facts for the run's page, as a sensor does; none if answers are not acted on. Reads its files.
+    /// Returns whether the actuator may end episodes before their last step.
+    fn ends_episodes(&self) -> bool {
+        false
+    }
+
+    /// Returns facts for the run's page that are known without building the actuator; none if answers are not acted
+    /// on. Reads its files.
     fn facts(&self) -> Vec<(String, String)>;
 
     /// Returns whether this kind runs a program of the user, whose arguments are published as a fingerprint only.
@@ -66,7 +99,7 @@ pub trait ActuatorKind {
     ///
     /// # Errors
     /// If the configuration contradicts itself, or if something that it names does not exist.
-    fn check(&self) -> Result<(), ActuatorError> {
+    fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
         Ok(())
     }
 
@@ -88,6 +121,10 @@ pub enum ActuatorConfig {
     Log(log::LogActuatorConfig),
     /// Passes each answer to a program of the user; see docs/external-programs.md.
     Exec(exec::ExecConfig),
+    /// Passes each answer to a Python object of the user with `act(answer)`; see docs/actuators.md.
+    Python(python::PythonConfig),
+    /// Sends each answer as a line of JSON over UDP or TCP; see docs/actuators.md.
+    Socket(socket::SocketConfig),
     /// Publishes each answer on a topic of ROS 1 or ROS 2; see docs/ros.md.
     Ros(ros::RosActuatorConfig),
 }

@@ -5,7 +5,7 @@ use peernet_logger::Recorder;
 use peernet_sample::{MediaType, Sample};
 use serde::{Deserialize, Serialize};
 
-use crate::{Actuator, ActuatorError, ActuatorKind};
+use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
 /// Configuration of the actuator: `{ kind = "log" }`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,12 +33,13 @@ struct Classification {
 }
 
 impl Actuator for Log {
-    fn act(&mut self, source: &str, answer: &Sample, _log: &mut Recorder) -> Result<(), ActuatorError> {
+    fn act(&mut self, action: Action<'_>, _log: &mut Recorder) -> Result<Feedback, ActuatorError> {
+        let Action { answer, source, .. } = action;
         match classification(answer) {
             Some(Classification { label, score }) => tracing::info!(source, label, score, "answer"),
             None => tracing::info!(source, bytes = answer.payload_bytes(), "answer"),
         }
-        Ok(())
+        Ok(Feedback::default())
     }
 }
 
@@ -86,7 +87,7 @@ mod tests {
         let subscriber =
             tracing_subscriber::fmt().with_ansi(false).with_writer(move || writer.clone()).finish();
         tracing::subscriber::with_default(subscriber, || {
-            actuator.act("part-1.jpg", answer, &mut log).expect("only logs");
+            actuator.act(Action::first(answer, "part-1.jpg"), &mut log).expect("only logs");
         });
         let text = lines.0.lock().expect("no test panics while writing").clone();
         String::from_utf8(text).expect("is text")

@@ -2,10 +2,9 @@
 
 use peernet_clock::SharedClock;
 use peernet_logger::Recorder;
-use peernet_sample::Sample;
 use serde::{Deserialize, Serialize};
 
-use crate::{Actuator, ActuatorConfig, ActuatorError, ActuatorKind};
+use crate::{Action, Actuator, ActuatorConfig, ActuatorError, ActuatorKind, Feedback};
 
 /// Configuration of the actuator: `{ kind = "none" }`, the default.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -36,7 +35,7 @@ impl ActuatorKind for NoneConfig {
 struct NoActuator;
 
 impl Actuator for NoActuator {
-    fn act(&mut self, _source: &str, _answer: &Sample, _log: &mut Recorder) -> Result<(), ActuatorError> {
-        Ok(())
+    fn act(&mut self, _action: Action<'_>, _log: &mut Recorder) -> Result<Feedback, ActuatorError> {
+        Ok(Feedback::default())
     }
 }

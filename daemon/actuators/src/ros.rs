@@ -7,10 +7,10 @@ use peernet_ros::topics::{
     MessageType, RosVersion, TopicAccess, TopicError, TopicWriter, WriteOutcome, check_topic,
     check_topic_at_master,
 };
-use peernet_sample::{Part, Sample};
+use peernet_sample::Part;
 use serde::{Deserialize, Serialize};
 
-use crate::{Actuator, ActuatorError, ActuatorKind};
+use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 
 /// Number of subscribers that did not get the answer, because they are too slow and their queues are full.
 const DROPPED_ANSWERS: Name = Name::from_static("dropped-answers");
@@ -86,7 +86,7 @@ impl ActuatorKind for RosActuatorConfig {
         vec![("Actuator".to_owned(), topic)]
     }
 
-    fn check(&self) -> Result<(), ActuatorError> {
+    fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
         self.check_topic_and_type().map(drop)
     }
 
@@ -144,13 +144,13 @@ impl Ros {
 }
 
 impl Actuator for Ros {
-    fn act(&mut self, _source: &str, answer: &Sample, recorder: &mut Recorder) -> Result<(), ActuatorError> {
+    fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let mut dropped = 0;
-        for part in &answer.parts {
+        for part in &action.answer.parts {
             dropped += self.publish(part)?.dropped;
         }
         recorder.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
-        Ok(())
+        Ok(Feedback::default())
     }
 
     fn blocks(&self) -> bool {
@@ -160,7 +160,15 @@ impl Actuator for Ros {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
+
     use crate::ActuatorConfig;
+
+    fn clock() -> SharedClock {
+        Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")))
+    }
 
     fn read(text: &str) -> Result<ActuatorConfig, String> {
         toml::from_str(text).map_err(|error| error.to_string())
@@ -178,9 +186,9 @@ mod tests {
     fn topic_that_ros_does_not_allow_is_found() {
         use crate::ActuatorKind;
         let config = read("kind = 'ros'\ntopic = '/a-b'\nros_version = 1").expect("is well formed");
-        let error = config.check().expect_err("has a hyphen").to_string();
+        let error = config.check(&clock()).expect_err("has a hyphen").to_string();
         assert!(error.contains("\"/a-b\" contains '-'"), "{error}");
         let config = read("kind = 'ros'\ntopic = '/answer'\nros_version = 1").expect("is well formed");
-        config.check().expect("is allowed");
+        config.check(&clock()).expect("is allowed");
     }
 }

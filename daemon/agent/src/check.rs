@@ -221,7 +221,7 @@ fn check_pipeline(
     for (index, transform) in pipeline.transforms.iter().enumerate() {
         report.check_result(format!("{prefix}.transforms[{index}]"), transform.build());
     }
-    report.check_result(format!("{prefix}.actuator"), pipeline.actuator.check());
+    report.check_result(format!("{prefix}.actuator"), pipeline.actuator.check(clock));
     report.check_max(&format!("{prefix}.max_in_flight"), pipeline.max_in_flight.get() as u64, MAX_IN_FLIGHT);
     report.check_max(&format!("{prefix}.timeout_ms"), pipeline.timeout_ms.get(), MAX_TIMEOUT_MS);
     // An iteration that times out misses its deadline in any case, so a deadline after the timeout has no effect.
@@ -268,6 +268,10 @@ fn check_pipeline(
             format!("{prefix}.actuator"),
             "a pipeline that only senses has no answers to act on; remove the actuator",
         );
+    }
+    if pipeline.episode_steps.is_none() && pipeline.limit.episodes.is_some() {
+        let text = "episodes needs episode_steps, the largest number of iterations of an episode; otherwise the run might never end";
+        report.add(format!("{at}.limit.episodes"), text);
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {

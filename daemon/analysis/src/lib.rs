@@ -18,6 +18,7 @@
 //! Writing tables is the only I/O. `peernet-results` reads and writes files of results, and `peernet-figures` draws figures.
 
 pub mod accuracy;
+pub mod actuator_results;
 pub mod answer_length;
 mod batches;
 pub mod calibration;

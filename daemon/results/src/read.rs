@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::loaded::{Loaded, NO_RECORD};
 use peernet_analysis::record::{Clocks, Counts, HostRecord, RunRecord};
@@ -70,6 +71,7 @@ fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> Run
         counts: Counts::from_rows(rows, 0),
         clocks: Clocks::from_rows(rows),
         misses: Misses::from_rows(rows),
+        actuator: ActuatorResults::from_rows(rows),
         accuracy: Accuracy::by_column(rows),
         ..RunRecord::default()
     }

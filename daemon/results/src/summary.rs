@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::record::{ClockCounts, Counts};
 use peernet_analysis::rows::{SKIPPED_STARTS, Units};
@@ -27,9 +28,10 @@ const PAPER_METRICS: [(&str, &str); 10] = [
     ("total", "Total (measured)"),
 ];
 /// Names of further columns that are clearer than the names of the columns in `data.csv`.
-const COLUMN_NAMES: [(&str, &str); 5] = [
+const COLUMN_NAMES: [(&str, &str); 6] = [
     ("ipc", "IPC with the model's process"),
     ("capture_capture-ipc", "IPC with the sensor's process"),
+    ("actuation_actuation-ipc", "IPC with the actuator's process"),
     ("restart", "Restart of the model's process"),
     ("capture_capture-restart", "Restart of the sensor's process"),
     ("actuation_actuation-restart", "Restart of the actuator's process"),
@@ -74,7 +76,10 @@ fn table(summary: &Summary) -> Table {
         .filter(|quantity| PAPER_METRICS.iter().all(|(name, _)| *name != quantity.column))
         // The sentences below the table report these columns.
         .filter(|quantity| {
-            ![UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED].contains(&quantity.column.as_ref())
+            let mut reported = [UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, EPISODE_SUCCESS]
+                .iter()
+                .chain(&ACTION_REPORTS);
+            reported.all(|name| *name != quantity.column.as_ref())
         });
     let rest = rest.map(|quantity| {
         let column = quantity.column.as_ref();
@@ -102,6 +107,7 @@ fn sentences(summary: &Summary) -> String {
     let parts = [
         outcomes(&summary.counts),
         deadline(summary),
+        summary.actuator.sentences(summary.counts.ok).join("\n"),
         starts(&summary.starts),
         clocks(&summary.clocks.upload, &summary.clocks.download),
         bounds.to_owned(),

@@ -22,6 +22,20 @@ pub trait Sensor: Send {
     /// If this sample cannot be captured. The next sample may succeed.
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError>;
 
+    /// Returns whether the sensor has to be reset before each episode.
+    fn resets(&self) -> bool {
+        false
+    }
+
+    /// Prepares the sensor, or the system that it observes, for an episode. Called only if [`blocks`](Self::blocks) returns
+    /// `true`.
+    ///
+    /// # Errors
+    /// If the reset fails; a later reset may succeed.
+    fn reset(&mut self) -> Result<(), SensorError> {
+        Ok(())
+    }
+
     /// Returns whether `sample` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true

@@ -11,6 +11,7 @@ pub use pairs::ValuePairs;
 pub(crate) use statistics::NameSummary;
 pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
+use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::slowness::Cause;
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
@@ -76,6 +77,8 @@ pub struct RunSummary {
     pub deadline_s: Option<f64>,
     /// Iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
+    /// Superseded answers, and success and return of the episodes.
+    pub actuator: ActuatorResults,
     /// Figures of `total`, seconds; successful iterations only.
     pub total: Option<QuantityStatistics>,
     /// `true` if a clock fault was injected on one of the run's hosts.

@@ -1,8 +1,10 @@
 //! Metrics of pipelines.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
+use peernet_analysis::actuator_results::{EPISODE_SUCCESS, SUPERSEDED};
 use peernet_analysis::transfer::Transfer;
 use peernet_logger::stage;
+use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
 
 use super::scrape::Scrape;
@@ -61,6 +63,32 @@ pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
         for (seconds, label) in WINDOWS {
             if let Some(rate) = one.window(seconds).and_then(|window| window.miss_rate) {
                 sink(&[host, name, label], Sample::Value(rate));
+            }
+        }
+    }
+}
+
+/// Writes the numbers of superseded answers.
+pub(super) fn write_superseded(scrape: &Scrape, sink: &mut Sink<'_>) {
+    write_figures(scrape, sink, SUPERSEDED, |figures| Sample::Size(figures.count));
+}
+
+/// Writes the success rates of episodes.
+pub(super) fn write_episode_success(scrape: &Scrape, sink: &mut Sink<'_>) {
+    write_figures(scrape, sink, EPISODE_SUCCESS, |figures| Sample::Value(figures.mean));
+}
+
+fn write_figures(
+    scrape: &Scrape,
+    sink: &mut Sink<'_>,
+    value: &str,
+    sample: impl Fn(&QuantityStatistics) -> Sample,
+) {
+    for one in &scrape.pipelines {
+        let [host, name] = names(one);
+        for (seconds, label) in WINDOWS {
+            if let Some(figures) = one.window(seconds).and_then(|window| window.value(value)) {
+                sink(&[host, name, label], sample(figures));
             }
         }
     }

@@ -5,6 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::trust::{Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
@@ -123,6 +124,7 @@ struct Run {
     experiment: Option<ExperimentPlace>,
     /// Label of each accuracy, its value in percent, and the interval of the value.
     accuracies: Vec<(&'static str, String, Option<String>)>,
+    actuator: ActuatorFigures,
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
@@ -198,6 +200,35 @@ impl Distribution {
             view_query: link(query.view, query.scale),
             stage,
             plot,
+        }
+    }
+}
+
+/// Results of the actuator: each a figure and words about its base.
+#[derive(Debug, PartialEq)]
+struct ActuatorFigures {
+    /// Success rate in percent with its interval; `None` if no success is reported.
+    success: Option<(String, String)>,
+    /// Return per episode; `None` if no rewards are reported.
+    episode_return: Option<(String, String)>,
+    /// Number of superseded answers; `None` if there are none.
+    superseded: Option<(String, String)>,
+}
+
+impl ActuatorFigures {
+    fn new(results: &ActuatorResults, answered: u64) -> Self {
+        let episodes =
+            |number: u64| format!("{} {}", count(number), if number == 1 { "episode" } else { "episodes" });
+        Self {
+            success: results.success.map(|found| {
+                let (lo, hi) = found.interval;
+                let interval = format!("{}{SPACE}–{SPACE}{}", share(lo), share(hi));
+                (share(found.rate), format!("{interval}, {}", episodes(found.episodes)))
+            }),
+            episode_return: results.episode_return.map(|found| (found.text(), episodes(found.episodes))),
+            superseded: (results.superseded > 0).then(|| {
+                (count(results.superseded), format!("of {} answers were not acted on", count(answered)))
+            }),
         }
     }
 }
@@ -314,6 +345,7 @@ fn assemble(
         trust: Trust::from(report),
         experiment: summary.experiment.clone(),
         accuracies: accuracies(stages),
+        actuator: ActuatorFigures::new(&summary.actuator, summary.counts.ok),
         configuration: configuration(run),
         toml: run.configuration.clone(),
         data: stored.data()?,
@@ -352,6 +384,23 @@ mod tests {
         let (rate, words) = missed(&run).expect("a deadline");
         assert_eq!(rate, "1.2\u{202f}%");
         assert_eq!(words, "12 of 1,000 later than 100\u{202f}ms or without an answer");
+    }
+
+    #[test]
+    fn actuator_figures_have_their_base() {
+        let none = ActuatorFigures { success: None, episode_return: None, superseded: None };
+        assert_eq!(ActuatorFigures::new(&ActuatorResults::default(), 9), none);
+        let figures = |name: &str| match name {
+            "superseded" => Some((12, 1.0, Some(0.0))),
+            "episode-success" => Some((263, 81.0 / 263.0, None)),
+            "episode-return" => Some((1, 2.5, None)),
+            _ => None,
+        };
+        let found = ActuatorFigures::new(&ActuatorResults::from_statistics(figures), 1_000);
+        let text = |text: &str, words: &str| Some((text.to_owned(), words.to_owned()));
+        assert_eq!(found.success, text("30.8", "25.5\u{202f}–\u{202f}36.6, 263 episodes"));
+        assert_eq!(found.episode_return, text("2.50", "1 episode"));
+        assert_eq!(found.superseded, text("12", "of 1,000 answers were not acted on"));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! View of a stored run.
 
 use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
+use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
 use peernet_analysis::transfer::Transfer;
@@ -177,7 +178,9 @@ impl Stored<'_> {
     /// Returns the statistics of quantities that are not durations.
     pub(crate) fn others(&self) -> Vec<OtherStatistics> {
         // Counts are shown above, as a share or a sum: quantiles of counts have little meaning.
-        let counts = [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED].into_iter().chain(ACCURACIES);
+        let counts =
+            [SKIPPED_STARTS, UNKNOWN_LABEL, DEADLINE_MISSED, SUPERSEDED].into_iter().chain(ACCURACIES);
+        let counts = counts.chain(ACTION_REPORTS).chain(EPISODE_VALUES);
         let is_count = |stage: &StageStatistics| counts.clone().any(|name| stage.stage == *name);
         // A mean of the throughputs of single iterations is not a speed. `transfer_rows` returns the speed.
         let is_ratio = |stage: &StageStatistics| {

@@ -46,7 +46,8 @@ pub struct PipelineConfig {
     /// Iterations that are recorded but left out of statistics.
     #[serde(default)]
     pub warm_up: WarmUp,
-    /// Iterations per episode. Default: a single episode without end.
+    /// Largest number of iterations per episode; the feedback of the actuator may end an episode earlier. Default: only
+    /// the actuator ends episodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub episode_steps: Option<NonZeroU32>,
     /// Limit at which the pipeline stops by itself. Default: none.
@@ -202,6 +203,9 @@ pub struct Limit {
     /// has rows but no statistics.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub total: Option<NonZeroU64>,
+    /// Number of episodes, including those of the warm-up; needs `episode_steps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub episodes: Option<NonZeroU32>,
     /// Seconds after the start of the first iteration that is not warm-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,

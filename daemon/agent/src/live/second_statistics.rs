@@ -9,6 +9,13 @@ use peernet_stream::{Outcome, OutcomeCounts, Second};
 /// pipeline has no deadline.
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
+/// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the episode
+/// and counts whatever the outcome of the iteration is: the last answer of an episode may be lost.
+pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
+/// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts as
+/// [`EPISODE_SUCCESS`] does.
+pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
+
 /// Largest number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
 const MAX_NAMES: usize = 64;
@@ -53,6 +60,11 @@ impl SecondStatistics {
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);
+            }
+            for name in [EPISODE_SUCCESS, EPISODE_RETURN] {
+                if let Some(value) = tree.find(&[name.as_str()]).and_then(|(_, node)| node.measure.value()) {
+                    self.values.record(0, &name, value);
+                }
             }
             return;
         }

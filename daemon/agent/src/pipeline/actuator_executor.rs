@@ -2,14 +2,27 @@
 
 use std::sync::Arc;
 
-use peernet_actuators::{Actuator, ActuatorConfig, ActuatorError, ActuatorKind};
+use peernet_actuators::{Action, Actuator, ActuatorConfig, ActuatorError, ActuatorKind, Feedback};
 use peernet_clock::SharedClock;
-use peernet_logger::{Recorder, stage};
+use peernet_logger::{Name, Recorder, RunId, Unit, stage};
 use peernet_sample::Sample;
 use tokio::sync::Mutex;
 use tokio::task::{JoinError, spawn_blocking};
 
-/// Reason why an actuator did not act on an answer.
+use super::progress::Position;
+
+/// Name of the value 1 of an iteration whose answer was not acted on, because the actuator had acted on the answer to a
+/// newer sample, or because the episode of its sample had ended. Absent otherwise.
+const SUPERSEDED: Name = Name::from_static("superseded");
+/// Name of the reward that the actuator reported for an action.
+const REWARD: Name = Name::from_static("reward");
+/// Name of the value that is 1 if the actuator reported that the episode is a success so far, and 0 if it reported that
+/// it is not.
+const SUCCESS: Name = Name::from_static("success");
+/// Name of the value 1 of the action with which the episode ended. Absent otherwise.
+const EPISODE_ENDED: Name = Name::from_static("episode-ended");
+
+/// Reason why an actuator did not act on an answer, or was not reset.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ActError {
     /// The actuator returned an error.
@@ -20,12 +33,33 @@ pub(super) enum ActError {
     Panicked(#[from] JoinError),
 }
 
-/// Runs a pipeline's actuator on one answer at a time, in order of arrival.
+/// Sample to whose answer the actuator responds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SampleOrigin<'a> {
+    pub(super) run: RunId,
+    pub(super) position: Position,
+    /// Origin of the sample, such as the name of a file.
+    pub(super) source: &'a str,
+}
+
+/// Runs a pipeline's actuator on one answer at a time, in the order of their samples.
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
-    actuator: Arc<Mutex<Box<dyn Actuator>>>,
+    ordered: Arc<Mutex<OrderedActuator>>,
     /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
+    resets: bool,
+    /// Facts about the actuator that are known only once it is built.
+    facts: Arc<[(String, String)]>,
+}
+
+/// An actuator and the samples to which it has responded.
+struct OrderedActuator {
+    actuator: Box<dyn Actuator>,
+    /// Run and number of the iteration whose answer it acted on last.
+    last_acted: Option<(RunId, u64)>,
+    /// The last episode of which it reported the end.
+    ended_episode: Option<(RunId, u32)>,
 }
 
 impl ActuatorExecutor {
@@ -38,38 +72,95 @@ impl ActuatorExecutor {
             return Ok(None);
         }
         let actuator = config.build(clock)?;
-        let blocks = actuator.blocks();
-        Ok(Some(Self { actuator: Arc::new(Mutex::new(actuator)), blocks }))
+        let (blocks, resets, facts) = (actuator.blocks(), actuator.resets(), actuator.facts().into());
+        let ordered = OrderedActuator { actuator, last_acted: None, ended_episode: None };
+        Ok(Some(Self { ordered: Arc::new(Mutex::new(ordered)), blocks, resets, facts }))
     }
 
-    /// Acts on an answer and records `actuation`.
+    /// Returns facts about the actuator that are known only once it is built.
+    pub(super) fn facts(&self) -> &[(String, String)] {
+        &self.facts
+    }
+
+    /// Returns whether the actuator has to be reset before each episode.
+    pub(super) fn resets(&self) -> bool {
+        self.resets
+    }
+
+    /// Acts on an answer, and records `actuation` and the feedback. An answer that is superseded is not acted on, which
+    /// the value `superseded` records.
     pub(super) async fn act(
         &self,
         mut log: Recorder,
-        source: &str,
+        origin: SampleOrigin<'_>,
         answer: &Sample,
-    ) -> (Recorder, Result<(), ActError>) {
-        let mut actuator = Arc::clone(&self.actuator).lock_owned().await;
+    ) -> (Recorder, Result<Feedback, ActError>) {
+        let mut ordered = Arc::clone(&self.ordered).lock_owned().await;
+        if !ordered.accepts(&origin) {
+            log.value(SUPERSEDED, 1.0, Unit::NONE);
+            return (log, Ok(Feedback::default()));
+        }
         if !self.blocks {
-            let acted = act(actuator.as_mut(), &mut log, source, answer);
+            let acted = ordered.act(&mut log, origin, answer);
             return (log, acted.map_err(ActError::from));
         }
         // If the thread panics, its recorder is lost; this copy has what was recorded before.
         let log_backup = log.clone();
-        let (source, answer) = (source.to_owned(), answer.clone());
+        let (run, position) = (origin.run, origin.position);
+        let (source, answer) = (origin.source.to_owned(), answer.clone());
         let acting = spawn_blocking(move || {
-            let acted = act(actuator.as_mut(), &mut log, &source, &answer);
+            let acted = ordered.act(&mut log, SampleOrigin { run, position, source: &source }, &answer);
             (log, acted.map_err(ActError::from))
         });
         acting.await.unwrap_or_else(|panic| (log_backup, Err(panic.into())))
     }
+
+    /// Resets the actuator for an episode.
+    pub(super) async fn reset(&self) -> Result<(), ActError> {
+        let mut ordered = Arc::clone(&self.ordered).lock_owned().await;
+        if !self.blocks {
+            return Ok(ordered.actuator.reset()?);
+        }
+        Ok(spawn_blocking(move || ordered.actuator.reset()).await??)
+    }
 }
 
-fn act(
-    actuator: &mut dyn Actuator,
-    log: &mut Recorder,
-    source: &str,
-    answer: &Sample,
-) -> Result<(), ActuatorError> {
-    actuator.act(source, answer, &mut log.time(stage::ACTUATION))
+impl OrderedActuator {
+    /// Returns whether an answer may be acted on: a robot must not go back to the answer to an older sample, nor continue
+    /// an episode that has ended.
+    fn accepts(&self, origin: &SampleOrigin<'_>) -> bool {
+        let Position { number, episode, .. } = origin.position;
+        let is_older = self.last_acted.is_some_and(|(run, last)| run == origin.run && number < last);
+        !is_older && self.ended_episode != Some((origin.run, episode))
+    }
+
+    fn act(
+        &mut self,
+        log: &mut Recorder,
+        origin: SampleOrigin<'_>,
+        answer: &Sample,
+    ) -> Result<Feedback, ActuatorError> {
+        let SampleOrigin { run, position: Position { number, episode, step, .. }, source } = origin;
+        // Also if the action fails: a part of it may have been done.
+        self.last_acted = Some((run, number));
+        let action = Action { answer, source, iteration: number, episode, step };
+        let feedback = self.actuator.act(action, &mut log.time(stage::ACTUATION))?;
+        if feedback.episode_ended {
+            self.ended_episode = Some((run, episode));
+        }
+        record_feedback(log, &feedback);
+        Ok(feedback)
+    }
+}
+
+fn record_feedback(log: &mut Recorder, feedback: &Feedback) {
+    if let Some(reward) = feedback.reward {
+        log.value(REWARD, reward, Unit::NONE);
+    }
+    if let Some(success) = feedback.success {
+        log.value(SUCCESS, if success { 1.0 } else { 0.0 }, Unit::NONE);
+    }
+    if feedback.episode_ended {
+        log.value(EPISODE_ENDED, 1.0, Unit::NONE);
+    }
 }

@@ -2,12 +2,13 @@
 
 use std::time::Duration;
 
+use peernet_actuators::Feedback;
 use peernet_clock::{MonoTime, Span};
-use peernet_logger::{NodeId, Recorder, stage};
+use peernet_logger::{NodeId, Recorder, RunId, stage};
 use peernet_sample::Sample;
 use peernet_stream::Outcome;
 
-use super::actuator_executor::ActuatorExecutor;
+use super::actuator_executor::{ActuatorExecutor, SampleOrigin};
 use super::load::Start;
 use super::placement::{Computed, Placement};
 use super::progress::Position;
@@ -23,6 +24,8 @@ pub(super) struct PendingIteration {
 
 /// A sample that waits until fewer iterations than the maximum are in flight.
 pub(super) struct QueuedSample {
+    /// The run of the iteration.
+    pub(super) run: RunId,
     pub(super) pending: PendingIteration,
     pub(super) log: Recorder,
     pub(super) sample: Sample,
@@ -39,6 +42,8 @@ pub(super) struct CompletedIteration {
     pub(super) outcome: Outcome,
     /// The answer, if there was one.
     pub(super) answer: Option<Sample>,
+    /// Feedback of the actuator; without any field if it did not act or reported nothing.
+    pub(super) feedback: Feedback,
     /// Sum of upload and download, if it is known.
     pub(super) transport: Option<Span>,
 }
@@ -46,13 +51,14 @@ pub(super) struct CompletedIteration {
 impl QueuedSample {
     /// Queues a sample and starts the node `send-queue`. In a closed loop no sample waits, so the node is omitted.
     pub(super) fn new(
+        run: RunId,
         pending: PendingIteration,
         mut log: Recorder,
         sample: Sample,
         closed_loop: bool,
     ) -> Self {
         let queue_node = (!closed_loop).then(|| log.start(stage::SEND_QUEUE));
-        Self { pending, log, sample, queue_node }
+        Self { run, pending, log, sample, queue_node }
     }
 
     /// Gets the answer from the placement and passes it to the actuator.
@@ -66,13 +72,19 @@ impl QueuedSample {
             self.log.stop(queue_node);
         }
         let Computed { log, result, transport } = placement.compute(self.log, &self.sample, timeout).await;
-        let (log, outcome) = match (&result, actuator_executor) {
+        let (log, acted) = match (&result, actuator_executor) {
             (Ok(Some(answer)), Some(actuator_executor)) => {
-                let (log, acted) = actuator_executor.act(log, &self.sample.source, answer).await;
-                (log, acted.map_or_else(|error| Outcome::Failed(error.to_string()), |()| Outcome::Ok))
+                let position = self.pending.position;
+                let origin = SampleOrigin { run: self.run, position, source: &self.sample.source };
+                let (log, acted) = actuator_executor.act(log, origin, answer).await;
+                (log, acted.map_err(|error| Outcome::Failed(error.to_string())))
             }
-            (Ok(_), _) => (log, Outcome::Ok),
-            (Err(outcome), _) => (log, outcome.clone()),
+            (Ok(_), _) => (log, Ok(Feedback::default())),
+            (Err(outcome), _) => (log, Err(outcome.clone())),
+        };
+        let (outcome, feedback) = match acted {
+            Ok(feedback) => (Outcome::Ok, feedback),
+            Err(outcome) => (outcome, Feedback::default()),
         };
         let answer = result.ok().flatten();
         CompletedIteration {
@@ -81,6 +93,7 @@ impl QueuedSample {
             log,
             outcome,
             answer,
+            feedback,
             transport,
         }
     }

@@ -70,6 +70,17 @@ impl Schedule {
         Some(Start { intended, skipped: std::mem::take(&mut self.skipped) })
     }
 
+    /// Continues the schedule at `now`, as if no time had passed since the last taken start. Starts that had come due in
+    /// between are neither taken nor skipped.
+    pub(crate) fn resume_at(&mut self, now: MonoTime) {
+        self.due.clear();
+        match &mut self.plan {
+            StartPlan::Closed => {}
+            StartPlan::Rate { origin, number, .. } => (*origin, *number) = (now, 0),
+            StartPlan::Poisson { at, mean, random } => *at = now + random_interval(*mean, random),
+        }
+    }
+
     /// Returns the number of skipped starts since the last taken one.
     pub(crate) const fn unreported_skips(&self) -> u64 {
         self.skipped
@@ -162,6 +173,18 @@ mod tests {
         assert_eq!(schedule.take(at(951)), Some(Start { intended: at(900), skipped: 0 }));
         assert_eq!(schedule.take(at(952)), None);
         assert_eq!(schedule.take(at(1000)), Some(Start { intended: at(1000), skipped: 0 }));
+    }
+
+    #[test]
+    fn resumed_schedule_neither_makes_up_nor_skips_starts() {
+        let mut schedule = ten_hertz_schedule(2);
+        assert_eq!(schedule.take(at(350)), Some(Start { intended: at(200), skipped: 2 }));
+        schedule.resume_at(at(5040));
+        assert_eq!(schedule.take(at(5041)), Some(Start { intended: at(5040), skipped: 0 }));
+        assert_eq!(schedule.next_at(at(5050)), at(5140));
+        let mut poisson = Schedule::new(&LoadConfig::Poisson { hz: 10.0, seed: 1 }, 2, at(0));
+        poisson.resume_at(at(5040));
+        assert!(poisson.next_at(at(5040)) > at(5040), "an interval begins anew");
     }
 
     #[test]

@@ -4,10 +4,13 @@
 //! machine of the inner loop, also without I/O, and `drive` waits for its events. `runner` sets a pipeline up, connects
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
+//! Before each episode the actuator and the sensor are reset (`episode_reset`), outside of all iterations; the feedback of
+//! the actuator may end an episode early, and is summed up over the episode (`episode_scores`).
+//!
 //! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`
 //! requests a sample from the sensor and applies the transforms. The sample waits until fewer iterations than the
-//! maximum are in flight (`send-queue`). `placement` gets the answer, the actuator runs, and `iteration` closes the
-//! tree. `run` passes it to the live statistics and the event queue. An iteration whose answer is lost or late is
+//! maximum are in flight (`send-queue`). `placement` gets the answer, the actuator runs, unless it has acted on the
+//! answer to a newer sample (`superseded`), and `iteration` closes the tree. `run` passes it to the live statistics and the event queue. An iteration whose answer is lost or late is
 //! recorded as `lost` or `timeout`, never dropped.
 
 mod accuracy;
@@ -16,6 +19,8 @@ mod backoff;
 mod context;
 mod deadline;
 mod drive;
+mod episode_reset;
+mod episode_scores;
 mod failure_log;
 mod in_flight;
 mod iteration;

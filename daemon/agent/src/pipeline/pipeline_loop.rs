@@ -1,8 +1,11 @@
 //! State machine of a pipeline's inner loop. It does not wait for anything; `drive` does.
 
+mod episodes;
+
 use std::io;
 use std::sync::Arc;
 
+use peernet_actuators::Feedback;
 use peernet_clock::{MonoTime, Span, Stamp};
 use peernet_logger::{Recorder, RunId};
 use peernet_sample::printable_line;
@@ -75,6 +78,8 @@ pub(super) struct PipelineLoop<'a> {
     backoff: FailureBackoff,
     /// Failures of the sensor since its last sample.
     sensor_failures: u32,
+    /// Pauses between resets that fail.
+    reset_backoff: FailureBackoff,
 }
 
 impl<'a> PipelineLoop<'a> {
@@ -93,6 +98,7 @@ impl<'a> PipelineLoop<'a> {
             end_reason: None,
             backoff,
             sensor_failures: 0,
+            reset_backoff: FailureBackoff::default(),
         };
         pipeline_loop.resume_pending_sample();
         pipeline_loop
@@ -118,7 +124,7 @@ impl<'a> PipelineLoop<'a> {
             PendingIteration { position: self.run.assign_position(start.intended), start, started_at };
         // The sample is too old to be sent after the reconnect: its latency would include the outage.
         let reason = "the sample arrived while there was no connection".to_owned();
-        self.finish(pending, log, Outcome::Lost(reason), None, self.context.host.clock.stamp());
+        self.finish(pending, log, Outcome::Lost(reason), Feedback::default(), None);
     }
 
     /// Takes the queued sample if another iteration may be in flight.
@@ -129,8 +135,9 @@ impl<'a> PipelineLoop<'a> {
         Some(ready)
     }
 
-    /// Starts an iteration or ends the loop, if either is due. Returns whether it did.
+    /// Starts an iteration or the reset before it, or ends the loop, if any of these is due. Returns whether it did.
     pub(super) fn start_iteration(&mut self) -> bool {
+        self.end_reported_episode();
         if !self.can_start() {
             return false;
         }
@@ -141,17 +148,23 @@ impl<'a> PipelineLoop<'a> {
             self.end_reason = Some(LoopEnd::Midnight);
             return true;
         }
-        let next = self.resources.schedule.next_at(now);
+        // While the iterations of the last episode ended, starts came due that are not wanted.
+        let next = if self.is_reset_due() { now } else { self.resources.schedule.next_at(now) };
         if self.run.is_limit_reached(next) {
             self.end_reason = Some(LoopEnd::Limit);
             return true;
         }
         // Checked after the limit: a run that has reached it must not wait for the end of a pause.
-        if self.backoff.paused_until(now).is_some() {
+        if self.paused_until(now).is_some() {
             return false;
+        }
+        if self.is_reset_due() {
+            self.resources.start_reset();
+            return true;
         }
         let Some(start) = self.resources.schedule.take(now) else { return false };
         let (log, started_at) = iteration::start(clock, self.context.host.id, start.intended);
+        self.resources.is_reset = false;
         match self.resources.sensor.request_sample(log) {
             SensorResponse::Done(sensed) => self.accept_sample(self.run.id(), (start, started_at), sensed),
             SensorResponse::Pending(sample) => {
@@ -170,7 +183,7 @@ impl<'a> PipelineLoop<'a> {
             return None;
         }
         let now = self.context.host.clock.mono();
-        self.backoff.paused_until(now).or_else(|| Some(self.resources.schedule.next_at(now)))
+        self.paused_until(now).or_else(|| Some(self.resources.schedule.next_at(now)))
     }
 
     /// Ends the loop: no further iteration starts. If it is called several times, the first reason is kept.
@@ -203,14 +216,14 @@ impl<'a> PipelineLoop<'a> {
 
     /// Handles an iteration whose answer has arrived, or will not arrive.
     pub(super) fn complete(&mut self, completed: CompletedIteration) {
-        let CompletedIteration { pending, label, mut log, outcome, answer, transport } = completed;
+        let CompletedIteration { pending, label, mut log, outcome, answer, feedback, transport } = completed;
         self.in_flight.retain(|other| other.position.number != pending.position.number);
         let ended = self.context.host.clock.stamp();
         // Computed after the end of the iteration was stamped, so that the computation adds no latency.
         if let (Some(answer), Some(label)) = (answer, label) {
             accuracy::record_accuracy(&mut log, &label, &answer);
         }
-        self.finish(pending, log, outcome, transport, ended);
+        self.finish_at(ended, pending, log, outcome, feedback, transport);
     }
 
     /// Records all iterations in flight as lost.
@@ -220,16 +233,27 @@ impl<'a> PipelineLoop<'a> {
             // The peer or the model still has the recorder with the measurements, so a new one starts here.
             let (log, _) =
                 iteration::start(&self.context.host.clock, self.context.host.id, pending.start.intended);
-            let ended = self.context.host.clock.stamp();
-            self.finish(pending, log, Outcome::Lost(reason.to_owned()), None, ended);
+            self.finish(pending, log, Outcome::Lost(reason.to_owned()), Feedback::default(), None);
         }
     }
 
     fn can_start(&self) -> bool {
-        let is_idle = self.end_reason.is_none() && self.resources.sensing.is_none() && self.queued.is_none();
+        let is_idle =
+            self.end_reason.is_none() && !self.awaits_sample() && self.resources.pending_reset.is_none();
         // A closed loop starts the next iteration when the last one is complete; an open loop starts it also while
-        // others are in flight.
-        is_idle && (self.in_flight.is_empty() || !self.resources.schedule.is_closed())
+        // others are in flight, unless they belong to an episode that has to end before a reset.
+        let may_overlap = !self.resources.schedule.is_closed() && !self.is_reset_due();
+        is_idle && (self.in_flight.is_empty() || may_overlap)
+    }
+
+    /// Returns whether a sample is requested from the sensor, or waits in the queue.
+    fn awaits_sample(&self) -> bool {
+        self.resources.sensing.is_some() || self.queued.is_some()
+    }
+
+    /// Returns the end of the pause after failures; `None` if the loop does not pause.
+    fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
+        self.backoff.paused_until(now).max(self.reset_backoff.paused_until(now))
     }
 
     /// Queues a sample as the next iteration, records a failure of the sensor, or ends the loop at the end of samples.
@@ -253,8 +277,8 @@ impl<'a> PipelineLoop<'a> {
             Ok(Some(sample)) => {
                 let pending = pending();
                 self.sensor_failures = 0;
-                self.queued =
-                    Some(QueuedSample::new(pending, log, sample, self.resources.schedule.is_closed()));
+                let closed_loop = self.resources.schedule.is_closed();
+                self.queued = Some(QueuedSample::new(self.run.id(), pending, log, sample, closed_loop));
             }
             Err(error) => {
                 let pending = pending();
@@ -264,8 +288,7 @@ impl<'a> PipelineLoop<'a> {
                 if self.sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }
-                let ended = self.context.host.clock.stamp();
-                self.finish(pending, log, Outcome::Failed(reason), None, ended);
+                self.finish(pending, log, Outcome::Failed(reason), Feedback::default(), None);
             }
         }
     }
@@ -283,13 +306,27 @@ impl<'a> PipelineLoop<'a> {
         self.context.events.incidents.report(IncidentKind::PipelineFailed, subject, text);
     }
 
+    /// Records an iteration that ends now.
     fn finish(
         &mut self,
         pending: PendingIteration,
         log: Recorder,
         outcome: Outcome,
+        feedback: Feedback,
         transport: Option<Span>,
+    ) {
+        let ended = self.context.host.clock.stamp();
+        self.finish_at(ended, pending, log, outcome, feedback, transport);
+    }
+
+    fn finish_at(
+        &mut self,
         ended: Stamp,
+        pending: PendingIteration,
+        log: Recorder,
+        outcome: Outcome,
+        feedback: Feedback,
+        transport: Option<Span>,
     ) {
         let outcome = with_printable_reason(outcome);
         let closed_loop = self.resources.schedule.is_closed();
@@ -297,7 +334,13 @@ impl<'a> PipelineLoop<'a> {
             // Only a closed loop repeats failures as fast as it can. The rate of an open loop limits them.
             self.backoff.record_outcome(&outcome, ended.mono);
         }
-        let tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);
+        let episode = pending.position.episode;
+        let has_pending = self.has_pending(episode);
+        let result = self.run.add_feedback(episode, &feedback, has_pending);
+        let mut tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);
+        if let Some(result) = result {
+            result.record(&mut tree, ended.mono - pending.start.intended);
+        }
         self.run.record(pending.position, outcome, tree, ended, self.context, &self.resources.live_state);
     }
 }

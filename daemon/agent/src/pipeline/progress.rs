@@ -31,6 +31,8 @@ pub(crate) struct Progress {
     started: u64,
     /// Number of iterations so far that are not warm-up.
     measured: u64,
+    /// Episode and step of the next iteration.
+    next: (u32, u32),
     /// Intended start of the first iteration that is not warm-up.
     measuring_since: Option<MonoTime>,
 }
@@ -45,6 +47,7 @@ impl Progress {
             is_continuation,
             started: 0,
             measured: 0,
+            next: (0, 0),
             measuring_since: None,
         }
     }
@@ -57,7 +60,9 @@ impl Progress {
             (Some(since), Some(seconds)) => intended >= since + Span::from_seconds_f64(seconds),
             _ => false,
         };
-        iterations_reached || total_reached || duration_reached
+        let (episode, _) = self.next;
+        let episodes_reached = self.limit.episodes.is_some_and(|limit| episode >= limit.get());
+        iterations_reached || total_reached || duration_reached || episodes_reached
     }
 
     /// Returns the number of iterations so far.
@@ -75,29 +80,51 @@ impl Progress {
 
     /// Assigns number, episode and step to the next iteration.
     pub(crate) fn assign_position(&mut self, intended: MonoTime) -> Position {
-        let index = self.started;
-        let (episode, step) = match self.episode_steps {
-            // A u32 can hold neither the episode nor the step of a run of years: they stop at the largest value.
-            Some(steps) => {
-                (saturate_to_u32(index / u64::from(steps.get())), (index % u64::from(steps.get())) as u32)
-            }
-            None => (0, saturate_to_u32(index)),
-        };
-        let is_run_start = index < self.warm_up.iterations
-            || self.episode_steps.is_some() && episode < self.warm_up.episodes;
+        let (episode, step) = self.next;
         let is_episode_start = self.episode_steps.is_some() && step < self.warm_up.steps;
-        let warm_up = is_run_start && !self.is_continuation || is_episode_start;
+        let warm_up = self.is_run_warm_up(episode) || is_episode_start;
         self.started += 1;
+        // A u32 can hold neither the episode nor the step of a run of years: they stop at the largest value.
+        self.next = match self.episode_steps {
+            Some(steps) if step.saturating_add(1) >= steps.get() => (episode.saturating_add(1), 0),
+            _ => (episode, step.saturating_add(1)),
+        };
         if !warm_up {
             self.measured += 1;
             self.measuring_since.get_or_insert(intended);
         }
         Position { number: self.started, episode, step, warm_up }
     }
-}
 
-fn saturate_to_u32(number: u64) -> u32 {
-    u32::try_from(number).unwrap_or(u32::MAX)
+    /// Returns whether the next iteration is the first of its episode.
+    pub(crate) const fn begins_episode(&self) -> bool {
+        self.next.1 == 0
+    }
+
+    /// Returns whether the next iteration belongs to the warm-up at the start of the run, by the number of iterations or
+    /// of episodes.
+    pub(crate) fn is_next_run_warm_up(&self) -> bool {
+        self.is_run_warm_up(self.next.0)
+    }
+
+    /// Returns whether no further iteration of an episode starts.
+    pub(crate) const fn has_left(&self, episode: u32) -> bool {
+        self.next.0 > episode
+    }
+
+    /// Ends an episode before its last step: the next iteration is the first one of the next episode.
+    pub(crate) fn end_episode(&mut self, episode: u32) {
+        if self.next.0 == episode {
+            self.next = (episode.saturating_add(1), 0);
+        }
+    }
+
+    /// Returns whether the next iteration, which belongs to `episode`, is within the warm-up at the start of the run.
+    fn is_run_warm_up(&self, episode: u32) -> bool {
+        let is_warm_up = self.started < self.warm_up.iterations
+            || self.episode_steps.is_some() && episode < self.warm_up.episodes;
+        is_warm_up && !self.is_continuation
+    }
 }
 
 #[cfg(test)]
@@ -187,6 +214,35 @@ mod tests {
             ]
         );
         assert!(positions.iter().map(|position| position.number).eq(1..=7));
+    }
+
+    #[test]
+    fn ended_episode_is_followed_by_next_one() {
+        let mut progress = progress("episode_steps = 3\nlimit = { episodes = 3 }", false);
+        let mut steps = Vec::new();
+        while !progress.is_limit_reached(at(0)) {
+            let begins = progress.begins_episode();
+            let position = progress.assign_position(at(0));
+            assert_eq!(begins, position.step == 0);
+            steps.push((position.episode, position.step));
+            // The first episode ends after its last step and the second one after its second step.
+            if [(0, 2), (1, 1)].contains(&(position.episode, position.step)) {
+                progress.end_episode(position.episode);
+                assert!(progress.has_left(position.episode) && !progress.has_left(position.episode + 1));
+            }
+        }
+        assert_eq!(steps, [(0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2)]);
+    }
+
+    #[test]
+    fn without_steps_only_feedback_ends_episodes() {
+        let mut progress = progress("", false);
+        for number in 0..100 {
+            assert_eq!((progress.assign_position(at(0)).step, progress.begins_episode()), (number, false));
+        }
+        progress.end_episode(0);
+        let position = progress.assign_position(at(0));
+        assert_eq!((position.episode, position.step), (1, 0));
     }
 
     #[test]

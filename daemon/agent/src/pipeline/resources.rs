@@ -10,6 +10,7 @@ use peernet_sensors::{SensorError, SensorKind, Transform, TransformKind};
 use tokio::task::JoinError;
 
 use super::actuator_executor::ActuatorExecutor;
+use super::episode_reset::{self, EpisodeReset};
 use super::load::Schedule;
 use super::pipeline_loop::PendingSample;
 use super::sensing::{SensorChain, SensorExecutor};
@@ -49,6 +50,12 @@ pub(super) struct PipelineResources {
     pub(super) sensing: Option<PendingSample>,
     /// `None` if the pipeline has no actuator.
     pub(super) actuator: Option<ActuatorExecutor>,
+    /// `true` if the sensor or the actuator has to be reset before each episode.
+    resets: bool,
+    /// The reset in progress. It cannot be cancelled, so it may outlive the connection.
+    pub(super) pending_reset: Option<EpisodeReset>,
+    /// `true` from a reset until the first sample after it.
+    pub(super) is_reset: bool,
     pub(super) schedule: Schedule,
     pub(super) start_timer: StartTimer,
     /// Facts about sensor, transforms and load (label and text) for the page of a run.
@@ -78,12 +85,18 @@ impl PipelineResources {
         if config.load.hz().is_some() {
             facts.push(("In flight".to_owned(), format!("at most {}", config.max_in_flight)));
         }
+        let actuator = ActuatorExecutor::new(&config.actuator, &clock)?;
         facts.extend(config.actuator.facts());
+        facts.extend(actuator.iter().flat_map(|actuator| actuator.facts().iter().cloned()));
         facts.extend(config.actuator.arguments_fact(fingerprints));
+        let resets = sensor.resets() || actuator.as_ref().is_some_and(ActuatorExecutor::resets);
         let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)
             .map_err(AssembleError::Thread)?;
         Ok(Self {
-            actuator: ActuatorExecutor::new(&config.actuator, &clock)?,
+            actuator,
+            resets,
+            pending_reset: None,
+            is_reset: false,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
@@ -98,6 +111,17 @@ impl PipelineResources {
     pub(super) fn restart_schedule(&mut self, now: MonoTime) {
         // Starts that came due before the run must not count in its latencies.
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
+    }
+
+    /// Returns whether a reset must precede an iteration that is the first of an episode.
+    pub(super) fn needs_reset(&self) -> bool {
+        self.resets && !self.is_reset
+    }
+
+    /// Starts the reset for an episode. No request to the sensor is pending.
+    pub(super) fn start_reset(&mut self) {
+        let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
+        self.pending_reset = Some(episode_reset::reset(actuator, self.sensor.reset_request()));
     }
 
     /// Returns the facts about sensor, transforms and load, then `model_facts`.

@@ -1,11 +1,13 @@
 //! A run in progress: its description, its progress and its events.
 
+use peernet_actuators::Feedback;
 use peernet_clock::{MonoTime, Span, Stamp, WallTime};
 use peernet_logger::{RunId, Slug, Tree};
 use peernet_stream::{Condition, EndReason, Event, Iteration, Outcome, Placement, RunDescription, RunEnded};
 
 use super::context::PipelineContext;
 use super::deadline;
+use super::episode_scores::{EpisodeResult, EpisodeScores};
 use super::failure_log::FailureLog;
 use super::pipeline_loop::LoopEnd;
 use super::progress::{Position, Progress};
@@ -25,6 +27,9 @@ pub(super) struct Run {
     deadline: Option<Span>,
     progress: Progress,
     failures: FailureLog,
+    scores: EpisodeScores,
+    /// Episode whose end the actuator has reported, until the next one begins.
+    ended_episode: Option<u32>,
 }
 
 impl Run {
@@ -63,6 +68,8 @@ impl Run {
             deadline: config.deadline().map(Span::from),
             progress: Progress::new(config, is_continuation),
             failures: FailureLog::default(),
+            scores: EpisodeScores::default(),
+            ended_episode: None,
         }
     }
 
@@ -87,7 +94,40 @@ impl Run {
 
     /// Assigns number, episode and step to the next iteration.
     pub(super) fn assign_position(&mut self, intended: MonoTime) -> Position {
-        self.progress.assign_position(intended)
+        let is_counted = !self.progress.is_next_run_warm_up();
+        let position = self.progress.assign_position(intended);
+        if position.step == 0 {
+            self.scores.begin(position.episode, is_counted);
+        }
+        position
+    }
+
+    /// Returns whether the next iteration is the first of its episode.
+    pub(super) const fn begins_episode(&self) -> bool {
+        self.progress.begins_episode()
+    }
+
+    /// Ends the episode whose end the actuator has reported, if there is one.
+    pub(super) fn end_reported_episode(&mut self) {
+        if let Some(episode) = self.ended_episode.take() {
+            self.progress.end_episode(episode);
+        }
+    }
+
+    /// Adds the feedback on an iteration. Returns the result of its episode if the episode ends with it: by the feedback, or
+    /// because all of its iterations are complete. `has_pending` is `true` while others of the episode are not complete.
+    pub(super) fn add_feedback(
+        &mut self,
+        episode: u32,
+        feedback: &Feedback,
+        has_pending: bool,
+    ) -> Option<EpisodeResult> {
+        self.scores.add(episode, feedback);
+        if feedback.episode_ended {
+            self.ended_episode = Some(episode);
+        }
+        let is_over = feedback.episode_ended || self.progress.has_left(episode) && !has_pending;
+        is_over.then(|| self.scores.close(episode)).flatten()
     }
 
     /// Returns the planned number of iterations of a run whose loop ended for `reason`. It is `None` if the run was

@@ -28,7 +28,7 @@ pub(super) enum SensorExecutor {
     /// In the pipeline's task, for a sensor that neither blocks nor computes: a thread would add two wake-ups.
     Inline(SensorChain),
     /// On a separate thread, named after the pipeline.
-    Thread(SyncSender<SampleRequest>),
+    Thread(SyncSender<SensorRequest>),
 }
 
 /// Response to a request for a sample.
@@ -38,10 +38,25 @@ pub(super) enum SensorResponse {
     Pending(oneshot::Receiver<SensorOutput>),
 }
 
-/// Request to the thread for one sample.
-pub(super) struct SampleRequest {
-    log: Recorder,
-    reply: oneshot::Sender<SensorOutput>,
+/// Request to the thread.
+pub(super) enum SensorRequest {
+    /// Asks for one sample.
+    Sample { log: Recorder, reply: oneshot::Sender<SensorOutput> },
+    /// Resets the sensor for an episode.
+    Reset { reply: oneshot::Sender<Result<(), SensorError>> },
+}
+
+/// A reset of the sensor that can be requested.
+pub(super) struct ResetRequest(SyncSender<SensorRequest>);
+
+impl ResetRequest {
+    /// Requests the reset. The caller has no other pending request. The receiver is closed if the thread has ended.
+    pub(super) fn send(self) -> oneshot::Receiver<Result<(), SensorError>> {
+        let (reply, output) = oneshot::channel();
+        // If the thread has ended, the request is dropped with `reply`.
+        let _ = self.0.try_send(SensorRequest::Reset { reply });
+        output
+    }
 }
 
 impl SensorChain {
@@ -80,6 +95,14 @@ impl SensorExecutor {
         Ok(Self::Thread(requests))
     }
 
+    /// Returns the request for a reset; `None` for a sensor without a thread, which has nothing to reset.
+    pub(super) fn reset_request(&self) -> Option<ResetRequest> {
+        match self {
+            Self::Inline(_) => None,
+            Self::Thread(requests) => Some(ResetRequest(requests.clone())),
+        }
+    }
+
     /// Requests a sample. The caller has at most one pending request.
     pub(super) fn request_sample(&mut self, log: Recorder) -> SensorResponse {
         match self {
@@ -87,7 +110,7 @@ impl SensorExecutor {
             Self::Thread(requests) => {
                 let (reply, output) = oneshot::channel();
                 // If the thread has ended, the request is dropped with `reply`, which closes the receiver.
-                let _ = requests.try_send(SampleRequest { log, reply });
+                let _ = requests.try_send(SensorRequest::Sample { log, reply });
                 SensorResponse::Pending(output)
             }
         }
@@ -95,9 +118,16 @@ impl SensorExecutor {
 }
 
 /// Serves requests until the pipeline drops its end of the channel.
-fn serve_requests(mut chain: SensorChain, requests: &Receiver<SampleRequest>) {
-    while let Ok(SampleRequest { log, reply }) = requests.recv() {
+fn serve_requests(mut chain: SensorChain, requests: &Receiver<SensorRequest>) {
+    while let Ok(request) = requests.recv() {
         // The send fails if the pipeline has stopped in the meantime; the output is not needed then.
-        let _ = reply.send(chain.run(log));
+        match request {
+            SensorRequest::Sample { log, reply } => {
+                let _ = reply.send(chain.run(log));
+            }
+            SensorRequest::Reset { reply } => {
+                let _ = reply.send(chain.sensor.reset());
+            }
+        }
     }
 }

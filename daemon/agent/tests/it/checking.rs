@@ -17,7 +17,8 @@ fn valid_configuration_has_no_problems_and_reads_back() {
          placement = { kind = 'remote', peer = 'tcp://cloud:5551', network = 'zmq-tcp', model = 'm', device = 'cuda:0' }\n\
          load = { mode = 'poisson', hz = 5.0, seed = 3 }\nmax_in_flight = 2\ntimeout_ms = 100\n\
          warm_up = { iterations = 5, episodes = 1, steps = 2 }\nepisode_steps = 10\n\
-         limit = { iterations = 7, duration_s = 1.5 }\nactuator = { kind = 'log' }\nstart = 'manual'\n\
+         limit = { iterations = 7, duration_s = 1.5, episodes = 9 }\n\
+         actuator = { kind = 'socket', address = 'tcp://arm:9000', feedback = true }\nstart = 'manual'\n\
          [spool]\nlimit_bytes = 1048576\nsync_interval_ms = 1\ncompression = 'always'\n",
     );
     sound.agent.state_dir = state.path().join("new").join("er");
@@ -35,9 +36,10 @@ fn all_problems_are_listed_with_key_and_remedy() {
          [[model]]\nname = 'echo'\nkind = 'echo'\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'images', path = '/nowhere' }\n\
          placement = { kind = 'local', model = 'ecco' }\nload = { mode = 'rate', hz = 1e-300 }\n\
-         warm_up = { steps = 1 }\nlimit = { duration_s = -1.0 }\n\
+         warm_up = { steps = 1 }\nlimit = { duration_s = -1.0, episodes = 2 }\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
-         placement = { kind = 'local', model = 'echo' }\n",
+         placement = { kind = 'local', model = 'echo' }\n\
+         actuator = { kind = 'socket', address = 'udp://arm:9000', timeout_ms = 86400001 }\n",
     );
     broken.agent.state_dir = state.path().to_owned();
     let found = problems(&broken);
@@ -50,12 +52,14 @@ fn all_problems_are_listed_with_key_and_remedy() {
         "pipeline[0].placement.model: no model is named ecco; this host has echo",
         "pipeline[0].load.hz: 1e-300 is not a rate",
         "pipeline[0].limit.duration_s: -1.0 is not",
+        "pipeline[0].limit.episodes: episodes needs episode_steps",
+        "pipeline[1].actuator: timeout_ms = 86400001 is above",
         "pipeline[0].warm_up: ",
         "pipeline[1].name: another pipeline is named line",
     ] {
         assert!(found.iter().any(|problem| problem.starts_with(expected)), "{expected} in {found:#?}");
     }
-    assert_eq!(found.len(), 10, "{found:#?}");
+    assert_eq!(found.len(), 12, "{found:#?}");
 }
 
 #[test]

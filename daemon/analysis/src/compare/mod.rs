@@ -33,6 +33,7 @@ pub use ranking::{Ranking, model_computes};
 use peernet_statistics::{Moments, Summary};
 
 use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
+use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
@@ -101,6 +102,8 @@ pub struct Line {
     pub unanswered: u64,
     /// Number of counted and unanswered iterations that missed their deadline; `None` without a deadline.
     pub misses: Option<Misses>,
+    /// Superseded answers, and success and return of the episodes.
+    pub actuator: ActuatorResults,
     /// Number of starts of an open loop, by their outcome. The rates are not set.
     pub starts: Starts,
     /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
@@ -180,6 +183,7 @@ impl Line {
             count: 0,
             unanswered: 0,
             misses: None,
+            actuator: ActuatorResults::default(),
             starts: Starts::default(),
             latencies: [None; LATENCIES.len()],
             accuracies: [None; ACCURACIES.len()],
@@ -214,6 +218,7 @@ impl Line {
         let runs_of_line = || self.runs.iter().map(|run| &runs[*run]);
         let rows = || runs_of_line().flat_map(|run| &run.rows);
         self.misses = Misses::from_rows(rows());
+        self.actuator = ActuatorResults::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));
         self.unknown_labels = unknown_labels(runs_of_line());
         self.latencies = LATENCIES.map(|name| {
@@ -245,7 +250,8 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED]).any(|name| *name == column)
+    let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED]);
+    columns.chain(&EPISODE_VALUES).any(|name| *name == column)
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use super::{
     StageDifference,
 };
 use crate::accuracy::{ACCURACIES, Accuracy};
+use crate::actuator_results::{EpisodeReturn, SuccessRate};
 use crate::deadline::Misses;
 use crate::table::{CaptionedTable, Table, csv_text, interval};
 
@@ -23,6 +24,17 @@ pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the di
      measured again (Welch, from batch means).";
 pub(super) const INTERVAL_LIMITATION: &str =
     "Changes from day to day are not part of it; only repeats show them.";
+/// Columns of the actuator in CSV.
+const ACTUATOR_COLUMNS: [&str; 8] = [
+    "superseded",
+    "success-rate",
+    "success-rate-lo",
+    "success-rate-hi",
+    "success-episodes",
+    "return-mean",
+    "return-std",
+    "return-episodes",
+];
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
 
 impl Comparison {
@@ -54,6 +66,7 @@ impl Comparison {
         );
         header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
         header.push("miss-rate".to_owned());
+        header.extend(ACTUATOR_COLUMNS.map(str::to_owned));
         let row = |(index, line): (usize, &Line)| {
             let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -79,6 +92,15 @@ impl Comparison {
             }));
             cells.extend(line.difference_to_best.map_or([None; 3], Difference::ends).map(number));
             cells.push(number(line.misses.and_then(Misses::rate)));
+            let success = line.actuator.success.map(|SuccessRate { rate, interval: (lo, hi), episodes }| {
+                [rate, lo, hi, episodes as f64].map(Some)
+            });
+            let episode_return = line.actuator.episode_return;
+            let of_return = episode_return
+                .map(|EpisodeReturn { mean, std, episodes }| [Some(mean), std, Some(episodes as f64)]);
+            cells.push(line.actuator.superseded.to_string());
+            cells.extend(success.unwrap_or_default().map(number));
+            cells.extend(of_return.unwrap_or_default().map(number));
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
@@ -101,6 +123,12 @@ impl Comparison {
             .filter(|index| self.lines.iter().any(|line| line.accuracies[*index].is_some()))
             .collect();
         header.extend(accuracies.iter().map(|index| ACCURACY_HEADINGS[*index].to_owned()));
+        let has_superseded = self.lines.iter().any(|line| line.actuator.superseded > 0);
+        let has_success = self.lines.iter().any(|line| line.actuator.success.is_some());
+        let has_returns = self.lines.iter().any(|line| line.actuator.episode_return.is_some());
+        header.extend(has_superseded.then(|| "superseded".to_owned()));
+        header.extend(has_success.then(|| "success (%)".to_owned()));
+        header.extend(has_returns.then(|| "return".to_owned()));
         let decimals: Vec<usize> = (0..LATENCIES.len()).map(|latency| self.decimals(latency)).collect();
         let row = |line: &Line| {
             let mut cells = line.labels.clone();
@@ -114,7 +142,17 @@ impl Comparison {
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
             );
-            cells.extend(accuracies.iter().map(|index| share(line.accuracies[*index])));
+            cells.extend(
+                accuracies.iter().map(|index| share(line.accuracies[*index].map(share_and_interval))),
+            );
+            let results = line.actuator;
+            cells.extend(has_superseded.then(|| count(results.superseded)));
+            cells.extend(
+                has_success.then(|| share(results.success.map(|success| (success.rate, success.interval)))),
+            );
+            let or_empty = |cell: Option<String>| cell.unwrap_or_else(|| EMPTY_CELL.to_owned());
+            let episode_return = results.episode_return.map(|found| found.text());
+            cells.extend(has_returns.then(|| or_empty(episode_return)));
             cells
         };
         let rows = self.lines.iter().map(row).collect();
@@ -139,6 +177,7 @@ impl Comparison {
                         iterations are independent.";
             notes.push(text.to_owned());
         }
+        notes.extend(self.actuator_notes());
         let unscored: Vec<String> = self.lines.iter().flat_map(Line::unscored).collect();
         if !unscored.is_empty() {
             notes.push(format!(
@@ -174,6 +213,23 @@ impl Comparison {
         }
         notes.extend(self.caveats.iter().cloned());
         notes.iter().map(|note| printable_line(note).into_owned()).collect()
+    }
+
+    /// Returns what the columns of the actuator mean.
+    fn actuator_notes(&self) -> Vec<String> {
+        let any = |has: fn(&Line) -> bool| self.lines.iter().any(has);
+        let notes = [
+            any(|line| line.actuator.superseded > 0).then_some(
+                "Superseded: answers that were not acted on, because a newer answer had been or the episode had ended.",
+            ),
+            any(|line| line.actuator.success.is_some()).then_some(
+                "Success: episodes that were a success in %, with the 95 % confidence interval (Wilson), which assumes that the \
+                 episodes are independent.",
+            ),
+            any(|line| line.actuator.episode_return.is_some())
+                .then_some("Return: mean ± standard deviation of the sum of the rewards of an episode."),
+        ];
+        notes.into_iter().flatten().map(str::to_owned).collect()
     }
 
     /// Returns the notes on lines with labels that are not classes of the model, one for each reason.
@@ -292,14 +348,16 @@ fn cell(latency: Option<Latency>, decimals: usize) -> String {
     }
 }
 
+const fn share_and_interval(accuracy: Accuracy) -> (f64, (f64, f64)) {
+    (accuracy.share, accuracy.interval)
+}
+
 /// Returns a share in per cent with its interval.
-fn share(accuracy: Option<Accuracy>) -> String {
+fn share(known: Option<(f64, (f64, f64))>) -> String {
     let percent = |share: f64| fixed(share * 100.0, 1);
-    accuracy.map_or_else(
+    known.map_or_else(
         || EMPTY_CELL.to_owned(),
-        |Accuracy { share, interval: (lo, hi), .. }| {
-            format!("{} ({})", percent(share), interval([percent(lo), percent(hi)]))
-        },
+        |(share, (lo, hi))| format!("{} ({})", percent(share), interval([percent(lo), percent(hi)])),
     )
 }
 

@@ -370,11 +370,59 @@ fn miss_rate_is_shown_beside_unanswered() {
         "{text}"
     );
     let csv = comparison.csv();
-    let last =
-        |line: usize| csv.lines().nth(line).and_then(|line| line.rsplit(',').next().map(str::to_owned));
-    assert_eq!((last(0).as_deref(), last(1).as_deref()), (Some("miss-rate"), Some("")));
-    assert!(last(2).is_some_and(|rate| rate.starts_with("0.0990")), "{csv}");
+    let rates = column(&csv, "miss-rate");
+    assert_eq!(rates[0], "");
+    assert!(rates[1].starts_with("0.0990"), "{csv}");
     assert!(!Comparison::new(&paper()).text().contains("missed"), "there is no deadline");
+}
+
+/// Returns the cells of a column, without its header.
+fn column(csv: &str, name: &str) -> Vec<String> {
+    let cells = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+    let header = cells(csv.lines().next().expect("a header"));
+    let at = header.iter().position(|other| other == name).expect("such a column");
+    csv.lines().skip(1).map(|line| cells(line)[at].clone()).collect()
+}
+
+#[test]
+fn success_and_return_are_shown_beside_latency() {
+    let mut runs = paper();
+    runs[1].rows.change(|row| {
+        // An episode of five iterations, of which each second one succeeds; the last iteration of one was lost.
+        if row.iteration % 5 == 0 {
+            row.values.push(("episode-success".into(), f64::from(u8::from(row.iteration % 10 == 0))));
+            row.values.push(("episode-return".into(), 2.5));
+        } else if row.iteration % 5 == 1 {
+            row.values.push(("superseded".into(), 1.0));
+        }
+    });
+    let comparison = Comparison::new(&runs);
+    let success = comparison.lines[1].actuator.success.expect("is reported");
+    let [episodes, successes] = [5, 10].map(|each| {
+        runs[1]
+            .rows
+            .iter()
+            .filter(|row| row.value("iteration").is_some_and(|number| number % f64::from(each) == 0.0))
+            .count()
+    });
+    assert_eq!(success.episodes, episodes as u64);
+    assert_eq!(success.rate, successes as f64 / episodes as f64);
+    assert_eq!(comparison.lines[0].actuator, ActuatorResults::default());
+    let text = comparison.text();
+    for part in
+        ["superseded", "success (%)", "return", "Success: episodes", "2.50 ± 0.00", "Superseded: answers"]
+    {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let csv = comparison.csv();
+    assert_eq!(column(&csv, "return-mean"), ["", "2.5", ""]);
+    assert_eq!(column(&csv, "success-episodes")[1], episodes.to_string());
+    assert_eq!(column(&csv, "superseded")[0], "0");
+    let without = Comparison::new(&paper()).text();
+    assert!(!without.contains("success") && !without.contains("superseded"), "{without}");
+    for name in ["superseded", "episode-success", "episode-return"] {
+        assert!(is_compared(name), "else {name} is not read");
+    }
 }
 
 #[test]
@@ -393,9 +441,9 @@ fn accuracy_is_shown_beside_latency() {
     assert!(text.contains("100.0 (96.3 – 100.0)") && text.contains("(Wilson)"), "{text}");
     let csv = comparison.csv();
     assert!(
-        csv.lines().next().is_some_and(|line| line.ends_with(
+        csv.lines().next().is_some_and(|line| line.contains(
             ",edges,top-1,top-1-lo,top-1-hi,top-1-unscored,top-5,top-5-lo,top-5-hi,top-5-unscored,\
-             beyond-best,beyond-best-lo,beyond-best-hi,miss-rate"
+             beyond-best,beyond-best-lo,beyond-best-hi,miss-rate,"
         )),
         "{csv}"
     );

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::accuracy::Accuracy;
+use crate::actuator_results::ActuatorResults;
 use crate::deadline::Misses;
 use crate::rows::{Outcome, Rows, Units};
 use crate::trust;
@@ -81,6 +82,8 @@ pub struct RunRecord {
     pub deadline_s: Option<f64>,
     /// Number of iterations that missed the deadline.
     pub misses: Option<Misses>,
+    /// Superseded answers, and success and return of the episodes.
+    pub actuator: ActuatorResults,
     /// Quality of the delays.
     pub clocks: Clocks,
     /// Accuracy of the model, by column: `top-1`, `top-5`; empty if the right answers are not known.

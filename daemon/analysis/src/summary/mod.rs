@@ -7,6 +7,7 @@ pub use scale::Scale;
 use peernet_statistics::{self as statistics, Moments};
 
 use crate::accuracy::UnknownLabels;
+use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
@@ -26,6 +27,8 @@ pub struct Summary {
     pub deadline_s: Option<f64>,
     /// Number of iterations that missed the deadline; `None` without a deadline.
     pub misses: Option<Misses>,
+    /// Superseded answers, and success and return of the episodes.
+    pub actuator: ActuatorResults,
     /// Number of starts of an open loop, by their outcome.
     pub starts: Starts,
     /// Quality of the delays.
@@ -75,6 +78,9 @@ impl Summary {
                     without_warm_up.filter_map(|row| row.value(name)),
                 );
             }
+            if EPISODE_VALUES.contains(&name.as_ref()) {
+                return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
+            }
             let quantity = Quantity::from_values(name.clone(), rows.counted_values(name))?;
             Some(Quantity { bounds: bounds(rows, name), ..quantity })
         };
@@ -84,6 +90,7 @@ impl Summary {
             counts: Counts::from_rows(rows, 0),
             deadline_s: None,
             misses: Misses::from_rows(rows),
+            actuator: ActuatorResults::from_rows(rows),
             starts: Starts::from_rows(rows),
             clocks: Clocks::from_rows(rows),
             unknown_labels: UnknownLabels::from_rows(rows, &[]),

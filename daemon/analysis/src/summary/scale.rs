@@ -3,7 +3,7 @@
 use peernet_logger::Unit;
 
 /// Nodes whose values are times, wherever they are in the tree. Their columns are times in files of any program.
-const DURATION_COLUMNS: [&str; 17] = [
+const DURATION_COLUMNS: [&str; 18] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -19,6 +19,7 @@ const DURATION_COLUMNS: [&str; 17] = [
     "capture-ipc",
     "restart",
     "capture-restart",
+    "actuation-ipc",
     "actuation-restart",
     "actuation",
 ];

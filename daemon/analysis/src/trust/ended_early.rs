@@ -14,6 +14,9 @@ pub struct Limits {
     pub iterations: Option<f64>,
     /// Number of iterations including the warm-up.
     pub total: Option<f64>,
+    /// Episodes including the warm-up. The actuator may end each before its last step, so that the number of iterations is not known
+    /// beforehand.
+    pub episodes: Option<f64>,
     /// Seconds from the first iteration that is not warm-up.
     pub duration_s: Option<f64>,
 }
@@ -66,9 +69,10 @@ impl EndedEarly {
         });
         // A run ends at the first limit that it reaches. The limit of which it reached the largest share is therefore the relevant one.
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
-        // The last iteration ends shortly before a limit of time, so the reason for the end decides whether such a run is complete.
-        let is_complete =
-            nearest.share() >= 1.0 || (*reason == EndReason::Finished && limits.duration_s.is_some());
+        // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
+        // such a run is complete.
+        let has_open_number = limits.duration_s.is_some() || limits.episodes.is_some();
+        let is_complete = nearest.share() >= 1.0 || (*reason == EndReason::Finished && has_open_number);
         (!is_complete).then_some(nearest)
     }
 
@@ -93,4 +97,19 @@ impl EndedEarly {
 pub(crate) fn measured_seconds(rows: &Rows) -> f64 {
     let times = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
     times().next_back().zip(times().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finished_run_of_short_episodes_is_complete() {
+        let limits = Limits { total: Some(900.0), episodes: Some(30.0), ..Limits::default() };
+        let progress = Progress { measured: 400, warm_up: 50, seconds: 9.0 };
+        assert_eq!(EndedEarly::from_progress(&limits, &progress, &EndReason::Finished), None);
+        assert!(EndedEarly::from_progress(&limits, &progress, &EndReason::Stopped).is_some());
+        let without_episodes = Limits { episodes: None, ..limits };
+        assert!(EndedEarly::from_progress(&without_episodes, &progress, &EndReason::Finished).is_some());
+    }
 }

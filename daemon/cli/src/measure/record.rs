@@ -6,6 +6,7 @@ use crate::VERSION;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::PipelineConfig;
 use peernet_analysis::accuracy::Accuracy;
+use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
 use peernet_analysis::record::{
     Clocks, Counts, FORMAT, HostRecord, ModelRecord, Placement, RunRecord, to_utc,
@@ -86,6 +87,7 @@ pub(super) fn run_record(
         counts: Counts::from_rows(&recorded.rows, missed),
         deadline_s: pipeline.and_then(PipelineConfig::deadline).map(|deadline| deadline.as_secs_f64()),
         misses: Misses::from_rows(&recorded.rows),
+        actuator: ActuatorResults::from_rows(&recorded.rows),
         clocks: Clocks::from_rows(&recorded.rows),
         accuracy: Accuracy::by_column(&recorded.rows),
         units: recorded.units.clone(),

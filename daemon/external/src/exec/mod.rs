@@ -13,7 +13,8 @@
 //! ```
 //!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample follows. Before its reply a
-//! program may write lines that begin with `version`, `stage`, `value`, `sequence`, `label` or `source`.
+//! program may write lines that begin with `version`, `stage` or `value`, a sensor also with `sequence`, `label` or
+//! `source`, and an actuator with `reward`, `success` or `episode-ended`.
 
 mod arguments;
 mod command;

@@ -10,7 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
-const RESERVED_NAMES: [&str; 34] = [
+const RESERVED_NAMES: [&str; 38] = [
     "iteration",
     "sensing",
     "capture",
@@ -26,6 +26,7 @@ const RESERVED_NAMES: [&str; 34] = [
     "unattributed",
     "ipc",
     "capture-ipc",
+    "actuation-ipc",
     "restart",
     "capture-restart",
     "actuation-restart",
@@ -45,6 +46,9 @@ const RESERVED_NAMES: [&str; 34] = [
     "top-1",
     "top-5",
     "unknown-label",
+    "superseded",
+    "episode-success",
+    "episode-return",
 ];
 /// Stages of a model. Only models may report them, and only as durations.
 const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
@@ -84,6 +88,12 @@ pub struct ReplyNotes {
     pub label: Option<String>,
     /// Origin of a sensor's sample.
     pub source: Option<String>,
+    /// Reward that an actuator reports for its action.
+    pub reward: Option<f64>,
+    /// Whether the episode is a success so far, as an actuator reports it.
+    pub success: Option<bool>,
+    /// `true` if an actuator reports the end of the episode.
+    pub episode_ended: bool,
 }
 
 /// Input that the assembler needs next.
@@ -159,6 +169,16 @@ impl ReplyAssembler {
             ("label", Role::Sensor) => notes.label = Some(rest.to_owned()).filter(|label| !label.is_empty()),
             ("source", Role::Sensor) => notes.source = Some(rest.to_owned()),
             ("end", Role::Sensor) => return Ok(self.finish(ReplyOutcome::End)),
+            ("reward", Role::Actuator) => {
+                let reward = rest.parse().ok().filter(|reward: &f64| reward.is_finite());
+                notes.reward = Some(reward.ok_or_else(|| wrong("reward NUMBER"))?);
+            }
+            ("success", Role::Actuator) => match rest {
+                "0" => notes.success = Some(false),
+                "1" => notes.success = Some(true),
+                _ => return Err(wrong("success 0, or success 1")),
+            },
+            ("episode-ended", Role::Actuator) => notes.episode_ended = true,
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             ("answer" | "part", Role::Sensor | Role::Model) => {
                 return self
@@ -213,7 +233,7 @@ impl ReplyAssembler {
         let words = match self.role {
             Role::Sensor => "answer, part, end, error, stage, value, sequence, label, source, version",
             Role::Model => "answer, part, error, stage, value, version",
-            Role::Actuator => "done, error, stage, value, version",
+            Role::Actuator => "done, error, stage, value, reward, success, episode-ended, version",
         };
         FramingError::Word { line: shorten(line), role: self.role.word(), words: words.to_owned() }
     }

@@ -26,4 +26,4 @@ pub use running::Process;
 pub use stderr_log::StderrLog;
 
 /// Longest timeout for a process, milliseconds: one day.
-pub(crate) const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
+pub const MAX_TIMEOUT_MS: u64 = 24 * 3600 * 1000;

@@ -26,6 +26,8 @@ pub enum Step {
     Infer,
     /// `postprocess(y)` of a model.
     Postprocess,
+    /// `act(answer)` of an actuator.
+    Act,
 }
 
 /// Timing of a call on this process's monotonic clock.

@@ -38,6 +38,8 @@ pub(super) enum Request<'a> {
     },
     /// Calls the object with the parts that follow.
     Call { parts: Vec<PartHead> },
+    /// Calls `reset()` of the object.
+    Reset {},
 }
 
 /// Reply of the worker.

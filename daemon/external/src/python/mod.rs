@@ -1,8 +1,8 @@
 //! A user's Python object (`module::object`) in a separate process.
 //!
 //! The process runs [`SOURCE`] with Python's standard library only. It imports the user's module from its folder,
-//! instantiates the class, and then answers one call after the other: `sample()` of a sensor, or `preprocess`,
-//! `infer` and `postprocess` of a model. Values are transferred as parts of a sample (`values.py` defines the
+//! instantiates the class, and then answers one call after the other: `sample()` of a sensor, `preprocess`, `infer` and
+//! `postprocess` of a model, or `act()` of an actuator; `reset()` prepares a sensor or an actuator for an episode. Values are transferred as parts of a sample (`values.py` defines the
 //! conversion). So one Python object can take the values of another, and all other parts of a pipeline can stand
 //! between them.
 //!
@@ -15,6 +15,7 @@ mod error;
 mod frame;
 mod interpreter;
 mod object;
+mod object_description;
 mod shared_memory;
 mod worker;
 
@@ -22,7 +23,8 @@ pub use call_result::{CallResult, CallTimes, Step};
 pub use config::{Images, PythonConfig};
 pub use error::PythonError;
 pub use frame::{FrameError, PICKLE};
-pub use object::{ObjectDescription, PythonObject, Role};
+pub use object::{PythonObject, Role};
+pub use object_description::ObjectDescription;
 
 /// Source code that the Python process runs.
 const SOURCE: &str = concat!(

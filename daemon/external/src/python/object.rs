@@ -1,17 +1,14 @@
 //! A user's object and the process in which it runs.
 
-use std::path::PathBuf;
-
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_sample::{Part, printable_lines};
-use serde::{Deserialize, Serialize};
+use peernet_sample::Part;
+use serde::Serialize;
 
 use super::frame::{FrameError, Reply, Request};
 use super::interpreter;
-use super::worker::{Worker, WorkerError};
-use super::{CallResult, CallTimes, PythonConfig, PythonError, Step};
-use crate::digest;
+use super::worker::{Answer, Worker, WorkerError};
+use super::{CallResult, CallTimes, ObjectDescription, PythonConfig, PythonError, Step};
 use crate::process::{Launch, ProcessError, RestartBackoff};
 
 /// Time that a process has to end after it is no longer needed.
@@ -21,58 +18,12 @@ const STOP_TIMEOUT: Span = Span::from_millis(1000);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// Sensor; the object has `sample()`.
+    /// Sensor; the object has `sample()`, and may have `reset()`.
     Sensor,
     /// Model; the object has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
     Model,
-}
-
-/// Description of an object, as its process reports it.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize)]
-pub struct ObjectDescription {
-    /// Version of Python, such as `3.11.2`.
-    pub python: String,
-    /// Path of the interpreter.
-    executable: String,
-    /// Description of the object, such as `class camera::Camera`.
-    #[serde(rename = "what")]
-    pub object: String,
-    /// Users' own files that the object is made of; the file of its module is the first.
-    files: Vec<PathBuf>,
-    /// Names and versions of the libraries that these files import anywhere, and of everything that was imported
-    /// during the start; a version may be empty.
-    libraries: Vec<(String, String)>,
-    /// `true` if `files` or `libraries` is incomplete because of its limit.
-    #[serde(rename = "more")]
-    is_incomplete: bool,
-}
-
-impl ObjectDescription {
-    /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The
-    /// name of each begins with `role`. Reads the files for their hashes.
-    pub fn facts(&self, role: &str) -> Vec<(String, String)> {
-        let mut facts =
-            vec![(role.to_owned(), format!("the Python {}, Python {}", self.object, self.python))];
-        if !self.executable.is_empty() {
-            facts.push((format!("{role} interpreter"), printable_lines(&self.executable).into_owned()));
-        }
-        facts.extend(digest::files_fact(role, &self.files));
-        if !self.libraries.is_empty() {
-            let library = |(name, version): &(String, String)| match version.as_str() {
-                "" => printable_lines(name).into_owned(),
-                version => printable_lines(&format!("{name} {version}")).into_owned(),
-            };
-            let libraries: Vec<String> = self.libraries.iter().map(library).collect();
-            facts.push((format!("{role} libraries"), libraries.join(", ")));
-        }
-        if self.is_incomplete {
-            facts.push((
-                format!("{role} imports"),
-                "incomplete: only the first files and libraries are listed".to_owned(),
-            ));
-        }
-        facts
-    }
+    /// Actuator; the object has `act(answer)`, and may have `reset()`.
+    Actuator,
 }
 
 /// Python object in a separate process, which is restarted when it dies. Dropping it ends the process.
@@ -138,12 +89,33 @@ impl PythonObject {
     /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is delayed,
     /// and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
+        self.exchange(|worker, until| worker.call(parts, until))
+    }
+
+    /// Returns whether the object has `reset()`.
+    pub fn resets(&self) -> bool {
+        self.description.resets()
+    }
+
+    /// Calls `reset()` of the object, which prepares it for an episode. Blocks and restarts as [`call`](Self::call) does.
+    ///
+    /// # Errors
+    /// If the object raised an exception or gave no answer.
+    pub fn reset(&mut self) -> Result<(), PythonError> {
+        self.exchange(Worker::reset).result.map(drop)
+    }
+
+    /// Sends a request to the process and receives its reply.
+    fn exchange(
+        &mut self,
+        request: impl FnOnce(&mut Worker, MonoTime) -> Result<Answer, WorkerError>,
+    ) -> CallResult {
         let called_at = self.clock.mono();
         let restarted_at = self.worker.is_none().then_some(called_at);
         let answer = self.take_or_start_worker().and_then(|mut worker| {
             let started_at = self.clock.mono();
             let deadline = started_at + milliseconds(self.config.timeout_ms.get());
-            match worker.call(parts, deadline) {
+            match request(&mut worker, deadline) {
                 // A process is used again only after an answer: after a failure, bytes in the pipe would be mistaken for the
                 // answer to the next call.
                 Ok(answer) => {

@@ -3,7 +3,10 @@ import inspect
 import time
 import traceback
 
-METHODS = {"sensor": "sample", "model": "infer"}
+METHODS = {"sensor": "sample", "model": "infer", "actuator": "act"}
+ARGUMENTS = {"sample": "", "infer": "x", "act": "answer"}
+# What act() may return.
+FEEDBACK = ("episode_ended", "success", "reward")
 # Limit of the length of a text, in characters.
 MAX_TEXT = 4000
 # Exceptions that end the process; every other exception fails one call.
@@ -25,7 +28,7 @@ def load_object(module, path, method):
     if inspect.isclass(user_object):
         user_object = user_object()
     if not callable(getattr(user_object, method, None)):
-        raise UnsupportedValue("the %s has no %s(%s)" % (what, method, "x" if method == "infer" else ""))
+        raise UnsupportedValue("the %s has no %s(%s)" % (what, method, ARGUMENTS[method]))
     return user_object, what
 
 
@@ -82,6 +85,45 @@ class Sensor:
         return value
 
 
+class Actuator:
+    def __init__(self, user_object):
+        self.user_object = user_object
+
+    def call(self, value, stages):
+        begun = now()
+        try:
+            returned = self.user_object.act(value)
+            wait_for_gpu()
+        finally:
+            stages.append(("act", begun, now()))
+        return feedback(returned)
+
+
+def feedback(returned):
+    """What act() returned, as numbers and truth values of Python: numpy's own are accepted."""
+    if returned is None:
+        return None
+    if not isinstance(returned, dict):
+        raise UnsupportedValue("act() returned a %s; return None, or a dict with %s" % (type_name(returned), ", ".join(FEEDBACK)))
+    for key in returned:
+        if key not in FEEDBACK:
+            raise UnsupportedValue("act() returned the key %r; the keys are %s" % (key, ", ".join(FEEDBACK)))
+    try:
+        given = {key: bool(returned[key]) for key in FEEDBACK[:2] if returned.get(key) is not None}
+        if returned.get("reward") is not None:
+            given["reward"] = float(returned["reward"])
+    except (TypeError, ValueError) as error:
+        raise UnsupportedValue("act() returned a value that cannot be used: %s" % error) from None
+    if not math.isfinite(given.get("reward", 0.0)):
+        raise UnsupportedValue("act() returned the reward %s, which is not a finite number" % given["reward"])
+    return given
+
+
+def kind_name(value):
+    kind = type(value)
+    return kind.__qualname__ if kind.__module__ == "builtins" else "%s.%s" % (kind.__module__, kind.__qualname__)
+
+
 class Model:
     def __init__(self, user_object):
         steps = (("preprocess", "preprocess"), ("infer", "infer"), ("postprocess", "postprocess"))
@@ -97,6 +139,9 @@ class Model:
             finally:
                 stages.append((stage, started_at, now()))
         return value
+
+
+ROLES = {"sensor": Sensor, "model": Model, "actuator": Actuator}
 
 
 def exception_text(error):
@@ -132,9 +177,16 @@ def start(request):
     # PIL opens the pictures of a model, so it is one of its libraries even if the model does not import it.
     folder, modules_before = os.getcwd(), set(sys.modules) - {"PIL"}
     user_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
-    role = Sensor(user_object) if settings["role"] == "sensor" else Model(user_object)
+    role = ROLES[settings["role"]](user_object)
+    # A model has no episodes.
+    resets = settings["role"] != "model" and callable(getattr(user_object, "reset", None))
     version = ".".join(str(number) for number in sys.version_info[:3])
-    description = {"what": what, "python": version, "executable": bounded_utf8(sys.executable or "")}
+    description = {
+        "what": what,
+        "python": version,
+        "executable": bounded_utf8(sys.executable or ""),
+        "resets": resets,
+    }
     description.update(describe_code(settings["module"], folder, modules_before))
     return role, description, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
 
@@ -142,20 +194,28 @@ def start(request):
 def answer(channel, request, role, encoder, decoder):
     stages = []
     try:
-        value = decoder.read(channel, request["call"]["parts"])
-        value = role.call(value, stages)
+        if "reset" in request:
+            value = reset(role.user_object)
+        else:
+            value = role.call(decoder.read(channel, request["call"]["parts"]), stages)
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
     except (PipeClosed, *EXITS):
         raise
     except UnsupportedValue as error:
         write_failure(channel, "refused", str(error), stages)
     except BaseException as error:
-        if isinstance(error, StopIteration) and isinstance(role, Sensor):
+        if isinstance(error, StopIteration) and isinstance(role, Sensor) and "call" in request:
             channel.write("over", {"stages": stages})
         else:
             write_failure(channel, "raised", exception_text(error), stages)
     else:
         channel.send(frame)
+
+
+def reset(user_object):
+    """Prepares the object for an episode. What its reset() returns is not used, so that Gymnasium's environments fit."""
+    user_object.reset()
+    wait_for_gpu()
 
 
 def main():

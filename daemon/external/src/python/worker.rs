@@ -71,6 +71,13 @@ impl Worker {
         Ok(answer)
     }
 
+    /// Calls `reset()` of the object.
+    pub(super) fn reset(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
+        let head = encode_request(&Request::Reset {})?;
+        self.process.write(&[&head], until)?;
+        self.receive_reply(until)
+    }
+
     /// Kills the process.
     pub(super) fn kill(self) -> ProcessEnd {
         self.process.kill()

@@ -119,6 +119,7 @@ impl Worker for PythonWorker {
                 Step::Infer => stage::INFERENCE,
                 Step::Postprocess => stage::POSTPROCESSING,
                 Step::Sample => stage::CAPTURE,
+                Step::Act => stage::ACTUATION,
             };
             recorder.record_timer(name, from, to);
         }

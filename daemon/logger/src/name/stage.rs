@@ -106,6 +106,8 @@ pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
 // A separate name, because statistics are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
+/// Overhead of the communication with an actuator's worker process, below `actuation`.
+pub const ACTUATION_IPC: Name = Name::from_static("actuation-ipc");
 
 /// Cloud or edge: wait of a sample for the restart of a model's worker whose process died. It is part of `unattributed`.
 // It is not a stage, because the death of the process causes it and not the loop. The wire form contains it as text.

@@ -61,6 +61,34 @@ fn missed_deadlines_are_share_of_all_iterations() {
     assert!((mean - missed as f64 / counted.len() as f64).abs() < 1e-12, "the miss rate: {line}");
 }
 
+#[test]
+fn episodes_are_reported_below_table() {
+    let mut rows = rows(20);
+    for row in &mut rows {
+        // A lost iteration ends an episode as well.
+        if row.iteration % 2 == 0 {
+            row.values.push(("episode-success".into(), 1.0));
+            row.values.push(("episode-return".into(), row.iteration as f64));
+        }
+        row.values.push(("reward".into(), 0.5));
+        row.values.push(("success".into(), 1.0));
+    }
+    rows[10].values.push(("superseded".into(), 1.0));
+    let episodes = rows.iter().filter(|row| row.iteration % 2 == 0).count();
+    let summary = Summary::from_rows(&kept(&rows));
+    let text = text(&summary);
+    assert!(text.contains(&format!("Success: 100 % of {episodes} episodes (95 % confidence: ")), "{text}");
+    assert!(
+        text.contains(&format!("over {episodes} episodes.")) && text.contains("Superseded: 1 of "),
+        "{text}"
+    );
+    let has_row = |name: &str| text.lines().any(|line| line.split(' ').next() == Some(name));
+    assert!(has_row("reward") && has_row("episode-return"), "{text}");
+    assert!(!has_row("success") && !has_row("episode-success") && !has_row("superseded"), "{text}");
+    let csv = csv(&summary);
+    assert!(csv.contains(&format!("\nepisode-success,{episodes},1,")), "for programs: {csv}");
+}
+
 const TEXT: &str = "\
 metric                 unit  count             mean ± std     median     clock bounds  p95  p99        max
 Sensing Time           ms        7          0.700 ± 0.000      0.700                     —    —      0.700

@@ -53,6 +53,14 @@ impl Sensor for Python {
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))
     }
 
+    fn resets(&self) -> bool {
+        self.object.resets()
+    }
+
+    fn reset(&mut self) -> Result<(), SensorError> {
+        Ok(self.object.reset()?)
+    }
+
     fn facts(&self) -> Vec<(String, String)> {
         self.object.description().facts("Sensor")
     }

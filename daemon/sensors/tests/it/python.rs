@@ -64,3 +64,24 @@ class Own:
         assert_eq!(waited.is_some_and(|seconds| seconds >= 0.3), restarted, "{waited:?}");
     }
 }
+
+#[test]
+fn sensor_with_reset_is_reset() {
+    let source = "
+class Own:
+    def __init__(self): self.episode = 0
+    def reset(self): self.episode += 1
+    def sample(self): return str(self.episode)
+";
+    let folder = tempfile::tempdir().expect("can be made");
+    fs::write(folder.path().join("own.py"), source).expect("can be written");
+    let folder = Some(folder.path().to_owned());
+    let config = SensorConfig::Python(PythonConfig { folder, ..PythonConfig::new("own::Own") });
+    let mut sensor = config.open(&real_clock()).expect("is there");
+    assert!(sensor.resets());
+    for expected in ["1", "2"] {
+        sensor.reset().expect("is reset");
+        let sample = sensor.sample(&mut recorder()).expect("gives one").expect("goes on");
+        assert_eq!(&sample.parts[0].bytes[..], expected.as_bytes());
+    }
+}

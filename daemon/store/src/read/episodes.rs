@@ -1,6 +1,8 @@
 //! Episodes, warm-up and unanswered iterations of a run. They are computed from single rows of iterations, which are found by
 //! number. The number of rows that are read does not depend on the length of the run.
 
+use std::collections::HashMap;
+
 use super::iterations::Row;
 use super::{corrupt_data, sql, wall};
 use crate::error::StoreError;
@@ -25,15 +27,21 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         .await
         .map_err(readers.failed(WHAT))?;
     let Some((first, last)) = first.zip(last) else { return Ok(Episodes::default()) };
-    let steps = steps(&last);
-    let borders = match steps {
-        Some(steps) if last.episode <= Episodes::MAX_BORDERS => {
+    let mut steps = steps(&last);
+    let mut borders = Vec::new();
+    if last.episode <= Episodes::MAX_BORDERS {
+        if let Some(steps) = steps {
             let first_numbers = (1..=i64::from(last.episode)).map(|episode| episode * steps + 1);
-            let rows = rows_by_number(readers, run, &first_numbers.collect::<Vec<_>>()).await?;
-            rows.into_iter().filter(|row| row.step == 0 && first_number(row, steps) == row.number).collect()
+            borders = rows_by_number(readers, run, &first_numbers.collect::<Vec<_>>()).await?;
         }
-        _ => Vec::new(),
-    };
+        let is_border = |row: &Row, steps: i64| row.step == 0 && first_number(row, steps) == row.number;
+        // An actuator may end episodes before their last step; then they have different lengths.
+        if steps.is_none_or(|steps| borders.iter().any(|row| !is_border(row, steps))) {
+            steps = None;
+            borders = rows_by_number(readers, run, &first_numbers(readers, run, &last).await?).await?;
+            borders.retain(|row| row.step == 0);
+        }
+    }
     let (unanswered, without_answer) = unanswered(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
@@ -60,6 +68,24 @@ fn steps(row: &Row) -> Option<i64> {
     let earlier_iterations = row.number - 1 - step;
     let steps = earlier_iterations.checked_div(episode)?;
     (steps > step && steps * episode == earlier_iterations).then_some(steps)
+}
+
+/// Returns the number of the first stored iteration of each episode but the first. All are found by bisection at the same
+/// time, so that the number of queries depends on the length of the run by its logarithm only.
+async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i64>, StoreError> {
+    // Numbers before and at the first iteration that belongs to the episode or to a later one. Retention deletes the
+    // oldest iterations, so that a missing one is before those that are stored.
+    let mut ends: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
+    while ends.iter().any(|(before, at)| before + 1 < *at) {
+        let middles: Vec<i64> = ends.iter().map(|(before, at)| before + (at - before) / 2).collect();
+        let known: HashMap<i64, u32> =
+            rows_by_number(readers, run, &middles).await?.into_iter().map(|row| (row.number, row.episode)).collect();
+        for (episode, ((before, at), middle)) in (1..).zip(ends.iter_mut().zip(middles)) {
+            let has_begun = known.get(&middle).is_some_and(|known| *known >= episode);
+            if has_begun { *at = middle } else { *before = (*before).max(middle) }
+        }
+    }
+    Ok(ends.into_iter().map(|(_, at)| at).collect())
 }
 
 /// Returns the first iteration after the warm-up at the start of a run.

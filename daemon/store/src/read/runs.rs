@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use peernet_analysis::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_clock::WallTime;
 use peernet_external::exec::{hide_arguments, hide_arguments_in_facts};
@@ -117,7 +118,36 @@ async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
     let lateness = late_answers(readers, rows).await?;
-    rows.iter().map(|row| summary(row, totals.get(&row.number), lateness.get(&row.number))).collect()
+    let actuators = actuator_results(readers, rows).await?;
+    let summaries = rows.iter().map(|row| {
+        let actuator = actuators.get(&row.number).copied().unwrap_or_default();
+        summary(row, totals.get(&row.number), lateness.get(&row.number), actuator)
+    });
+    summaries.collect()
+}
+
+/// Returns the results of the actuators, for the runs that have one.
+async fn actuator_results(
+    readers: &Readers,
+    rows: &[RunRow],
+) -> Result<HashMap<i64, ActuatorResults>, StoreError> {
+    // Only an actuator has the fact of this name. Searched in the text, because a list of runs has many facts.
+    let with_actuator = rows.iter().filter(|row| row.facts.contains("\"Actuator\""));
+    let numbers: Vec<i64> = with_actuator.map(|row| row.number).collect();
+    if numbers.is_empty() {
+        return Ok(HashMap::new());
+    }
+    let mut by_name = HashMap::new();
+    for name in EPISODE_VALUES.into_iter().chain([SUPERSEDED]) {
+        by_name.insert(name, statistics::whole_runs(readers, &numbers, name).await?);
+    }
+    let results = |number: &i64| {
+        ActuatorResults::from_statistics(|name| {
+            let figures = by_name.get(name)?.get(number)?.figures()?;
+            Some((figures.count, figures.mean, figures.std))
+        })
+    };
+    Ok(numbers.iter().map(|number| (*number, results(number))).collect())
 }
 
 /// Returns the summaries of `DEADLINE_MISSED` for the runs with a deadline. Each answered iteration has a sample: 1 if its answer was
@@ -148,8 +178,10 @@ pub(crate) async fn run(readers: &Readers, number: i64) -> Result<Option<RunDeta
     let Some(row) = row else { return Ok(None) };
     let totals = statistics::whole_runs(readers, &[number], &stage::TOTAL).await?;
     let lateness = late_answers(readers, std::slice::from_ref(&row)).await?;
+    let actuators = actuator_results(readers, std::slice::from_ref(&row)).await?;
+    let actuator = actuators.get(&number).copied().unwrap_or_default();
     Ok(Some(RunDetail {
-        summary: summary(&row, totals.get(&number), lateness.get(&number))?,
+        summary: summary(&row, totals.get(&number), lateness.get(&number), actuator)?,
         facts: facts(&row)?,
         conditions: row.conditions.as_deref().map(json).transpose()?.unwrap_or_default(),
         // Earlier versions stored the arguments of programs.
@@ -189,6 +221,7 @@ fn summary(
     row: &RunRow,
     total: Option<&NameSummary>,
     lateness: Option<&NameSummary>,
+    actuator: ActuatorResults,
 ) -> Result<RunSummary, StoreError> {
     let kind = [PlacementKind::Local, PlacementKind::Remote, PlacementKind::None]
         .into_iter()
@@ -227,6 +260,7 @@ fn summary(
         skipped_starts: count(row.skipped_starts),
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
+        actuator,
         total: total.and_then(NameSummary::figures),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),
         pinned: row.pinned,

@@ -17,13 +17,14 @@ const MAX_PENDING_SUMMARIES: usize = 20_000;
 /// page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The values of the successful iterations of a page, without the warm-up: ?1 run, ?2 last iteration of the previous page, ?3 last
-/// iteration of this page. The joins follow the key that all these tables have: run, iteration, node.
+/// The values of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last iteration of
+/// the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have: run, iteration, node.
 pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
      LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \
      WHERE iteration.run = ?1 AND iteration.number > ?2 AND iteration.number <= ?3 \
-     AND +iteration.warm_up = 0 AND +iteration.outcome = 0";
+     AND (+iteration.warm_up = 0 AND +iteration.outcome = 0 \
+     OR +node.name IN (SELECT id FROM name WHERE text IN ('episode-success', 'episode-return')))";
 
 #[derive(FromRow)]
 struct NodeRow {

@@ -128,6 +128,28 @@ async fn inconsistent_step_numbers_have_no_border() {
 }
 
 #[tokio::test]
+async fn episodes_of_different_lengths_have_borders() {
+    let mut test_store = TestStore::new().await;
+    // Lengths 7, 3, 12, 5, 1 and the rest.
+    let begins = [1, 8, 11, 23, 28, 29];
+    stored(&mut test_store, 40, |iteration| {
+        let episode = begins.iter().rposition(|begin| *begin <= iteration.number).expect("after the first");
+        (iteration.episode, iteration.step) = (episode as u32, (iteration.number - begins[episode]) as u32);
+        true
+    })
+    .await;
+    let known = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((known.count, known.steps, known.borders), (6, None, began([8, 11, 23, 28, 29])));
+    let mut other = test_store.other().await;
+    sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 9")
+        .execute(&mut other)
+        .await
+        .expect("deletes");
+    let known = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(known.borders, began([11, 23, 28, 29]), "the second episode has lost its beginning");
+}
+
+#[tokio::test]
 async fn too_many_episodes_are_only_counted() {
     let mut test_store = TestStore::new().await;
     for iterations in [93, 94] {

@@ -8,6 +8,7 @@ mod clocks;
 mod connections;
 mod deadlines;
 mod ends;
+mod episode_results;
 mod episodes;
 mod experiments;
 mod fixtures;

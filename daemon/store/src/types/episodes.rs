@@ -10,7 +10,7 @@ pub struct Episodes {
     pub first: Option<WallTime>,
     /// Number of started episodes: 1 for a run that is not divided into episodes, 0 without iterations.
     pub count: u64,
-    /// Number of iterations of each episode except the last; `None` if there is only one episode.
+    /// Number of iterations of each episode except the last; `None` if there is only one episode, or if episodes have different lengths.
     pub steps: Option<u64>,
     /// Starts of all episodes except the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,

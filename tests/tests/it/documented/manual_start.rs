@@ -4,13 +4,14 @@ use peernet_tests::network::Host;
 use peernet_tests::truth::query_database;
 use peernet_tests::{Api, Document, DocumentedCommands, wait_until};
 
-pub(crate) const COMMANDS: [&str; 6] = [
+pub(crate) const COMMANDS: [&str; 7] = [
     "target/demo/peernetd run configs/aggregator.toml",
     "target/demo/peernetd run configs/cloud.toml",
     "target/demo/peernetd run configs/edge.toml",
     "peernetd doctor --config configs/edge.toml",
     "target/demo/peernetd run configs/all-in-one.toml",
     "peernetd run configs/python.toml",
+    "peernetd run configs/episodes.toml",
 ];
 
 /// Waits until the dashboard on a host shows this number of answered iterations of a pipeline.
@@ -72,5 +73,19 @@ fn killed_aggregator_leaves_no_gap_on_dashboard() {
         let end = process.stop();
         assert_eq!(end.code(), 0, "{}", end.log);
     }
+    for name in ["episodes.toml", "python/reach.py"] {
+        let name = format!("configs/{name}");
+        machines.write(&name, &Document::read(&*name).text);
+    }
+    let closed_loop = machines.on_cloud("peernetd run configs/episodes.toml", &[]);
+    let success_rate = machines.cloud().run_in_namespace(|| {
+        Api::on_port(8040).wait_until("/api/v1/runs", |runs| {
+            let runs = runs["runs"].as_array()?.iter();
+            runs.filter(|run| run["reason"] == "finished").find_map(|run| run["success_rate"].as_f64())
+        })
+    });
+    assert_eq!(success_rate, 1.0, "every target is reached");
+    let ended = closed_loop.stop();
+    assert_eq!(ended.code(), 0, "{}", ended.log);
     machines.finish();
 }

@@ -46,6 +46,12 @@ pub(crate) struct Run {
     /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline, and
     /// before the first iteration.
     pub miss_rate: Option<f64>,
+    /// Number of answers that were not acted on, because the answer to a newer sample had been or the episode had ended.
+    pub superseded: u64,
+    /// Share of the episodes that were a success, 0 to 1, without the warm-up; null if the actuator reports none.
+    pub success_rate: Option<f64>,
+    /// Mean of the return per episode: the sum of its rewards; null if the actuator reports no rewards.
+    pub episode_return: Option<f64>,
     /// Statistics of `total`, seconds; successful iterations only.
     pub total: Option<QuantityStatistics>,
     /// `true` if clock faults were injected on one of its hosts.
@@ -97,6 +103,9 @@ impl From<&store::RunSummary> for Run {
             skipped_starts: run.skipped_starts,
             deadline_s: run.deadline_s,
             miss_rate: run.misses.and_then(Misses::rate),
+            superseded: run.actuator.superseded,
+            success_rate: run.actuator.success.map(|success| success.rate),
+            episode_return: run.actuator.episode_return.map(|found| found.mean),
             total: run.total,
             has_clock_fault: run.has_clock_fault,
             pinned: run.pinned,

@@ -62,7 +62,8 @@ impl Table {
         let is_measured =
             |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
         let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| is_measured(name)).collect();
-        let accuracies: Vec<_> = look::ACCURACIES.into_iter().filter(|(name, _)| is_measured(name)).collect();
+        let shares = look::ACCURACIES.into_iter().chain([look::SUCCESS]);
+        let accuracies: Vec<_> = shares.filter(|(name, _)| is_measured(name)).collect();
         let best = differences.ranking.as_ref().map(|ranking| ranking.best);
         let has_axes = !comparison.axes.is_empty();
         let row = |(index, one): (usize, &Configuration)| Row {

@@ -25,6 +25,7 @@ pub(crate) fn run(number: i64, kind: PlacementKind) -> RunSummary {
         skipped_starts: 0,
         deadline_s: None,
         misses: None,
+        actuator: Default::default(),
         total: Some(samples::figures(0.016, 300)),
         has_clock_fault: false,
         pinned: false,

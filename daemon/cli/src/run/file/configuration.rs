@@ -3,6 +3,7 @@
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
+use peernet_actuators::ActuatorKind;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::{Limit, PlacementConfig, WarmUp};
 use peernet_analysis::record::NetworkConfig;
@@ -152,6 +153,9 @@ fn read(
     let (limit, warm_up) = (experiment.limit()?, experiment.warm_up());
     for pipeline in &mut agent.pipelines {
         pipeline.limit = limit;
+        // Without feedback every episode has all of its steps, which the total contains. The plan of such an experiment stays as
+        // earlier releases wrote it.
+        pipeline.limit.episodes = experiment.episodes().filter(|_| pipeline.actuator.ends_episodes());
         pipeline.warm_up = warm_up;
         pipeline.episode_steps = experiment.episode_steps;
         if let PlacementConfig::Remote(remote) = &mut pipeline.placement {

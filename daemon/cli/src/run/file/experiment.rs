@@ -135,11 +135,21 @@ impl Experiment {
             (Some(_), None) => return Err(LimitError::EpisodeSteps),
             (None, _) => None,
         };
-        let limit = Limit { iterations: self.iterations, total: episodes, duration_s: self.duration_s };
+        let limit = Limit {
+            iterations: self.iterations,
+            total: episodes,
+            duration_s: self.duration_s,
+            ..Limit::default()
+        };
         if limit.is_none() {
             return Err(LimitError::Endless);
         }
         Ok(limit)
+    }
+
+    /// Returns the number of episodes of a run.
+    pub(super) const fn episodes(&self) -> Option<NonZeroU32> {
+        self.episodes
     }
 
     /// Returns the iterations that are left out of statistics: with episodes as in the paper, otherwise the usual five iterations.

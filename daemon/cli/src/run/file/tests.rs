@@ -155,6 +155,22 @@ fn run_with_only_warm_up_is_refused() {
 }
 
 #[test]
+fn only_feedback_can_end_run_after_episodes() {
+    let limit = |actuator: &str| {
+        let text = COMMON.replace("iterations = 10", "episodes = 3\nepisode_steps = 4");
+        let [only] = configurations(&format!("{text}{actuator}")).expect("reads").try_into().expect("one");
+        let limit = only.agent.pipelines[0].limit;
+        (limit.total.map(u64::from), limit.episodes.map(u32::from))
+    };
+    let socket = "actuator = { kind = 'socket', address = 'udp://arm:9000', feedback = true }\n";
+    assert_eq!(limit(socket), (Some(12), Some(3)));
+    // The plan of such an experiment stays as earlier releases wrote it, so that it can be continued.
+    for without_feedback in ["", "actuator = { kind = 'log' }\n", &socket.replace("true", "false")] {
+        assert_eq!(limit(without_feedback), (Some(12), None), "{without_feedback}");
+    }
+}
+
+#[test]
 fn mistake_of_all_combinations_is_reported_once() {
     let error = wrong(
         "[bank]\nfolder = []\n[[axis]]\nname = 'A'\nfield = 'pipeline.timeout_ms'\nvalues = [1, 2, 3]\n",

@@ -79,8 +79,25 @@ fn notes_before_the_answer_are_returned() {
         sequence: Some(7),
         label: Some("golden retriever".to_owned()),
         source: Some("a b.jpg".to_owned()),
+        ..ReplyNotes::default()
     };
     assert_eq!(notes, expected);
+}
+
+#[test]
+fn actuator_reports_feedback_before_it_is_done() {
+    let notes = reply(Role::Actuator, "reward -0.5\nsuccess 1\nepisode-ended\ndone\n").notes;
+    assert_eq!((notes.reward, notes.success, notes.episode_ended), (Some(-0.5), Some(true), true));
+    for (written, part) in [
+        ("reward inf\n", "reward NUMBER"),
+        ("reward\n", "reward NUMBER"),
+        ("success true\n", "success 0, or success 1"),
+        ("value episode-return 1\n", "a reserved name"),
+    ] {
+        let text = error(Role::Actuator, written);
+        assert!(text.contains(part), "{written:?}: {text}");
+    }
+    assert!(error(Role::Model, "reward 1\n").contains("a model writes one of"), "only an actuator");
 }
 
 #[test]

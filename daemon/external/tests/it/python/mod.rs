@@ -1,6 +1,7 @@
 //! Tests with objects in real Python processes.
 
 mod about;
+mod actuators;
 mod deaths;
 mod failures;
 mod hostile;

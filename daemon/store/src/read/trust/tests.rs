@@ -35,6 +35,7 @@ fn summary(reason: &str) -> RunSummary {
         skipped_starts: 0,
         deadline_s: None,
         misses: None,
+        actuator: Default::default(),
         total: None,
         has_clock_fault: false,
         pinned: false,

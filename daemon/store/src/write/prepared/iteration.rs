@@ -1,5 +1,6 @@
 //! Conversion of a tree to rows and statistics.
 
+use peernet_analysis::actuator_results::EPISODE_VALUES;
 use peernet_clock::{DelaySource, Verdict, WallTime};
 use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
 use peernet_stream::{Iteration, Outcome, OutcomeCounts};
@@ -44,7 +45,8 @@ impl BatchBuilder {
                 lo,
                 hi,
             });
-            if is_in_statistics {
+            // A value of an episode counts whatever the outcome of the iteration was with which the episode ended.
+            if is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()) {
                 self.summaries.record(run, name, Quantity::Value, second_s, value);
             }
             if let Measure::Transit(transit) = &node.measure {

@@ -1,0 +1,266 @@
+//! Connection to a controller. All calls block until their deadline at most, except for the resolution of a host's name.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
+use std::num::NonZeroU64;
+use std::time::Duration;
+
+use peernet_clock::{MonoTime, SharedClock, Span};
+
+use super::SocketAddress;
+use super::address::Protocol;
+use super::line::{self, MAX_LINE_BYTES};
+use crate::{Feedback, SocketError};
+
+/// Largest number of bytes that are read and discarded before an answer is sent.
+const MAX_DISCARDED_BYTES: usize = 1 << 20;
+
+/// Deadline of an action.
+pub(super) struct Deadline {
+    pub(super) clock: SharedClock,
+    pub(super) until: MonoTime,
+    /// The configured timeout, for messages.
+    pub(super) timeout_ms: NonZeroU64,
+}
+
+impl Deadline {
+    /// Returns the remaining time.
+    fn remaining(&self) -> io::Result<Duration> {
+        let remaining = self.until - self.clock.mono();
+        // The system rounds a timeout below a microsecond to zero, which means to wait for ever.
+        if remaining >= Span::from_micros(1) {
+            Ok(remaining.to_duration())
+        } else {
+            Err(ErrorKind::TimedOut.into())
+        }
+    }
+}
+
+enum Channel {
+    Udp(UdpSocket),
+    Tcp(TcpStream),
+}
+
+/// Connection to a controller.
+pub(super) struct Connection {
+    address: String,
+    channel: Channel,
+    /// Received bytes that are not read yet; over TCP they may be part of a line.
+    received: Vec<u8>,
+}
+
+impl Connection {
+    /// Connects to a controller.
+    ///
+    /// # Errors
+    /// If no address of the host can be connected to.
+    pub(super) fn open(address: &SocketAddress, deadline: &Deadline) -> Result<Self, SocketError> {
+        let failed = |error: io::Error| match error.kind() {
+            ErrorKind::TimedOut | ErrorKind::WouldBlock => SocketError::TimedOut {
+                address: address.to_string(),
+                waited_for: "accept the connection",
+                timeout_ms: deadline.timeout_ms,
+            },
+            _ => SocketError::Connect { address: address.to_string(), error },
+        };
+        let mut last = io::Error::new(ErrorKind::NotFound, "the host has no address");
+        for resolved in address.host_and_port.to_socket_addrs().map_err(failed)? {
+            match open_channel(address.protocol, resolved, deadline) {
+                Ok(channel) => {
+                    return Ok(Self { address: address.to_string(), channel, received: Vec::new() });
+                }
+                Err(error) => last = error,
+            }
+        }
+        Err(failed(last))
+    }
+
+    /// Returns whether the controller has not closed the connection, and discards what it sent without being asked.
+    ///
+    /// # Errors
+    /// If a controller that gives feedback sent a line over TCP without an answer to act on: every later line would be
+    /// taken for the feedback on another action. A datagram may be a duplicate that the network made.
+    pub(super) fn is_open(&mut self, has_feedback: bool) -> Result<bool, SocketError> {
+        let mut buffer = [0; 4096];
+        let mut discarded = self.received.len();
+        while discarded <= MAX_DISCARDED_BYTES {
+            match self.channel.try_read(&mut buffer) {
+                Ok(0) if matches!(self.channel, Channel::Tcp(_)) => return Ok(false),
+                Ok(read) if has_feedback && matches!(self.channel, Channel::Tcp(_)) => {
+                    self.received.extend_from_slice(&buffer[..read]);
+                    break;
+                }
+                Ok(read) => discarded += read.max(1),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => break,
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(_) => return Ok(false),
+            }
+        }
+        if self.received.is_empty() {
+            return Ok(true);
+        }
+        Err(SocketError::Unsolicited { address: self.address.clone(), line: line::quote(&self.received) })
+    }
+
+    /// Sends a line.
+    ///
+    /// # Errors
+    /// If the line cannot be sent before the deadline.
+    pub(super) fn send(&mut self, line: &[u8], deadline: &Deadline) -> Result<(), SocketError> {
+        let mut rest = line;
+        while !rest.is_empty() {
+            match self.channel.write(rest, deadline) {
+                Ok(0) => return Err(self.io_error(SENDING, ErrorKind::WriteZero.into(), deadline)),
+                Ok(written) => rest = &rest[written..],
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(self.io_error(SENDING, error, deadline)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Receives the feedback on the action of an iteration. A line with the number of another iteration is ignored: it is
+    /// a copy of an earlier datagram.
+    ///
+    /// # Errors
+    /// If no line arrives before the deadline, or if the line is too long or is not feedback.
+    pub(super) fn receive_feedback(
+        &mut self,
+        iteration: u64,
+        deadline: &Deadline,
+    ) -> Result<Feedback, SocketError> {
+        loop {
+            let line = self.receive_line(deadline)?;
+            match line::decode(&line) {
+                Ok((Some(other), _)) if other != iteration => {}
+                Ok((_, feedback)) => return Ok(feedback),
+                Err(reason) => {
+                    let (address, line) = (self.address.clone(), line::quote(&line));
+                    return Err(SocketError::Feedback { address, line, reason });
+                }
+            }
+        }
+    }
+
+    /// Receives a line, without its line feed. A datagram is a line, with or without one.
+    fn receive_line(&mut self, deadline: &Deadline) -> Result<Vec<u8>, SocketError> {
+        // One byte more than the longest line, so that a longer datagram is not cut to a valid one.
+        let mut buffer = vec![0; MAX_LINE_BYTES + 1];
+        loop {
+            if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
+                let rest = self.received.split_off(end + 1);
+                let mut line = std::mem::replace(&mut self.received, rest);
+                line.truncate(end);
+                return Ok(line);
+            }
+            if self.received.len() >= MAX_LINE_BYTES {
+                return Err(self.too_long());
+            }
+            match self.channel.read(&mut buffer, deadline) {
+                Ok(0) if matches!(self.channel, Channel::Tcp(_)) => {
+                    return Err(SocketError::Closed(self.address.clone()));
+                }
+                Ok(read) if matches!(self.channel, Channel::Udp(_)) => {
+                    if read > MAX_LINE_BYTES {
+                        return Err(self.too_long());
+                    }
+                    return Ok(buffer[..read].trim_ascii_end().to_vec());
+                }
+                Ok(read) => self.received.extend_from_slice(&buffer[..read]),
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(error) => return Err(self.io_error(RECEIVING, error, deadline)),
+            }
+        }
+    }
+
+    fn too_long(&self) -> SocketError {
+        SocketError::FeedbackLength { address: self.address.clone(), limit: MAX_LINE_BYTES }
+    }
+
+    fn io_error(
+        &self,
+        (doing, waited_for): (&'static str, &'static str),
+        error: io::Error,
+        deadline: &Deadline,
+    ) -> SocketError {
+        let address = self.address.clone();
+        match error.kind() {
+            ErrorKind::TimedOut | ErrorKind::WouldBlock => {
+                SocketError::TimedOut { address, waited_for, timeout_ms: deadline.timeout_ms }
+            }
+            _ => SocketError::Io { doing, address, error },
+        }
+    }
+}
+
+/// What is done while an error occurs, and what the controller has to do.
+const SENDING: (&str, &str) = ("send an answer to", "accept the answer");
+const RECEIVING: (&str, &str) = ("receive feedback from", "send feedback");
+
+fn open_channel(protocol: Protocol, address: SocketAddr, deadline: &Deadline) -> io::Result<Channel> {
+    match protocol {
+        Protocol::Udp => {
+            let any: SocketAddr = match address {
+                SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+                SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+            };
+            let socket = UdpSocket::bind(any)?;
+            // A connected socket receives datagrams of the controller only.
+            socket.connect(address)?;
+            Ok(Channel::Udp(socket))
+        }
+        Protocol::Tcp => {
+            let stream = TcpStream::connect_timeout(&address, deadline.remaining()?)?;
+            stream.set_nodelay(true)?;
+            Ok(Channel::Tcp(stream))
+        }
+    }
+}
+
+impl Channel {
+    /// Reads what has arrived; an error of the kind `WouldBlock` if there is nothing.
+    fn try_read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::Udp(socket) => {
+                socket.set_nonblocking(true)?;
+                let read = socket.recv(buffer);
+                socket.set_nonblocking(false)?;
+                read
+            }
+            Self::Tcp(stream) => {
+                stream.set_nonblocking(true)?;
+                let read = stream.read(buffer);
+                stream.set_nonblocking(false)?;
+                read
+            }
+        }
+    }
+
+    fn read(&mut self, buffer: &mut [u8], deadline: &Deadline) -> io::Result<usize> {
+        let timeout = Some(deadline.remaining()?);
+        match self {
+            Self::Udp(socket) => {
+                socket.set_read_timeout(timeout)?;
+                socket.recv(buffer)
+            }
+            Self::Tcp(stream) => {
+                stream.set_read_timeout(timeout)?;
+                stream.read(buffer)
+            }
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], deadline: &Deadline) -> io::Result<usize> {
+        let timeout = Some(deadline.remaining()?);
+        match self {
+            Self::Udp(socket) => {
+                socket.set_write_timeout(timeout)?;
+                socket.send(bytes)
+            }
+            Self::Tcp(stream) => {
+                stream.set_write_timeout(timeout)?;
+                stream.write(bytes)
+            }
+        }
+    }
+}

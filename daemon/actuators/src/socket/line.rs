@@ -1,0 +1,197 @@
+//! Lines to a controller. No I/O.
+
+use peernet_sample::{ElementType, MediaType, Part, Sample, escaped_line};
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::{Action, Feedback, SocketError};
+
+/// Longest line in both directions with its line feed, bytes: the largest payload of a UDP datagram over IPv4.
+pub(super) const MAX_LINE_BYTES: usize = 65_507;
+/// Longest part of a line that an error quotes, bytes.
+const MAX_QUOTED_BYTES: usize = 120;
+
+/// A line to the controller.
+#[derive(Serialize)]
+struct ActionLine<'a> {
+    iteration: u64,
+    episode: u32,
+    step: u32,
+    source: &'a str,
+    answer: Value,
+}
+
+/// Returns the line for an action, with its line feed.
+pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
+    let Action { answer, source, iteration, episode, step } = *action;
+    // The JSON form of an array has at least one byte for each byte of its elements; so memory is bounded.
+    if answer.payload_bytes() > 8 * MAX_LINE_BYTES as u64 {
+        return Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES });
+    }
+    let line = ActionLine { iteration, episode, step, source, answer: answer_value(answer)? };
+    let mut line =
+        serde_json::to_vec(&line).map_err(|error| SocketError::InvalidAnswer(error.to_string()))?;
+    line.push(b'\n');
+    if line.len() > MAX_LINE_BYTES {
+        Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES })
+    } else {
+        Ok(line)
+    }
+}
+
+/// Reads a line of feedback: the number of its iteration, if the line has one, and the feedback.
+pub(super) fn decode(line: &[u8]) -> Result<(Option<u64>, Feedback), serde_json::Error> {
+    let mut document: Option<Map<String, Value>> = serde_json::from_slice(line)?;
+    let iteration = document.as_mut().and_then(|document| document.remove("iteration"));
+    let feedback = document.map(|document| serde_json::from_value(Value::Object(document))).transpose()?;
+    Ok((iteration.map(serde_json::from_value).transpose()?, feedback.unwrap_or_default()))
+}
+
+/// Returns the beginning of a line, for messages.
+pub(super) fn quote(line: &[u8]) -> String {
+    escaped_line(&line[..line.len().min(MAX_QUOTED_BYTES)])
+}
+
+/// Returns an answer as JSON: the value of its part, or a list of several.
+fn answer_value(answer: &Sample) -> Result<Value, SocketError> {
+    match answer.parts.as_slice() {
+        [part] => part_value(part),
+        parts => Ok(Value::Array(parts.iter().map(part_value).collect::<Result<_, _>>()?)),
+    }
+}
+
+fn part_value(part: &Part) -> Result<Value, SocketError> {
+    let invalid = |error: &dyn std::fmt::Display| SocketError::InvalidAnswer(error.to_string());
+    let description = &part.description;
+    match (&description.media, description.element) {
+        (MediaType::Json, _) => serde_json::from_slice(&part.bytes).map_err(|error| invalid(&error)),
+        (MediaType::Text, _) => {
+            Ok(Value::from(std::str::from_utf8(&part.bytes).map_err(|error| invalid(&error))?))
+        }
+        (MediaType::Tensor, Some(element)) => {
+            if description.shaped_bytes() != Some(part.bytes.len() as u64) {
+                return Err(invalid(&"an array does not match its shape"));
+            }
+            let shape: Vec<usize> = description.shape.iter().map(|length| *length as usize).collect();
+            array(element, &shape, &part.bytes)
+        }
+        (media, _) => Err(SocketError::AnswerType(media.iana().into_owned())),
+    }
+}
+
+/// Returns an array as nested lists.
+fn array(element: ElementType, shape: &[usize], bytes: &[u8]) -> Result<Value, SocketError> {
+    let Some((length, inner)) = shape.split_first() else { return number(element, bytes) };
+    let row_bytes = bytes.len().checked_div(*length).unwrap_or(0);
+    // An array without elements is an empty list, whatever its other lengths are: they may be huge.
+    if row_bytes == 0 {
+        return Ok(Value::Array(Vec::new()));
+    }
+    let rows = bytes.chunks(row_bytes);
+    Ok(Value::Array(rows.map(|row| array(element, inner, row)).collect::<Result<_, _>>()?))
+}
+
+/// Returns a number, which is stored little-endian.
+fn number(element: ElementType, bytes: &[u8]) -> Result<Value, SocketError> {
+    let mut eight = [0; 8];
+    for (to, from) in eight.iter_mut().zip(bytes) {
+        *to = *from;
+    }
+    let bits = u64::from_le_bytes(eight);
+    let [low, ..] = eight;
+    let float = |value: f64| {
+        if value.is_finite() { Ok(Value::from(value)) } else { Err(SocketError::NotFinite(value)) }
+    };
+    Ok(match element {
+        ElementType::Bool => Value::from(low != 0),
+        ElementType::U8 | ElementType::U16 | ElementType::U32 | ElementType::U64 => Value::from(bits),
+        ElementType::I8 => Value::from(low.cast_signed()),
+        ElementType::I16 => Value::from((bits as u16).cast_signed()),
+        ElementType::I32 => Value::from((bits as u32).cast_signed()),
+        ElementType::I64 => Value::from(bits.cast_signed()),
+        ElementType::F32 => float(f64::from(f32::from_bits(bits as u32)))?,
+        ElementType::F64 => float(f64::from_bits(bits))?,
+        other @ (ElementType::F16 | ElementType::C64 | ElementType::C128) => {
+            return Err(SocketError::AnswerType(format!("array of {other:?}")));
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::Description;
+
+    use super::*;
+
+    fn sent(answer: &Sample) -> Result<String, String> {
+        let action = Action { iteration: 7, episode: 2, step: 3, ..Action::first(answer, "left \"eye\"") };
+        let line = encode(&action).map_err(|error| error.to_string())?;
+        Ok(String::from_utf8(line).expect("is JSON"))
+    }
+
+    fn tensor(element: ElementType, shape: &[u32], bytes: Vec<u8>) -> Sample {
+        let description =
+            Description { media: MediaType::Tensor, shape: shape.to_vec(), element: Some(element) };
+        Sample::from_part(description, bytes.into())
+    }
+
+    fn unshaped(media: MediaType, text: &str) -> Sample {
+        Sample::from_part(Description::unshaped(media), text.as_bytes().to_vec().into())
+    }
+
+    #[test]
+    fn line_contains_position_source_and_answer() {
+        let answer = unshaped(MediaType::Json, r#"{"label": "go", "x": [1, 2.5]}"#);
+        let expected = "{\"iteration\":7,\"episode\":2,\"step\":3,\"source\":\"left \\\"eye\\\"\",\
+                        \"answer\":{\"label\":\"go\",\"x\":[1,2.5]}}\n";
+        assert_eq!(sent(&answer).as_deref(), Ok(expected));
+        let text = sent(&unshaped(MediaType::Text, "stop\n")).expect("is text");
+        assert!(text.ends_with("\"answer\":\"stop\\n\"}\n"), "{text}");
+    }
+
+    #[test]
+    fn arrays_are_nested_lists_of_numbers() {
+        let floats: Vec<u8> =
+            [0.5_f32, -1.0, 2.0, 3.0].iter().flat_map(|value| value.to_le_bytes()).collect();
+        let ends = |answer: &Sample, end: &str| {
+            let line = sent(answer).expect("is sent");
+            assert!(line.ends_with(&format!("\"answer\":{end}}}\n")), "{line}");
+        };
+        ends(&tensor(ElementType::F32, &[2, 2], floats.clone()), "[[0.5,-1.0],[2.0,3.0]]");
+        ends(&tensor(ElementType::F32, &[4, 1], floats), "[[0.5],[-1.0],[2.0],[3.0]]");
+        ends(&tensor(ElementType::I16, &[2], vec![255, 255, 1, 0]), "[-1,1]");
+        ends(&tensor(ElementType::U8, &[], vec![200]), "200");
+        ends(&tensor(ElementType::Bool, &[2], vec![1, 0]), "[true,false]");
+        ends(&tensor(ElementType::F64, &[2, 0], Vec::new()), "[]");
+        let mut two = tensor(ElementType::U8, &[1], vec![1]);
+        two.parts.extend(unshaped(MediaType::Text, "b").parts);
+        ends(&two, "[[1],\"b\"]");
+    }
+
+    #[test]
+    fn feedback_line_may_name_its_iteration() {
+        let feedback = Feedback { success: Some(true), ..Feedback::default() };
+        let read = |line: &str| decode(line.as_bytes()).map_err(|error| error.to_string());
+        assert_eq!(read(r#"{"iteration": 7, "success": true}"#), Ok((Some(7), feedback)));
+        assert_eq!(read(r#"{"success": true}"#), Ok((None, feedback)));
+        assert_eq!(read("null"), Ok((None, Feedback::default())));
+        for wrong in [r#"{"iteration": "7"}"#, r#"{"succes": true}"#, "[]", ""] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn answers_without_json_form_are_refused() {
+        let refused = |answer: &Sample, part: &str| {
+            let error = sent(answer).expect_err(part);
+            assert!(error.contains(part), "{error}");
+        };
+        refused(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
+        refused(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
+        refused(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
+        refused(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");
+        refused(&unshaped(MediaType::Json, "{"), "cannot be read");
+        refused(&unshaped(MediaType::Text, &"x".repeat(MAX_LINE_BYTES)), "more than 65507 bytes");
+        refused(&tensor(ElementType::U8, &[600_000], vec![0; 600_000]), "more than 65507 bytes");
+    }
+}

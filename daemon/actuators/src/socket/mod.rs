@@ -1,0 +1,117 @@
+//! Actuator kind `socket`, which sends each answer as a line of JSON to a robot's controller, over UDP or TCP.
+
+mod address;
+mod connection;
+mod line;
+#[cfg(test)]
+mod tests;
+
+pub use address::SocketAddress;
+
+use std::num::NonZeroU64;
+
+use peernet_clock::{SharedClock, Span};
+use peernet_external::process::MAX_TIMEOUT_MS;
+use peernet_logger::Recorder;
+use serde::{Deserialize, Serialize};
+
+use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback, SocketError};
+use connection::{Connection, Deadline};
+
+/// Configuration of the actuator: `{ kind = "socket", address = "udp://10.0.0.5:9000" }`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SocketConfig {
+    /// Address of the controller: `udp://host:port` or `tcp://host:port`.
+    pub address: SocketAddress,
+    /// `true` if the controller answers each line with a line of feedback. Default: no.
+    #[serde(default)]
+    pub feedback: bool,
+    /// Longest time for one action, with connecting and feedback; milliseconds, up to one day. Default: 1000.
+    #[serde(default = "one_second")]
+    pub timeout_ms: NonZeroU64,
+}
+
+const fn one_second() -> NonZeroU64 {
+    NonZeroU64::new(1000).expect("above 0")
+}
+
+impl ActuatorKind for SocketConfig {
+    /// Connects now, so that the first action does not wait for it. If that fails, each action tries again.
+    fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
+        self.check(clock)?;
+        let mut socket = Socket { config: self.clone(), clock: SharedClock::clone(clock), connection: None };
+        match Connection::open(&self.address, &socket.deadline()) {
+            Ok(connection) => socket.connection = Some(connection),
+            Err(error) => {
+                tracing::warn!(%error, "cannot send answers to a controller yet; each answer tries again");
+            }
+        }
+        Ok(Box::new(socket))
+    }
+
+    fn ends_episodes(&self) -> bool {
+        self.feedback
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let feedback = if self.feedback { ", with feedback" } else { "" };
+        vec![("Actuator".to_owned(), format!("{}{feedback}", self.address))]
+    }
+
+    fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
+        if self.timeout_ms.get() > MAX_TIMEOUT_MS {
+            return Err(SocketError::Timeout { timeout_ms: self.timeout_ms }.into());
+        }
+        Ok(())
+    }
+}
+
+/// Connection to a controller, which is opened again after a failure.
+struct Socket {
+    config: SocketConfig,
+    clock: SharedClock,
+    /// `None` after a failure: a late feedback line on an old connection cannot be taken for the answer to a later
+    /// action.
+    connection: Option<Connection>,
+}
+
+impl Socket {
+    /// Returns the deadline of an action that begins now.
+    fn deadline(&self) -> Deadline {
+        let timeout_ms = self.config.timeout_ms;
+        let until = self.clock.mono() + Span::from_millis(timeout_ms.get().cast_signed());
+        Deadline { clock: SharedClock::clone(&self.clock), until, timeout_ms }
+    }
+
+    fn send(&mut self, action: &Action<'_>) -> Result<Feedback, SocketError> {
+        let line = line::encode(action)?;
+        let deadline = self.deadline();
+        let idle = match self.connection.take() {
+            Some(mut connection) => connection.is_open(self.config.feedback)?.then_some(connection),
+            None => None,
+        };
+        let mut connection = match idle {
+            Some(connection) => connection,
+            None => Connection::open(&self.config.address, &deadline)?,
+        };
+        connection.send(&line, &deadline)?;
+        let feedback = if self.config.feedback {
+            connection.receive_feedback(action.iteration, &deadline)?
+        } else {
+            Feedback::default()
+        };
+        self.connection = Some(connection);
+        Ok(feedback)
+    }
+}
+
+impl Actuator for Socket {
+    fn act(&mut self, action: Action<'_>, _recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
+        Ok(self.send(&action)?)
+    }
+
+    fn blocks(&self) -> bool {
+        true
+    }
+}

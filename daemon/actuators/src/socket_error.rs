@@ -1,0 +1,101 @@
+//! Errors of actuators that exchange lines with a controller.
+
+use std::io;
+use std::num::NonZeroU64;
+
+use peernet_external::process::MAX_TIMEOUT_MS;
+
+/// Reason why an answer was not sent to a controller, or why its feedback cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SocketError {
+    /// The timeout is longer than allowed.
+    #[error("timeout_ms = {timeout_ms} is above the limit of {MAX_TIMEOUT_MS}")]
+    Timeout {
+        /// The configured timeout, milliseconds.
+        timeout_ms: NonZeroU64,
+    },
+    /// The controller cannot be connected to.
+    #[error("cannot connect to the controller at {address}: {error}; is it running?")]
+    Connect {
+        /// Address of the controller.
+        address: String,
+        /// Error of the operating system.
+        error: io::Error,
+    },
+    /// Sending or receiving failed.
+    #[error("cannot {doing} the controller at {address}: {error}; the next answer connects again")]
+    Io {
+        /// `send an answer to` or `receive feedback from`.
+        doing: &'static str,
+        /// Address of the controller.
+        address: String,
+        /// Error of the operating system.
+        error: io::Error,
+    },
+    /// The controller closed the connection instead of sending feedback.
+    #[error("the controller at {0} closed the connection without feedback; the next answer connects again")]
+    Closed(String),
+    /// The action did not end in time.
+    #[error(
+        "the controller at {address} did not {waited_for} within {timeout_ms} ms (timeout_ms); the next answer connects again"
+    )]
+    TimedOut {
+        /// Address of the controller.
+        address: String,
+        /// `accept the connection`, `accept the answer` or `send feedback`.
+        waited_for: &'static str,
+        /// The configured timeout, milliseconds.
+        timeout_ms: NonZeroU64,
+    },
+    /// The answer has no form in JSON.
+    #[error(
+        "cannot send an answer of the type {0} as JSON; use a model that answers with text, JSON or an array of numbers"
+    )]
+    AnswerType(String),
+    /// The answer contains a number that JSON does not have.
+    #[error("the answer contains {0}, which JSON does not have; nothing was sent to the controller")]
+    NotFinite(f64),
+    /// The answer claims to be JSON and is not, or an array does not match its shape.
+    #[error("the answer cannot be read: {0}; nothing was sent to the controller")]
+    InvalidAnswer(String),
+    /// The line is longer than allowed.
+    #[error("the answer needs a line of more than {limit} bytes; nothing was sent to the controller")]
+    AnswerLength {
+        /// The limit, bytes.
+        limit: usize,
+    },
+    /// The controller sent a line that is longer than allowed.
+    #[error(
+        "the controller at {address} sent a line of more than {limit} bytes; the next answer connects again"
+    )]
+    FeedbackLength {
+        /// Address of the controller.
+        address: String,
+        /// The limit, bytes.
+        limit: usize,
+    },
+    /// The controller sent something before it got an answer.
+    #[error(
+        "the controller at {address} sent {line:?} without an answer to act on; it sends one line for each answer; the next \
+         answer connects again"
+    )]
+    Unsolicited {
+        /// Address of the controller.
+        address: String,
+        /// The beginning of the line.
+        line: String,
+    },
+    /// The line is not feedback.
+    #[error(
+        "the controller at {address} sent {line:?} as feedback: {reason}; it is an object with any of episode_ended, success \
+         and reward"
+    )]
+    Feedback {
+        /// Address of the controller.
+        address: String,
+        /// The beginning of the line.
+        line: String,
+        /// Defect of the line.
+        reason: serde_json::Error,
+    },
+}

@@ -1,0 +1,124 @@
+//! Success and return of the episodes of a run, from the feedback of the actuator. No I/O.
+
+use peernet_actuators::Feedback;
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, Tree, Unit};
+
+use crate::live::{EPISODE_RETURN, EPISODE_SUCCESS};
+
+/// Feedback on the episodes whose iterations are not all complete.
+#[derive(Debug, Default)]
+pub(super) struct EpisodeScores {
+    open: Vec<OpenEpisode>,
+    /// `true` once the actuator has reported a success or its absence in this run. From then on, an episode without such
+    /// a report is no success.
+    reports_success: bool,
+    /// `true` once the actuator has reported a reward in this run.
+    reports_reward: bool,
+}
+
+#[derive(Debug)]
+struct OpenEpisode {
+    number: u32,
+    /// `false` for an episode of the warm-up at the start of the run.
+    is_counted: bool,
+    /// Latest report of success.
+    success: Option<bool>,
+    /// Sum of the rewards.
+    total_reward: f64,
+}
+
+/// Result of an episode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct EpisodeResult {
+    /// Whether the episode was a success; `None` if the actuator reports none.
+    pub(super) success: Option<bool>,
+    /// Return of the episode: the sum of its rewards, without a discount (Sutton and Barto, *Reinforcement Learning*,
+    /// 2nd edition, section 3.3). `None` if the actuator reports no rewards.
+    pub(super) total_reward: Option<f64>,
+}
+
+impl EpisodeScores {
+    /// Begins an episode; `is_counted` is `false` for an episode of the warm-up.
+    pub(super) fn begin(&mut self, number: u32, is_counted: bool) {
+        self.open.push(OpenEpisode { number, is_counted, success: None, total_reward: 0.0 });
+    }
+
+    /// Adds the feedback on one action of an episode.
+    pub(super) fn add(&mut self, number: u32, feedback: &Feedback) {
+        self.reports_success |= feedback.success.is_some();
+        self.reports_reward |= feedback.reward.is_some();
+        if let Some(episode) = self.open.iter_mut().find(|episode| episode.number == number) {
+            episode.success = feedback.success.or(episode.success);
+            episode.total_reward += feedback.reward.unwrap_or(0.0);
+        }
+    }
+
+    /// Ends an episode and returns its result. `None` if it has ended before, belongs to the warm-up, or has no result
+    /// because the actuator reports none.
+    pub(super) fn close(&mut self, number: u32) -> Option<EpisodeResult> {
+        let at = self.open.iter().position(|episode| episode.number == number)?;
+        let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(at);
+        let success = self.reports_success.then(|| success.unwrap_or(false));
+        let total_reward = self.reports_reward.then_some(total_reward);
+        (is_counted && (success.is_some() || total_reward.is_some()))
+            .then_some(EpisodeResult { success, total_reward })
+    }
+}
+
+impl EpisodeResult {
+    /// Adds the result to the tree of the iteration with which the episode ended, `end` after its start.
+    pub(super) fn record(&self, tree: &mut Tree, end: Span) {
+        let mut add = |name, value| tree.add(NodeId::ROOT, name, end, Measure::Value(value, Unit::NONE));
+        if let Some(success) = self.success {
+            add(EPISODE_SUCCESS, if success { 1.0 } else { 0.0 });
+        }
+        if let Some(total_reward) = self.total_reward {
+            add(EPISODE_RETURN, total_reward);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reward(reward: f64) -> Feedback {
+        Feedback { reward: Some(reward), ..Feedback::default() }
+    }
+
+    fn success(success: bool) -> Feedback {
+        Feedback { success: Some(success), ..Feedback::default() }
+    }
+
+    #[test]
+    fn return_is_sum_and_success_is_latest_report() {
+        let mut scores = EpisodeScores::default();
+        scores.begin(0, true);
+        for feedback in [reward(0.5), success(false), Feedback::default(), reward(-2.0), success(true)] {
+            scores.add(0, &feedback);
+        }
+        let result = Some(EpisodeResult { success: Some(true), total_reward: Some(-1.5) });
+        assert_eq!(scores.close(0), result);
+        assert_eq!(scores.close(0), None, "it has ended");
+        scores.add(0, &reward(7.0));
+        scores.begin(1, true);
+        let nothing_reported = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });
+        assert_eq!(scores.close(1), nothing_reported);
+    }
+
+    #[test]
+    fn warm_up_and_unreported_episodes_have_no_result() {
+        let mut scores = EpisodeScores::default();
+        scores.begin(0, true);
+        assert_eq!(scores.close(0), None, "the actuator reports nothing");
+        scores.begin(1, false);
+        scores.add(1, &success(true));
+        assert_eq!(scores.close(1), None, "warm-up");
+        scores.begin(2, true);
+        scores.begin(3, true);
+        scores.add(3, &success(true));
+        assert_eq!(scores.close(2), Some(EpisodeResult { success: Some(false), total_reward: None }));
+        assert_eq!(scores.close(3), Some(EpisodeResult { success: Some(true), total_reward: None }));
+    }
+}

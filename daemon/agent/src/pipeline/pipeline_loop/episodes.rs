@@ -1,0 +1,55 @@
+//! Begin and end of episodes in the loop: the reset before each, and the end that the actuator reports.
+
+use peernet_actuators::Feedback;
+use peernet_stream::Outcome;
+
+use super::PipelineLoop;
+use crate::pipeline::episode_reset::ResetError;
+use crate::pipeline::in_flight::PendingIteration;
+use crate::pipeline::iteration;
+use crate::pipeline::load::Start;
+
+impl PipelineLoop<'_> {
+    /// Returns whether the sensor or the actuator has to be reset before the next iteration.
+    pub(super) fn is_reset_due(&self) -> bool {
+        self.run.begins_episode() && self.resources.needs_reset()
+    }
+
+    /// Ends the episode whose end the actuator has reported. A sample that was requested before belongs to that episode, so
+    /// the next episode begins after it.
+    pub(super) fn end_reported_episode(&mut self) {
+        if !self.awaits_sample() {
+            self.run.end_reported_episode();
+        }
+    }
+
+    /// Handles the end of the reset before an episode. If it failed, an iteration fails with the reason, and its episode
+    /// ends: no step of an episode may be taken without a reset.
+    pub(in crate::pipeline) fn handle_reset(&mut self, result: Result<(), ResetError>) {
+        self.resources.pending_reset = None;
+        let clock = &self.context.host.clock;
+        let now = clock.mono();
+        let outcome = match result {
+            Ok(()) => Outcome::Ok,
+            Err(ResetError::SensorDied) => return self.handle_sensor_death(),
+            Err(error) => Outcome::Failed(error.to_string()),
+        };
+        self.reset_backoff.record_outcome(&outcome, now);
+        self.resources.is_reset = outcome == Outcome::Ok;
+        // The time of a reset belongs to no iteration.
+        self.resources.schedule.resume_at(now);
+        if outcome != Outcome::Ok && self.end_reason.is_none() {
+            let start = Start { intended: now, skipped: 0 };
+            let (log, started_at) = iteration::start(clock, self.context.host.id, now);
+            let pending = PendingIteration { position: self.run.assign_position(now), start, started_at };
+            let ended = Feedback { episode_ended: true, ..Feedback::default() };
+            self.finish(pending, log, outcome, ended, None);
+        }
+    }
+
+    /// Returns whether an iteration of an episode is in flight or waits in the queue.
+    pub(super) fn has_pending(&self, episode: u32) -> bool {
+        let queued = self.queued.iter().map(|queued| &queued.pending);
+        self.in_flight.iter().chain(queued).any(|pending| pending.position.episode == episode)
+    }
+}

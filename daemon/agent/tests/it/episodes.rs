@@ -1,0 +1,149 @@
+//! Tests of episodes: reset, early end by the feedback of the actuator, success and return.
+
+use peernet_stream::{Iteration, Outcome, PipelineState};
+
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, value};
+
+/// A system with a sensor and an actuator. Every second episode succeeds with its third step.
+const SYSTEM: &str = "
+class Sensor:
+    def __init__(self): self.episode, self.step = 0, 0
+    def reset(self): self.episode, self.step = self.episode + 1, 0
+    def sample(self):
+        assert self.episode, 'sampled before a reset'
+        self.step += 1
+        return {'episode': self.episode, 'step': self.step}
+
+class Arm:
+    def __init__(self): self.episode = 0
+    def reset(self): self.episode += 1
+    def act(self, answer):
+        assert answer['episode'] == self.episode, 'an answer of another episode'
+        ended = self.episode % 2 == 0 and answer['step'] >= 3
+        return {'episode_ended': ended, 'success': ended, 'reward': 0.5}
+
+class Loose(Sensor):
+    def reset(self):
+        super().reset()
+        if self.episode == 2: raise RuntimeError('no arm')
+
+class Stuck(Arm):
+    def act(self, answer):
+        import time
+        if answer['step'] == 2: time.sleep(100)
+        return {'success': True, 'reward': 1}
+";
+
+/// Runs a pipeline to the end of its run, and returns its iterations in their order.
+async fn run(model: &str, (sensor, actuator): (&str, &str), keys: &str) -> Vec<Iteration> {
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("own.py"), SYSTEM).expect("can be written");
+    let object = |name: &str, keys: &str| {
+        format!("{{ kind = 'python', object = 'own::{name}', folder = '{}'{keys} }}", folder.path().display())
+    };
+    let tables = format!(
+        "[[model]]\nname = 'policy'\n{model}\n\
+         [[pipeline]]\nname = 'line'\nsensor = {}\nactuator = {}\n\
+         placement = {{ kind = 'local', model = 'policy' }}\n{keys}",
+        object(sensor, ""),
+        object(actuator, ", timeout_ms = 300"),
+    );
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(agent.until_state(|state| *state != PipelineState::Running).await, PipelineState::Finished);
+    let facts = &seen.runs()[0].facts;
+    assert!(facts.iter().any(|(name, text)| name == "Actuator" && text.contains("own::")), "{facts:?}");
+    let mut iterations: Vec<Iteration> = seen.iterations().into_iter().cloned().collect();
+    iterations.sort_by_key(|iteration| iteration.number);
+    agent.stop().await.expect("stops well");
+    iterations
+}
+
+/// Returns episode and step of each iteration.
+fn positions(iterations: &[Iteration]) -> Vec<(u32, u32)> {
+    iterations.iter().map(|iteration| (iteration.episode, iteration.step)).collect()
+}
+
+/// Returns episode, success and return of each iteration with which an episode ended.
+fn results(iterations: &[Iteration]) -> Vec<(u32, f64, f64)> {
+    let result = |iteration: &Iteration| {
+        let success = value(&iteration.tree, "episode-success")?;
+        Some((iteration.episode, success, value(&iteration.tree, "episode-return")?))
+    };
+    iterations.iter().filter_map(result).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn feedback_ends_episodes_and_gives_results() {
+    let keys =
+        "episode_steps = 5\nlimit = { episodes = 4 }\nwarm_up = { iterations = 0, episodes = 1, steps = 1 }";
+    let iterations = run("kind = 'echo'", ("Sensor", "Arm"), keys).await;
+    let steps = |episode, steps: u32| (0..steps).map(move |step| (episode, step));
+    let expected: Vec<_> = steps(0, 5).chain(steps(1, 3)).chain(steps(2, 5)).chain(steps(3, 3)).collect();
+    assert_eq!(positions(&iterations), expected);
+    for iteration in &iterations {
+        assert_eq!(iteration.outcome, Outcome::Ok);
+        assert_adds_up(iteration);
+        assert_eq!(iteration.warm_up, iteration.episode == 0 || iteration.step == 0);
+        assert_eq!(value(&iteration.tree, "reward"), Some(0.5));
+        let ended = iteration.episode % 2 == 1 && iteration.step == 2;
+        assert_eq!(value(&iteration.tree, "success"), Some(if ended { 1.0 } else { 0.0 }));
+        assert_eq!(value(&iteration.tree, "episode-ended"), ended.then_some(1.0));
+        assert!(iteration.tree.find(&["actuation", "actuation-ipc"]).is_some());
+    }
+    assert_eq!(results(&iterations), [(1, 1.0, 1.5), (2, 0.0, 2.5), (3, 1.0, 1.5)], "the first is warm-up");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn reset_waits_for_iterations_in_flight() {
+    let keys = "episode_steps = 12\nlimit = { episodes = 4 }\nwarm_up = { iterations = 0 }\n\
+                load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4";
+    let model = "kind = 'exec'\nworkers = 4\ncommand = '''while read -r word bytes media shape rest; do \
+                 x=$(head -c \"$bytes\"); sleep 0.05; printf \"answer %d $media\\n%s\" \"$bytes\" \"$x\"; done'''";
+    let iterations = run(model, ("Sensor", "Arm"), keys).await;
+    // The actuator fails if it gets the answer to a sample of another episode than the one it was reset for.
+    assert!(iterations.iter().all(|iteration| iteration.outcome == Outcome::Ok), "{iterations:#?}");
+    let all = positions(&iterations);
+    assert!(all.is_sorted_by(|a, b| a < b) && all.contains(&(0, 11)) && all.contains(&(2, 11)), "{all:?}");
+    let episodes: Vec<_> =
+        results(&iterations).iter().map(|(episode, success, _)| (*episode, *success)).collect();
+    assert_eq!(episodes, [(0, 0.0), (1, 1.0), (2, 0.0), (3, 1.0)]);
+    // Samples that were taken before the third action ended the episode belong to it, and are not acted on.
+    let superseded = |iteration: &&Iteration| value(&iteration.tree, "superseded") == Some(1.0);
+    let late: Vec<_> = iterations.iter().filter(superseded).filter(|one| one.episode == 1).collect();
+    assert!(late.iter().any(|one| one.step > 2), "{all:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn failed_reset_fails_one_iteration_and_its_episode() {
+    let keys = "episode_steps = 3\nlimit = { episodes = 3 }\nwarm_up = { iterations = 0 }";
+    let iterations = run("kind = 'echo'", ("Loose", "Arm"), keys).await;
+    assert_eq!(positions(&iterations), [(0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (2, 1), (2, 2)]);
+    let Outcome::Failed(reason) = &iterations[3].outcome else { panic!("{:?}", iterations[3].outcome) };
+    assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
+    assert_eq!(iterations.iter().filter(|iteration| iteration.outcome == Outcome::Ok).count(), 6);
+    assert_eq!(results(&iterations), [(0, 0.0, 1.5), (1, 0.0, 0.0), (2, 0.0, 1.5)], "a failed one counts");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn policy_without_answers_ends_every_episode() {
+    let model = "kind = 'sleep'\nworkers = 8\ninference_ms = 2000";
+    let keys = "episode_steps = 2\nlimit = { episodes = 2 }\nwarm_up = { iterations = 0 }\ntimeout_ms = 50";
+    let iterations = run(model, ("Sensor", "Arm"), keys).await;
+    assert_eq!(positions(&iterations), [(0, 0), (0, 1), (1, 0), (1, 1)]);
+    assert!(iterations.iter().all(|iteration| matches!(iteration.outcome, Outcome::Timeout(_))));
+    assert_eq!(results(&iterations), [], "the actuator never acted, so that it reports nothing");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn hanging_actuator_fails_its_iteration_only() {
+    let keys = "episode_steps = 3\nlimit = { episodes = 1 }\nwarm_up = { iterations = 0 }";
+    let iterations = run("kind = 'echo'", ("Sensor", "Stuck"), keys).await;
+    let outcomes: Vec<bool> = iterations.iter().map(|iteration| iteration.outcome == Outcome::Ok).collect();
+    assert_eq!(outcomes, [true, false, true]);
+    let reason = iterations[1].outcome.reason().expect("it failed");
+    assert!(reason.contains("own::Stuck did not answer within 0.3 s and was killed"), "{reason}");
+    assert!(iterations[2].tree.find(&["actuation", "actuation-restart"]).is_some());
+    assert_eq!(results(&iterations), [(0, 1.0, 2.0)]);
+}

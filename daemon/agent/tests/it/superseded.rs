@@ -1,0 +1,69 @@
+//! Tests that answers are acted on in the order of their samples.
+
+use peernet_stream::{Iteration, Outcome};
+
+use crate::harness::{Aggregator, TestAgent, assert_adds_up, value};
+
+/// Sensor whose samples are the numbers from 1.
+const COUNTER: &str = "n=0; while read -r request; do n=$((n + 1)); \
+                       printf \"answer %d text/plain\\n%s\" ${#n} $n; done";
+/// Model that answers with its input, to odd numbers 200 ms later than to even ones.
+const UNEVEN: &str = "while read -r word bytes rest; do n=$(head -c \"$bytes\"); \
+                      if [ $((n % 2)) = 1 ]; then sleep 0.2; fi; printf \"answer %d text/plain\\n%s\" ${#n} $n; done";
+
+/// Runs 40 iterations whose answers arrive out of order, with an actuator that writes them to a file. Returns the
+/// iterations in their order, and the numbers that were acted on.
+async fn acted_on(actuator: &str) -> (Vec<Iteration>, Vec<u64>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("acted");
+    let actuator = actuator.replace("FILE", &file.display().to_string());
+    let tables = format!(
+        "[[model]]\nname = 'uneven'\nkind = 'exec'\nworkers = 4\ncommand = '''{UNEVEN}'''\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'exec', command = '''{COUNTER}''' }}\n\
+         placement = {{ kind = 'local', model = 'uneven' }}\nwarm_up = {{ iterations = 0 }}\n\
+         load = {{ mode = 'rate', hz = 25.0 }}\nmax_in_flight = 8\nlimit = {{ total = 40 }}\n\
+         actuator = {{ kind = 'exec', command = '''{actuator}''' }}"
+    );
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let mut iterations: Vec<Iteration> = seen.iterations().into_iter().cloned().collect();
+    iterations.sort_by_key(|iteration| iteration.number);
+    agent.stop().await.expect("stops well");
+    let acted = std::fs::read_to_string(&file).expect("the actuator wrote it");
+    (iterations, acted.lines().map(|line| line.parse().expect("a number")).collect())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn older_answer_is_recorded_but_not_acted_on() {
+    let actuator =
+        "while read -r word bytes rest; do head -c \"$bytes\" >> FILE; echo >> FILE; echo done; done";
+    let (iterations, acted) = acted_on(actuator).await;
+    assert!(acted.is_sorted_by(|a, b| a < b), "in the order of the samples: {acted:?}");
+    assert_eq!(iterations.len(), 40);
+    let mut superseded = 0;
+    for iteration in &iterations {
+        assert_eq!(iteration.outcome, Outcome::Ok, "its answer came");
+        assert_adds_up(iteration);
+        let was_acted_on = acted.contains(&iteration.number);
+        assert_eq!(value(&iteration.tree, "actuation").is_some(), was_acted_on, "{}", iteration.number);
+        assert_eq!(value(&iteration.tree, "superseded"), (!was_acted_on).then_some(1.0));
+        superseded += u32::from(!was_acted_on);
+    }
+    assert!(superseded >= 5, "the answers to odd samples are overtaken: {acted:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn answers_that_wait_for_actuator_stay_in_order() {
+    // Several answers wait while it acts, and a failed action counts as well: a part of it may have been done.
+    let actuator = "while read -r word bytes rest; do n=$(head -c \"$bytes\"); echo $n >> FILE; sleep 0.06; \
+                    if [ $((n % 4)) = 0 ]; then echo error stuck; else echo done; fi; done";
+    let (iterations, acted) = acted_on(actuator).await;
+    assert!(acted.is_sorted_by(|a, b| a < b), "in the order of the samples: {acted:?}");
+    for iteration in &iterations {
+        let was_acted_on = acted.contains(&iteration.number);
+        assert_eq!(value(&iteration.tree, "superseded").is_none(), was_acted_on, "{}", iteration.number);
+        let failed = was_acted_on && iteration.number % 4 == 0;
+        assert_eq!(matches!(iteration.outcome, Outcome::Failed(_)), failed, "{:?}", iteration.outcome);
+    }
+}

@@ -1,0 +1,187 @@
+//! Results of a run's actuator: superseded answers, and success and return of the episodes.
+
+use peernet_statistics::number::{fixed, percent};
+use peernet_statistics::{Moments, Summary};
+use serde::{Deserialize, Serialize};
+
+use crate::accuracy::Accuracy;
+use crate::rows::RowRef;
+
+/// Name of the node, and of the column, with the value 1 if an answer was not acted on, because the answer to a newer sample had been
+/// acted on or because its episode had ended. Absent otherwise.
+pub const SUPERSEDED: &str = "superseded";
+/// Name of the node, and of the column, with the value 1 if the episode that ended with an iteration was a success, else 0.
+pub const EPISODE_SUCCESS: &str = "episode-success";
+/// Name of the node, and of the column, with the return of the episode that ended with an iteration: the sum of its rewards.
+pub const EPISODE_RETURN: &str = "episode-return";
+/// Values that belong to an episode. They count whatever the outcome of the iteration is with which the episode ended, and also if it was
+/// a warm-up step; the agent records none for the episodes of the warm-up.
+pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
+/// Reports of the actuator after each action, whose means over actions mean little: the values of the episodes say what they add up to.
+pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
+
+/// Results of the actuator of one or several runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ActuatorResults {
+    /// Number of counted iterations whose answer was not acted on, because it was superseded.
+    pub superseded: u64,
+    /// Success rate of the episodes; `None` if no success is reported.
+    pub success: Option<SuccessRate>,
+    /// Return per episode; `None` if no rewards are reported.
+    #[serde(rename = "return")]
+    pub episode_return: Option<EpisodeReturn>,
+}
+
+/// Share of the episodes that were a success.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SuccessRate {
+    /// The share, from 0 to 1.
+    pub rate: f64,
+    /// 95 % confidence interval of the share (Wilson), which assumes that the episodes are independent.
+    pub interval: (f64, f64),
+    /// Number of episodes.
+    pub episodes: u64,
+}
+
+/// Return per episode: the sum of the rewards of an episode, without a discount.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpisodeReturn {
+    /// The mean.
+    pub mean: f64,
+    /// Sample standard deviation; `None` below two episodes.
+    pub std: Option<f64>,
+    /// Number of episodes.
+    pub episodes: u64,
+}
+
+impl ActuatorResults {
+    /// Returns the results of these rows.
+    pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Self {
+        let (mut superseded, mut success, mut returns) = (0, Moments::default(), Moments::default());
+        for row in rows {
+            superseded += u64::from(row.is_counted() && row.value(SUPERSEDED) == Some(1.0));
+            for (name, moments) in [(EPISODE_SUCCESS, &mut success), (EPISODE_RETURN, &mut returns)] {
+                if let Some(value) = row.value(name).filter(|value| Summary::accepts(*value)) {
+                    moments.record(value);
+                }
+            }
+        }
+        let results = Self::from_statistics(|name| {
+            let moments = match name {
+                EPISODE_SUCCESS => &success,
+                EPISODE_RETURN => &returns,
+                _ => return None,
+            };
+            (moments.count > 0).then(|| (moments.count, moments.mean, moments.std()))
+        });
+        Self { superseded, ..results }
+    }
+
+    /// Returns the results from count, mean and standard deviation of the values with a name. Counts and means are exact in roll-ups.
+    pub fn from_statistics(figures: impl Fn(&str) -> Option<(u64, f64, Option<f64>)>) -> Self {
+        let superseded = figures(SUPERSEDED).map_or(0.0, |(count, mean, _)| (mean * count as f64).round());
+        let success =
+            figures(EPISODE_SUCCESS).and_then(|(count, mean, _)| Accuracy::from_mean(mean, count, count));
+        let success = success.map(|Accuracy { share, interval, count, .. }| SuccessRate {
+            rate: share,
+            interval,
+            episodes: count,
+        });
+        let episode_return = figures(EPISODE_RETURN);
+        Self {
+            // The cast saturates: a value that is no count becomes 0 or the largest count.
+            superseded: superseded as u64,
+            success,
+            episode_return: episode_return.map(|(episodes, mean, std)| EpisodeReturn { mean, std, episodes }),
+        }
+    }
+
+    /// Returns sentences about the results; `answered` is the number of counted iterations.
+    pub fn sentences(&self, answered: u64) -> Vec<String> {
+        let superseded = (self.superseded > 0).then(|| {
+            let [of, all] = [self.superseded, answered].map(|count| fixed(count as f64, 0));
+            format!("Superseded: {of} of {all} answers were not acted on, because a newer answer had been or the episode had ended.")
+        });
+        let success = self.success.map(|success| {
+            let SuccessRate { rate, interval: (lo, hi), episodes } = success;
+            let [rate, lo, hi] = [rate, lo, hi].map(percent);
+            format!(
+                "Success: {rate} % of {} episodes (95 % confidence: {lo} – {hi} %).",
+                fixed(episodes as f64, 0)
+            )
+        });
+        let episode_return = self.episode_return.map(|found| {
+            format!("Return per episode: {} over {} episodes.", found.text(), fixed(found.episodes as f64, 0))
+        });
+        [superseded, success, episode_return].into_iter().flatten().collect()
+    }
+}
+
+impl EpisodeReturn {
+    /// Returns mean and standard deviation as a text, in the unit of the rewards.
+    pub fn text(&self) -> String {
+        let decimals = peernet_statistics::number::decimals(self.std.unwrap_or(self.mean), 3);
+        match self.std {
+            Some(std) => format!("{} ± {}", fixed(self.mean, decimals), fixed(std, decimals)),
+            None => fixed(self.mean, decimals),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows::{Outcome, Row, Rows};
+
+    fn row(iteration: u64, outcome: Outcome, values: &[(&'static str, f64)]) -> Row {
+        Row {
+            iteration,
+            at: iteration as f64,
+            episode: 0,
+            step: 0,
+            warm_up: iteration == 1,
+            outcome,
+            reason: None,
+            values: values.iter().map(|(name, value)| ((*name).into(), *value)).collect(),
+            upload: None,
+            download: None,
+        }
+    }
+
+    #[test]
+    fn episodes_count_whatever_their_last_iteration_was() {
+        let rows: Rows = [
+            row(1, Outcome::Ok, &[(EPISODE_SUCCESS, 1.0), (EPISODE_RETURN, 3.0)]),
+            row(2, Outcome::Ok, &[(SUPERSEDED, 1.0)]),
+            row(3, Outcome::Lost, &[(EPISODE_SUCCESS, 0.0), (EPISODE_RETURN, 1.0)]),
+            row(4, Outcome::Failed, &[(SUPERSEDED, 1.0)]),
+            row(5, Outcome::Ok, &[("reward", 9.0)]),
+        ]
+        .into_iter()
+        .collect();
+        let found = ActuatorResults::from_rows(&rows);
+        let success = found.success.expect("is reported");
+        assert_eq!((found.superseded, success.rate, success.episodes), (1, 0.5, 2));
+        let returns = found.episode_return.expect("is reported");
+        assert_eq!((returns.mean, returns.episodes), (2.0, 2));
+        assert_eq!(
+            found.sentences(1_000),
+            [
+                "Superseded: 1 of 1,000 answers were not acted on, because a newer answer had been or the episode had ended.",
+                "Success: 50 % of 2 episodes (95 % confidence: 9.5 – 91 %).",
+                "Return per episode: 2.00 ± 1.41 over 2 episodes."
+            ]
+        );
+    }
+
+    #[test]
+    fn run_without_feedback_has_no_results() {
+        let rows: Rows = (1..5).map(|at| row(at, Outcome::Ok, &[])).collect();
+        let found = ActuatorResults::from_rows(&rows);
+        assert_eq!((found, found.sentences(4)), (ActuatorResults::default(), Vec::new()));
+        let from_figures =
+            ActuatorResults::from_statistics(|name| (name == SUPERSEDED).then_some((3, 1.0, Some(0.0))));
+        assert_eq!(from_figures, ActuatorResults { superseded: 3, ..ActuatorResults::default() });
+    }
+}

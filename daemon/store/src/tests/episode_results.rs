@@ -1,0 +1,59 @@
+//! Success and return of episodes, and superseded answers.
+
+use peernet_analysis::actuator_results::ActuatorResults;
+use peernet_clock::Span;
+use peernet_logger::{Measure, NodeId, RunId, Unit};
+use peernet_stream::{Event, Iteration, Outcome, RunDescription};
+
+use super::{NOW, TestStore, generate};
+use crate::rebuild::rebuild;
+
+/// Stores a run with these facts: three episodes, of which the first ends with a lost answer and the second with a warm-up step.
+async fn store(test_store: &mut TestStore, facts: &[(&str, &str)]) {
+    let run = RunId::random();
+    let Event::RunStarted(description) = generate::run_started(run, "line", NOW) else {
+        panic!("the start of a run")
+    };
+    let facts = facts.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+    let mut events = vec![Event::RunStarted(RunDescription { facts, ..description })];
+    let ends = [
+        (Outcome::Ok, false, vec![("superseded", 1.0)]),
+        (Outcome::Lost("gone".into()), false, vec![("episode-success", 0.0), ("episode-return", 1.0)]),
+        (Outcome::Ok, true, vec![("episode-success", 1.0), ("episode-return", 2.0)]),
+        (Outcome::Failed("stuck".into()), false, vec![("superseded", 1.0)]),
+        (Outcome::Ok, false, vec![("episode-success", 1.0), ("episode-return", 6.0)]),
+    ];
+    for (number, (outcome, warm_up, values)) in (1..).zip(ends) {
+        let mut one =
+            generate::iteration(run, number, test_store.hosts(), &mut generate::Numbers::new(number));
+        for (name, value) in values {
+            one.tree.add(NodeId::ROOT, name.into(), Span::ZERO, Measure::Value(value, Unit::NONE));
+        }
+        events.push(Event::Iteration(Iteration { outcome, warm_up, ..one }));
+    }
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+}
+
+async fn results(test_store: &TestStore, run: i64) -> ActuatorResults {
+    test_store.store.run(run).await.expect("answers").expect("exists").summary.actuator
+}
+
+#[tokio::test]
+async fn episodes_count_whatever_their_last_iteration_was() {
+    let mut test_store = TestStore::new().await;
+    store(&mut test_store, &[("Load", "closed"), ("Actuator", "an arm")]).await;
+    store(&mut test_store, &[("Load", "closed")]).await;
+    let found = results(&test_store, 1).await;
+    let (success, returns) =
+        (found.success.expect("is reported"), found.episode_return.expect("is reported"));
+    assert_eq!((success.episodes, (success.rate * 3.0).round(), returns.mean), (3, 2.0, 3.0));
+    assert_eq!(found.superseded, 1, "that of the answered iteration");
+    assert_eq!(results(&test_store, 2).await, ActuatorResults::default(), "it has no actuator");
+    let listed = test_store.store.runs(&crate::types::RunFilter::default()).await.expect("answers");
+    assert_eq!(listed[1].actuator, found, "as in the list");
+
+    let mut connection = test_store.other().await;
+    rebuild(&mut connection, None, |_| {}).await.expect("rebuilds");
+    assert_eq!(results(&test_store, 1).await, found, "from the nodes");
+}
