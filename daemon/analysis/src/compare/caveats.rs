@@ -8,7 +8,7 @@ use super::render::with_name;
 use super::{LATENCIES, Line, NEARLY_ALL};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
-use crate::trust::Starts;
+use crate::trust::{Starts, replayed_latencies};
 
 /// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
@@ -19,6 +19,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let missing: Vec<String> = lines.iter().flat_map(|line| missing(runs, line)).collect();
     let mut told: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
+    told.extend(replayed(runs, lines));
     if !lacking.is_empty() {
         told.push(format!("Incomplete results: {}.", lacking.join("; ")));
     }
@@ -43,6 +44,16 @@ pub fn skipped_starts(of: impl IntoIterator<Item = (String, Starts)>) -> Option<
             told.join("; ")
         )
     })
+}
+
+/// Returns a sentence about configurations whose latencies are drawn from a distribution.
+fn replayed(runs: &[Loaded], lines: &[Line]) -> Option<String> {
+    let of = |line: &Line| {
+        let distribution = line.runs.iter().find_map(|run| replayed_latencies(&runs[*run].record.facts))?;
+        Some(with_name(&line.name(), distribution))
+    };
+    let told: Vec<String> = lines.iter().filter_map(of).collect();
+    (!told.is_empty()).then(|| format!("Replayed latencies, not measured: {}.", told.join("; ")))
 }
 
 fn missing(runs: &[Loaded], line: &Line) -> Vec<String> {
@@ -92,6 +103,18 @@ mod tests {
         let told = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
         let text = Comparison::new(&runs).text();
         assert!(text.contains(told), "{text}");
+    }
+
+    #[test]
+    fn replayed_latencies_are_noted_below_table() {
+        let mut runs = paper();
+        runs[1].record.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
+        let text = Comparison::new(&runs).text();
+        assert!(
+            text.contains("Replayed latencies, not measured: cuda:0, lan: inference is drawn from x."),
+            "{text}"
+        );
+        assert!(!Comparison::new(&paper()).text().contains("Replayed"));
     }
 
     #[test]

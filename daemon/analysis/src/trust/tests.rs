@@ -21,6 +21,20 @@ fn steady_run_can_be_published() {
 }
 
 #[test]
+fn replayed_latencies_are_a_caveat() {
+    let input = TrustInput::from_rows(&rows(quiet(1005)), &[governor(Grade::Good)]);
+    let distribution = "inference is drawn from a log-normal distribution, seed 3";
+    let replayed = [("Replayed".to_owned(), distribution.to_owned())];
+    let report = Report::new(&input.with_facts(&replayed));
+    assert_eq!(report.verdict, Publish::WithRemarks);
+    let (grade, text) = about(&report, "replayed");
+    assert!(
+        grade == Grade::Doubtful && text.contains("not measured") && text.contains(distribution),
+        "{text}"
+    );
+}
+
+#[test]
 fn drift_is_reported_with_size_and_stage() {
     for (rise, grade) in [(0.02, Grade::Good), (0.2, Grade::Doubtful), (0.6, Grade::Bad)] {
         let totals =

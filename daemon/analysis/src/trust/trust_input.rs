@@ -12,6 +12,9 @@ use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::SortedValues;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
+/// Name of the fact by which a model says that its latencies are drawn from a distribution.
+const REPLAYED_FACT: &str = "Replayed";
+
 /// Function that returns a row's message in one direction.
 type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
 
@@ -50,6 +53,14 @@ pub struct TrustInput {
     pub accuracy: BTreeMap<String, Accuracy>,
     /// Samples that are neither right nor wrong, because their label is not a class of the model.
     pub unknown_labels: Option<UnknownLabels>,
+    /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
+    pub replayed: Option<String>,
+}
+
+/// Returns the distribution from which the latencies of a run's model are drawn, by the facts of the run; `None` if they
+/// are measured.
+pub fn replayed_latencies(facts: &[(String, String)]) -> Option<&str> {
+    facts.iter().find(|(name, _)| name == REPLAYED_FACT).map(|(_, text)| text.as_str())
 }
 
 /// Number of iterations of a run by how they ended.
@@ -142,12 +153,13 @@ impl TrustInput {
         Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// Adds the facts of the run's description about clock faults, labels and classes.
+    /// Adds the facts of the run's description about clock faults, labels, classes and replayed latencies.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
         let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
-        Self { has_clock_fault, unknown_labels, ..self }
+        let replayed = replayed_latencies(facts).map(str::to_owned);
+        Self { has_clock_fault, unknown_labels, replayed, ..self }
     }
 }
 

@@ -4,6 +4,7 @@ mod accuracy;
 mod clocks;
 mod conditions;
 mod losses;
+mod replayed;
 mod restarts;
 mod time_series;
 
@@ -21,6 +22,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     all.extend(losses::findings(input));
     all.extend(time_series::findings(input));
     all.extend(restarts::findings(input));
+    all.extend(replayed::findings(input));
     all.extend(clocks::findings(input));
     all.extend(accuracy::findings(input));
     all.extend(conditions::findings(&input.conditions));
