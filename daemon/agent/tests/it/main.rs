@@ -14,6 +14,7 @@ mod midnight;
 mod outage;
 mod outbox;
 mod remote;
+mod replayed;
 mod spool;
 mod stopping;
 mod tap;
