@@ -91,9 +91,9 @@ impl ModelKind for DistributionConfig {
             let hash = File::open(&file).and_then(peernet_external::sha256);
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
-        let draws = Draws { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };
+        let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };
         Ok(Arc::new(Distribution {
-            draws: Arc::new(draws),
+            source: Arc::new(source),
             inner,
             device: shared.device.clone(),
             seed: self.seed,
@@ -152,13 +152,13 @@ impl DistributionConfig {
     }
 }
 
-/// Source of the latencies, shared by all workers: the sequence of latencies depends on the seed only.
-struct Draws {
+/// Source of latencies, shared by all workers: the sequence of latencies depends on the seed only.
+struct LatencySource {
     distribution: LatencyDistribution,
     random: Mutex<SplitMix64>,
 }
 
-impl Draws {
+impl LatencySource {
     /// Returns the next latency.
     fn next(&self) -> Span {
         let mut random = self.random.lock().unwrap_or_else(PoisonError::into_inner);
@@ -168,7 +168,7 @@ impl Draws {
 
 /// Model that takes the time drawn from a distribution.
 struct Distribution {
-    draws: Arc<Draws>,
+    source: Arc<LatencySource>,
     inner: Option<Arc<dyn Model>>,
     device: String,
     seed: u64,
@@ -178,7 +178,7 @@ struct Distribution {
 impl Model for Distribution {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let inner = self.inner.as_ref().map(|inner| inner.create_worker()).transpose()?;
-        Ok(Box::new(DistributionWorker { draws: Arc::clone(&self.draws), inner }))
+        Ok(Box::new(DistributionWorker { source: Arc::clone(&self.source), inner }))
     }
 
     fn device(&self) -> String {
@@ -186,7 +186,7 @@ impl Model for Distribution {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let distribution = self.draws.distribution.describe();
+        let distribution = self.source.distribution.describe();
         let mut facts = vec![
             ("Model".to_owned(), "replayed latencies".to_owned()),
             (REPLAYED.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
@@ -202,13 +202,13 @@ impl Model for Distribution {
 }
 
 struct DistributionWorker {
-    draws: Arc<Draws>,
+    source: Arc<LatencySource>,
     inner: Option<Box<dyn Worker>>,
 }
 
 impl Worker for DistributionWorker {
     fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
-        let drawn = self.draws.next();
+        let drawn = self.source.next();
         let started_at = recorder.clock().mono();
         let mut inference = recorder.time(stage::INFERENCE);
         inference.value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
