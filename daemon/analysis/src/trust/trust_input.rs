@@ -15,6 +15,11 @@ use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
 const REPLAYED_FACT: &str = "Replayed";
 
+/// Node with the time by which the inner model of drawn latencies took longer than drawn.
+pub const OVERRUN: &str = "overrun";
+/// Its column in `data.csv`.
+const OVERRUN_COLUMN: &str = "inference_overrun";
+
 /// Function that returns a row's message in one direction.
 type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
 
@@ -55,6 +60,8 @@ pub struct TrustInput {
     pub unknown_labels: Option<UnknownLabels>,
     /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
     pub replayed: Option<String>,
+    /// Average time by which the inner model of drawn latencies took longer than drawn; seconds. `None` without one.
+    pub overrun: Option<f64>,
 }
 
 /// Returns the distribution from which the latencies of a run's model are drawn, by the facts of the run; `None` if they
@@ -134,6 +141,7 @@ impl TrustInput {
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
             lateness: mean(LATENESS),
+            overrun: mean(OVERRUN_COLUMN),
             restarts: Restarts::from_rows(rows),
             clocks: directions
                 .into_iter()
