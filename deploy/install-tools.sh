@@ -245,6 +245,6 @@ for set in "$@"; do
 done
 # After the benchmarks' environment, which clears the folder that contains these.
 [ -z "${wants_api:-}" ] || python_environment api "schemathesis" "the tests of the REST API"
-[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS and pyzmq" "tests with foreign peers"
+[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS, llama.cpp and pyzmq" "tests with foreign peers"
 [ -z "${wants_chrony:-}" ] || unpack_chrony
 say "$*: all tools are installed"

@@ -110,7 +110,9 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let bank = bank.with_folders(config.bank.clone());
     for (index, error) in bank.check() {
         let key = match &error {
-            LoadError::AboveLimit { key, .. } => format!("model[{index}].{key}"),
+            LoadError::AboveLimit { key, .. } | LoadError::InvalidKey { key, .. } => {
+                format!("model[{index}].{key}")
+            }
             _ => format!("model[{index}]"),
         };
         report.add(key, error);

@@ -251,7 +251,12 @@ impl Bank {
     }
 
     fn context(&self) -> LoadContext<'_> {
-        LoadContext { runtime: &self.runtime, temp_dirs: &self.temp_dirs, clock: &self.clock }
+        LoadContext {
+            runtime: &self.runtime,
+            temp_dirs: &self.temp_dirs,
+            clock: &self.clock,
+            models: self.models().collect(),
+        }
     }
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {

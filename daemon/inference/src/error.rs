@@ -68,6 +68,16 @@ pub enum LoadError {
         /// Upper limit.
         most: u64,
     },
+    /// A key of the model's table has an invalid value, or is missing.
+    #[error("{key} of model {model}: {reason}")]
+    InvalidKey {
+        /// The model.
+        model: String,
+        /// Key in the model's table.
+        key: &'static str,
+        /// Defect of the value, and what to write.
+        reason: String,
+    },
     /// The model is configured for another device.
     #[error("model {model} is not offered on {asked}, only on {offered}; request that device or none")]
     OtherDevice {
@@ -136,6 +146,16 @@ pub enum LoadError {
         /// Message of ONNX Runtime.
         reason: String,
     },
+    /// The server of a model cannot be used.
+    #[error("model {model} at {url}: {reason}")]
+    Server {
+        /// The model.
+        model: String,
+        /// URL of the server.
+        url: String,
+        /// The error.
+        reason: String,
+    },
     /// A thread cannot be started.
     #[error("cannot start a thread for model {model}: {reason}")]
     Thread {
@@ -178,7 +198,9 @@ impl LoadError {
             | Self::Program { .. }
             | Self::Python(_)
             | Self::File { .. }
+            | Self::InvalidKey { .. }
             | Self::Session { .. }
+            | Self::Server { .. }
             | Self::Thread { .. } => {
                 format!(
                     "model {model} cannot be loaded on the serving host; its log and its incidents have the reason"

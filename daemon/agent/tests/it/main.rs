@@ -15,6 +15,7 @@ mod midnight;
 mod outage;
 mod outbox;
 mod remote;
+mod replayed;
 mod spool;
 mod stopping;
 mod superseded;

@@ -8,7 +8,7 @@ use super::render::with_name;
 use super::{LATENCIES, Line, MIN_KNOWN_SHARE};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
-use crate::trust::Starts;
+use crate::trust::{Starts, replayed_latencies};
 
 /// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
@@ -20,6 +20,7 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         lines.iter().flat_map(|line| describe_missing_numbers(runs, line)).collect();
     let mut sentences: Vec<String> =
         skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
+    sentences.extend(replayed(runs, lines));
     if !incomplete.is_empty() {
         sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
     }
@@ -44,6 +45,16 @@ pub fn skipped_starts(configurations: impl IntoIterator<Item = (String, Starts)>
             descriptions.join("; ")
         )
     })
+}
+
+/// Returns a sentence about configurations whose latencies are drawn from a distribution.
+fn replayed(runs: &[Loaded], lines: &[Line]) -> Option<String> {
+    let describe = |line: &Line| {
+        let distribution = line.runs.iter().find_map(|run| replayed_latencies(&runs[*run].record.facts))?;
+        Some(with_name(&line.name(), distribution))
+    };
+    let descriptions: Vec<String> = lines.iter().filter_map(describe).collect();
+    (!descriptions.is_empty()).then(|| format!("Replayed latencies, not measured: {}.", descriptions.join("; ")))
 }
 
 /// Returns a description of the missing numbers of each latency of a line.
@@ -94,6 +105,18 @@ mod tests {
         let sentence = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
         let text = Comparison::new(&runs).text();
         assert!(text.contains(sentence), "{text}");
+    }
+
+    #[test]
+    fn replayed_latencies_are_noted_below_table() {
+        let mut runs = paper();
+        runs[1].record.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
+        let text = Comparison::new(&runs).text();
+        assert!(
+            text.contains("Replayed latencies, not measured: cuda:0, lan: inference is drawn from x."),
+            "{text}"
+        );
+        assert!(!Comparison::new(&paper()).text().contains("Replayed"));
     }
 
     #[test]

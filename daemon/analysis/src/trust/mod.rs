@@ -24,7 +24,7 @@ pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use load::{Load, Starts};
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{Clocks, Counts, MissingEvents, TrustInput};
+pub use trust_input::{Clocks, Counts, MissingEvents, OVERRUN, TrustInput, replayed_latencies};
 
 use std::cmp::Reverse;
 

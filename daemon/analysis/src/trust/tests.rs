@@ -21,6 +21,35 @@ fn steady_run_can_be_published() {
 }
 
 #[test]
+fn replayed_latencies_are_a_caveat() {
+    let input = TrustInput::from_rows(&rows(quiet(1005)), &[governor(Grade::Good)]);
+    let distribution = "inference is drawn from a log-normal distribution, seed 3";
+    let replayed = [("Replayed".to_owned(), distribution.to_owned())];
+    let report = Report::new(&input.with_facts(&replayed));
+    assert_eq!(report.verdict, Publish::WithRemarks);
+    let (grade, text) = about(&report, "replayed");
+    assert!(
+        grade == Grade::Doubtful && text.contains("not measured") && text.contains(distribution),
+        "{text}"
+    );
+}
+
+#[test]
+fn inner_model_slower_than_replayed_latencies_is_reported() {
+    for (overrun, expected) in [(0.0, None), (0.0003, Some(Grade::Doubtful)), (0.002, Some(Grade::Bad))] {
+        let mut rows = rows(quiet(1005));
+        rows.change(|row| row.values.push(("inference_overrun".into(), overrun)));
+        let input = TrustInput::from_rows(&rows, &[governor(Grade::Good)]);
+        let replayed = [("Replayed".to_owned(), "inference is drawn from x".to_owned())];
+        let report = Report::new(&input.clone().with_facts(&replayed));
+        let found = report.findings.iter().find(|finding| finding.about == "overrun");
+        assert_eq!(found.map(|finding| finding.grade), expected, "{found:?}");
+        let measured = Report::new(&input);
+        assert!(measured.findings.iter().all(|finding| finding.about != "overrun"), "a node of a user");
+    }
+}
+
+#[test]
 fn drift_is_reported_with_size_and_stage() {
     for (rise, grade) in [(0.02, Grade::Good), (0.2, Grade::Doubtful), (0.6, Grade::Bad)] {
         let totals =

@@ -12,6 +12,14 @@ use crate::accuracy::{Accuracy, UnknownLabels};
 use crate::order::SortedValues;
 use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 
+/// Name of the fact by which a model says that its latencies are drawn from a distribution.
+const REPLAYED_FACT: &str = "Replayed";
+
+/// Node with the time by which the inner model of drawn latencies took longer than drawn.
+pub const OVERRUN: &str = "overrun";
+/// Its column in `data.csv`.
+const OVERRUN_COLUMN: &str = "inference_overrun";
+
 /// Function that returns the message of a row in one direction.
 type PassageReader = fn(&RowRef<'_>) -> Option<Passage>;
 
@@ -50,6 +58,16 @@ pub struct TrustInput {
     pub accuracy: BTreeMap<String, Accuracy>,
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
+    /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
+    pub replayed: Option<String>,
+    /// Average time by which the inner model of drawn latencies took longer than drawn; seconds. `None` without one.
+    pub overrun: Option<f64>,
+}
+
+/// Returns the distribution from which the latencies of a run's model are drawn, by the facts of the run; `None` if they
+/// are measured.
+pub fn replayed_latencies(facts: &[(String, String)]) -> Option<&str> {
+    facts.iter().find(|(name, _)| name == REPLAYED_FACT).map(|(_, text)| text.as_str())
 }
 
 /// Number of iterations of a run by outcome. Only `warm_up` includes the warm-up.
@@ -123,6 +141,7 @@ impl TrustInput {
             stages: stages.collect(),
             unattributed: mean(&stage::UNATTRIBUTED),
             lateness: mean(LATENESS),
+            overrun: mean(OVERRUN_COLUMN),
             restarts: Restarts::from_rows(rows),
             clocks: directions
                 .into_iter()
@@ -142,12 +161,13 @@ impl TrustInput {
         Self { failure: reason.and_then(EndReason::failure).map(str::to_owned), ..self }
     }
 
-    /// Adds the facts of the run about clock faults, labels and classes.
+    /// Adds the facts of the run about clock faults, labels, classes and replayed latencies.
     #[must_use]
     pub fn with_facts(self, facts: &[(String, String)]) -> Self {
         let has_clock_fault = facts.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some());
         let unknown_labels = self.unknown_labels.and_then(|unknown| UnknownLabels::new(unknown.count, facts));
-        Self { has_clock_fault, unknown_labels, ..self }
+        let replayed = replayed_latencies(facts).map(str::to_owned);
+        Self { has_clock_fault, unknown_labels, replayed, ..self }
     }
 }
 

@@ -104,7 +104,7 @@ def feedback(returned):
     if returned is None:
         return None
     if not isinstance(returned, dict):
-        raise UnsupportedValue("act() returned a %s; return None, or a dict with %s" % (type_name(returned), ", ".join(FEEDBACK)))
+        raise UnsupportedValue("act() returned a %s; return None, or a dict with %s" % (kind_name(returned), ", ".join(FEEDBACK)))
     for key in returned:
         if key not in FEEDBACK:
             raise UnsupportedValue("act() returned the key %r; the keys are %s" % (key, ", ".join(FEEDBACK)))

@@ -1,8 +1,10 @@
 //! Kinds of models: one file or folder for each, and their registration in [`ModelConfig`].
 
+pub mod distribution;
 pub mod echo;
 pub mod exec;
 pub mod onnx;
+pub mod openai;
 pub mod python;
 mod settings;
 pub mod sleep;
@@ -93,11 +95,13 @@ pub struct LoadContext<'a> {
     pub(crate) temp_dirs: &'a TempDirs,
     /// Clock for deadlines.
     pub(crate) clock: &'a SharedClock,
+    /// The configured models, of which one may use another.
+    pub(crate) models: Vec<&'a ModelConfig>,
 }
 
 /// A table `[[model]]`: one model that this host offers. New kinds are registered here.
 #[enum_dispatch(Table)]
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum ModelConfig {
     /// A model in ONNX form, run by ONNX Runtime.
@@ -110,6 +114,10 @@ pub enum ModelConfig {
     Echo(ModelTable<echo::EchoConfig>),
     /// A model of known latency, which waits for the configured times.
     Sleep(ModelTable<sleep::SleepConfig>),
+    /// A language model behind a server with the chat API of OpenAI.
+    Openai(ModelTable<openai::OpenaiConfig>),
+    /// A model whose latencies are drawn from a distribution, to plan for a machine that one does not have.
+    Distribution(ModelTable<distribution::DistributionConfig>),
 }
 
 /// Access to a model's table, independent of its kind.

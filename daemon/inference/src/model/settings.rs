@@ -8,6 +8,8 @@ use super::{ModelConfig, Table};
 
 /// Shared keys that are recorded elsewhere in a run's description.
 const RECORDED_ELSEWHERE: [&str; 2] = ["name", "device"];
+/// Key of the environment variables of users' code.
+const ENVIRONMENT: &str = "env";
 
 impl ModelConfig {
     /// Returns the settings of the model and the environment that it runs in, as pairs.
@@ -26,7 +28,7 @@ impl ModelConfig {
         let entry = |(key, value): (&String, &Value)| match value {
             _ if unpublished.contains(&key.as_str()) => None,
             // Values of environment variables may be secret, so that only the names are recorded.
-            Value::Object(variables) => {
+            Value::Object(variables) if key == ENVIRONMENT => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();
                 Some(format!("{key} with {}", names.join(" ")))
             }
@@ -57,5 +59,9 @@ mod tests {
         );
         assert!(text.contains("env with TOKEN") && text.contains("images = pil"), "{text}");
         assert!(!text.contains("secret") && !text.contains("/home/me"), "{text}");
+        let text = settings(
+            "kind = 'distribution'\nname = 'd'\nhistogram = { edges_ms = [1.0, 2.0], counts = [3] }",
+        );
+        assert!(text.contains("histogram = {\"counts\":[3],\"edges_ms\":[1.0,2.0]}, "), "{text}");
     }
 }

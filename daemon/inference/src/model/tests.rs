@@ -39,6 +39,8 @@ fn every_number_has_an_upper_limit() {
         ("'sleep'", "workers", 256),
         ("'sleep'", "queue", 65_536),
         ("'sleep'", "inference_ms", 86_400_000),
+        ("'openai'\nurl = 'http://x'\nmodel = 'x'", "token_timeout_ms", 86_400_000),
+        ("'distribution'", "workers", 256),
     ] {
         let with = |value| {
             let text = format!("name = 'm'\nkind = {kind}\n{key} = {value}");
@@ -72,6 +74,16 @@ fn unknown_key_error_lists_keys_of_kind() {
             "one of `name`, `device`, `workers`, `queue`, `object`, `folder`, `python`, `env`, `pickle`, `images`, \
              `timeout_ms`, `start_timeout_ms`",
         ),
+        (
+            "'openai'\nurl = 'http://x'\nmodel = 'x'",
+            "one of `name`, `device`, `workers`, `queue`, `url`, `model`, `api_key_env`, `system_prompt`, `prompt`, \
+             `first_token_timeout_ms`, `token_timeout_ms`, `timeout_ms`, `parameters`",
+        ),
+        (
+            "'distribution'",
+            "one of `name`, `device`, `workers`, `queue`, `data`, `column`, `mean_ms`, `std_ms`, `seed`, `inner`, \
+             `histogram`",
+        ),
     ] {
         let error = read(&format!("name = 'm'\nkind = {kind}\nzz = 1")).expect_err("has an unknown key");
         assert!(error.to_string().contains(&format!("unknown field `zz`, expected {known}")), "{error}");
@@ -89,6 +101,14 @@ fn table_is_written_with_keys_in_order() {
         (
             "kind = 'exec'\nname = 'm'\ncommand = ['x']",
             r#"{"kind":"exec","name":"m","device":"cpu","workers":1,"queue":16,"command":["x"]}"#,
+        ),
+        (
+            "kind = 'distribution'\nname = 'm'\nseed = 2\n[histogram]\nedges_ms = [1.5, 2.0]\ncounts = [1]",
+            r#"{"kind":"distribution","name":"m","device":"cpu","workers":1,"queue":16,"seed":2,"histogram":{"counts":[1],"edges_ms":[1.5,2.0]}}"#,
+        ),
+        (
+            "kind = 'openai'\nname = 'm'\nurl = 'http://x'\nmodel = 'y'\nparameters = { seed = 1 }",
+            r#"{"kind":"openai","name":"m","device":"cpu","workers":1,"queue":16,"url":"http://x","model":"y","first_token_timeout_ms":60000,"token_timeout_ms":10000,"timeout_ms":600000,"parameters":{"seed":1}}"#,
         ),
         (
             "kind = 'python'\nname = 'm'\nobject = 'a::b'\ntimeout_ms = 5",

@@ -3,8 +3,10 @@
 
 mod accuracy;
 mod bank;
+mod distribution;
 mod exec;
 mod folders;
+mod openai;
 mod process;
 mod python;
 mod refusals;

@@ -3,7 +3,7 @@
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::rows::LATENESS;
 use peernet_analysis::trust::{
-    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, Progress, Restarts, Starts, TimeSeries,
+    Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, Starts, TimeSeries,
     TrustInput,
 };
 use peernet_logger::stage;
@@ -84,6 +84,7 @@ fn collect(run: &RunDetail, run_statistics: &RunStatistics, stages_over_time: &[
         total: total.or_else(sensing),
         unattributed: figures(&stage::UNATTRIBUTED).map(|figures| figures.mean),
         lateness: figures(LATENESS).map(|figures| figures.mean),
+        overrun: figures(OVERRUN).map(|figures| figures.mean),
         restarts: Restarts::NODES
             .into_iter()
             .filter_map(|(owner, name, _)| {

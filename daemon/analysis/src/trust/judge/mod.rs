@@ -4,6 +4,7 @@ mod accuracy;
 mod clocks;
 mod conditions;
 mod losses;
+mod replayed;
 mod restarts;
 mod time_series;
 
@@ -21,6 +22,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     findings.extend(losses::findings(input));
     findings.extend(time_series::findings(input));
     findings.extend(restarts::findings(input));
+    findings.extend(replayed::findings(input));
     findings.extend(clocks::findings(input));
     findings.extend(accuracy::findings(input));
     findings.extend(conditions::findings(&input.conditions));

@@ -1,0 +1,44 @@
+//! Test of a run whose latencies are drawn from a distribution.
+
+use crate::harness::{Aggregator, TestAgent, assert_adds_up};
+
+const LINE: &str = "
+[[model]]
+name = 'echo'
+kind = 'echo'
+
+[[model]]
+name = 'gpu'
+kind = 'distribution'
+device = 'A5000'
+mean_ms = 2.0
+std_ms = 0.5
+inner = 'echo'
+
+[[pipeline]]
+name = 'line'
+sensor = { kind = 'synthetic', size_bytes = 100 }
+placement = { kind = 'local', model = 'gpu' }
+warm_up = { iterations = 0 }
+limit = { iterations = 3 }
+";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn run_with_drawn_latencies_says_so() {
+    let aggregator = Aggregator::start().await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), LINE).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let run = seen.runs()[0];
+    let fact = |name: &str| run.facts.iter().find(|(known, _)| known == name).map(|(_, text)| text.as_str());
+    let expected = "inference is drawn from a log-normal distribution with mean 2 ms and standard deviation 0.5 ms, seed 0";
+    assert_eq!(fact("Replayed"), Some(expected));
+    assert_eq!((fact("Model"), fact("Inner model")), (Some("replayed latencies"), Some("echo")));
+    for iteration in seen.iterations() {
+        let value = |path: &[&str]| iteration.tree.find(path).and_then(|(_, node)| node.measure.value());
+        let drawn = value(&["inference", "drawn-latency"]);
+        assert!(drawn > Some(0.0) && value(&["inference"]) >= drawn, "{drawn:?}");
+        assert!(value(&["download-bytes"]).is_none());
+        assert_adds_up(iteration);
+    }
+    edge.stop().await.expect("stops well");
+}

@@ -1,0 +1,37 @@
+//! Judgement of latencies that were not measured but drawn from a distribution.
+
+use peernet_stream::Grade;
+
+use super::{finding, ms, percent, with_advice};
+use crate::trust::{Finding, TrustInput};
+
+/// Share of the mean total from which the overrun of the inner model is mentioned.
+const NOTABLE_OVERRUN: f64 = 0.01;
+/// Share of the mean total from which the latencies are those of the inner model rather than of the distribution.
+const MAX_OVERRUN: f64 = 0.1;
+
+/// Returns the findings about drawn latencies; none if the latencies of the model are measured.
+pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
+    let Some(replayed) = &input.replayed else { return Vec::new() };
+    let text = format!("The latencies of the model are replayed, not measured: {replayed}.");
+    let advice = "mark the figures as replayed where they are published; they plan for a machine, and do not measure it";
+    let mut all = vec![with_advice(finding("replayed", Grade::Doubtful, text), advice)];
+    all.extend(judge_overrun(input));
+    all
+}
+
+fn judge_overrun(input: &TrustInput) -> Option<Finding> {
+    let overrun = input.overrun?;
+    let share = overrun / input.total.as_ref()?.mean;
+    let grade = match share {
+        share if share >= MAX_OVERRUN => Grade::Bad,
+        share if share >= NOTABLE_OVERRUN => Grade::Doubtful,
+        _ => return None,
+    };
+    let text = format!(
+        "The inner model took longer than the replayed latencies, by {} on average, {} of the total.",
+        ms(overrun),
+        percent(share)
+    );
+    Some(with_advice(finding("overrun", grade, text), "name a faster model as `inner`, or none"))
+}

@@ -1,0 +1,234 @@
+//! Model kind `distribution`, whose latencies are drawn from a distribution instead of measured.
+
+mod data_file;
+mod latency;
+
+pub use latency::Histogram;
+
+use std::fs::File;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use bytes::Bytes;
+use peernet_clock::Span;
+use peernet_logger::{Name, Recorder, Slug, Unit, stage};
+use peernet_sample::{Description, Sample};
+use peernet_statistics::SplitMix64;
+use serde::{Deserialize, Serialize};
+
+use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
+use crate::{InferenceError, LoadError, Model, UNKNOWN_LABEL, Worker};
+use data_file::{data_file, read_latencies};
+use latency::{LatencyDistribution, check_ms};
+
+/// Name of the fact that marks the latencies of a run as replayed, with their distribution.
+// peernet-analysis reads it by this name.
+const REPLAYED: &str = "Replayed";
+
+/// Latency that was drawn for an iteration, below `inference`, seconds.
+const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
+/// Time of the inner model, below `inference`; its own stages are below this node.
+const INNER_MODEL: Name = Name::from_static("inner-model");
+/// Time by which the inner model took longer than the drawn latency, below `inference`, seconds; 0 if it was faster.
+const OVERRUN: Name = Name::from_static("overrun");
+
+/// Keys of a model of `kind = "distribution"`. One of `data`, `histogram` and `mean_ms` names the distribution.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DistributionConfig {
+    /// `data.csv` of a run, or the folder that contains it: its latencies are drawn, each with the same probability.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data: Option<PathBuf>,
+    /// Column of `data` with the latencies, seconds.
+    #[serde(default = "default_column")]
+    pub column: String,
+    /// Mean of a log-normal distribution, milliseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mean_ms: Option<f64>,
+    /// Standard deviation of the log-normal distribution, milliseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub std_ms: Option<f64>,
+    /// Seed of the draws: equal seeds draw equal latencies after the model was loaded.
+    #[serde(default)]
+    pub seed: u64,
+    /// Name of another model of this host, whose answer is returned after the drawn time. Without it the answer is
+    /// empty.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inner: Option<Slug>,
+    /// Histogram of latencies.
+    // TOML requires that tables follow the other keys.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub histogram: Option<Histogram>,
+}
+
+fn default_column() -> String {
+    stage::INFERENCE.to_string()
+}
+
+impl ModelKind for DistributionConfig {
+    fn unpublished_keys(&self) -> &'static [&'static str] {
+        &["data"]
+    }
+
+    fn remove_defaults(&self, keys: &mut super::Keys) {
+        // The column belongs to `data`.
+        if self.data.is_none() {
+            keys.remove("column");
+        }
+    }
+
+    fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.distribution(shared)?;
+        self.inner_model(shared, context).map(|_| ())
+    }
+
+    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let distribution = self.distribution(shared)?;
+        let inner = self.inner_model(shared, context)?.map(|inner| inner.load(context)).transpose()?;
+        let hash = self.data.as_deref().map(|data| {
+            let file = data_file(data);
+            let hash = File::open(&file).and_then(peernet_external::sha256);
+            hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
+        });
+        let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };
+        Ok(Arc::new(Distribution {
+            source: Arc::new(source),
+            inner,
+            device: shared.device.clone(),
+            seed: self.seed,
+            data_hash: hash.transpose()?,
+        }))
+    }
+}
+
+impl DistributionConfig {
+    /// Returns the configured distribution; reads the file.
+    fn distribution(&self, shared: &SharedKeys) -> Result<LatencyDistribution, LoadError> {
+        let wrong = |key, reason| LoadError::InvalidKey { model: shared.name.to_string(), key, reason };
+        match (&self.data, &self.histogram, self.mean_ms) {
+            (Some(data), None, None) => {
+                let latencies = read_latencies(&data_file(data), &self.column)?;
+                Ok(LatencyDistribution::Empirical { latencies, column: self.column.clone() })
+            }
+            (None, Some(histogram), None) => {
+                histogram.check().map_err(|reason| wrong("histogram", reason))?;
+                Ok(LatencyDistribution::Histogram(histogram.clone()))
+            }
+            (None, None, Some(mean_ms)) => {
+                check_ms(mean_ms).map_err(|reason| wrong("mean_ms", reason))?;
+                if mean_ms == 0.0 {
+                    return Err(wrong("mean_ms", "a log-normal distribution has a mean above 0".to_owned()));
+                }
+                let std_ms = self.std_ms.ok_or_else(|| {
+                    wrong("std_ms", "a log-normal distribution needs its standard deviation".to_owned())
+                })?;
+                check_ms(std_ms).map_err(|reason| wrong("std_ms", reason))?;
+                Ok(LatencyDistribution::LogNormal { mean_ms, std_ms })
+            }
+            _ => Err(wrong(
+                "data",
+                "give one of data, histogram and mean_ms, the source of the latencies".to_owned(),
+            )),
+        }
+    }
+
+    /// Returns the configuration of the inner model; `None` if there is none.
+    fn inner_model<'a>(
+        &self,
+        shared: &SharedKeys,
+        context: &LoadContext<'a>,
+    ) -> Result<Option<&'a ModelConfig>, LoadError> {
+        let Some(inner) = &self.inner else { return Ok(None) };
+        let wrong = |reason| LoadError::InvalidKey { model: shared.name.to_string(), key: "inner", reason };
+        match context.models.iter().find(|model| model.name() == inner) {
+            None => Err(wrong(format!("no [[model]] of this file is named {inner}"))),
+            // Two of them could name each other.
+            Some(ModelConfig::Distribution(_)) => {
+                Err(wrong(format!("{inner} draws its latencies, too; name a model that computes")))
+            }
+            Some(found) => Ok(Some(found)),
+        }
+    }
+}
+
+/// Source of latencies, shared by all workers: the sequence of latencies depends on the seed only.
+struct LatencySource {
+    distribution: LatencyDistribution,
+    random: Mutex<SplitMix64>,
+}
+
+impl LatencySource {
+    /// Returns the next latency.
+    fn next(&self) -> Span {
+        let mut random = self.random.lock().unwrap_or_else(PoisonError::into_inner);
+        Span::from_nanos((self.distribution.draw(&mut random) * 1e9).round() as i64)
+    }
+}
+
+/// Model that takes the time drawn from a distribution.
+struct Distribution {
+    source: Arc<LatencySource>,
+    inner: Option<Arc<dyn Model>>,
+    device: String,
+    seed: u64,
+    data_hash: Option<String>,
+}
+
+impl Model for Distribution {
+    fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
+        let inner = self.inner.as_ref().map(|inner| inner.create_worker()).transpose()?;
+        Ok(Box::new(DistributionWorker { source: Arc::clone(&self.source), inner }))
+    }
+
+    fn device(&self) -> String {
+        self.device.clone()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        let distribution = self.source.distribution.describe();
+        let mut facts = vec![
+            ("Model".to_owned(), "replayed latencies".to_owned()),
+            (REPLAYED.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
+        ];
+        facts.extend(self.data_hash.iter().map(|hash| (format!("{REPLAYED} SHA-256"), hash.clone())));
+        // The answers are those of the inner model, and so are its classes and its hash.
+        facts.extend(self.inner.iter().flat_map(|inner| inner.facts()).map(|(name, text)| match &*name {
+            "Model" => ("Inner model".to_owned(), text),
+            _ => (name, text),
+        }));
+        facts
+    }
+}
+
+struct DistributionWorker {
+    source: Arc<LatencySource>,
+    inner: Option<Box<dyn Worker>>,
+}
+
+impl Worker for DistributionWorker {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+        let drawn = self.source.next();
+        let started_at = recorder.clock().mono();
+        let mut inference = recorder.time(stage::INFERENCE);
+        inference.value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
+        let answer = match &mut self.inner {
+            None => Sample::from_part(Description::bytes(), Bytes::new()),
+            Some(inner) => {
+                // Its stages are below a node of their own, so that they do not count as stages of the iteration.
+                let answer = inner.infer(sample, &mut inference.time(INNER_MODEL))?;
+                let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
+                inference.value(OVERRUN, overrun.seconds(), Unit::SECONDS);
+                answer
+            }
+        };
+        let remaining = started_at + drawn - inference.clock().mono();
+        std::thread::sleep(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)));
+        drop(inference);
+        if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &UNKNOWN_LABEL]).is_some() {
+            // The edge looks for it below the root.
+            recorder.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        }
+        Ok(answer)
+    }
+}

@@ -1,0 +1,268 @@
+//! An answer that arrives in chunks: its text, and the times at which its tokens arrived. No I/O.
+
+use peernet_clock::{MonoTime, Span};
+
+use super::chunk::{Choice, Chunk, Usage, error_text};
+use super::event_stream::{EventStream, EventTooLong};
+
+/// Largest text of an answer, bytes.
+const MAX_TEXT_BYTES: usize = 1 << 20;
+/// Largest number of bytes of a stream: a chunk with one token has some hundred bytes.
+const MAX_STREAM_BYTES: usize = 256 << 20;
+/// Largest number of chunks with tokens.
+const MAX_CHUNKS: usize = 1 << 20;
+/// Data of the event that ends the stream.
+const DONE: &str = "[DONE]";
+
+/// Reason why a stream is not a complete answer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum StreamError {
+    /// A chunk is not JSON, or not of the expected form.
+    #[error("chunk {number} of its answer cannot be read: {reason}")]
+    Chunk { number: u64, reason: String },
+    /// The server reported an error in the stream.
+    #[error("its server ended the answer after {}: {text}", chunks(*.after))]
+    Server { after: u64, text: String },
+    /// The stream ended without a reason.
+    #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
+    EndedEarly(u64),
+    /// The answer is too long.
+    #[error("its answer is longer than {0}; set max_tokens in parameters")]
+    TooLong(&'static str),
+}
+
+impl From<EventTooLong> for StreamError {
+    fn from(_: EventTooLong) -> Self {
+        Self::TooLong("1 MiB in one chunk")
+    }
+}
+
+/// Returns the number of chunks with its noun.
+pub(super) fn chunks(count: u64) -> String {
+    format!("{count} chunk{}", if count == 1 { "" } else { "s" })
+}
+
+/// Answer of a language model as far as it has arrived.
+#[derive(Debug)]
+pub(super) struct StreamedAnswer {
+    /// Time at which the request started.
+    pub(super) started_at: MonoTime,
+    /// Time at which the connection was open.
+    pub(super) connected_at: Option<MonoTime>,
+    /// Arrival of the first chunk with text of the answer.
+    pub(super) first_content_at: Option<MonoTime>,
+    /// Arrival of the first chunk with text of the reasoning.
+    pub(super) first_reasoning_at: Option<MonoTime>,
+    /// Arrivals of all chunks with tokens, of the reasoning or of the answer, in order.
+    pub(super) token_times: Vec<MonoTime>,
+    /// Text of the answer, without the reasoning.
+    pub(super) text: String,
+    /// Number of tokens as the server counted them.
+    pub(super) usage: Option<Usage>,
+    /// Reason why the answer ended, such as `stop` or `length`.
+    pub(super) finish_reason: Option<String>,
+    is_done: bool,
+    events: EventStream,
+    /// Number of events, with or without tokens.
+    event_count: u64,
+    byte_count: usize,
+}
+
+impl StreamedAnswer {
+    /// Creates an answer to a request that starts at the given time.
+    pub(super) fn new(started_at: MonoTime) -> Self {
+        Self {
+            started_at,
+            connected_at: None,
+            first_content_at: None,
+            first_reasoning_at: None,
+            token_times: Vec::new(),
+            text: String::new(),
+            usage: None,
+            finish_reason: None,
+            is_done: false,
+            events: EventStream::default(),
+            event_count: 0,
+            byte_count: 0,
+        }
+    }
+
+    /// Takes bytes of the stream that arrived at the given time. Passes the new text of the answer to `receive_text`.
+    ///
+    /// # Errors
+    /// If the stream is no answer. The text and times so far remain.
+    pub(super) fn receive(
+        &mut self,
+        at: MonoTime,
+        bytes: &[u8],
+        mut receive_text: impl FnMut(&str),
+    ) -> Result<(), StreamError> {
+        self.byte_count += bytes.len();
+        if self.byte_count > MAX_STREAM_BYTES {
+            return Err(StreamError::TooLong("256 MiB"));
+        }
+        let mut events = std::mem::take(&mut self.events);
+        let result = events.receive(bytes, |data| self.receive_event(at, data, &mut receive_text));
+        self.events = events;
+        result
+    }
+
+    fn receive_event(
+        &mut self,
+        at: MonoTime,
+        data: &str,
+        receive_text: &mut impl FnMut(&str),
+    ) -> Result<(), StreamError> {
+        // Servers may send empty events to keep the connection open.
+        if self.is_done || data.trim().is_empty() {
+            return Ok(());
+        }
+        if data.trim() == DONE {
+            self.is_done = true;
+            return Ok(());
+        }
+        self.event_count += 1;
+        let chunk: Chunk = serde_json::from_str(data)
+            .map_err(|error| StreamError::Chunk { number: self.event_count, reason: error.to_string() })?;
+        if let Some(error) = &chunk.error {
+            return Err(StreamError::Server { after: self.chunk_count(), text: error_text(error) });
+        }
+        self.usage = chunk.usage.or(self.usage);
+        match chunk.choices.into_iter().flatten().next() {
+            Some(choice) => self.receive_choice(at, choice, receive_text),
+            None => Ok(()),
+        }
+    }
+
+    fn receive_choice(
+        &mut self,
+        at: MonoTime,
+        choice: Choice,
+        receive_text: &mut impl FnMut(&str),
+    ) -> Result<(), StreamError> {
+        let delta = choice.delta.unwrap_or_default();
+        let has_reasoning = delta.has_reasoning();
+        // The first chunk often has a role and no text: it is no token.
+        let content = delta.content.filter(|content| !content.is_empty());
+        if has_reasoning {
+            self.first_reasoning_at.get_or_insert(at);
+        }
+        if let Some(content) = &content {
+            if self.text.len() + content.len() > MAX_TEXT_BYTES {
+                return Err(StreamError::TooLong("1 MiB"));
+            }
+            self.first_content_at.get_or_insert(at);
+            self.text.push_str(content);
+            receive_text(content);
+        }
+        if has_reasoning || content.is_some() {
+            if self.token_times.len() >= MAX_CHUNKS {
+                return Err(StreamError::TooLong("1,048,576 chunks"));
+            }
+            self.token_times.push(at);
+        }
+        self.finish_reason = choice.finish_reason.or(self.finish_reason.take());
+        Ok(())
+    }
+
+    /// Returns whether the stream has said that the answer is complete and nothing follows.
+    pub(super) const fn is_done(&self) -> bool {
+        self.is_done
+    }
+
+    /// Checks the answer at the end of the connection. A server may leave out the last event if it has given a reason
+    /// for the end.
+    ///
+    /// # Errors
+    /// If the answer is incomplete.
+    pub(super) fn end(&self) -> Result<(), StreamError> {
+        if self.is_done || self.finish_reason.is_some() {
+            Ok(())
+        } else {
+            Err(StreamError::EndedEarly(self.chunk_count()))
+        }
+    }
+
+    /// Returns the number of chunks with tokens. A chunk may have several tokens.
+    pub(super) const fn chunk_count(&self) -> u64 {
+        self.token_times.len() as u64
+    }
+
+    /// Returns the arrival of the last chunk with tokens.
+    pub(super) fn last_token_at(&self) -> Option<MonoTime> {
+        self.token_times.last().copied()
+    }
+
+    /// Returns the times between successive chunks with tokens.
+    pub(super) fn gaps(&self) -> Vec<Span> {
+        self.token_times.windows(2).map(|times| times[1] - times[0]).collect()
+    }
+
+    /// Returns the time between the first and the last chunk with tokens; `None` without tokens.
+    pub(super) fn decode_time(&self) -> Option<Span> {
+        Some(*self.token_times.last()? - *self.token_times.first()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> MonoTime {
+        MonoTime::from_nanos(millis * 1_000_000)
+    }
+
+    fn content(text: &str) -> String {
+        format!("data: {{\"choices\":[{{\"delta\":{{\"content\":{text:?}}}}}]}}\n\n")
+    }
+
+    fn receive(answer: &mut StreamedAnswer, millis: i64, stream: &str) -> Result<(), StreamError> {
+        answer.receive(at(millis), stream.as_bytes(), |_| ())
+    }
+
+    #[test]
+    fn role_and_empty_chunks_are_no_tokens() {
+        let mut answer = StreamedAnswer::new(at(0));
+        let role = "data: {\"choices\":[{\"delta\":{\"role\":\"assistant\",\"content\":\"\"}}]}\n\n";
+        receive(&mut answer, 10, role).expect("is a chunk");
+        receive(&mut answer, 20, "data:\n\n: ping\n\ndata: {\"choices\":[]}\n\n").expect("has no tokens");
+        assert_eq!((answer.first_content_at, answer.chunk_count()), (None, 0));
+        let mut passed_on = String::new();
+        let stream = [content("a"), content("b c")].concat();
+        answer.receive(at(30), stream.as_bytes(), |text| passed_on.push_str(text)).expect("are chunks");
+        assert_eq!((answer.first_content_at, answer.chunk_count()), (Some(at(30)), 2));
+        assert_eq!((&*answer.text, &*passed_on), ("ab c", "ab c"));
+        assert!(answer.end().is_err());
+        receive(&mut answer, 40, "data: [DONE]\n\ndata: not a chunk\n\n").expect("nothing follows");
+        assert!(answer.is_done() && answer.end().is_ok());
+    }
+
+    #[test]
+    fn reasoning_precedes_first_content_token() {
+        let mut answer = StreamedAnswer::new(at(0));
+        for (millis, field) in [(5, "reasoning_content"), (9, "reasoning")] {
+            let chunk = format!("data: {{\"choices\":[{{\"delta\":{{\"{field}\":\"hm\"}}}}]}}\n\n");
+            receive(&mut answer, millis, &chunk).expect("is a chunk");
+        }
+        receive(&mut answer, 20, &content("a")).expect("is a chunk");
+        assert_eq!((answer.first_reasoning_at, answer.first_content_at), (Some(at(5)), Some(at(20))));
+        assert_eq!(answer.gaps(), [Span::from_millis(4), Span::from_millis(11)]);
+        assert_eq!((answer.decode_time(), &*answer.text), (Some(Span::from_millis(15)), "a"));
+    }
+
+    #[test]
+    fn broken_stream_is_refused_with_reason() {
+        let mut answer = StreamedAnswer::new(at(0));
+        receive(&mut answer, 1, &content("a")).expect("is a chunk");
+        let error = receive(&mut answer, 2, "data: {\"error\":{\"message\":\"out of memory\"}}\n\n");
+        let error = error.expect_err("is an error").to_string();
+        assert_eq!(error, "its server ended the answer after 1 chunk: out of memory");
+        let error = receive(&mut answer, 3, "data: {\"choices\":\n\n").expect_err("is cut").to_string();
+        assert!(error.starts_with("chunk 3 of its answer cannot be read: EOF"), "{error}");
+        let error = answer.end().expect_err("is not complete").to_string();
+        assert_eq!(error, "its server closed the connection after 1 chunk without ending the answer");
+        let long = content(&"x".repeat(600_000));
+        receive(&mut answer, 4, &long).expect("is short enough");
+        assert_eq!(receive(&mut answer, 5, &long), Err(StreamError::TooLong("1 MiB")));
+    }
+}

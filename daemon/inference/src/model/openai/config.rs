@@ -1,0 +1,121 @@
+//! The keys of `kind = "openai"`.
+
+use std::num::NonZeroU64;
+use std::sync::Arc;
+use std::time::Duration;
+
+use peernet_clock::SharedClock;
+use serde::{Deserialize, Serialize};
+
+use super::Openai;
+use super::server::{ApiKey, Server, TimeLimits};
+use crate::model::{Keys, LoadContext, ModelKind, SharedKeys};
+use crate::{LoadError, Model};
+
+/// Longest time limit, milliseconds: one day.
+const MAX_TIMEOUT_MS: usize = 24 * 3600 * 1000;
+
+/// Fields of a request that are not parameters of the model.
+const RESERVED_PARAMETERS: [&str; 5] = ["model", "messages", "stream", "stream_options", "n"];
+
+/// Keys of a model of `kind = "openai"`. Each worker waits for one answer at a time.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpenaiConfig {
+    /// URL of the API, such as `http://127.0.0.1:8080/v1`; requests go to `/chat/completions` below it.
+    pub url: String,
+    /// Name of the model on the server.
+    pub model: String,
+    /// Environment variable with the key of the API; without it no key is sent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub api_key_env: Option<String>,
+    /// Text of the system message.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub system_prompt: Option<String>,
+    /// Text before the parts of each sample.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt: Option<String>,
+    /// Longest time from the request to the first token, milliseconds.
+    #[serde(default = "one_minute")]
+    pub first_token_timeout_ms: NonZeroU64,
+    /// Longest time from one chunk with tokens to the next, milliseconds.
+    #[serde(default = "ten_seconds")]
+    pub token_timeout_ms: NonZeroU64,
+    /// Longest time for a whole answer, milliseconds.
+    #[serde(default = "ten_minutes")]
+    pub timeout_ms: NonZeroU64,
+    /// Further fields of each request, such as `max_tokens` and `temperature`.
+    // TOML requires that tables follow the other keys.
+    #[serde(default, skip_serializing_if = "Keys::is_empty")]
+    pub parameters: Keys,
+}
+
+fn one_minute() -> NonZeroU64 {
+    const { NonZeroU64::new(60_000).expect("is not zero") }
+}
+
+fn ten_seconds() -> NonZeroU64 {
+    const { NonZeroU64::new(10_000).expect("is not zero") }
+}
+
+fn ten_minutes() -> NonZeroU64 {
+    const { NonZeroU64::new(600_000).expect("is not zero") }
+}
+
+impl ModelKind for OpenaiConfig {
+    fn limits(&self) -> Vec<(&'static str, usize, usize)> {
+        let limit = |key, value: NonZeroU64| {
+            (key, usize::try_from(value.get()).unwrap_or(usize::MAX), MAX_TIMEOUT_MS)
+        };
+        vec![
+            limit("first_token_timeout_ms", self.first_token_timeout_ms),
+            limit("token_timeout_ms", self.token_timeout_ms),
+            limit("timeout_ms", self.timeout_ms),
+        ]
+    }
+
+    fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.server(shared).map(|_| ())
+    }
+
+    /// Asks the server for the list of its models, to see whether it can be reached.
+    fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        let model = Openai {
+            name: shared.name.to_string(),
+            device: shared.device.clone(),
+            config: self.clone(),
+            server: self.server(shared)?,
+            clock: SharedClock::clone(context.clock),
+        };
+        model.check_server()?;
+        Ok(Arc::new(Arc::new(model)))
+    }
+}
+
+impl OpenaiConfig {
+    /// Returns the time limits of a request.
+    pub(super) fn time_limits(&self) -> TimeLimits {
+        let duration = |limit: NonZeroU64| Duration::from_millis(limit.get());
+        TimeLimits {
+            first_token: duration(self.first_token_timeout_ms),
+            token: duration(self.token_timeout_ms),
+            total: duration(self.timeout_ms),
+        }
+    }
+
+    /// Returns the server, with the key from the environment.
+    fn server(&self, shared: &SharedKeys) -> Result<Server, LoadError> {
+        let wrong = |key, reason| LoadError::InvalidKey { model: shared.name.to_string(), key, reason };
+        if let Some(reserved) = RESERVED_PARAMETERS.iter().find(|name| self.parameters.contains_key(**name)) {
+            return Err(wrong("parameters", format!("{reserved} is set by this program; remove it")));
+        }
+        let key = self.api_key_env.as_ref().map(|variable| {
+            let text = std::env::var(variable)
+                .map_err(|_| format!("the environment variable {variable} is not set; set it to the key"))?;
+            // The error of the library would not show the key, but this one says more.
+            ApiKey::new(text).map_err(|_| format!("the environment variable {variable} holds no valid key"))
+        });
+        let key = key.transpose().map_err(|reason| wrong("api_key_env", reason))?;
+        Server::new(&self.url, key).map_err(|reason| wrong("url", reason))
+    }
+}

@@ -1,0 +1,159 @@
+//! Parser of server-sent events (WHATWG HTML Living Standard, section 9.2). No I/O.
+
+/// Largest event and largest line, bytes. The longest event of an answer is a chunk with many tokens.
+const MAX_EVENT_BYTES: usize = 1 << 20;
+
+/// Byte order mark that may precede a stream.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// Parser of one stream, which takes bytes in pieces of any length.
+///
+/// Only the data of events is used; the fields `event`, `id` and `retry` and comments are ignored.
+#[derive(Debug, Default)]
+pub(super) struct EventStream {
+    /// Bytes of the line that has no end yet.
+    line: Vec<u8>,
+    /// Lines of the event's data, each with a line feed.
+    data: Vec<u8>,
+    /// Whether the last byte was a carriage return, so that a line feed after it ends no further line.
+    ends_with_return: bool,
+    /// Whether the first line has ended.
+    has_line: bool,
+}
+
+/// Error: an event is longer than 1 MiB.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct EventTooLong;
+
+impl EventStream {
+    /// Takes the next bytes and passes the data of each event that they complete to `receive_event`.
+    ///
+    /// # Errors
+    /// If an event is too long, or `receive_event` fails. The stream cannot be used any more then.
+    // Events are decoded when they are complete: a character may be divided between two pieces.
+    pub(super) fn receive<E: From<EventTooLong>>(
+        &mut self,
+        mut bytes: &[u8],
+        mut receive_event: impl FnMut(&str) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if bytes.is_empty() {
+            return Ok(());
+        }
+        if std::mem::take(&mut self.ends_with_return) && bytes.first() == Some(&b'\n') {
+            bytes = &bytes[1..];
+        }
+        while let Some(end) = bytes.iter().position(|byte| matches!(byte, b'\n' | b'\r')) {
+            self.extend_line(&bytes[..end])?;
+            let is_pair = bytes[end..].starts_with(b"\r\n");
+            self.ends_with_return = bytes[end..] == *b"\r";
+            bytes = &bytes[end + 1 + usize::from(is_pair)..];
+            if let Some(data) = self.end_line()? {
+                receive_event(&String::from_utf8_lossy(&data))?;
+            }
+        }
+        Ok(self.extend_line(bytes)?)
+    }
+
+    fn extend_line(&mut self, bytes: &[u8]) -> Result<(), EventTooLong> {
+        if self.line.len() + bytes.len() > MAX_EVENT_BYTES {
+            return Err(EventTooLong);
+        }
+        self.line.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Ends a line; returns the data of the event if the line is empty and ends one.
+    fn end_line(&mut self) -> Result<Option<Vec<u8>>, EventTooLong> {
+        let is_first = !std::mem::replace(&mut self.has_line, true);
+        let mut line = &self.line[..];
+        if is_first {
+            line = line.strip_prefix(BYTE_ORDER_MARK).unwrap_or(line);
+        }
+        if line.is_empty() {
+            self.line.clear();
+            let mut data = std::mem::take(&mut self.data);
+            return Ok(data.pop().map(|_| data));
+        }
+        let (name, value) = match line.iter().position(|byte| *byte == b':') {
+            Some(colon) => (&line[..colon], &line[colon + 1..]),
+            None => (line, &line[line.len()..]),
+        };
+        if name == b"data" {
+            let value = value.strip_prefix(b" ").unwrap_or(value);
+            if self.data.len() + value.len() > MAX_EVENT_BYTES {
+                return Err(EventTooLong);
+            }
+            self.data.extend_from_slice(value);
+            self.data.push(b'\n');
+        }
+        self.line.clear();
+        Ok(None)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Returns the events of a stream that arrives in these pieces.
+    fn events(pieces: &[&[u8]]) -> Result<Vec<String>, EventTooLong> {
+        let mut stream = EventStream::default();
+        let mut found = Vec::new();
+        for piece in pieces {
+            stream.receive(piece, |data| {
+                found.push(data.to_owned());
+                Ok::<(), EventTooLong>(())
+            })?;
+        }
+        Ok(found)
+    }
+
+    #[test]
+    fn events_have_data_fields_only() {
+        let stream = b"\xef\xbb\xbfdata: first\n\n: a comment\nevent: x\nid: 3\ndata:second\ndata:  third\n\nretry: 9\n\n\
+                       data\n\ndatas: no\n\ndata: unfinished\n";
+        assert_eq!(events(&[stream]).expect("short"), ["first", "second\n third", ""]);
+    }
+
+    #[test]
+    fn all_line_ends_are_accepted() {
+        for end in ["\n", "\r", "\r\n"] {
+            let stream = format!("data: a{end}{end}data: b{end}data: c{end}{end}");
+            assert_eq!(events(&[stream.as_bytes()]).expect("short"), ["a", "b\nc"], "{end:?}");
+        }
+    }
+
+    #[test]
+    fn endless_event_is_refused() {
+        let piece = [b'x'; 4096];
+        let endless_line = vec![&piece[..]; MAX_EVENT_BYTES / piece.len() + 1];
+        assert_eq!(events(&endless_line), Err(EventTooLong));
+        let line = [b"data: ", &piece[..], b"\n"].concat();
+        assert_eq!(events(&vec![&line[..]; MAX_EVENT_BYTES / piece.len() + 1]), Err(EventTooLong));
+        assert_eq!(events(&vec![&b": comment\n"[..]; 200_000]), Ok(vec![]));
+    }
+
+    proptest! {
+        #[test]
+        fn pieces_do_not_change_events(
+            lines in proptest::collection::vec("(data: ?)?[aé漢\u{1f600}:]{0,5}(\r\n|\r|\n)", 0..20),
+            cuts in proptest::collection::vec(0..200_usize, 0..20),
+        ) {
+            let stream = lines.concat().into_bytes();
+            let mut cuts: Vec<usize> = cuts.into_iter().map(|cut| cut.min(stream.len())).collect();
+            cuts.extend([0, stream.len()]);
+            cuts.sort_unstable();
+            let pieces: Vec<&[u8]> = cuts.windows(2).map(|cut| &stream[cut[0]..cut[1]]).collect();
+            prop_assert_eq!(events(&pieces), events(&[&stream]));
+        }
+
+        #[test]
+        fn arbitrary_bytes_do_not_panic(pieces in proptest::collection::vec(
+            proptest::collection::vec(any::<u8>(), 0..40), 0..10)) {
+            let pieces: Vec<&[u8]> = pieces.iter().map(Vec::as_slice).collect();
+            prop_assert!(events(&pieces).is_ok());
+        }
+    }
+}

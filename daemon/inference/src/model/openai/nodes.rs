@@ -1,0 +1,89 @@
+//! Nodes that describe an answer, below `inference`. docs/language-models.md has their definitions.
+
+use peernet_clock::Span;
+use peernet_logger::{Name, Recorder, Unit, stage};
+
+use super::answer::StreamedAnswer;
+
+/// Time of opening the connection.
+const CONNECT: Name = Name::from_static("connect");
+/// Time from the start of the request to the first chunk with text of the reasoning.
+const TIME_TO_FIRST_REASONING_TOKEN: Name = Name::from_static("time-to-first-reasoning-token");
+/// Mean time between successive chunks with tokens.
+const INTER_TOKEN_LATENCY: Name = Name::from_static("inter-token-latency");
+/// Median time between successive chunks with tokens.
+const INTER_TOKEN_LATENCY_P50: Name = Name::from_static("inter-token-latency-p50");
+/// Longest time between successive chunks with tokens.
+const INTER_TOKEN_LATENCY_MAX: Name = Name::from_static("inter-token-latency-max");
+/// Time from the first to the last chunk with tokens, divided by the number of tokens after the first.
+const TIME_PER_OUTPUT_TOKEN: Name = Name::from_static("time-per-output-token");
+/// Tokens of reasoning and answer, divided by the time from the start of the request to the last chunk with tokens.
+const OUTPUT_TOKEN_RATE: Name = Name::from_static("output-token-rate");
+/// Number of chunks with tokens.
+const OUTPUT_CHUNKS: Name = Name::from_static("output-chunks");
+/// Tokens of reasoning and answer, as the server counted them.
+const OUTPUT_TOKENS: Name = Name::from_static("output-tokens");
+/// Tokens of the reasoning, as the server counted them.
+const REASONING_TOKENS: Name = Name::from_static("reasoning-tokens");
+/// Tokens of the request, pictures included, as the server counted them.
+const INPUT_TOKENS: Name = Name::from_static("input-tokens");
+/// Tokens of the request that the server had in its cache.
+const CACHED_INPUT_TOKENS: Name = Name::from_static("cached-input-tokens");
+/// 1 if the model ended the answer, otherwise 0.
+const FINISH_REASON_STOP: Name = Name::from_static("finish-reason-stop");
+/// 1 if the limit on tokens ended the answer, otherwise 0.
+const FINISH_REASON_LENGTH: Name = Name::from_static("finish-reason-length");
+
+/// Records an answer, complete or not; what is not known is left out.
+pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
+    let started_at = answer.started_at;
+    for (name, at) in [
+        (CONNECT, answer.connected_at),
+        (TIME_TO_FIRST_REASONING_TOKEN, answer.first_reasoning_at),
+        (stage::TIME_TO_FIRST_TOKEN, answer.first_content_at),
+    ] {
+        if let Some(at) = at {
+            inference.record_timer(name, started_at, at);
+        }
+    }
+    let mut gaps = answer.gaps();
+    gaps.sort_unstable();
+    if let Some(longest) = gaps.last().copied() {
+        let sum: f64 = gaps.iter().map(|gap| gap.seconds()).sum();
+        inference.value(INTER_TOKEN_LATENCY, sum / gaps.len() as f64, Unit::SECONDS);
+        inference.value(INTER_TOKEN_LATENCY_P50, median(&gaps), Unit::SECONDS);
+        inference.value(INTER_TOKEN_LATENCY_MAX, longest.seconds(), Unit::SECONDS);
+    }
+    inference.value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
+    let usage = answer.usage.unwrap_or_default();
+    if let (Some(tokens), Some(last)) = (usage.completion_tokens, answer.last_token_at()) {
+        if let Some(time) = answer.decode_time().filter(|_| tokens > 1) {
+            inference.value(TIME_PER_OUTPUT_TOKEN, time.seconds() / (tokens - 1) as f64, Unit::SECONDS);
+        }
+        let time = last - started_at;
+        if time > Span::ZERO {
+            inference.value(OUTPUT_TOKEN_RATE, tokens as f64 / time.seconds(), Unit::TOKENS_PER_SECOND);
+        }
+    }
+    for (name, tokens) in [
+        (OUTPUT_TOKENS, usage.completion_tokens),
+        (REASONING_TOKENS, usage.reasoning_tokens()),
+        (INPUT_TOKENS, usage.prompt_tokens),
+        (CACHED_INPUT_TOKENS, usage.cached_tokens()),
+    ] {
+        if let Some(tokens) = tokens {
+            inference.value(name, tokens as f64, Unit::TOKENS);
+        }
+    }
+    if let Some(reason) = &answer.finish_reason {
+        for (name, expected) in [(FINISH_REASON_STOP, "stop"), (FINISH_REASON_LENGTH, "length")] {
+            inference.value(name, if reason == expected { 1.0 } else { 0.0 }, Unit::NONE);
+        }
+    }
+}
+
+/// Returns the median of sorted times, seconds; 0 for none.
+fn median(sorted: &[Span]) -> f64 {
+    let at = |index: usize| sorted.get(index).map_or(0.0, |time| time.seconds());
+    f64::midpoint(at(sorted.len().saturating_sub(1) / 2), at(sorted.len() / 2))
+}

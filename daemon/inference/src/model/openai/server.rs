@@ -1,0 +1,290 @@
+//! HTTP requests to a server with the OpenAI API.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use http_body_util::{BodyExt, Full, Limited};
+use hyper::body::Incoming;
+use hyper::client::conn::http1::SendRequest;
+use hyper::header::{
+    ACCEPT, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue, InvalidHeaderValue, RETRY_AFTER, USER_AGENT,
+};
+use hyper::{Method, Request, Response, StatusCode, Uri};
+use hyper_util::rt::TokioIo;
+use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_sample::printable_line;
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+
+use super::answer::StreamedAnswer;
+use super::chunk::error_text_of_body;
+use super::error::RequestError;
+
+/// Largest body of an error that is read, bytes.
+const MAX_ERROR_BYTES: usize = 64 << 10;
+/// Time limit for the body of an error.
+const ERROR_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time limit for the check whether the server can be reached.
+const CHECK_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Time limits of a request.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TimeLimits {
+    /// From the start of the request to its first token, of the reasoning or of the answer.
+    pub(super) first_token: Duration,
+    /// From one chunk with tokens to the next, and from the last to the end of the answer.
+    pub(super) token: Duration,
+    /// From the start of the request to the end of the answer.
+    pub(super) total: Duration,
+}
+
+/// Address of a server, with the key of its user.
+pub(super) struct Server {
+    host: String,
+    port: u16,
+    /// Value of the header `Host`.
+    authority: HeaderValue,
+    /// Path of the API without a slash at its end, such as `/v1`.
+    path: String,
+    key: Option<ApiKey>,
+}
+
+/// Key of a user of the server.
+pub(super) struct ApiKey {
+    text: String,
+    authorization: HeaderValue,
+}
+
+impl ApiKey {
+    /// Creates a key.
+    ///
+    /// # Errors
+    /// If it has characters that a header cannot have.
+    pub(super) fn new(text: String) -> Result<Self, InvalidHeaderValue> {
+        let mut authorization = HeaderValue::try_from(format!("Bearer {text}"))?;
+        // The libraries then never print it.
+        authorization.set_sensitive(true);
+        Ok(Self { text, authorization })
+    }
+}
+
+impl Server {
+    /// Creates a server from its URL, such as `http://127.0.0.1:8080/v1`.
+    ///
+    /// # Errors
+    /// With the defect of the URL.
+    pub(super) fn new(url: &str, key: Option<ApiKey>) -> Result<Self, String> {
+        let uri: Uri = url.parse().map_err(|error| format!("{url:?} is not a URL: {error}"))?;
+        // Both would be secrets in the file, and the URL is published with the results.
+        if uri.authority().is_some_and(|authority| authority.as_str().contains('@')) || uri.query().is_some()
+        {
+            return Err(
+                "a URL with a user or a query can hold a secret; name the key with api_key_env".to_owned()
+            );
+        }
+        match uri.scheme_str() {
+            Some("http") => {}
+            Some("https") => {
+                return Err(format!(
+                    "{url:?} needs TLS, which is not supported; use http://, for example to a local proxy that adds TLS"
+                ));
+            }
+            _ => return Err(format!("{url:?} does not begin with http://")),
+        }
+        let authority = uri.authority().ok_or_else(|| format!("{url:?} names no host"))?;
+        let host = authority.host().trim_start_matches('[').trim_end_matches(']').to_owned();
+        let value = HeaderValue::try_from(authority.as_str()).map_err(|error| format!("{url:?}: {error}"))?;
+        let path = uri.path().trim_end_matches('/').to_owned();
+        Ok(Self { host, port: authority.port_u16().unwrap_or(80), authority: value, path, key })
+    }
+
+    /// Returns the key, to remove it from texts.
+    pub(super) fn secret(&self) -> Option<&str> {
+        self.key.as_ref().map(|key| key.text.as_str())
+    }
+
+    /// Checks that the server can be reached and accepts the key, by the list of its models. A server without this list
+    /// passes.
+    ///
+    /// # Errors
+    /// If it cannot be reached, or refuses the key.
+    pub(super) async fn check(&self) -> Result<(), RequestError> {
+        let request = self.request(Method::GET, "/models", Bytes::new())?;
+        let exchange = async {
+            let stream = self.connect().await?;
+            exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
+                let response =
+                    sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
+                match response.status() {
+                    StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Err(status_error(response).await),
+                    _ => Ok(()),
+                }
+            })
+            .await
+        };
+        match timeout(CHECK_TIMEOUT, exchange).await {
+            Ok(result) => result,
+            Err(_) => Err(RequestError::Connect(format!("no answer within {} s", CHECK_TIMEOUT.as_secs()))),
+        }
+    }
+
+    /// Sends a request for a chat completion, and receives the streamed answer; passes its text to `receive_text` as it
+    /// arrives.
+    ///
+    /// Each request opens a connection, so that no request fails because the server has closed an idle connection. The
+    /// time of connecting is recorded.
+    ///
+    /// # Errors
+    /// If the answer is incomplete. The text and times so far are in `answer`.
+    pub(super) async fn complete(
+        &self,
+        body: Bytes,
+        limits: &TimeLimits,
+        clock: &SharedClock,
+        answer: &mut StreamedAnswer,
+        mut receive_text: impl FnMut(&str),
+    ) -> Result<(), RequestError> {
+        let request = self.request(Method::POST, "/chat/completions", body)?;
+        let stream = within(limits, clock, answer, self.connect()).await??;
+        answer.connected_at = Some(clock.mono());
+        exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
+            let response = within(limits, clock, answer, sender.send_request(request)).await?;
+            let mut response = response.map_err(|error| connection_error(0, &error))?;
+            if response.status() != StatusCode::OK {
+                return Err(status_error(response).await);
+            }
+            let media = response.headers().get(CONTENT_TYPE).map_or(&b""[..], HeaderValue::as_bytes);
+            if !media.to_ascii_lowercase().starts_with(b"text/event-stream") {
+                let media = String::from_utf8_lossy(media);
+                let media = if media.is_empty() { "no media type" } else { &media };
+                return Err(RequestError::NotStreamed(printable_line(media).into_owned()));
+            }
+            while !answer.is_done() {
+                let frame = within(limits, clock, answer, response.body_mut().frame()).await?;
+                // Stamped before it is parsed.
+                let arrived_at = clock.mono();
+                match frame {
+                    None => return Ok(answer.end()?),
+                    Some(Ok(frame)) => {
+                        if let Some(bytes) = frame.data_ref() {
+                            answer.receive(arrived_at, bytes, &mut receive_text)?;
+                        }
+                    }
+                    // Some servers close the connection without the end of the last HTTP chunk.
+                    Some(Err(_)) if answer.end().is_ok() => return Ok(()),
+                    Some(Err(error)) => return Err(connection_error(answer.chunk_count(), &error)),
+                }
+            }
+            Ok(())
+        })
+        .await
+    }
+
+    async fn connect(&self) -> Result<TcpStream, RequestError> {
+        let failed = |error: std::io::Error| RequestError::Connect(error.to_string());
+        let stream = TcpStream::connect((self.host.as_str(), self.port)).await.map_err(failed)?;
+        stream.set_nodelay(true).map_err(failed)?;
+        Ok(stream)
+    }
+
+    fn request(&self, method: Method, path: &str, body: Bytes) -> Result<Request<Full<Bytes>>, RequestError> {
+        let mut request = Request::builder()
+            .method(method)
+            .uri(format!("{}{path}", self.path))
+            .header(HOST, &self.authority)
+            .header(USER_AGENT, concat!("peernet/", env!("CARGO_PKG_VERSION")))
+            .header(ACCEPT, "text/event-stream, application/json")
+            .header(CONTENT_TYPE, "application/json");
+        if let Some(key) = &self.key {
+            request = request.header(AUTHORIZATION, &key.authorization);
+        }
+        request
+            .body(Full::new(body))
+            .map_err(|error| RequestError::Connection { after: 0, reason: error.to_string() })
+    }
+}
+
+/// Runs `requests`, which sends requests over a connection.
+async fn exchange<R: AsyncFnOnce(SendRequest<Full<Bytes>>) -> Result<(), RequestError>>(
+    stream: TcpStream,
+    requests: R,
+) -> Result<(), RequestError> {
+    let handshake = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
+    let (sender, connection) = handshake.map_err(|error| connection_error(0, &error))?;
+    let requests = requests(sender);
+    tokio::pin!(requests, connection);
+    tokio::select! {
+        result = &mut requests => result,
+        // The server closes the connection after its answer, which may not have been read yet.
+        _ = &mut connection => requests.await,
+    }
+}
+
+/// Waits for a part of the answer, within the limit that ends first.
+async fn within<T>(
+    limits: &TimeLimits,
+    clock: &SharedClock,
+    answer: &StreamedAnswer,
+    part: impl Future<Output = T>,
+) -> Result<T, RequestError> {
+    let after = answer.chunk_count();
+    let end_of = |from: MonoTime, limit: Duration| from + span(limit);
+    let (next, late) = match answer.last_token_at() {
+        None => (end_of(answer.started_at, limits.first_token), RequestError::FirstToken(limits.first_token)),
+        Some(last) => (end_of(last, limits.token), RequestError::Token { limit: limits.token, after }),
+    };
+    let total = end_of(answer.started_at, limits.total);
+    let (deadline, late) =
+        if total < next { (total, RequestError::Total { limit: limits.total, after }) } else { (next, late) };
+    let remaining = u64::try_from((deadline - clock.mono()).nanos()).unwrap_or(0);
+    timeout(Duration::from_nanos(remaining), part).await.map_err(|_| late)
+}
+
+fn span(duration: Duration) -> Span {
+    Span::from_nanos(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
+}
+
+/// Reads the body of an error, as far as it arrives.
+async fn status_error(response: Response<Incoming>) -> RequestError {
+    let status = response.status();
+    let retry_after = response.headers().get(RETRY_AFTER).map(|value| {
+        let text = String::from_utf8_lossy(value.as_bytes()).chars().take(100).collect::<String>();
+        printable_line(text.trim()).into_owned()
+    });
+    let body = Limited::new(response.into_body(), MAX_ERROR_BYTES).collect();
+    let text = match timeout(ERROR_TIMEOUT, body).await {
+        Ok(Ok(body)) => error_text_of_body(&body.to_bytes()),
+        Ok(Err(_)) | Err(_) => String::new(),
+    };
+    RequestError::Status { status, text, retry_after }
+}
+
+fn connection_error(after: u64, error: &hyper::Error) -> RequestError {
+    // The library's own text only says that the body could not be read.
+    let cause = std::error::Error::source(error);
+    let reason = cause.map_or_else(|| error.to_string(), |cause| format!("{error}: {cause}"));
+    RequestError::Connection { after, reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn url_is_split_or_refused_with_reason() {
+        let server = Server::new("http://[::1]:8080/v1/", None).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((&*server.host, server.port, &*server.path), ("::1", 8080, "/v1"));
+        let server = Server::new("http://gpu.local", None).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((&*server.host, server.port, &*server.path), ("gpu.local", 80, ""));
+        for (url, reason) in [
+            ("https://api.openai.com/v1", "needs TLS"),
+            ("127.0.0.1:8080", "does not begin with http://"),
+            ("http://me:hidden@gpu/v1", "api_key_env"),
+            ("https://gpu/v1?key=hidden", "api_key_env"),
+            ("http://a b", "is not a URL"),
+        ] {
+            let error = Server::new(url, None).err().expect(reason);
+            assert!(error.contains(reason) && !error.contains("hidden"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Worker that sends each sample to the server and returns the answer.
+
+use std::sync::Arc;
+
+use peernet_logger::{Recorder, stage};
+use peernet_sample::{Description, MediaType, Part, Sample};
+use serde::Serialize;
+use tokio::runtime::Runtime;
+
+use super::answer::StreamedAnswer;
+use super::{Openai, nodes, request};
+use crate::{InferenceError, Worker};
+
+/// Thread's state: the runtime that waits for the server.
+pub(super) struct OpenaiWorker {
+    model: Arc<Openai>,
+    runtime: Runtime,
+}
+
+/// Second part of an answer, as JSON: facts about the text of the first part.
+#[derive(Serialize)]
+struct AnswerDetails<'a> {
+    finish_reason: Option<&'a str>,
+    input_tokens: Option<u64>,
+    output_tokens: Option<u64>,
+    reasoning_tokens: Option<u64>,
+    output_chunks: u64,
+}
+
+impl OpenaiWorker {
+    pub(super) const fn new(model: Arc<Openai>, runtime: Runtime) -> Self {
+        Self { model, runtime }
+    }
+}
+
+impl Worker for OpenaiWorker {
+    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+        let Openai { name, config, server, clock, .. } = &*self.model;
+        let body = {
+            let _preprocessing = recorder.time(stage::PREPROCESSING);
+            request::body(config, sample).map_err(|reason| {
+                let (model, sample) = (name.clone(), sample.source.clone());
+                InferenceError::Input { model, sample, reason }
+            })?
+        };
+        let mut inference = recorder.time(stage::INFERENCE);
+        let mut answer = StreamedAnswer::new(clock.mono());
+        // The text is passed on as a whole; a worker that answers in parts would pass each text on here.
+        let limits = config.time_limits();
+        let request = server.complete(body, &limits, clock, &mut answer, |_text| ());
+        let result = self.runtime.block_on(request);
+        // What is known of a failed answer is recorded, too.
+        nodes::record(&answer, &mut inference);
+        drop(inference);
+        result.map_err(|error| InferenceError::Failed {
+            model: name.clone(),
+            reason: error.without_secret(server.secret()).to_string(),
+        })?;
+        let _postprocessing = recorder.time(stage::POSTPROCESSING);
+        Ok(into_sample(answer))
+    }
+}
+
+/// Returns the answer as a sample: the text, and its details as JSON.
+fn into_sample(answer: StreamedAnswer) -> Sample {
+    let usage = answer.usage.unwrap_or_default();
+    let details = AnswerDetails {
+        finish_reason: answer.finish_reason.as_deref(),
+        input_tokens: usage.prompt_tokens,
+        output_tokens: usage.completion_tokens,
+        reasoning_tokens: usage.reasoning_tokens(),
+        output_chunks: answer.chunk_count(),
+    };
+    let details = serde_json::to_vec(&details).expect("texts and numbers can be written as JSON");
+    let part =
+        |media, bytes: Vec<u8>| Part { description: Description::unshaped(media), bytes: bytes.into() };
+    let parts = vec![part(MediaType::Text, answer.text.into_bytes()), part(MediaType::Json, details)];
+    Sample { parts, source: String::new(), label: None }
+}

@@ -1,0 +1,174 @@
+//! Servers that refuse, stall or break off.
+
+use std::net::TcpListener;
+
+use peernet_inference::{InferenceError, LoadError};
+
+use super::*;
+
+/// Returns the reason for which a request fails, and the tree of the iteration.
+fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
+    let finished = ask(script, more);
+    let reason = match finished.result {
+        Err(InferenceError::Failed { model, reason }) if model == "vlm" => reason,
+        other => panic!("{other:?}"),
+    };
+    (reason, finished.recorder.finish())
+}
+
+#[test]
+fn stall_before_first_token_ends_at_limit() {
+    for script in [
+        vec![Step::Stall],
+        vec![head(), Step::Stall],
+        // Neither a role nor comments are tokens.
+        vec![
+            head(),
+            event("{\"choices\":[{\"delta\":{\"role\":\"assistant\"}}]}"),
+            http_chunk(b": ping\n\n"),
+            Step::Stall,
+        ],
+    ] {
+        let (reason, tree) = failure(script, "first_token_timeout_ms = 120");
+        let expected =
+            "its server sent no token within 120 ms; raise first_token_timeout_ms if it needs longer";
+        assert_eq!(reason, expected);
+        assert!(tree.find(&["inference"]).is_some_and(|(_, node)| node.measure.value() >= Some(0.120)));
+        assert_eq!(value(&tree, "time-to-first-token"), None);
+    }
+}
+
+#[test]
+fn stall_between_tokens_ends_at_limit() {
+    let script = vec![head(), content("a"), content("b"), Step::Stall];
+    let (reason, tree) = failure(script, "token_timeout_ms = 120");
+    let expected =
+        "its server sent nothing for 120 ms after 2 chunks; raise token_timeout_ms if it needs longer";
+    assert_eq!(reason, expected);
+    assert!(value(&tree, "time-to-first-token").is_some(), "what is known is recorded");
+    assert_eq!(value(&tree, "output-chunks"), Some(2.0));
+}
+
+#[test]
+fn endless_answer_ends_at_total_limit() {
+    let mut script = vec![head()];
+    (0..500).for_each(|_| script.extend([content("a"), pause(20)]));
+    let (reason, _) = failure(script, "timeout_ms = 150");
+    assert!(reason.starts_with("its answer is not complete within 150 ms, after "), "{reason}");
+    assert!(reason.ends_with("raise timeout_ms, or set max_tokens in parameters"), "{reason}");
+}
+
+#[test]
+fn refusal_is_reported_with_text_of_server() {
+    for (status, headers, body, expected) in [
+        (
+            "429 Too Many Requests",
+            "Retry-After: 7\r\n",
+            "{\"error\":{\"message\":\"slow down\"}}",
+            "its server answered with HTTP status 429 Too Many Requests: slow down; it asks to wait 7 s: lower the rate \
+             of the pipeline, or workers",
+        ),
+        (
+            "503 Service Unavailable",
+            "Retry-After: Fri, 31 Dec 1999 23:59:59 GMT\r\n",
+            "",
+            "its server answered with HTTP status 503 Service Unavailable; it asks to wait until Fri, 31 Dec 1999 23:59:59 \
+             GMT: lower the rate of the pipeline, or workers",
+        ),
+        (
+            "500 Internal Server Error",
+            "",
+            "oops",
+            "its server answered with HTTP status 500 Internal Server Error: oops",
+        ),
+        (
+            "404 Not Found",
+            "",
+            "{\"object\":\"error\",\"message\":\"The model `llava` does not exist.\"}",
+            "its server answered with HTTP status 404 Not Found: The model `llava` does not exist.",
+        ),
+        (
+            "200 OK",
+            "Content-Type: application/json\r\n",
+            "{}",
+            "its server answered with application/json instead of text/event-stream; it must support \"stream\": true, \
+             and url must end before /chat/completions",
+        ),
+    ] {
+        assert_eq!(failure(whole(status, headers, body), "").0, expected);
+    }
+}
+
+#[test]
+fn answer_broken_off_is_no_answer() {
+    // The body has no end.
+    let (reason, tree) = failure(vec![head(), content("a")], "");
+    assert!(reason.starts_with("the connection to its server broke after 1 chunk: "), "{reason}");
+    assert_eq!(value(&tree, "output-chunks"), Some(1.0));
+    // The body has an end, but the answer has none.
+    let (reason, _) = failure(vec![head(), content("a"), Step::Send(b"0\r\n\r\n".to_vec())], "");
+    assert_eq!(reason, "its server closed the connection after 1 chunk without ending the answer");
+    let (reason, _) = failure(vec![], "");
+    assert!(reason.starts_with("the connection to its server broke after 0 chunks: "), "{reason}");
+    let error = event("{\"error\":{\"message\":\"out of memory\"}}");
+    let (reason, _) = failure(vec![head(), content("a"), error, Step::Stall], "");
+    assert_eq!(reason, "its server ended the answer after 1 chunk: out of memory");
+    let (reason, _) = failure(vec![head(), event("{\"choices\":["), Step::Stall], "");
+    assert!(reason.starts_with("chunk 1 of its answer cannot be read: "), "{reason}");
+}
+
+#[test]
+fn too_long_answer_is_refused() {
+    let long = content(&"x".repeat(600_000));
+    let (reason, _) = failure(vec![head(), long.clone(), long, Step::Stall], "");
+    assert_eq!(reason, "its answer is longer than 1 MiB; set max_tokens in parameters");
+}
+
+#[test]
+fn key_in_answer_of_server_is_hidden() {
+    let key = env!("CARGO_PKG_NAME");
+    let refused = whole("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
+    let (reason, _) = failure(refused, "api_key_env = 'CARGO_PKG_NAME'");
+    assert_eq!(reason, "its server answered with HTTP status 401 Unauthorized: wrong key ***");
+}
+
+#[test]
+fn server_that_is_down_is_refused_at_load() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let url = format!("http://{}/v1", listener.local_addr().expect("is bound"));
+    drop(listener);
+    let bank = bank(&[&format!("name = 'vlm'\nkind = 'openai'\nurl = {url:?}\nmodel = 'llava'")]);
+    assert!(bank.check().is_empty(), "the check does not connect: {:?}", bank.check());
+    let error = bank.load(&"vlm".parse().expect("is a name"), None).expect_err("nothing listens");
+    assert!(matches!(error, LoadError::Server { .. }), "{error}");
+    let text = error.to_string();
+    assert!(text.starts_with(&format!("model vlm at {url}: cannot connect to its server: ")), "{text}");
+    assert!(text.ends_with("start the server, or correct url"), "{text}");
+    assert!(!error.to_peer("vlm").contains(&url), "a peer does not see the address");
+}
+
+#[test]
+fn invalid_keys_are_refused_with_reason() {
+    for (lines, key, reason) in [
+        ("url = 'https://gpu/v1'", "url", "TLS"),
+        ("url = 'gpu:8080'", "url", "http://"),
+        (
+            "url = 'http://gpu'\nparameters = { stream = false }",
+            "parameters",
+            "stream is set by this program",
+        ),
+        (
+            "url = 'http://gpu'\napi_key_env = 'PEERNET_NO_SUCH_KEY'",
+            "api_key_env",
+            "PEERNET_NO_SUCH_KEY is not set",
+        ),
+    ] {
+        let bank = bank(&[&format!("name = 'vlm'\nkind = 'openai'\nmodel = 'llava'\n{lines}")]);
+        match &bank.check()[..] {
+            [(0, error @ LoadError::InvalidKey { key: found, .. })] => {
+                assert!(*found == key && error.to_string().contains(reason), "{error}");
+            }
+            other => panic!("{lines}: {other:?}"),
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Server that answers each request for a chat completion with the next script.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// One step of a script. The connection is closed after the last one.
+#[derive(Clone, Debug)]
+pub(super) enum Step {
+    /// Sends bytes.
+    Send(Vec<u8>),
+    /// Sends nothing for some time.
+    Pause(Duration),
+    /// Sends nothing until the client closes the connection.
+    Stall,
+}
+
+/// Running server. Its thread ends with the test.
+pub(super) struct ScriptedServer {
+    address: SocketAddr,
+    requests: Receiver<Request>,
+}
+
+/// A request as it was received.
+#[derive(Debug)]
+pub(super) struct Request {
+    /// Request line and headers, with the names of headers in lower case.
+    pub(super) head: String,
+    pub(super) body: serde_json::Value,
+}
+
+impl ScriptedServer {
+    /// Starts a server that answers the first request with the first script, and so on.
+    pub(super) fn start(scripts: Vec<Vec<Step>>) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+        let address = listener.local_addr().expect("is bound");
+        let (sender, requests) = sync_channel(scripts.len().max(1));
+        let mut scripts = scripts.into_iter();
+        thread::spawn(move || {
+            for stream in listener.incoming() {
+                let mut stream = stream.expect("is accepted");
+                stream.set_nodelay(true).expect("is a TCP socket");
+                let (head, body) = read_request(&stream);
+                if head.starts_with("get /v1/models ") {
+                    let answer = "HTTP/1.1 200 OK\r\nContent-Length: 11\r\n\r\n{\"data\":[]}";
+                    stream.write_all(answer.as_bytes()).expect("is received");
+                    continue;
+                }
+                let body = serde_json::from_slice(&body).expect("is JSON");
+                sender.send(Request { head, body }).expect("the test is running");
+                let Some(script) = scripts.next() else { return };
+                for step in script {
+                    if run(&mut stream, step).is_err() {
+                        break;
+                    }
+                }
+            }
+        });
+        Self { address, requests }
+    }
+
+    /// Returns the URL of the API.
+    pub(super) fn url(&self) -> String {
+        format!("http://{}/v1", self.address)
+    }
+
+    /// Returns the next request.
+    pub(super) fn request(&self) -> Request {
+        self.requests.recv_timeout(Duration::from_secs(60)).expect("a request arrives")
+    }
+}
+
+fn run(stream: &mut TcpStream, step: Step) -> std::io::Result<()> {
+    match step {
+        Step::Send(bytes) => stream.write_all(&bytes),
+        Step::Pause(duration) => {
+            thread::sleep(duration);
+            Ok(())
+        }
+        Step::Stall => stream.read(&mut [0]).map(|_| ()),
+    }
+}
+
+fn read_request(stream: &TcpStream) -> (String, Vec<u8>) {
+    let mut reader = BufReader::new(stream);
+    let mut head = String::new();
+    while !head.ends_with("\r\n\r\n") {
+        assert_ne!(reader.read_line(&mut head).expect("is text"), 0, "the request is cut: {head}");
+    }
+    let head = head.to_ascii_lowercase();
+    let length = head.lines().find_map(|line| line.strip_prefix("content-length: "));
+    let mut body = vec![0; length.map_or(0, |length| length.trim().parse().expect("is a number"))];
+    reader.read_exact(&mut body).expect("is complete");
+    (head, body)
+}
+
+/// Returns the head of a streamed answer, whose body has HTTP chunks.
+pub(super) fn head() -> Step {
+    let head = "HTTP/1.1 200 OK\r\nContent-Type: text/event-stream; charset=utf-8\r\nTransfer-Encoding: chunked\r\n\r\n";
+    Step::Send(head.as_bytes().to_vec())
+}
+
+/// Returns an HTTP chunk with these bytes.
+pub(super) fn http_chunk(bytes: &[u8]) -> Step {
+    let length = format!("{:x}\r\n", bytes.len());
+    Step::Send([length.as_bytes(), bytes, b"\r\n"].concat())
+}
+
+/// Returns a server-sent event in an HTTP chunk.
+pub(super) fn event(data: &str) -> Step {
+    http_chunk(format!("data: {data}\n\n").as_bytes())
+}
+
+/// Returns a chunk of an answer with a text.
+pub(super) fn content(text: &str) -> Step {
+    event(&serde_json::json!({ "choices": [{ "index": 0, "delta": { "content": text } }] }).to_string())
+}
+
+/// Returns the last chunk of an answer, with the reason for its end.
+pub(super) fn finish(reason: &str) -> Step {
+    event(&serde_json::json!({ "choices": [{ "delta": {}, "finish_reason": reason }] }).to_string())
+}
+
+/// Returns the chunk with the numbers of tokens of request and answer.
+pub(super) fn usage(prompt: u64, completion: u64) -> Step {
+    let usage = serde_json::json!({ "prompt_tokens": prompt, "completion_tokens": completion });
+    event(&serde_json::json!({ "choices": [], "usage": usage }).to_string())
+}
+
+/// Returns the end of a streamed answer.
+pub(super) fn done() -> Step {
+    Step::Send(b"e\r\ndata: [DONE]\n\n\r\n0\r\n\r\n".to_vec())
+}
+
+/// Returns a whole answer that is not streamed.
+pub(super) fn whole(status: &str, headers: &str, body: &str) -> Vec<Step> {
+    let length = body.len();
+    vec![Step::Send(
+        format!("HTTP/1.1 {status}\r\n{headers}Content-Length: {length}\r\n\r\n{body}").into_bytes(),
+    )]
+}
+
+/// Returns a pause.
+pub(super) fn pause(millis: u64) -> Step {
+    Step::Pause(Duration::from_millis(millis))
+}
