@@ -3,8 +3,10 @@
 
 mod accuracy;
 mod bank;
+mod detection;
 mod exec;
 mod folders;
+mod graphs;
 mod process;
 mod python;
 mod refusals;
