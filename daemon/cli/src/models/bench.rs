@@ -62,7 +62,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let before = memory("VmRSS:");
     let running = Running::load(&found, &arguments.options)?;
     let input = Input::pictures(&found, arguments.pictures.as_deref(), running.clock())?;
-    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::generated);
+    let input = match input.filter(|input| !input.samples.is_empty()) {
+        Some(input) => input,
+        None => Input::generated(&found)?,
+    };
     let stages = measure(arguments, &running, &input)?;
     let measured = Measured {
         device: running.pool().device(),
