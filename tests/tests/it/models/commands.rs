@@ -55,6 +55,8 @@ fn model_list_shows_hash_of_file() {
 fn model_check_uses_its_pictures_or_zeros() {
     let checked = stdout_of_success(&models(&["check", "quality-control"]));
     assert!(checked.contains("run on zeros") && checked.contains("of 30 labels right"), "{checked}");
+    let checked = stdout_of_success(&models(&["check", "defect-detector"]));
+    assert!(checked.contains("objects found, mAP@0.5 0.") && checked.contains("mean IoU"), "{checked}");
     let checked = stdout_of_success(&models(&["check", NAME]));
     assert!(checked.contains("no test pictures"), "{checked}");
 }
@@ -87,7 +89,7 @@ fn impossible_model_commands_fail_with_exit_code() {
         (
             &["show", "efficientnet_v2_xl"] as &[&str],
             66,
-            "the folders contain efficientnet_v2_s, quality-control",
+            "the folders contain efficientnet_v2_s, defect-detector, quality-control",
         ),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
         (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),
