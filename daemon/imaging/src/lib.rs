@@ -1,4 +1,4 @@
-//! Pictures: reading their size, decoding, resizing, cropping, encoding.
+//! Pictures: reading their size, decoding, resizing, cropping, padding, encoding.
 //!
 //! Pictures are JPEG and PNG files, and decoded pixels of one byte per channel, as [`peernet_sample`] describes them.
 //! All functions write into a [`Picture`] that the caller keeps, so that a stream of pictures of one size allocates
@@ -14,6 +14,7 @@ mod encode;
 mod error;
 mod limits;
 mod orientation;
+mod pad;
 mod picture;
 mod probe;
 mod resize;
@@ -25,6 +26,7 @@ pub use encode::{Encoding, encode};
 pub use error::ImageError;
 pub use limits::{MAX_PIXELS, MAX_SIDE};
 pub use orientation::{Orientation, turn_upright};
+pub use pad::{Padding, pad};
 pub use picture::Picture;
 pub use probe::{Header, probe, probe_part};
 pub use resize::{Filter, Resizer, Scaling};

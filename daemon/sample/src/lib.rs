@@ -6,10 +6,12 @@
 mod description;
 mod label;
 mod media;
+mod objects_label;
 mod printable;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 pub use label::{list_examples, normalized_label};
+pub use objects_label::{LabelledObject, ObjectsLabel};
 pub use printable::{escaped_line, printable_line, printable_lines};
 
 use bytes::Bytes;

@@ -1,8 +1,9 @@
-//! Accuracy of answers to samples with a label: the values `top-1` and `top-5`.
+//! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and `mean-iou` of a detection.
 
+use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, PictureObjects};
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
-use peernet_sample::{MediaType, Sample, normalized_label};
+use peernet_sample::{MediaType, ObjectsLabel, Sample, normalized_label};
 use serde::Deserialize;
 
 /// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is
@@ -10,6 +11,10 @@ use serde::Deserialize;
 const TOP_1: Name = Name::from_static("top-1");
 /// Name of the value that is 1 if the label is among the answer's five best classes, else 0.
 const TOP_5: Name = Name::from_static("top-5");
+/// Name of the value that is the mean average precision of the picture.
+const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
+/// Name of the value that is the mean overlap of the labelled objects that were found.
+const MEAN_IOU: Name = Name::from_static(DETECTION_SCORES[1]);
 /// Number of best classes that `top-5` considers.
 const TOP_5_CLASSES: usize = 5;
 
@@ -26,16 +31,20 @@ struct Class {
     label: String,
 }
 
-/// Records `top-1` and `top-5` of an answer to a sample with the label `label`.
+/// Records the accuracy of an answer to a sample with the label `label`: `top-1` and `top-5` of a classification, which is JSON with `label`
+/// and, best first, `top`; `map-50` and `mean-iou` of a detection, which is JSON with `detections`, if the label has objects.
 ///
-/// Records nothing if the answer is not a classification, which is JSON with `label` and, best first, `top`. Also records
-/// nothing if the model marked the label as none of its classes (`unknown-label`).
+/// Records nothing of another answer, or if the model marked a class of the label as unknown (`unknown-label`).
 pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
     // No answer to such a sample can be correct, so it says nothing about the model.
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
         return;
     }
-    let Some(Classification { label: best, top }) = classification(answer) else { return };
+    let Some(answer) = json(answer) else { return };
+    if ObjectsLabel::parse(label).is_some() {
+        return record_detection(log, label, answer);
+    }
+    let Ok(Classification { label: best, top }) = serde_json::from_slice(answer) else { return };
     // A label is often the name of a folder, which may be spelled differently from the model's class.
     let label = normalized_label(label);
     let matches_label = |class: &str| normalized_label(class) == label;
@@ -47,10 +56,19 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     }
 }
 
-/// Reads an answer as a classification; `None` if it is something else.
-fn classification(answer: &Sample) -> Option<Classification> {
+fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
+    let Some(objects) = PictureObjects::read(label, answer) else { return };
+    let scores = DetectionScores::of(&[objects]);
+    log.value(MAP_50, scores.map_50, Unit::NONE);
+    if let Some(iou) = scores.mean_iou {
+        log.value(MEAN_IOU, iou, Unit::NONE);
+    }
+}
+
+/// Returns the text of an answer whose first part is JSON.
+fn json(answer: &Sample) -> Option<&[u8]> {
     let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
-    serde_json::from_slice(&part.bytes).ok()
+    Some(&part.bytes)
 }
 
 const fn as_number(is: bool) -> f64 {
@@ -69,12 +87,16 @@ mod tests {
 
     /// Returns `top-1` and `top-5` of an answer, if they are recorded.
     fn judged(label: &str, answer: &str) -> (Option<f64>, Option<f64>) {
+        scores(&recorded(label, answer))
+    }
+
+    fn recorded(label: &str, answer: &str) -> Recorder {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());
         let json =
             Sample::from_part(Description::unshaped(MediaType::Json), answer.as_bytes().to_vec().into());
         record_accuracy(&mut log, label, &json);
-        scores(&log)
+        log
     }
 
     #[test]
@@ -89,8 +111,26 @@ mod tests {
     }
 
     fn scores(log: &Recorder) -> (Option<f64>, Option<f64>) {
-        let value = |name| log.tree().find(&[name]).and_then(|(_, node)| node.measure.value());
-        (value("top-1"), value("top-5"))
+        (value(log, "top-1"), value(log, "top-5"))
+    }
+
+    fn value(log: &Recorder, name: &str) -> Option<f64> {
+        log.tree().find(&[name]).and_then(|(_, node)| node.measure.value())
+    }
+
+    #[test]
+    fn detections_are_compared_with_labelled_objects() {
+        let objects = r#"{"label":"a","box":[0,0,10,10]},{"label":"b","box":[20,0,30,10]}"#;
+        let label = &*format!(r#"{{"objects":[{objects}],"width":30,"height":10}}"#);
+        let answer = |found: &str| format!(r#"{{"detections":[{found}],"width":30,"height":10}}"#);
+        let half = answer(r#"{"label":"a","score":0.9,"box":[0,0,8,10]}"#);
+        let log = recorded(label, &half);
+        assert_eq!((value(&log, "map-50"), value(&log, "mean-iou")), (Some(0.5), Some(0.8)));
+        let log = recorded(label, &answer(""));
+        assert_eq!((value(&log, "map-50"), value(&log, "mean-iou")), (Some(0.0), None));
+        // A label of another kind says nothing about the answer.
+        assert_eq!(value(&recorded("a", &half), "map-50"), None);
+        assert_eq!(judged(label, r#"{"label":"a","top":[]}"#), (None, None));
     }
 
     #[test]

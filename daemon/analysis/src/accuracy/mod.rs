@@ -1,5 +1,6 @@
 //! Accuracy of a model: the share of answers that were right.
 
+pub mod detection;
 mod unknown_labels;
 
 pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};

@@ -62,7 +62,10 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let memory_before = memory("VmRSS:");
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
-    let input = input.filter(|input| !input.samples.is_empty()).unwrap_or_else(Input::generated);
+    let input = match input.filter(|input| !input.samples.is_empty()) {
+        Some(input) => input,
+        None => Input::generated(&model)?,
+    };
     let stages = measure(arguments, &loaded_model, &input)?;
     let measured = Measured {
         device: loaded_model.pool().device(),

@@ -6,13 +6,13 @@ use crate::exit::{Exit, Failure};
 use peernet_clock::SharedClock;
 use peernet_inference::bank::ModelOnDisk;
 use peernet_logger::{HostId, Recorder};
-use peernet_sample::{Description, PixelFormat, Sample};
+use peernet_sample::{MediaType, Part, Sample};
 use peernet_sensors::{SensorConfig, SensorKind};
+
+use super::failure;
 
 /// Name of the folder of test pictures in a model's folder.
 const PICTURES: &str = "pictures";
-/// Width and height of the synthetic picture, pixels: a usual size of camera pictures.
-const SIZE: (u32, u32) = (1280, 720);
 
 /// Samples with their description.
 pub(super) struct Input {
@@ -36,16 +36,18 @@ impl Input {
         }
     }
 
-    /// Creates a synthetic picture from pixels, so that nothing has to be decoded.
-    pub(super) fn generated() -> Self {
-        let (width, height) = SIZE;
-        let pixels: Vec<u8> =
-            (0..width * height * 3).map(|index| (index.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
-        let description = Description::pixels(PixelFormat::Rgb8, width, height);
-        Self {
-            samples: vec![Sample::from_part(description, pixels.into())],
-            description: format!("generated pixels, {width} × {height}: preprocessing has nothing to decode"),
-        }
+    /// Creates a sample that the model accepts, of pixels, so that nothing has to be decoded, and of arrays of zeros.
+    pub(super) fn generated(model: &ModelOnDisk) -> Result<Self, Failure> {
+        let sample = model.example_sample().map_err(failure)?;
+        let size = |part: &Part| match (&part.description.media, &part.description.shape[..]) {
+            (MediaType::Pixels(_), [height, width, _]) => format!("generated pixels, {width} × {height}"),
+            (_, shape) => {
+                format!("zeros, {}", shape.iter().map(u32::to_string).collect::<Vec<_>>().join(" × "))
+            }
+        };
+        let parts = sample.parts.iter().map(size).collect::<Vec<_>>().join("; ");
+        let description = format!("{parts}: preprocessing has nothing to decode");
+        Ok(Self { samples: vec![sample], description })
     }
 }
 

@@ -6,6 +6,7 @@ mod input;
 mod list;
 mod running;
 mod show;
+mod tally;
 
 use std::path::PathBuf;
 

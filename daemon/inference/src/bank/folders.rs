@@ -5,6 +5,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use peernet_logger::Slug;
+use peernet_sample::Sample;
 
 use super::BankConfig;
 use crate::model::onnx::{self, CardSummary};
@@ -127,6 +128,14 @@ impl ModelOnDisk {
     /// default.
     pub fn configuration(&self, device: &str) -> ModelConfig {
         BankConfig::default().model(&self.name, &self.folder, device)
+    }
+
+    /// Returns a sample that the model accepts: pictures of generated pixels, 1280 × 720 if the model resizes them, and arrays of zeros.
+    ///
+    /// # Errors
+    /// When the card is invalid.
+    pub fn example_sample(&self) -> Result<Sample, LoadError> {
+        onnx::example_sample(&self.folder)
     }
 
     /// Computes the SHA-256 of `model.onnx` and the data files of its weights, in hexadecimal.

@@ -3,9 +3,11 @@
 
 mod accuracy;
 mod bank;
+mod detection;
 mod distribution;
 mod exec;
 mod folders;
+mod graphs;
 mod openai;
 mod process;
 mod python;

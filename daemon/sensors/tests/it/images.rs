@@ -1,7 +1,7 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_sample::MediaType;
+use peernet_sample::{LabelledObject, MediaType, ObjectsLabel, Sample};
 use peernet_sensors::sensor::images::{ImagesConfig, Order};
 use peernet_sensors::{Sensor, SensorError, SensorKind};
 
@@ -90,6 +90,33 @@ fn labels_come_from_file_or_folders() {
 }
 
 #[test]
+fn boxes_become_label_with_size_of_picture() {
+    let folder = folder(&[(
+        "labels.csv",
+        "file,label,left,top,right,bottom\na.png,cat,1,2,3.5,4\nb.png,,,,,\na.png,dog,0,0,9,9\n",
+    )]);
+    let mut picture = peernet_imaging::Picture::default();
+    let pixels = peernet_sample::Description::pixels(peernet_sample::PixelFormat::Grey8, 20, 10);
+    let part = Sample::from_part(pixels, vec![0; 200].into()).parts.swap_remove(0);
+    peernet_imaging::read_part(&part, peernet_sample::PixelFormat::Grey8, &mut picture).expect("fits");
+    let png = peernet_imaging::encode(&picture, peernet_imaging::Encoding::Png).expect("encodes");
+    for name in ["a.png", "b.png"] {
+        fs::write(folder.path().join(name), &png.bytes).expect("can be written");
+    }
+    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let labels = [(); 2].map(|()| {
+        let label = next(sensor.as_mut()).expect("reads").expect("there").label.expect("is listed");
+        ObjectsLabel::parse(&label).expect("has objects")
+    });
+    let object = |label: &str, edges| LabelledObject { label: label.to_owned(), edges };
+    let objects = vec![object("cat", [1.0, 2.0, 3.5, 4.0]), object("dog", [0.0, 0.0, 9.0, 9.0])];
+    assert_eq!(labels[0], ObjectsLabel { objects, width: 20, height: 10 });
+    assert_eq!(labels[1], ObjectsLabel { objects: Vec::new(), width: 20, height: 10 });
+    let fact = ("Labels".to_owned(), "2 of 2: cat, dog".to_owned());
+    assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
+}
+
+#[test]
 fn seed_determines_new_order_of_each_round() {
     let names: Vec<_> = (0..30).map(|index| format!("{index:02}.jpg")).collect();
     let files: Vec<_> = names.iter().map(|name| (name.as_str(), "")).collect();
@@ -121,6 +148,8 @@ fn errors_name_the_wrong_file_or_label() {
         ("", "contains no label"),
         ("file,label\n", "contains no label"),
         ("file,label\na.jpg,\n", "contains no label"),
+        ("file,label,left,top,right,bottom\na.jpg,cat,1,2,3,\n", "the box of cat in a.jpg is incomplete"),
+        ("file,label,left,top,right,bottom\na.jpg,cat,3,2,1,4\n", "left below right"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
         let error = refused(folder.path());

@@ -55,6 +55,8 @@ fn model_list_shows_hash_of_file() {
 fn model_check_uses_its_pictures_or_zeros() {
     let output = stdout_of_success(&run_models_command(&["check", "quality-control"]));
     assert!(output.contains("run on zeros") && output.contains("of 30 labels right"), "{output}");
+    let output = stdout_of_success(&run_models_command(&["check", "defect-detector"]));
+    assert!(output.contains("objects found, mAP@0.5 0.") && output.contains("mean IoU"), "{output}");
     let output = stdout_of_success(&run_models_command(&["check", NAME]));
     assert!(output.contains("no test pictures"), "{output}");
 }
@@ -89,7 +91,7 @@ fn impossible_model_commands_fail_with_exit_code() {
         (
             &["show", "efficientnet_v2_xl"] as &[&str],
             66,
-            "the folders contain efficientnet_v2_s, quality-control",
+            "the folders contain efficientnet_v2_s, defect-detector, quality-control",
         ),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
         (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),

@@ -2,7 +2,8 @@
 
 use serde::Serialize;
 
-use super::card::{Activation, Output};
+use super::card::{Activation, Classification};
+use super::outputs::OutputError;
 
 /// Answer, as JSON: `{"label": "dented", "score": 0.98, "top": [{"label": "dented", "score": 0.98}, …]}`.
 #[derive(Debug, PartialEq, Serialize)]
@@ -19,32 +20,18 @@ struct RankedLabel<'a> {
     score: f32,
 }
 
-/// Reason that an output cannot be converted to an answer.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum OutputError {
-    /// The output contains a number that is not finite.
-    #[error("its output contains {0}")]
-    NotFinite(f32),
-    /// The card has no labels.
-    #[error("it has no classes")]
-    NoClasses,
-    /// The answer cannot be encoded.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-}
-
 /// Computes the scores of the labels from the model's numbers, and returns the answer. The numbers are replaced by
 /// the scores.
 ///
 /// # Errors
 /// If a number is not finite, because such an output has no order.
-pub(super) fn classify<'a>(output: &'a Output, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
+pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<Vec<u8>, OutputError> {
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
         return Err(OutputError::NotFinite(*number));
     }
     activate(output.activation, numbers);
-    let ranked = |(label, score): (&'a String, &f32)| RankedLabel { label, score: *score };
-    let mut top: Vec<_> = output.labels.iter().zip(numbers.iter()).map(ranked).collect();
+    let ranked = output.labels.iter().zip(numbers.iter());
+    let mut top: Vec<_> = ranked.map(|(label, score)| RankedLabel { label, score: *score }).collect();
     // A stable sort: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
     top.truncate(output.listed_classes());
@@ -81,9 +68,9 @@ mod tests {
 
     use super::*;
 
-    fn output(activation: Activation, top_k: usize) -> Output {
+    fn output(activation: Activation, top_k: usize) -> Classification {
         let labels = ["a", "b", "c"].map(str::to_owned).into();
-        Output { name: "logits".to_owned(), activation, top_k: Some(top_k), labels }
+        Classification { name: "logits".to_owned(), activation, top_k: Some(top_k), labels }
     }
 
     #[test]

@@ -1,24 +1,36 @@
 //! Model kind `onnx`: models in ONNX form, run by ONNX Runtime.
 //!
-//! A model is a folder with `model.onnx` and its card `model.toml`, which defines the conversion of pictures to the
-//! input and of the output to an answer ([`card`]). The library is found and loaded at run time ([`library`]), so
+//! A model is a folder with `model.onnx` and its card `model.toml`, which defines the conversion of samples to the
+//! inputs and of the outputs to an answer ([`card`]). The library is found and loaded at run time ([`library`]), so
 //! that one binary serves hosts with and without GPUs.
 
+mod answer;
 mod card;
+mod card_text;
 mod classify;
 mod config;
+mod data_type;
+mod detection;
 mod device;
+mod example;
+mod geometry;
+mod inputs;
 mod library;
 mod model_files;
-mod preprocess;
+mod numbers;
+mod outlets;
+mod outputs;
+mod picture;
 mod regular_file;
 mod search;
+mod segment;
 mod session;
 mod shared_model;
 mod summary;
 mod worker;
 
 pub use config::{OnnxConfig, OnnxRuntimeConfig};
+pub(crate) use example::example_sample;
 pub(crate) use model_files::model_files;
 pub use summary::CardSummary;
 pub(crate) use summary::{hash_card, hash_model, summarise};
@@ -28,7 +40,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use peernet_logger::{Name, Slug};
-use peernet_sample::{list_examples, normalized_label};
+use peernet_sample::{ObjectsLabel, list_examples, normalized_label};
 
 use super::{LoadContext, SharedKeys};
 use crate::{LoadError, Model, Worker};
@@ -79,8 +91,8 @@ struct Plan {
     name: Slug,
     file: PathBuf,
     card: Card,
-    /// The card's labels in the form in which they are compared.
-    classes: HashSet<String>,
+    /// The card's labels in the form in which they are compared; `None` if the task has none.
+    classes: Option<HashSet<String>>,
     device: Device,
     workers: usize,
     intra_threads: usize,
@@ -115,7 +127,10 @@ impl Onnx {
         let plan = Plan {
             name: shared.name.clone(),
             file,
-            classes: card.output.labels.iter().map(|label| normalized_label(label)).collect(),
+            classes: card
+                .task
+                .labels()
+                .map(|labels| labels.iter().map(|label| normalized_label(label)).collect()),
             card,
             device,
             workers: shared.workers.get(),
@@ -123,6 +138,18 @@ impl Onnx {
             inter_threads: config.inter_threads.get(),
         };
         Ok((plan, runtime))
+    }
+}
+
+impl Plan {
+    /// Returns whether the model could give the answer that a label expects: whether it has the classes of the label, or no classes.
+    fn has_classes_of(&self, label: &str) -> bool {
+        let Some(classes) = &self.classes else { return true };
+        let has = |class: &str| classes.contains(&normalized_label(class));
+        match ObjectsLabel::parse(label) {
+            Some(label) => label.objects.iter().all(|object| has(&object.label)),
+            None => has(label),
+        }
     }
 }
 
@@ -139,17 +166,17 @@ impl Model for Onnx {
     fn facts(&self) -> Vec<(String, String)> {
         let Plan { card, device, intra_threads, inter_threads, .. } = &*self.plan;
         let facts = [
-            ("Model", format!("{} {}", card.name, card.version).trim_end().to_owned()),
-            (MODEL_HASH, self.hash.clone()),
-            (CARD_HASH, self.card_hash.clone()),
-            ("Task", card.description.clone()),
-            ("Input", card.summary().input),
-            (CLASSES, classes(&card.output.labels)),
-            ("Device", device.to_string()),
-            ("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across")),
-            ("ONNX Runtime", self.runtime.describe()),
+            Some(("Model", format!("{} {}", card.name, card.version).trim_end().to_owned())),
+            Some((MODEL_HASH, self.hash.clone())),
+            Some((CARD_HASH, self.card_hash.clone())),
+            Some(("Task", card.description.clone())),
+            Some(("Input", card.summary().input)),
+            card.task.labels().map(|labels| (CLASSES, classes(labels))),
+            Some(("Device", device.to_string())),
+            Some(("Threads per worker", format!("{intra_threads} within operators, {inter_threads} across"))),
+            Some(("ONNX Runtime", self.runtime.describe())),
         ];
-        facts.map(|(name, value)| (name.to_owned(), value)).into()
+        facts.into_iter().flatten().map(|(name, value)| (name.to_owned(), value)).collect()
     }
 }
 

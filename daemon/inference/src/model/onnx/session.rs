@@ -5,11 +5,10 @@
 
 use ort::session::Session;
 use ort::session::builder::{GraphOptimizationLevel, SessionBuilder};
-use ort::value::{Outlet, TensorElementType};
 
-use super::Plan;
 use super::library::Runtime;
 use super::shared_model::SharedModel;
+use super::{Plan, outlets};
 use crate::LoadError;
 
 /// Opens a session and checks that the model matches its card.
@@ -19,21 +18,10 @@ pub(super) fn open(
     shared: Option<&SharedModel>,
 ) -> Result<Session, LoadError> {
     let session = build(plan, runtime, shared).map_err(|error| session_error(plan, &error))?;
-    let input = &plan.card.input;
-    let output = &plan.card.output;
-    let classes = output.labels.len();
-    check(plan, "input", session.inputs(), &input.name, &input.shape)?;
-    // The output has a batch dimension of 1 or none.
-    check(plan, "output", session.outputs(), &output.name, &[1, classes]).or_else(|error| {
-        check(plan, "output", session.outputs(), &output.name, &[classes]).map_err(|_| error)
-    })?;
-    if let [_, more, ..] = session.inputs() {
-        return Err(mismatch_error(
-            plan,
-            format!("it has a second input, {:?}; models with one input are supported", more.name()),
-        ));
+    match outlets::check(&plan.card, session.inputs(), session.outputs()) {
+        Ok(()) => Ok(session),
+        Err(error) => Err(LoadError::File { file: plan.file.clone(), reason: error.to_string() }),
     }
-    Ok(session)
 }
 
 fn build(plan: &Plan, runtime: &Runtime, shared: Option<&SharedModel>) -> ort::Result<Session> {
@@ -85,35 +73,6 @@ fn reason(text: &str) -> String {
     } else {
         line
     }
-}
-
-fn check(plan: &Plan, what: &str, outlets: &[Outlet], name: &str, shape: &[usize]) -> Result<(), LoadError> {
-    let Some(outlet) = outlets.iter().find(|outlet| outlet.name() == name) else {
-        let names: Vec<_> = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
-        return Err(mismatch_error(
-            plan,
-            format!("its card names the {what} {name:?}, but it has {}", names.join(", ")),
-        ));
-    };
-    let fits = |actual: &[i64]| {
-        // The model leaves a length of -1 open.
-        actual.len() == shape.len()
-            && actual.iter().zip(shape).all(|(actual, card)| *actual < 0 || *actual == *card as i64)
-    };
-    let dtype = outlet.dtype();
-    if dtype.tensor_type() == Some(TensorElementType::Float32)
-        && dtype.tensor_shape().is_some_and(|actual| fits(actual))
-    {
-        return Ok(());
-    }
-    Err(mismatch_error(
-        plan,
-        format!("its {what} {name:?} is {dtype}, its card says float32 of shape {shape:?}"),
-    ))
-}
-
-fn mismatch_error(plan: &Plan, reason: String) -> LoadError {
-    LoadError::File { file: plan.file.clone(), reason }
 }
 
 #[cfg(test)]

@@ -5,10 +5,9 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use peernet_external::sha256;
-use peernet_imaging::Orientation;
 use serde::Serialize;
 
-use super::card::{Activation, Card, CentreCrop, Resize, Rounding};
+use super::card::Card;
 use super::model_files::model_files;
 use super::{CARD, MODEL, regular_file};
 use crate::LoadError;
@@ -20,17 +19,17 @@ pub struct CardSummary {
     pub name: String,
     /// Version; may be empty.
     pub version: String,
-    /// Task: `classification`.
+    /// Task: `classification`, `detection`, `segmentation`, `embedding` or `tensors`.
     pub task: String,
     /// Description; may be empty.
     pub description: String,
-    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`.
+    /// Shape, element type and order of dimensions: `1 × 3 × 384 × 384 float32 nchw`. Several inputs have their names before it.
     pub input: String,
     /// Colours, resize, crop and normalisation, in the order in which they are applied.
     pub preprocessing: Vec<String>,
-    /// Number of classes, scoring, and number of listed classes.
+    /// Answer: for a classification the number of classes, scoring, and number of listed classes.
     pub output: String,
-    /// The classes, in the order of the output.
+    /// The classes, in the order of the output; empty if the task has none.
     pub labels: Vec<String>,
     /// Origin of the model, as pairs.
     pub provenance: Vec<(String, String)>,
@@ -77,99 +76,15 @@ fn open(file: &Path) -> Result<File, LoadError> {
         .map_err(|error| LoadError::File { file: file.to_owned(), reason: error.to_string() })
 }
 
-impl Card {
-    /// Returns the card as text.
-    pub(super) fn summary(&self) -> CardSummary {
-        let Self { input, preprocessing, output, .. } = self;
-        let shape: Vec<_> = input.shape.iter().map(usize::to_string).collect();
-        let colour = format!("{:?}", input.colour).to_lowercase();
-        let mut steps = vec![format!("colours {colour}")];
-        if preprocessing.orientation == Orientation::Exif {
-            steps.push("upright by EXIF".to_owned());
-        }
-        steps.extend(preprocessing.resize.map(describe_resize));
-        steps.extend(preprocessing.crop.map(describe_crop));
-        let (scale, mean, std) = (preprocessing.scale, &preprocessing.mean, &preprocessing.std);
-        steps.push(format!("(byte × {scale} − mean) / std, mean {mean:?}, std {std:?}"));
-        let scores = match output.activation {
-            Activation::None => "scores as they come",
-            Activation::Softmax => "softmax",
-            Activation::Sigmoid => "sigmoid",
-        };
-        CardSummary {
-            name: self.name.clone(),
-            version: self.version.clone(),
-            task: format!("{:?}", self.task).to_lowercase(),
-            description: self.description.clone(),
-            input: format!("{} float32 {}", shape.join(" × "), input.layout),
-            preprocessing: steps,
-            output: format!(
-                "{} classes, {scores}, best {} listed",
-                output.labels.len(),
-                output.listed_classes()
-            ),
-            labels: output.labels.clone(),
-            provenance: self.provenance.iter().map(|(key, value)| (key.clone(), plain_text(value))).collect(),
-        }
-    }
-}
-
-fn describe_resize(resize: Resize) -> String {
-    let (what, filter, antialias) = match resize {
-        Resize::Exact { width, height, filter, antialias } => {
-            (format!("to {width} × {height}"), filter, antialias)
-        }
-        Resize::Shortest { size, filter, antialias } => {
-            (format!("shorter side to {size}"), filter, antialias)
-        }
-    };
-    let how = if antialias { "antialiased" } else { "not antialiased" };
-    format!("resize {what}, {}, {how}", format!("{filter:?}").to_lowercase())
-}
-
-fn describe_crop(CentreCrop { width, height, rounding }: CentreCrop) -> String {
-    let rounding = match rounding {
-        Rounding::Down => "",
-        Rounding::HalfEven => ", odd margins split half to even",
-    };
-    format!("centre crop {width} × {height}{rounding}")
-}
-
-/// Returns a value as text; a string without its quotes.
-fn plain_text(value: &toml::Value) -> String {
-    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
-}
-
 #[cfg(test)]
 mod tests {
     use rustix::fs::{CWD, FileType, Mode, mknodat};
 
-    use super::super::card::tests::{SMALL, changed};
+    use super::super::card::tests::SMALL;
     use super::*;
 
     /// A model with an empty graph.
     const SMALLEST: &[u8] = b"\x3a\x00";
-
-    #[test]
-    fn plan_describes_every_step() {
-        let card = changed(
-            "resize = { mode = \"exact\", width = 2, height = 1 }",
-            "resize = { mode = \"shortest\", size = 3, filter = \"bicubic\" }\n\
-             crop = { width = 2, height = 1, rounding = \"half-even\" }",
-        );
-        let summary = card.expect("is right").summary();
-        assert_eq!(summary.input, "1 × 1 × 1 × 2 float32 nchw");
-        assert_eq!(
-            summary.preprocessing,
-            [
-                "colours grey",
-                "resize shorter side to 3, bicubic, antialiased",
-                "centre crop 2 × 1, odd margins split half to even",
-                "(byte × 0.5 − mean) / std, mean [1.0], std [2.0]",
-            ]
-        );
-        assert_eq!(summary.output, "2 classes, softmax, best 2 listed");
-    }
 
     #[test]
     fn named_pipe_as_model_file_is_refused() {

@@ -4,25 +4,65 @@ use std::collections::HashMap;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use peernet_sample::LabelledObject;
 use serde::Deserialize;
 
 use super::folder::is_file;
 use crate::SensorError;
 
-/// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`.
+/// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`, and for the boxes of objects
+/// `left`, `top`, `right` and `bottom`.
 pub(super) const LABELS_FILE: &str = "labels.csv";
 
+/// Expected answer to a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Label {
+    /// A class.
+    Class(String),
+    /// Objects in the picture, with their boxes in pixels of the file; may be empty.
+    Objects(Vec<LabelledObject>),
+}
+
 /// Labels by the path of the picture below the folder.
-pub(super) type Labels = HashMap<String, String>;
+pub(super) type Labels = HashMap<String, Label>;
 
 #[derive(Deserialize)]
 struct Row {
     file: String,
     label: String,
+    #[serde(default)]
+    left: Option<f32>,
+    #[serde(default)]
+    top: Option<f32>,
+    #[serde(default)]
+    right: Option<f32>,
+    #[serde(default)]
+    bottom: Option<f32>,
+}
+
+impl Row {
+    /// Returns the object that the row describes; `None` if it has no label, which says that the picture has no objects.
+    fn object(self) -> Result<Option<LabelledObject>, String> {
+        let Self { file, label, left, top, right, bottom } = self;
+        if label.is_empty() {
+            return Ok(None);
+        }
+        let edges = left.zip(top).zip(right.zip(bottom));
+        let edges = edges.map(|((left, top), (right, bottom))| [left, top, right, bottom]);
+        let object = edges.map(|edges| LabelledObject { label: label.clone(), edges });
+        match object.filter(LabelledObject::is_valid) {
+            Some(object) => Ok(Some(object)),
+            None => Err(format!(
+                "the box of {label} in {file} is incomplete; write left, top, right and bottom in pixels, left below right and top \
+                 below bottom"
+            )),
+        }
+    }
 }
 
 /// Reads the labels of `folder`, from the `given` file or from the file in the folder, and returns them with the path
-/// of that file. Returns `None` if no file is given and the folder has none. A row without a label is ignored.
+/// of that file. Returns `None` if no file is given and the folder has none. A row without a label is ignored; in a file with
+/// boxes it says that the picture has no objects.
 ///
 /// # Errors
 /// If the file cannot be used or contains no label, or if the given file does not exist.
@@ -38,14 +78,25 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
     };
     let invalid = |reason: String| SensorError::Labels { file: file.clone(), reason };
     let mut labels = Labels::new();
-    for row in csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes()).deserialize() {
-        let Row { file, label } = row.map_err(|error| {
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    let has_boxes = reader.headers().is_ok_and(|columns| columns.iter().any(|column| column == "left"));
+    for row in reader.deserialize() {
+        let row: Row = row.map_err(|error| {
             invalid(format!("{error}; expected a first line `file,label` and one line per picture"))
         })?;
+        if has_boxes {
+            let file = row.file.clone();
+            let entry = labels.entry(file).or_insert_with(|| Label::Objects(Vec::new()));
+            if let (Label::Objects(objects), Some(object)) = (entry, row.object().map_err(invalid)?) {
+                objects.push(object);
+            }
+            continue;
+        }
+        let Row { file, label, .. } = row;
         if label.is_empty() {
             continue;
         }
-        if let Some(other) = labels.insert(file.clone(), label.clone())
+        if let Some(Label::Class(other)) = labels.insert(file.clone(), Label::Class(label.clone()))
             && other != label
         {
             return Err(invalid(format!("{file} is labelled both {other} and {label}")));

@@ -12,8 +12,9 @@ use std::path::{Path, PathBuf};
 use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
+use peernet_imaging::{Header, ImageError, probe};
 use peernet_logger::Recorder;
-use peernet_sample::{Description, MediaType, Sample, list_examples};
+use peernet_sample::{Description, MediaType, ObjectsLabel, Sample, list_examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -21,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
+use labels::Label;
 
 /// Configuration of the sensor: `{ kind = "images", … }`.
 ///
@@ -40,8 +42,8 @@ pub struct ImagesConfig {
     /// `true` to begin again after the last picture, if shuffled in a new order. Default: `true`.
     #[serde(default = "default_true")]
     pub repeat: bool,
-    /// File of labels, in any folder: comma-separated, with the columns `file` (path below `path`) and `label`. It may
-    /// list files that are not in the folder.
+    /// File of labels, in any folder: comma-separated, with the columns `file` (path below `path`) and `label`, for boxes of objects also
+    /// `left`, `top`, `right` and `bottom`. It may list files that are not in the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<PathBuf>,
 }
@@ -105,7 +107,30 @@ struct Picture {
     media: MediaType,
     /// Path below the folder.
     source: String,
-    label: Option<String>,
+    label: Option<Label>,
+}
+
+impl Label {
+    fn classes(&self) -> Vec<&str> {
+        match self {
+            Self::Class(class) => vec![class],
+            Self::Objects(objects) => objects.iter().map(|object| object.label.as_str()).collect(),
+        }
+    }
+
+    /// Returns the label of the sample with this file.
+    ///
+    /// # Errors
+    /// If the file has no readable header. Boxes are understood only with the size of their picture.
+    fn text(&self, file: &[u8]) -> Result<String, ImageError> {
+        match self {
+            Self::Class(class) => Ok(class.clone()),
+            Self::Objects(objects) => {
+                let Header { width, height, .. } = probe(file)?;
+                Ok(ObjectsLabel { objects: objects.clone(), width, height }.format())
+            }
+        }
+    }
 }
 
 impl Images {
@@ -141,9 +166,9 @@ impl Images {
 
     /// Returns the number of pictures with a label, and some of the labels: `100 of 100: dented, good`.
     fn labels(&self) -> String {
-        let all: Vec<&str> = self.pictures.iter().filter_map(|picture| picture.label.as_deref()).collect();
+        let all: Vec<&Label> = self.pictures.iter().filter_map(|picture| picture.label.as_ref()).collect();
         let count = format!("{} of {}", all.len(), self.pictures.len());
-        let different: BTreeSet<&str> = all.into_iter().collect();
+        let different: BTreeSet<&str> = all.into_iter().flat_map(Label::classes).collect();
         if different.is_empty() { count } else { format!("{count}: {}", list_examples(different)) }
     }
 }
@@ -164,7 +189,10 @@ impl Sensor for Images {
             .map_err(|error| SensorError::Read { path: picture.file.clone(), error })?;
         let mut sample = Sample::from_part(Description::unshaped(picture.media.clone()), Bytes::from(bytes));
         sample.source.clone_from(&picture.source);
-        sample.label.clone_from(&picture.label);
+        sample.label =
+            picture.label.as_ref().map(|label| label.text(&sample.parts[0].bytes)).transpose().map_err(
+                |error| SensorError::Read { path: picture.file.clone(), error: std::io::Error::other(error) },
+            )?;
         Ok(Some(sample))
     }
 
@@ -202,7 +230,11 @@ fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, Sen
             // Without a file of labels, a picture is labelled with the name of its folder.
             let label = match &mut labels {
                 Some(labels) => labels.remove(&source),
-                None => below.iter().rev().nth(1).map(|folder| folder.to_string_lossy().into_owned()),
+                None => below
+                    .iter()
+                    .rev()
+                    .nth(1)
+                    .map(|folder| Label::Class(folder.to_string_lossy().into_owned())),
             };
             Some(Picture { media, source, label, file })
         })

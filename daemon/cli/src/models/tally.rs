@@ -1,0 +1,153 @@
+//! Comparison of a model's answers with the labels of its test pictures.
+
+use std::collections::HashSet;
+
+use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
+use peernet_sample::{Description, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_statistics::number::{counted, fixed};
+use serde::Deserialize;
+
+/// Longest answer that is shown, bytes.
+const MAX_SHOWN_BYTES: usize = 2_000;
+
+/// Parts of a classifier's answer that the check needs.
+#[derive(Deserialize)]
+struct Classification {
+    label: String,
+    score: f64,
+}
+
+/// Counts of right answers.
+pub(super) struct Tally {
+    /// The model's classes in the form in which they are compared.
+    classes: HashSet<String>,
+    right: u64,
+    labelled: u64,
+    unknown_labels: u64,
+    /// Labelled and found objects of each picture that has boxes.
+    pictures: Vec<PictureObjects>,
+}
+
+impl Tally {
+    pub(super) fn new(classes: &[String]) -> Self {
+        let classes = classes.iter().map(|class| normalized_label(class)).collect();
+        Self { classes, right: 0, labelled: 0, unknown_labels: 0, pictures: Vec::new() }
+    }
+
+    /// Compares an answer with its label. An answer that is neither a classification nor a detection is not counted.
+    pub(super) fn add(&mut self, label: &str, answer: &Sample) {
+        let Some(json) = json(answer) else { return };
+        if let Some(expected) = ObjectsLabel::parse(label) {
+            let mut objects = expected.objects.iter();
+            if objects.any(|object| !self.classes.contains(&normalized_label(&object.label))) {
+                // An object of a class that the model does not have cannot be found.
+                self.unknown_labels += 1;
+            } else {
+                self.pictures.extend(PictureObjects::read(label, json));
+            }
+            return;
+        }
+        let Ok(answer) = serde_json::from_slice::<Classification>(json) else { return };
+        let label = normalized_label(label);
+        if self.classes.contains(&label) {
+            self.labelled += 1;
+            self.right += u64::from(label == normalized_label(&answer.label));
+        } else {
+            self.unknown_labels += 1;
+        }
+    }
+
+    /// Returns the counts, each after a semicolon.
+    pub(super) fn text(&self) -> String {
+        let Self { right, labelled, .. } = self;
+        let accuracy = (*labelled > 0).then(|| format!("; {right} of {labelled} labels right"));
+        let unknown = match self.unknown_labels {
+            0 => None,
+            1 => Some("; 1 label is not a class of the model".to_owned()),
+            count => Some(format!("; {count} labels are not classes of the model")),
+        };
+        [accuracy, self.detection(), unknown].into_iter().flatten().collect()
+    }
+
+    /// Returns the scores of the boxes of all pictures together.
+    fn detection(&self) -> Option<String> {
+        if self.pictures.is_empty() {
+            return None;
+        }
+        let scores = DetectionScores::of(&self.pictures);
+        let iou = scores.mean_iou.map(|iou| format!(", mean IoU {}", fixed(iou, 3))).unwrap_or_default();
+        let found = format!("{} of {} found", scores.found, counted(scores.labelled, "object"));
+        Some(format!("; {found}, mAP@0.5 {}{iou}", fixed(scores.map_50, 3)))
+    }
+}
+
+/// Returns an answer as text: class and score of a classification, other JSON as it is, and a description of other parts.
+pub(super) fn describe(answer: &Sample) -> String {
+    if let Some(json) = json(answer) {
+        if let Ok(Classification { label, score }) = serde_json::from_slice(json) {
+            return format!("{label} ({})", fixed(score, 3));
+        }
+        if json.len() <= MAX_SHOWN_BYTES {
+            return String::from_utf8_lossy(json).into_owned();
+        }
+    }
+    let part = |Description { media, shape, element }: &Description| {
+        let shape = shape.iter().map(u32::to_string).collect::<Vec<_>>().join(" × ");
+        let element = element.map_or_else(String::new, |element| format!(" {element:?}").to_lowercase());
+        format!("{} {shape}{element}", media.iana())
+    };
+    answer.parts.iter().map(|one| part(&one.description)).collect::<Vec<_>>().join(", ")
+}
+
+fn json(answer: &Sample) -> Option<&[u8]> {
+    let part = answer.parts.first().filter(|part| part.description.media == MediaType::Json)?;
+    Some(&part.bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::ElementType;
+
+    use super::*;
+
+    fn answer(json: &'static str) -> Sample {
+        Sample::from_part(Description::unshaped(MediaType::Json), json.into())
+    }
+
+    #[test]
+    fn classes_are_counted_by_label() {
+        let mut tally = Tally::new(&["good".to_owned(), "hole missing".to_owned()]);
+        assert_eq!(tally.text(), "");
+        for label in ["good", "Hole_Missing", "bent"] {
+            tally.add(label, &answer(r#"{"label": "good", "score": 0.75}"#));
+        }
+        assert_eq!(tally.text(), "; 1 of 2 labels right; 1 label is not a class of the model");
+        assert_eq!(describe(&answer(r#"{"label": "good", "score": 0.75}"#)), "good (0.750)");
+    }
+
+    #[test]
+    fn boxes_of_all_pictures_are_scored_together() {
+        let mut tally = Tally::new(&["dent".to_owned()]);
+        let label = |class: &str| {
+            format!(
+                r#"{{"objects": [{{"label": "{class}", "box": [0, 0, 10, 10]}}], "width": 20, "height": 20}}"#
+            )
+        };
+        let found = r#"{"detections": [{"label": "dent", "score": 0.9, "box": [0, 0, 10, 8]}], "width": 20, "height": 20}"#;
+        tally.add(&label("dent"), &answer(found));
+        tally.add(&label("dent"), &answer(r#"{"detections": [], "width": 20, "height": 20}"#));
+        tally.add(&label("hole"), &answer(found));
+        assert_eq!(
+            tally.text(),
+            "; 1 of 2 objects found, mAP@0.5 0.500, mean IoU 0.800; 1 label is not a class of the model"
+        );
+    }
+
+    #[test]
+    fn arrays_are_described() {
+        let description =
+            Description { media: MediaType::Tensor, shape: vec![1, 7], element: Some(ElementType::F32) };
+        let action = Sample::from_part(description, vec![0; 28].into());
+        assert_eq!(describe(&action), "application/x-tensor 1 × 7 f32");
+    }
+}

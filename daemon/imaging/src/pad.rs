@@ -1,0 +1,90 @@
+//! Padding of pictures to a larger size.
+
+use crate::size::check_size;
+use crate::{ImageError, Picture};
+
+/// Place of a picture in a larger one, and what surrounds it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Padding {
+    /// Width of the larger picture, pixels.
+    pub width: u32,
+    /// Height of the larger picture, pixels.
+    pub height: u32,
+    /// Left edge of the picture in the larger one, pixels.
+    pub x: u32,
+    /// Upper edge of the picture in the larger one, pixels.
+    pub y: u32,
+    /// Value of each byte beside the picture.
+    pub fill: u8,
+}
+
+/// Copies `picture` into a larger picture, `target`.
+///
+/// # Errors
+/// If the larger size is not permitted, or if the picture reaches beyond it.
+pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<(), ImageError> {
+    let Padding { width, height, x, y, fill } = padding;
+    check_size(u64::from(width), u64::from(height))?;
+    check_size(u64::from(picture.width()), u64::from(picture.height()))?;
+    let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
+    if !is_inside(x, picture.width(), width) || !is_inside(y, picture.height(), height) {
+        return Err(ImageError::Outside {
+            width: picture.width(),
+            height: picture.height(),
+            x,
+            y,
+            picture_width: width,
+            picture_height: height,
+        });
+    }
+    let channels = picture.format().channels() as usize;
+    let (row, pasted) = (width as usize * channels, picture.width() as usize * channels);
+    let pixels = target.reshape(picture.format(), width, height);
+    let (above, rest) = pixels.split_at_mut(y as usize * row);
+    let (beside, below) = rest.split_at_mut(picture.height() as usize * row);
+    above.fill(fill);
+    below.fill(fill);
+    let start = x as usize * channels;
+    for (to, from) in beside.chunks_exact_mut(row).zip(picture.pixels().chunks_exact(pasted)) {
+        to[..start].fill(fill);
+        to[start..start + pasted].copy_from_slice(from);
+        to[start + pasted..].fill(fill);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::PixelFormat;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{Crop, crop};
+
+    #[test]
+    fn picture_is_surrounded_by_fill() {
+        let picture = Picture::new(PixelFormat::Rgb8, 1, 1, vec![1, 2, 3]).expect("fits");
+        let mut target = Picture::default();
+        pad(&picture, Padding { width: 2, height: 3, x: 1, y: 1, fill: 9 }, &mut target).expect("fits");
+        let filled = [9; 6];
+        assert_eq!(target.pixels(), [&filled[..], &[9, 9, 9, 1, 2, 3], &filled].concat());
+    }
+
+    proptest! {
+        #[test]
+        fn padded_picture_can_be_cut_out_again(w in 1u32..6, h in 1u32..6, x in 0u32..4, y in 0u32..4, size in 1u32..9) {
+            let pixels: Vec<u8> = (1..=w * h).map(|number| number as u8).collect();
+            let picture = Picture::new(PixelFormat::Grey8, w, h, pixels).expect("fits");
+            let (mut target, mut back) = (Picture::default(), Picture::default());
+            match pad(&picture, Padding { width: size, height: size, x, y, fill: 0 }, &mut target) {
+                Ok(()) => {
+                    crop(&target, Crop { width: w, height: h, x: Some(x), y: Some(y) }, &mut back).expect("is inside");
+                    prop_assert_eq!(&back, &picture);
+                    let filled = target.pixels().iter().filter(|byte| **byte == 0).count();
+                    prop_assert_eq!(filled, (size * size - w * h) as usize);
+                }
+                Err(error) => prop_assert!(x + w > size || y + h > size, "{}", error),
+            }
+        }
+    }
+}

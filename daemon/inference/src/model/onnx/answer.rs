@@ -1,0 +1,96 @@
+//! The answer to a sample: conversion of a run's outputs by the card's task.
+
+use bytes::Bytes;
+use ort::session::SessionOutputs;
+use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
+
+use super::card::{Card, Embedding, Task, TensorOutput};
+use super::classify::classify;
+use super::geometry::PictureTransform;
+use super::outputs::{Output, OutputError, Outputs};
+use super::{detection, segment};
+
+/// Converts the outputs of a run to the answer. `transform` relates the sample's first picture to its input.
+///
+/// # Errors
+/// If an output contains NaN, or does not fit the card.
+pub(super) fn answer(
+    card: &Card,
+    outputs: &SessionOutputs<'_>,
+    transform: Option<&PictureTransform>,
+) -> Result<Sample, OutputError> {
+    let outputs = Outputs(outputs);
+    let transform = transform.ok_or(OutputError::NoPicture);
+    let parts = match &card.task {
+        Task::Classification(task) => {
+            let numbers = classes(&outputs.get(&task.name)?, task.labels.len())?;
+            vec![json(classify(task, &mut numbers.into_owned())?)]
+        }
+        Task::Detection(task) => vec![json(detection::detect(task, &outputs, transform?)?)],
+        Task::Segmentation(task) => segment::segment(task, &outputs, transform?)?,
+        Task::Embedding(task) => vec![embedding(task, &outputs.get(&task.name)?)?],
+        Task::Tensors(tensors) => {
+            tensors.iter().map(|tensor| part(&declared(tensor, &outputs)?)).collect::<Result<_, _>>()?
+        }
+    };
+    Ok(Sample { parts, source: String::new(), label: None })
+}
+
+/// Checks the outputs of a run whose numbers mean nothing: their names, types and shapes.
+pub(super) fn check(card: &Card, outputs: &SessionOutputs<'_>) -> Result<(), OutputError> {
+    let outputs = Outputs(outputs);
+    let size = || card.picture().map(|picture| picture.size).ok_or(OutputError::NoPicture);
+    match &card.task {
+        Task::Classification(task) => classes(&outputs.get(&task.name)?, task.labels.len()).map(drop),
+        Task::Detection(task) => detection::check(task, &outputs, size()?),
+        Task::Segmentation(task) => segment::check(task, &outputs),
+        Task::Embedding(task) => outputs.get(&task.name)?.unbatched::<1>("[1, n]").map(drop),
+        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared(tensor, &outputs).map(drop)),
+    }
+}
+
+/// Returns a classifier's numbers, which may be NaN.
+fn classes<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a, [f32]>, OutputError> {
+    let expected = format!("[1, {labels}]");
+    if output.unbatched(&expected)? != [labels] {
+        return Err(output.wrong_shape(&expected));
+    }
+    output.unchecked_numbers()
+}
+
+/// Returns an output of the type and shape that the card gives.
+fn declared<'a>(tensor: &'a TensorOutput, outputs: &Outputs<'a, '_>) -> Result<Output<'a>, OutputError> {
+    let output = outputs.get(&tensor.name)?;
+    if output.shape != tensor.shape {
+        return Err(output.wrong_shape(&format!("{:?}", tensor.shape)));
+    }
+    Ok(output)
+}
+
+fn embedding(task: &Embedding, output: &Output<'_>) -> Result<Part, OutputError> {
+    let [length] = output.unbatched("[1, n]")?;
+    let numbers = output.numbers()?;
+    // Summed up as 64-bit floats, so that no square overflows.
+    let norm = numbers.iter().map(|number| f64::from(*number).powi(2)).sum::<f64>().sqrt();
+    let divisor = match task.normalise {
+        true if norm > 0.0 && norm.is_finite() => norm,
+        true => return Err(OutputError::NoDirection(output.name.to_owned())),
+        false => 1.0,
+    };
+    let bytes = numbers.iter().flat_map(|number| ((f64::from(*number) / divisor) as f32).to_le_bytes());
+    let shape = vec![u32::try_from(length).unwrap_or(u32::MAX)];
+    let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::F32) };
+    Ok(Part { description, bytes: bytes.collect::<Vec<u8>>().into() })
+}
+
+/// Returns an output as a part: an array with its type and shape.
+fn part(output: &Output<'_>) -> Result<Part, OutputError> {
+    let shape = output.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
+    let element = Some(output.data_type.element());
+    let description = Description { media: MediaType::Tensor, shape, element };
+    Ok(Part { description, bytes: output.bytes()?.into() })
+}
+
+fn json(text: Vec<u8>) -> Part {
+    Part { description: Description::unshaped(MediaType::Json), bytes: Bytes::from(text) }
+}

@@ -1,0 +1,208 @@
+//! The card of a model, `model.toml`: the conversion of samples to the model's inputs and of its outputs to an answer.
+
+mod detection;
+mod error;
+mod input;
+mod output;
+mod preprocessing;
+#[cfg(test)]
+pub(super) mod tests;
+
+pub(super) use detection::{BoxFormat, BoxUnit, Detection, DetectionOutputs};
+pub(super) use error::CardError;
+pub(super) use input::{Input, PictureSource, Source};
+pub(super) use output::{Activation, Classification, Embedding, Segmentation, TensorOutput};
+pub(super) use preprocessing::{CentreCrop, Colour, Layout, Normalisation, Position, Resize, Rounding};
+
+use std::fmt;
+use std::io::{self, Read};
+use std::marker::PhantomData;
+use std::path::Path;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{DeserializeOwned, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use super::regular_file;
+use crate::LoadError;
+use detection::DetectionTable;
+use input::InputTable;
+use preprocessing::Preprocessing;
+
+/// Largest size of a card, bytes. A thousand labels take some ten kilobytes.
+const MAX_CARD_BYTES: u64 = 1 << 20;
+
+/// Card of a model. A new model needs a card and no code.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Card {
+    pub(super) name: String,
+    pub(super) description: String,
+    pub(super) version: String,
+    /// The model's inputs. Those that are no constants get the parts of a sample, in this order.
+    pub(super) inputs: Vec<Input>,
+    pub(super) task: Task,
+    /// Origin of the model, for people, in any form.
+    pub(super) provenance: toml::Table,
+}
+
+/// Kind of the answers, with the model's outputs and their conversion.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Task {
+    Classification(Classification),
+    Detection(Detection),
+    Segmentation(Segmentation),
+    Embedding(Embedding),
+    /// Outputs that are passed on as they are, in this order.
+    Tensors(Vec<TensorOutput>),
+}
+
+/// The `task` of a card.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum TaskName {
+    Classification,
+    Detection,
+    Segmentation,
+    Embedding,
+    Tensors,
+}
+
+/// The part of a card that determines the form of the rest.
+#[derive(Deserialize)]
+struct Header {
+    task: TaskName,
+}
+
+/// A card as it is written, with the output of its task.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CardFile<O> {
+    name: String,
+    #[expect(dead_code, reason = "read before, as the header")]
+    task: TaskName,
+    #[serde(default)]
+    description: String,
+    #[serde(default)]
+    version: String,
+    input: OneOrMany<InputTable>,
+    /// Preprocessing of the inputs that are pictures and have none of their own.
+    preprocessing: Option<Preprocessing>,
+    output: O,
+    #[serde(default)]
+    provenance: toml::Table,
+}
+
+/// A table, or a list of tables.
+#[derive(Debug)]
+struct OneOrMany<T>(Vec<T>);
+
+fn text(file: &Path) -> io::Result<String> {
+    let mut file = regular_file::open(file)?;
+    let length = file.metadata()?.len();
+    if length > MAX_CARD_BYTES {
+        return Err(io::Error::other(format!("it has {length} bytes, the limit is {MAX_CARD_BYTES}")));
+    }
+    let mut text = String::new();
+    file.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+impl Card {
+    /// Reads and checks a card.
+    pub(super) fn read(file: &Path) -> Result<Self, LoadError> {
+        let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
+        let text = text(file).map_err(|error| wrong(error.to_string()))?;
+        Self::parse(&text).map_err(|error| wrong(error.to_string()))
+    }
+
+    pub(super) fn parse(text: &str) -> Result<Self, CardError> {
+        // The text is read a second time as a whole, so that errors have their lines.
+        let Header { task } = toml::from_str(text)?;
+        match task {
+            TaskName::Classification => Self::parse_as(text, |output: Classification| {
+                output.check()?;
+                Ok(Task::Classification(output))
+            }),
+            TaskName::Detection => {
+                Self::parse_as(text, |output: DetectionTable| output.try_into().map(Task::Detection))
+            }
+            TaskName::Segmentation => Self::parse_as(text, |output: Segmentation| {
+                output.check()?;
+                Ok(Task::Segmentation(output))
+            }),
+            TaskName::Embedding => Self::parse_as(text, |output| Ok(Task::Embedding(output))),
+            TaskName::Tensors => Self::parse_as(text, |OneOrMany(outputs)| {
+                output::check_tensors(&outputs)?;
+                Ok(Task::Tensors(outputs))
+            }),
+        }
+    }
+
+    fn parse_as<O: DeserializeOwned>(
+        text: &str,
+        task: impl FnOnce(O) -> Result<Task, CardError>,
+    ) -> Result<Self, CardError> {
+        let file: CardFile<O> = toml::from_str(text)?;
+        let CardFile { name, description, version, input, preprocessing, output, provenance, .. } = file;
+        let inputs = Input::from_tables(input.0, preprocessing.as_ref())?;
+        let card = Self { name, description, version, inputs, task: task(output)?, provenance };
+        // Boxes and pixels of an answer are those of a picture.
+        if matches!(card.task, Task::Detection(_) | Task::Segmentation(_)) && card.picture().is_none() {
+            return Err(CardError::PictureTask(card.task.name()));
+        }
+        Ok(card)
+    }
+
+    /// Returns the first input that is a picture. Boxes and pixels of an answer are those of this picture.
+    pub(super) fn picture(&self) -> Option<&PictureSource> {
+        self.inputs.iter().find_map(Input::picture)
+    }
+}
+
+impl Task {
+    /// Returns the task's name in cards.
+    pub(super) const fn name(&self) -> &'static str {
+        match self {
+            Self::Classification(_) => "classification",
+            Self::Detection(_) => "detection",
+            Self::Segmentation(_) => "segmentation",
+            Self::Embedding(_) => "embedding",
+            Self::Tensors(_) => "tensors",
+        }
+    }
+
+    /// Returns the classes, in the order of their numbers; `None` if the task has none.
+    pub(super) fn labels(&self) -> Option<&[String]> {
+        match self {
+            Self::Classification(Classification { labels, .. })
+            | Self::Detection(Detection { labels, .. })
+            | Self::Segmentation(Segmentation { labels, .. }) => Some(labels),
+            Self::Embedding(_) | Self::Tensors(_) => None,
+        }
+    }
+}
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for OneOrMany<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Tables<T>(PhantomData<T>);
+
+        impl<'de, T: Deserialize<'de>> Visitor<'de> for Tables<T> {
+            type Value = OneOrMany<T>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a table or a list of tables")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Self::Value, A::Error> {
+                T::deserialize(MapAccessDeserializer::new(map)).map(|table| OneOrMany(vec![table]))
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, tables: A) -> Result<Self::Value, A::Error> {
+                Vec::deserialize(SeqAccessDeserializer::new(tables)).map(OneOrMany)
+            }
+        }
+
+        // The form is taken from the text, so that an error names the key and not all possible forms.
+        deserializer.deserialize_any(Tables(PhantomData))
+    }
+}

@@ -1,0 +1,236 @@
+//! The table `[preprocessing]` of a card: the conversion of a picture to numbers.
+
+use std::fmt;
+
+use peernet_imaging::{Filter, Orientation};
+use serde::Deserialize;
+
+use super::CardError;
+
+/// Order of a picture's dimensions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(in crate::model::onnx) enum Layout {
+    Nchw,
+    Nhwc,
+}
+
+impl Layout {
+    /// Returns channels, height and width of a shape; `None` if it has fewer than three lengths.
+    pub(in crate::model::onnx) fn dimensions(self, shape: &[usize]) -> Option<(usize, usize, usize)> {
+        let [.., a, b, c] = *shape else { return None };
+        Some(match self {
+            Self::Nchw => (a, b, c),
+            Self::Nhwc => (c, a, b),
+        })
+    }
+}
+
+impl fmt::Display for Layout {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Nchw => "nchw",
+            Self::Nhwc => "nhwc",
+        })
+    }
+}
+
+/// Order of the input's channels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(in crate::model::onnx) enum Colour {
+    Rgb,
+    Bgr,
+    Grey,
+}
+
+impl Colour {
+    pub(super) fn channels(self) -> usize {
+        match self {
+            Self::Rgb | Self::Bgr => 3,
+            Self::Grey => 1,
+        }
+    }
+}
+
+/// Preprocessing steps, applied in the order of the fields: orientation, resize, crop, then `(byte × scale − mean) / std` for each
+/// channel.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::model::onnx) struct Preprocessing {
+    /// Orientation of the picture before the other steps.
+    #[serde(default)]
+    pub(in crate::model::onnx) orientation: Orientation,
+    /// Resizing. Without it pictures must have the size of the input.
+    #[serde(default)]
+    pub(in crate::model::onnx) resize: Option<Resize>,
+    /// Rectangle that is cut out of the centre.
+    #[serde(default)]
+    pub(in crate::model::onnx) crop: Option<CentreCrop>,
+    /// Factor for bytes. Default: 1, if the input has integers.
+    #[serde(default)]
+    scale: Option<f64>,
+    /// One number per channel, in the order of `colour`. Default: zeros, if the input has integers.
+    #[serde(default)]
+    mean: Option<Vec<f64>>,
+    /// One number per channel, in the order of `colour`. Default: ones, if the input has integers.
+    #[serde(default)]
+    std: Option<Vec<f64>>,
+}
+
+/// The numbers of the last preprocessing step, `(byte × scale − mean) / std`.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::model::onnx) struct Normalisation {
+    pub(in crate::model::onnx) scale: f64,
+    pub(in crate::model::onnx) mean: Vec<f64>,
+    pub(in crate::model::onnx) std: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "mode", rename_all = "lowercase", deny_unknown_fields)]
+pub(in crate::model::onnx) enum Resize {
+    /// Resizes to this size, without regard to the picture's proportions.
+    Exact {
+        width: u32,
+        height: u32,
+        #[serde(default)]
+        filter: Filter,
+        /// `true` to average over all source pixels when the picture becomes smaller.
+        #[serde(default = "default_true")]
+        antialias: bool,
+    },
+    /// Resizes the shorter side to this length, and the other side in proportion, rounded down. Pixels.
+    Shortest {
+        size: u32,
+        #[serde(default)]
+        filter: Filter,
+        /// `true` to average over all source pixels when the picture becomes smaller.
+        #[serde(default = "default_true")]
+        antialias: bool,
+    },
+    /// Resizes to the largest size of the picture's proportions that fits into this size, rounded to the nearest pixel, and fills the
+    /// rest.
+    Letterbox {
+        width: u32,
+        height: u32,
+        #[serde(default)]
+        filter: Filter,
+        /// `true` to average over all source pixels when the picture becomes smaller.
+        #[serde(default = "default_true")]
+        antialias: bool,
+        /// Value of the bytes beside the picture.
+        #[serde(default = "default_fill")]
+        fill: u8,
+        #[serde(default)]
+        position: Position,
+    },
+}
+
+/// Position of a picture in a larger one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::model::onnx) enum Position {
+    /// In the centre; if the margins cannot be equal, the left and the upper one are smaller.
+    #[default]
+    Centre,
+    /// In the upper left corner.
+    TopLeft,
+}
+
+impl Position {
+    /// Returns the number of pixels before the picture if `margin` pixels are left over.
+    pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
+        match self {
+            Self::Centre => margin / 2,
+            Self::TopLeft => 0,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(in crate::model::onnx) struct CentreCrop {
+    pub(in crate::model::onnx) width: u32,
+    pub(in crate::model::onnx) height: u32,
+    /// Position of the rectangle if the margins cannot be equal.
+    #[serde(default)]
+    pub(in crate::model::onnx) rounding: Rounding,
+}
+
+/// Rounding of the left and upper margins if half a pixel is left over.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(in crate::model::onnx) enum Rounding {
+    /// Rounds down.
+    #[default]
+    Down,
+    /// Rounds half to even, as torchvision does (Python's `round`).
+    HalfEven,
+}
+
+impl Rounding {
+    /// Returns the number of pixels before the crop if `margin` pixels are left over.
+    pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
+        match self {
+            Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
+            _ => margin / 2,
+        }
+    }
+}
+
+const fn default_true() -> bool {
+    true
+}
+
+/// Returns the grey of the YOLO family.
+const fn default_fill() -> u8 {
+    114
+}
+
+impl Preprocessing {
+    /// Checks that the steps produce a picture of `wanted` width and height, pixels.
+    pub(super) fn check_size(&self, wanted: (usize, usize)) -> Result<(), CardError> {
+        let made = match (self.resize, self.crop) {
+            (_, Some(CentreCrop { width, height, .. }))
+            | (Some(Resize::Exact { width, height, .. } | Resize::Letterbox { width, height, .. }), None) => {
+                (width, height)
+            }
+            (Some(Resize::Shortest { .. }), None) => return Err(CardError::NoCrop),
+            (None, None) => return Ok(()),
+        };
+        if (made.0 as usize, made.1 as usize) == wanted {
+            Ok(())
+        } else {
+            Err(CardError::Size { made, wanted })
+        }
+    }
+
+    /// Returns the numbers of the last step for `channels` channels. They have defaults if the input has integers.
+    pub(super) fn normalisation(
+        &self,
+        channels: usize,
+        has_defaults: bool,
+    ) -> Result<Normalisation, CardError> {
+        let missing = |key| if has_defaults { Ok(()) } else { Err(CardError::NoNormalisation(key)) };
+        let list = |key, values: &Option<Vec<f64>>, default: f64| match values {
+            Some(values) if values.len() != channels => {
+                Err(CardError::Numbers { key, count: values.len(), channels })
+            }
+            Some(values) => Ok(values.clone()),
+            None => missing(key).map(|()| vec![default; channels]),
+        };
+        let mean = list("mean", &self.mean, 0.0)?;
+        let std = list("std", &self.std, 1.0)?;
+        let scale = match self.scale {
+            Some(scale) => scale,
+            None => missing("scale").map(|()| 1.0)?,
+        };
+        if !mean.iter().chain(&std).chain([&scale]).all(|number| number.is_finite()) {
+            return Err(CardError::NotFinite);
+        }
+        if let Some(deviation) = std.iter().find(|deviation| **deviation <= 0.0) {
+            return Err(CardError::Deviation(*deviation));
+        }
+        Ok(Normalisation { scale, mean, std })
+    }
+}

@@ -1,0 +1,241 @@
+//! Reading of candidates from a detector's outputs.
+
+use super::nms::{Candidate, Rectangle};
+use crate::model::onnx::card::{Activation, BoxFormat, BoxUnit, Detection, DetectionOutputs};
+use crate::model::onnx::outputs::{Output, OutputError, Outputs};
+
+/// Reader of candidates with a score above the threshold, as the card defines.
+pub(super) struct Candidates<'a> {
+    detection: &'a Detection,
+    /// Factors that make the numbers of a box pixels of the input, in both directions.
+    unit: (f32, f32),
+    found: Vec<Candidate>,
+}
+
+impl<'a> Candidates<'a> {
+    /// Reads the candidates, with boxes in pixels of an input of this width and height.
+    ///
+    /// # Errors
+    /// If an output does not have the shape of its layout, contains NaN, or names a class without label.
+    pub(super) fn read(
+        detection: &'a Detection,
+        outputs: &Outputs<'a, '_>,
+        (width, height): (u32, u32),
+    ) -> Result<Vec<Candidate>, OutputError> {
+        let unit = match detection.box_unit {
+            BoxUnit::Pixels => (1.0, 1.0),
+            BoxUnit::Fraction => (width as f32, height as f32),
+        };
+        let mut candidates = Self { detection, unit, found: Vec::new() };
+        match &detection.outputs {
+            DetectionOutputs::Yolov5 { name, activation } => {
+                candidates.read_yolov5(&outputs.get(name)?, *activation)?;
+            }
+            DetectionOutputs::Yolov8 { name, activation } => {
+                candidates.read_yolov8(&outputs.get(name)?, *activation)?;
+            }
+            DetectionOutputs::Yolov10 { name } => candidates.read_yolov10(&outputs.get(name)?)?,
+            DetectionOutputs::Detr { scores, boxes, is_softmax } => {
+                candidates.read_detr(&outputs.get(scores)?, &outputs.get(boxes)?, *is_softmax)?;
+            }
+            DetectionOutputs::Nms { boxes, scores, classes, count } => {
+                let count = count.as_ref().map(|name| outputs.get(name)).transpose()?;
+                let outputs = [outputs.get(boxes)?, outputs.get(scores)?, outputs.get(classes)?];
+                candidates.read_separate(&outputs, count.as_ref())?;
+            }
+        }
+        Ok(candidates.found)
+    }
+
+    fn labels(&self) -> usize {
+        self.detection.labels.len()
+    }
+
+    /// Adds a candidate if its score is above the threshold.
+    fn add(&mut self, class: usize, score: f32, numbers: [f32; 4]) {
+        if score > self.detection.score_threshold {
+            let rectangle = rectangle(self.detection.box_format, numbers, self.unit);
+            self.found.push(Candidate { class, score, rectangle });
+        }
+    }
+
+    fn read_yolov5(&mut self, output: &Output<'_>, activation: Activation) -> Result<(), OutputError> {
+        let length = 5 + self.labels();
+        let expected = format!("[1, n, {length}]");
+        let [_, actual] = output.unbatched(&expected)?;
+        if actual != length {
+            return Err(output.wrong_shape(&expected));
+        }
+        for row in output.numbers()?.chunks_exact(length) {
+            let (numbers, scores) = row.split_at(4);
+            let object = activated(activation, scores[0]);
+            // The product cannot exceed the score of an object, so that most rows end here.
+            if object <= self.detection.score_threshold {
+                continue;
+            }
+            let (class, score) = best(&scores[1..]);
+            self.add(class, object * activated(activation, score), first_four(numbers));
+        }
+        Ok(())
+    }
+
+    fn read_yolov8(&mut self, output: &Output<'_>, activation: Activation) -> Result<(), OutputError> {
+        let rows = 4 + self.labels();
+        let expected = format!("[1, {rows}, n]");
+        let [actual, count] = output.unbatched(&expected)?;
+        if actual != rows {
+            return Err(output.wrong_shape(&expected));
+        }
+        let numbers = output.numbers()?;
+        let (boxes, scores) = numbers.split_at(4 * count);
+        // Class by class, because the scores of one class are contiguous.
+        let mut best = vec![(0, f32::NEG_INFINITY); count];
+        for (class, scores) in scores.chunks_exact(count.max(1)).enumerate() {
+            for (best, score) in best.iter_mut().zip(scores) {
+                if *score > best.1 {
+                    *best = (class, *score);
+                }
+            }
+        }
+        for (at, (class, score)) in best.into_iter().enumerate() {
+            let numbers = [0, 1, 2, 3].map(|row| boxes[row * count + at]);
+            self.add(class, activated(activation, score), numbers);
+        }
+        Ok(())
+    }
+
+    fn read_yolov10(&mut self, output: &Output<'_>) -> Result<(), OutputError> {
+        let expected = "[1, n, 6]";
+        let [_, 6] = output.unbatched(expected)? else { return Err(output.wrong_shape(expected)) };
+        for row in output.numbers()?.chunks_exact(6) {
+            let (numbers, score, class) = (first_four(row), row[4], row[5]);
+            // Rows that pad the output often have no valid class.
+            if score > self.detection.score_threshold {
+                self.add(self.class(output.name, class)?, score, numbers);
+            }
+        }
+        Ok(())
+    }
+
+    fn read_detr(
+        &mut self,
+        scores: &Output<'_>,
+        boxes: &Output<'_>,
+        is_softmax: bool,
+    ) -> Result<(), OutputError> {
+        let labels = self.labels();
+        let logits = labels + usize::from(is_softmax);
+        let expected = format!("[1, n, {logits}]");
+        let [count, actual] = scores.unbatched(&expected)?;
+        if actual != logits {
+            return Err(scores.wrong_shape(&expected));
+        }
+        let expected = format!("[1, {count}, 4]");
+        if boxes.unbatched(&expected)? != [count, 4] {
+            return Err(boxes.wrong_shape(&expected));
+        }
+        let (scores, boxes) = (scores.numbers()?, boxes.numbers()?);
+        for (row, numbers) in scores.chunks_exact(logits).zip(boxes.chunks_exact(4)) {
+            let numbers = first_four(numbers);
+            if is_softmax {
+                let (class, score) = best(&row[..labels]);
+                self.add(class, softmax(row, score), numbers);
+            } else {
+                // A query may show several classes, each with a score of its own.
+                for (class, logit) in row.iter().enumerate() {
+                    self.add(class, activated(Activation::Sigmoid, *logit), numbers);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads boxes, scores and classes.
+    fn read_separate(
+        &mut self,
+        [boxes, scores, classes]: &[Output<'_>; 3],
+        count: Option<&Output<'_>>,
+    ) -> Result<(), OutputError> {
+        let [rows] = scores.unbatched("[1, n] or [n]")?;
+        let expected = format!("[1, {rows}, 4] or [{rows}, 4]");
+        if boxes.unbatched(&expected)? != [rows, 4] {
+            return Err(boxes.wrong_shape(&expected));
+        }
+        let expected = format!("[1, {rows}] or [{rows}]");
+        if classes.unbatched(&expected)? != [rows] {
+            return Err(classes.wrong_shape(&expected));
+        }
+        let count = count.map(|output| {
+            let [count] = output.unbatched("[1]").or_else(|error| match output.shape[..] {
+                [] => Ok([1]),
+                _ => Err(error),
+            })?;
+            let numbers = output.numbers()?;
+            numbers.first().filter(|_| count == 1).copied().ok_or_else(|| output.wrong_shape("[1]"))
+        });
+        // Rows after the last valid one may have any numbers.
+        let valid = count.transpose()?.map_or(rows, |count| (count.max(0.0) as usize).min(rows));
+        let (numbers, values, named) = (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
+        for ((numbers, score), class) in
+            numbers.chunks_exact(4).zip(values.iter()).zip(named.iter()).take(valid)
+        {
+            if *score > self.detection.score_threshold {
+                self.add(self.class(classes.name, *class)?, *score, first_four(numbers));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the number of a class that an output has as a number.
+    fn class(&self, name: &str, class: f32) -> Result<usize, OutputError> {
+        let labels = self.labels();
+        let number = class as usize;
+        if number < labels && number as f32 == class {
+            Ok(number)
+        } else {
+            Err(OutputError::UnknownClass { name: name.to_owned(), class, labels })
+        }
+    }
+}
+
+/// Converts the numbers of a box to pixels of the input.
+fn rectangle(format: BoxFormat, [a, b, c, d]: [f32; 4], (x, y): (f32, f32)) -> Rectangle {
+    let (left, top, right, bottom) = match format {
+        BoxFormat::Cxcywh => (a - c / 2.0, b - d / 2.0, a + c / 2.0, b + d / 2.0),
+        BoxFormat::Xyxy => (a, b, c, d),
+        BoxFormat::Xywh => (a, b, a + c, b + d),
+        BoxFormat::Yxyx => (b, a, d, c),
+    };
+    Rectangle { left: left * x, top: top * y, right: right * x, bottom: bottom * y }
+}
+
+/// Returns the first four of at least four numbers.
+fn first_four(numbers: &[f32]) -> [f32; 4] {
+    [numbers[0], numbers[1], numbers[2], numbers[3]]
+}
+
+/// Returns the position of the largest number, the first of equal ones, and the number. Without numbers, 0 and minus infinity.
+fn best(scores: &[f32]) -> (usize, f32) {
+    let mut best = (0, f32::NEG_INFINITY);
+    for (class, score) in scores.iter().enumerate() {
+        if *score > best.1 {
+            best = (class, *score);
+        }
+    }
+    best
+}
+
+/// Returns the softmax of one of the logits.
+fn softmax(logits: &[f32], logit: f32) -> f32 {
+    let (_, greatest) = best(logits);
+    let sum: f32 = logits.iter().map(|other| (other - greatest).exp()).sum();
+    (logit - greatest).exp() / sum
+}
+
+/// Returns the score of a number. A softmax needs all numbers and is not an activation of YOLO's outputs; the card's check excludes it.
+fn activated(activation: Activation, number: f32) -> f32 {
+    match activation {
+        Activation::Sigmoid => 1.0 / (1.0 + (-number).exp()),
+        Activation::None | Activation::Softmax => number,
+    }
+}

@@ -1,0 +1,66 @@
+//! A sample that a model accepts, for trying it without data.
+
+use std::path::Path;
+
+use bytes::Bytes;
+use peernet_sample::{Description, MediaType, Part, PixelFormat, Sample};
+
+use super::CARD;
+use super::card::{Card, Input, Source};
+use crate::LoadError;
+
+/// Size of a generated picture in pixels, a usual size of camera pictures.
+const SIZE: (u32, u32) = (1280, 720);
+
+/// Returns a sample with what the model takes: generated pixels, and arrays of zeros.
+///
+/// # Errors
+/// If the card is invalid.
+pub(crate) fn example_sample(folder: &Path) -> Result<Sample, LoadError> {
+    let card = Card::read(&folder.join(CARD))?;
+    let parts = card.inputs.iter().filter_map(part).collect();
+    Ok(Sample { parts, source: String::new(), label: None })
+}
+
+/// Returns a part for an input; `None` if the input takes none.
+fn part(input: &Input) -> Option<Part> {
+    match &input.source {
+        Source::Picture(picture) => {
+            // Without resizing, only a picture of the input's size is accepted.
+            let (width, height) = if picture.preprocessing.resize.is_some() { SIZE } else { picture.size };
+            Some(pixels(width, height))
+        }
+        Source::Array => {
+            let shape = input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
+            let element = input.data_type.element();
+            let bytes = vec![0; input.count() * element.bytes() as usize];
+            let description = Description { media: MediaType::Tensor, shape, element: Some(element) };
+            Some(Part { description, bytes: bytes.into() })
+        }
+        Source::Constant(_) => None,
+    }
+}
+
+/// Returns pixels without regularity, so that nothing has to be decoded.
+fn pixels(width: u32, height: u32) -> Part {
+    let noise = |at: u32| (at.wrapping_mul(2_654_435_761) >> 24) as u8;
+    let bytes: Bytes = (0..width * height * 3).map(noise).collect::<Vec<u8>>().into();
+    Part { description: Description::pixels(PixelFormat::Rgb8, width, height), bytes }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::card::tests::POLICY;
+    use super::super::inputs::ModelInputs;
+    use super::*;
+
+    #[test]
+    fn example_fits_inputs_of_its_card() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join(CARD), POLICY).expect("written");
+        let sample = example_sample(folder.path()).expect("the card is right");
+        assert_eq!(sample.parts.len(), 3);
+        let card = Card::parse(POLICY).expect("is right");
+        ModelInputs::new(&card.inputs).fill(&sample).expect("fits");
+    }
+}

@@ -1,0 +1,220 @@
+//! The inputs of a model: their numbers, which are filled from the parts of a sample.
+
+use std::borrow::Cow;
+
+use ort::session::SessionInputValue;
+use peernet_sample::{Description, MediaType, Part, Sample};
+
+use super::card::{Input, Source};
+use super::geometry::PictureTransform;
+use super::numbers::Numbers;
+use super::picture::{InputError, PicturePreprocessor};
+
+/// All inputs of a model. Buffers are reused for the next sample.
+pub(super) struct ModelInputs {
+    inputs: Vec<InputBuffer>,
+    /// Relation of the first picture to its input, for the last sample.
+    transform: Option<PictureTransform>,
+}
+
+/// One input with its numbers.
+struct InputBuffer {
+    input: Input,
+    /// Conversion of a picture; `None` for arrays and constants.
+    preprocessor: Option<PicturePreprocessor>,
+    numbers: Numbers,
+}
+
+impl ModelInputs {
+    /// Creates the inputs: constants as they are in the card, all others zeros.
+    pub(super) fn new(inputs: &[Input]) -> Self {
+        Self { inputs: inputs.iter().map(InputBuffer::new).collect(), transform: None }
+    }
+
+    /// Fills the inputs from the parts of a sample, in the order of the card.
+    ///
+    /// # Errors
+    /// If the sample has fewer or more parts than the model takes, or if a part is not what its input is made from. A model that
+    /// takes one part ignores further ones.
+    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), InputError> {
+        self.transform = None;
+        let taken = || self.inputs.iter().filter(|buffer| buffer.takes_part());
+        let (actual, expected) = (sample.parts.len(), taken().count());
+        // A model of one input ignores further parts, such as the depth beside a picture.
+        if actual < expected || (expected > 1 && actual > expected) {
+            if actual == 0 {
+                return Err(InputError::NoPayload);
+            }
+            let names: Vec<&str> = taken().map(|buffer| buffer.input.name.as_str()).collect();
+            return Err(InputError::Parts { actual, expected, names: names.join(", ") });
+        }
+        let buffers = self.inputs.iter_mut().filter(|buffer| buffer.takes_part());
+        for (index, (buffer, part)) in buffers.zip(&sample.parts).enumerate() {
+            let transform = buffer.fill(part).map_err(|error| match expected {
+                1 => error,
+                _ => {
+                    let input = buffer.input.name.clone();
+                    InputError::Part { number: index + 1, input, error: Box::new(error) }
+                }
+            })?;
+            self.transform = self.transform.or(transform);
+        }
+        Ok(())
+    }
+
+    /// Returns the relation between the last sample's first picture and its input; `None` without a picture.
+    pub(super) fn transform(&self) -> Option<&PictureTransform> {
+        self.transform.as_ref()
+    }
+
+    /// Returns the inputs for a run of the session, by name and without a copy.
+    pub(super) fn values<'a>(&'a self) -> ort::Result<Vec<(Cow<'a, str>, SessionInputValue<'a>)>> {
+        let value = |buffer: &'a InputBuffer| {
+            let InputBuffer { input, numbers, .. } = buffer;
+            Ok((Cow::Borrowed(input.name.as_str()), numbers.as_input(&input.shape)?))
+        };
+        self.inputs.iter().map(value).collect()
+    }
+}
+
+impl InputBuffer {
+    fn new(input: &Input) -> Self {
+        let mut numbers = Numbers::zeros(input.data_type, input.count());
+        if let Source::Constant(values) = &input.source {
+            numbers.fill(values);
+        }
+        Self { input: input.clone(), preprocessor: input.picture().map(PicturePreprocessor::new), numbers }
+    }
+
+    fn takes_part(&self) -> bool {
+        !matches!(self.input.source, Source::Constant(_))
+    }
+
+    fn fill(&mut self, part: &Part) -> Result<Option<PictureTransform>, InputError> {
+        match &mut self.preprocessor {
+            Some(preprocessor) => preprocessor.preprocess(part, &mut self.numbers).map(Some),
+            None => self.fill_from_array(part).map(|()| None),
+        }
+    }
+
+    fn fill_from_array(&mut self, part: &Part) -> Result<(), InputError> {
+        let Part { description, bytes } = part;
+        if description.media != MediaType::Tensor {
+            return Err(InputError::NotAnArray(description.media.iana().into_owned()));
+        }
+        let shape =
+            self.input.shape.iter().map(|length| u32::try_from(*length).unwrap_or(u32::MAX)).collect();
+        let element = Some(self.input.data_type.element());
+        let expected = Description { media: MediaType::Tensor, shape, element };
+        if *description != expected {
+            return Err(InputError::Array { actual: text(description), expected: text(&expected) });
+        }
+        let (actual, expected) = (bytes.len() as u64, expected.shaped_bytes().unwrap_or(u64::MAX));
+        if actual != expected {
+            return Err(InputError::Length { actual, expected });
+        }
+        self.numbers.read(bytes);
+        Ok(())
+    }
+}
+
+/// Returns type and shape of an array: `f32 [1, 7]`.
+fn text(Description { shape, element, .. }: &Description) -> String {
+    let element = element.map_or_else(String::new, |element| format!("{element:?} ").to_lowercase());
+    format!("{element}{shape:?}")
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::{ElementType, PixelFormat};
+
+    use super::super::card::Card;
+    use super::super::card::tests::{POLICY, changed};
+    use super::*;
+
+    fn pixels(format: PixelFormat, width: u32, bytes: &'static [u8]) -> Part {
+        Part { description: Description::pixels(format, width, 1), bytes: bytes.into() }
+    }
+
+    fn array(element: ElementType, shape: &[u32], bytes: Vec<u8>) -> Part {
+        let description =
+            Description { media: MediaType::Tensor, shape: shape.to_vec(), element: Some(element) };
+        Part { description, bytes: bytes.into() }
+    }
+
+    fn sample(parts: Vec<Part>) -> Sample {
+        Sample { parts, source: String::new(), label: None }
+    }
+
+    fn state() -> Part {
+        array(ElementType::F64, &[2], [0.5_f64, -1.0].into_iter().flat_map(f64::to_le_bytes).collect())
+    }
+
+    fn parts() -> Vec<Part> {
+        let front = pixels(PixelFormat::Rgb8, 2, &[1, 2, 3, 4, 5, 6]);
+        vec![front, state(), pixels(PixelFormat::Grey8, 2, &[7, 8])]
+    }
+
+    #[test]
+    fn parts_fill_inputs_in_order_of_card() {
+        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs);
+        inputs.fill(&sample(parts())).expect("fits");
+        let numbers: Vec<&Numbers> = inputs.inputs.iter().map(|buffer| &buffer.numbers).collect();
+        assert_eq!(
+            numbers,
+            [
+                &Numbers::Uint8(vec![1, 2, 3, 4, 5, 6]),
+                &Numbers::Float64(vec![0.5, -1.0]),
+                &Numbers::Float32(vec![14.0, 16.0]),
+                &Numbers::Int64(vec![3, 4]),
+            ]
+        );
+        assert_eq!(inputs.transform().expect("of the first picture").picture, (2, 1));
+    }
+
+    #[test]
+    fn part_that_does_not_fit_is_named() {
+        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs);
+        let mut refusal = |change: &dyn Fn(&mut Vec<Part>)| {
+            let mut changed = parts();
+            change(&mut changed);
+            inputs.fill(&sample(changed)).expect_err("does not fit").to_string()
+        };
+        let other = |part: Part| move |parts: &mut Vec<Part>| parts[1] = part.clone();
+        for (error, expected) in [
+            (refusal(&|parts| parts.truncate(2)), "it has 2 parts, the model takes 3: front, state, wrist"),
+            (refusal(&|parts| parts.clear()), "it has no payload"),
+            (
+                refusal(&other(array(ElementType::F32, &[2], vec![0; 8]))),
+                "part 2 for input \"state\": its array is f32 [2], the model requires f64 [2]",
+            ),
+            (
+                refusal(&other(array(ElementType::F64, &[2], vec![0; 8]))),
+                "part 2 for input \"state\": its array has 8 bytes, 16 are needed for its type and shape",
+            ),
+            (
+                refusal(&other(parts().swap_remove(0))),
+                "part 2 for input \"state\": it is image/x-rgb8, not an array",
+            ),
+            (
+                refusal(&|parts| parts.swap(1, 2)),
+                "part 2 for input \"state\": it is image/x-grey8, not an array",
+            ),
+            (
+                refusal(&|parts| parts[2] = state()),
+                "part 3 for input \"wrist\": it is an array, not a picture",
+            ),
+        ] {
+            assert!(error.starts_with(expected), "{error}");
+        }
+    }
+
+    #[test]
+    fn payload_without_picture_is_refused() {
+        let mut inputs = ModelInputs::new(&changed("", "").expect("is right").inputs);
+        let mut fill = |sample: &Sample| inputs.fill(sample).expect_err("wrong").to_string();
+        assert_eq!(fill(&sample(Vec::new())), "it has no payload");
+        let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
+        assert_eq!(fill(&plain), "it is plain bytes, not a picture");
+    }
+}

@@ -1,0 +1,185 @@
+//! Comparison of a card with the names, types and shapes that the model declares for its inputs and outputs.
+
+use ort::value::{Outlet, TensorElementType};
+
+use super::card::{Card, Detection, DetectionOutputs, Task};
+use super::data_type::DataType;
+use super::outputs::is_float;
+
+/// Reason that a card does not fit its model.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub(super) enum MismatchError {
+    /// The model has no input or output of that name.
+    #[error("its card names the {what} {name:?}, but it has {}", .names.join(", "))]
+    Name { what: &'static str, name: String, names: Vec<String> },
+    /// Type or shape differ.
+    #[error("its {what} {name:?} is {actual}, its card says {expected}")]
+    Form { what: &'static str, name: String, actual: String, expected: String },
+    /// The model has an input that the card does not name.
+    #[error(
+        "it has the input {0:?}, which its card does not name; add an [[input]], with `value` if it is a constant"
+    )]
+    UnnamedInput(String),
+}
+
+/// Elements that an output may have.
+#[derive(Clone, Copy)]
+enum Elements {
+    /// One type.
+    Exactly(DataType),
+    /// Any float.
+    Floats,
+    /// Any type of a card.
+    Any,
+}
+
+/// Length of a dimension that an output must have; `None` for any.
+type Length = Option<usize>;
+
+/// Checks that the model has the inputs and outputs of the card, and no further inputs.
+pub(super) fn check(card: &Card, inputs: &[Outlet], outputs: &[Outlet]) -> Result<(), MismatchError> {
+    for input in &card.inputs {
+        let shape: Vec<Length> = input.shape.iter().copied().map(Some).collect();
+        check_outlet("input", inputs, &input.name, Elements::Exactly(input.data_type), &[&shape])?;
+    }
+    let is_named = |outlet: &&Outlet| card.inputs.iter().any(|input| input.name == outlet.name());
+    if let Some(outlet) = inputs.iter().find(|outlet| !is_named(outlet)) {
+        return Err(MismatchError::UnnamedInput(outlet.name().to_owned()));
+    }
+    check_outputs(&card.task, outputs)
+}
+
+fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
+    let check =
+        |name: &str, elements, shapes: &[&[Length]]| check_outlet("output", outlets, name, elements, shapes);
+    // The batch of 1 may be left out where the rest is unambiguous.
+    let one = Some(1);
+    match task {
+        Task::Classification(task) => {
+            let classes = Some(task.labels.len());
+            check(&task.name, Elements::Floats, &[&[one, classes], &[classes]])
+        }
+        Task::Detection(task) => check_detection(task, &check),
+        Task::Segmentation(task) => {
+            let scores = [one, Some(task.labels.len()), None, None];
+            // A float is a score; whether a shape fits the type is checked with the first run.
+            check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
+        }
+        Task::Embedding(task) => check(&task.name, Elements::Floats, &[&[one, None], &[None]]),
+        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| {
+            let shape: Vec<Length> = tensor.shape.iter().copied().map(Some).collect();
+            check(&tensor.name, Elements::Exactly(tensor.data_type), &[&shape])
+        }),
+    }
+}
+
+fn check_detection(
+    task: &Detection,
+    check: &impl Fn(&str, Elements, &[&[Length]]) -> Result<(), MismatchError>,
+) -> Result<(), MismatchError> {
+    let (one, four, labels) = (Some(1), Some(4), task.labels.len());
+    match &task.outputs {
+        DetectionOutputs::Yolov5 { name, .. } => {
+            check(name, Elements::Floats, &[&[one, None, Some(5 + labels)]])
+        }
+        DetectionOutputs::Yolov8 { name, .. } => {
+            check(name, Elements::Floats, &[&[one, Some(4 + labels), None]])
+        }
+        DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
+        DetectionOutputs::Detr { scores, boxes, is_softmax } => {
+            let logits = Some(labels + usize::from(*is_softmax));
+            check(scores, Elements::Floats, &[&[one, None, logits]])?;
+            check(boxes, Elements::Floats, &[&[one, None, four]])
+        }
+        DetectionOutputs::Nms { boxes, scores, classes, count } => {
+            check(boxes, Elements::Floats, &[&[one, None, four], &[None, four]])?;
+            check(scores, Elements::Floats, &[&[one, None], &[None]])?;
+            check(classes, Elements::Any, &[&[one, None], &[None]])?;
+            match count {
+                Some(count) => check(count, Elements::Any, &[&[one, one], &[one], &[]]),
+                None => Ok(()),
+            }
+        }
+    }
+}
+
+/// Checks that there is an input or output of that name, with such elements and one of the shapes.
+fn check_outlet(
+    what: &'static str,
+    outlets: &[Outlet],
+    name: &str,
+    elements: Elements,
+    shapes: &[&[Length]],
+) -> Result<(), MismatchError> {
+    let name = name.to_owned();
+    let Some(outlet) = outlets.iter().find(|outlet| outlet.name() == name) else {
+        let names = outlets.iter().map(|outlet| format!("{:?}", outlet.name())).collect();
+        return Err(MismatchError::Name { what, name, names });
+    };
+    let dtype = outlet.dtype();
+    let fits = |actual: &[i64]| {
+        // A model that does not declare a shape appears to have no dimension; the first run then shows its shape.
+        let is_undeclared = actual.is_empty() && what == "output";
+        is_undeclared || shapes.iter().any(|shape| fits(actual, shape))
+    };
+    if dtype.tensor_type().is_some_and(|onnx| elements.contain(onnx))
+        && dtype.tensor_shape().is_some_and(|shape| fits(shape))
+    {
+        return Ok(());
+    }
+    let shapes: Vec<String> = shapes.iter().map(|shape| text(shape)).collect();
+    let expected = format!("{} of shape {}", elements.text(), shapes.join(" or "));
+    Err(MismatchError::Form { what, name, actual: dtype.to_string(), expected })
+}
+
+/// Returns whether a declared shape fits; the model leaves a length of -1 open.
+fn fits(actual: &[i64], shape: &[Length]) -> bool {
+    let fits = |(actual, length): (&i64, &Length)| {
+        *actual < 0 || length.is_none_or(|length| i64::try_from(length) == Ok(*actual))
+    };
+    actual.len() == shape.len() && actual.iter().zip(shape).all(fits)
+}
+
+/// Formats a shape: `[1, 84, n]`.
+fn text(shape: &[Length]) -> String {
+    let length = |length: &Length| length.map_or_else(|| "n".to_owned(), |length| length.to_string());
+    format!("[{}]", shape.iter().map(length).collect::<Vec<_>>().join(", "))
+}
+
+impl Elements {
+    fn contain(self, onnx: TensorElementType) -> bool {
+        match self {
+            Self::Exactly(data_type) => DataType::from_onnx(onnx) == Some(data_type),
+            Self::Floats => is_float(onnx),
+            Self::Any => DataType::from_onnx(onnx).is_some(),
+        }
+    }
+
+    fn text(self) -> String {
+        match self {
+            Self::Exactly(data_type) => data_type.to_string(),
+            Self::Floats => "float32, float16 or float64".to_owned(),
+            Self::Any => "numbers".to_owned(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn open_lengths_fit_any_length() {
+        for (actual, shape, is_fitting) in [
+            (&[1, 4][..], &[Some(1), Some(4)][..], true),
+            (&[-1, 4], &[Some(1), Some(4)], true),
+            (&[1, 4], &[Some(1), None], true),
+            (&[1, 5], &[Some(1), Some(4)], false),
+            (&[4], &[Some(1), Some(4)], false),
+            (&[], &[], true),
+        ] {
+            assert_eq!(fits(actual, shape), is_fitting, "{actual:?} {shape:?}");
+        }
+        assert_eq!(text(&[Some(1), None]), "[1, n]");
+    }
+}

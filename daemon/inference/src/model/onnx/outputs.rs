@@ -1,0 +1,187 @@
+//! The outputs of a run, with checks of their names, types and shapes.
+
+use std::borrow::Cow;
+
+use half::f16;
+use ort::session::SessionOutputs;
+use ort::value::{DynValue, TensorElementType, ValueType};
+
+use super::data_type::DataType;
+use super::numbers::Element;
+
+/// Reason that outputs cannot be converted to an answer.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum OutputError {
+    /// Error of ONNX Runtime.
+    #[error(transparent)]
+    Runtime(#[from] ort::Error),
+    /// The model has no such output.
+    #[error("there is no output {0:?}")]
+    Missing(String),
+    /// The output has another type than the card's.
+    #[error("its output {name:?} has elements of type {actual}, {expected} are required")]
+    Type { name: String, actual: String, expected: &'static str },
+    /// The output has another shape than the card's.
+    #[error("its output {name:?} has the shape {actual:?}, {expected} is required")]
+    Shape { name: String, actual: Vec<usize>, expected: String },
+    /// The output contains a number that is not finite.
+    #[error("its output contains {0}")]
+    NotFinite(f32),
+    /// The output contains NaN.
+    #[error("its output {0:?} contains NaN")]
+    NotANumber(String),
+    /// The output names a class that the card does not have.
+    #[error("its output {name:?} names class {class}, its card has labels for 0 to {}", .labels - 1)]
+    UnknownClass { name: String, class: f32, labels: usize },
+    /// The card has no labels.
+    #[error("it has no classes")]
+    NoClasses,
+    /// A vector of zeros has no direction.
+    #[error("its output {0:?} has the length 0, so that it cannot be normalised")]
+    NoDirection(String),
+    /// The answer relates to a picture, and there was none.
+    #[error("it had no picture")]
+    NoPicture,
+    /// The answer cannot be encoded.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+}
+
+/// The outputs of one run, in the host's memory.
+pub(super) struct Outputs<'a, 'run>(pub(super) &'a SessionOutputs<'run>);
+
+/// One output.
+pub(super) struct Output<'a> {
+    pub(super) name: &'a str,
+    pub(super) shape: Vec<usize>,
+    pub(super) data_type: DataType,
+    value: &'a DynValue,
+}
+
+impl<'a> Outputs<'a, '_> {
+    /// Returns an output by its name.
+    ///
+    /// # Errors
+    /// If the model has no such output, or if it is not an array of a type that cards can name.
+    pub(super) fn get(&self, name: &'a str) -> Result<Output<'a>, OutputError> {
+        let value = self.0.get(name).ok_or_else(|| OutputError::Missing(name.to_owned()))?;
+        let unusable = |actual: String| OutputError::Type {
+            name: name.to_owned(),
+            actual,
+            expected: "numbers or truth values",
+        };
+        let ValueType::Tensor { ty, shape, .. } = value.dtype() else {
+            return Err(unusable(value.dtype().to_string()));
+        };
+        let data_type = DataType::from_onnx(*ty).ok_or_else(|| unusable(ty.to_string()))?;
+        let shape = shape.iter().map(|length| usize::try_from(*length).unwrap_or_default()).collect();
+        Ok(Output { name, shape, data_type, value })
+    }
+}
+
+impl<'a> Output<'a> {
+    /// Returns the shape without its batch: without leading lengths of 1, as many as it has more than `rank` lengths.
+    ///
+    /// # Errors
+    /// If that is not possible. The message says that `expected` is required.
+    pub(super) fn unbatched<const RANK: usize>(&self, expected: &str) -> Result<[usize; RANK], OutputError> {
+        let surplus = self.shape.len().saturating_sub(RANK);
+        let (batch, shape) = self.shape.split_at(surplus);
+        match shape.try_into() {
+            Ok(shape) if batch.iter().all(|length| *length == 1) => Ok(shape),
+            _ => Err(self.wrong_shape(expected)),
+        }
+    }
+
+    /// Returns the error that another shape is required.
+    pub(super) fn wrong_shape(&self, expected: &str) -> OutputError {
+        OutputError::Shape {
+            name: self.name.to_owned(),
+            actual: self.shape.clone(),
+            expected: expected.to_owned(),
+        }
+    }
+
+    /// Returns the numbers as 32-bit floats; only numbers of another type are copied.
+    ///
+    /// # Errors
+    /// If one is not a number.
+    pub(super) fn numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
+        let numbers = self.unchecked_numbers()?;
+        // Without a branch for each number, so that the compiler vectorises.
+        if numbers.iter().fold(false, |any, number| any | number.is_nan()) {
+            return Err(OutputError::NotANumber(self.name.to_owned()));
+        }
+        Ok(numbers)
+    }
+
+    /// Returns the numbers as 32-bit floats, which may be NaN; only numbers of another type are copied.
+    pub(super) fn unchecked_numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
+        Ok(match self.data_type {
+            DataType::Float32 => Cow::Borrowed(self.value.try_extract_tensor::<f32>()?.1),
+            DataType::Float16 => self.converted::<f16>()?,
+            DataType::Float64 => self.converted::<f64>()?,
+            DataType::Int8 => self.converted::<i8>()?,
+            DataType::Int16 => self.converted::<i16>()?,
+            DataType::Int32 => self.converted::<i32>()?,
+            DataType::Int64 => self.converted::<i64>()?,
+            DataType::Uint8 => self.converted::<u8>()?,
+            DataType::Uint16 => self.converted::<u16>()?,
+            DataType::Uint32 => self.converted::<u32>()?,
+            DataType::Uint64 => self.converted::<u64>()?,
+            DataType::Bool => self.converted::<bool>()?,
+        })
+    }
+
+    fn converted<T: Element + ort::value::PrimitiveTensorElementType>(
+        &self,
+    ) -> Result<Cow<'a, [f32]>, OutputError> {
+        let (_, elements) = self.value.try_extract_tensor::<T>()?;
+        Ok(Cow::Owned(elements.iter().map(|element| element.to_f32()).collect()))
+    }
+
+    /// Returns the numbers as the bytes of a sample: little-endian, a truth value as 0 or 1.
+    ///
+    /// # Errors
+    /// If one is not a number.
+    pub(super) fn bytes(&self) -> Result<Vec<u8>, OutputError> {
+        match self.data_type {
+            DataType::Float16 => self.to_bytes(f16::to_le_bytes),
+            DataType::Float32 => self.to_bytes(f32::to_le_bytes),
+            DataType::Float64 => self.to_bytes(f64::to_le_bytes),
+            DataType::Int8 => self.to_bytes(i8::to_le_bytes),
+            DataType::Int16 => self.to_bytes(i16::to_le_bytes),
+            DataType::Int32 => self.to_bytes(i32::to_le_bytes),
+            DataType::Int64 => self.to_bytes(i64::to_le_bytes),
+            DataType::Uint8 => self.to_bytes(u8::to_le_bytes),
+            DataType::Uint16 => self.to_bytes(u16::to_le_bytes),
+            DataType::Uint32 => self.to_bytes(u32::to_le_bytes),
+            DataType::Uint64 => self.to_bytes(u64::to_le_bytes),
+            DataType::Bool => self.to_bytes(|truth: bool| [u8::from(truth)]),
+        }
+    }
+
+    fn to_bytes<T, const BYTES: usize>(
+        &self,
+        encode: impl Fn(T) -> [u8; BYTES],
+    ) -> Result<Vec<u8>, OutputError>
+    where
+        T: Element + ort::value::PrimitiveTensorElementType,
+    {
+        let (_, elements) = self.value.try_extract_tensor::<T>()?;
+        if elements.iter().fold(false, |any, element| any | element.is_nan()) {
+            return Err(OutputError::NotANumber(self.name.to_owned()));
+        }
+        let mut bytes = vec![0; elements.len() * BYTES];
+        let (chunks, _) = bytes.as_chunks_mut::<BYTES>();
+        for (chunk, element) in chunks.iter_mut().zip(elements) {
+            *chunk = encode(*element);
+        }
+        Ok(bytes)
+    }
+}
+
+/// Returns whether an element type of ONNX Runtime is a float that cards can name.
+pub(super) fn is_float(onnx: TensorElementType) -> bool {
+    DataType::from_onnx(onnx).is_some_and(DataType::is_float)
+}

@@ -1,0 +1,230 @@
+//! Conversion of a picture to an input of the model.
+
+use peernet_imaging::ImageError;
+use peernet_sample::{Part, PixelFormat};
+
+use super::card::{Colour, Layout, Normalisation, PictureSource};
+use super::geometry::{Geometry, PictureTransform};
+use super::numbers::{Element, Numbers, for_elements};
+
+/// Reason that a sample cannot be converted to the model's inputs.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum InputError {
+    /// The sample has no part.
+    #[error("it has no payload")]
+    NoPayload,
+    /// The sample has fewer or more parts than the model has inputs.
+    #[error("it has {}, the model takes {expected}: {names}", counted(*.actual))]
+    Parts {
+        actual: usize,
+        expected: usize,
+        /// Names of the inputs, in the order of the parts.
+        names: String,
+    },
+    /// A part is not a picture, or it cannot be decoded, resized, padded or cropped.
+    #[error(transparent)]
+    Picture(#[from] ImageError),
+    /// The picture has another size than the input, and the card does not resize.
+    #[error("it has {} × {} pixels, the model requires {} × {} and its card has no resize", .actual.0, .actual.1, .expected.0, .expected.1)]
+    Size {
+        /// Width and height of the picture, pixels.
+        actual: (u32, u32),
+        /// Width and height of the input, pixels.
+        expected: (u32, u32),
+    },
+    /// A part is not an array.
+    #[error("it is {0}, not an array with type and shape")]
+    NotAnArray(String),
+    /// An array has another type or shape than the input.
+    #[error("its array is {actual}, the model requires {expected}")]
+    Array {
+        /// Type and shape of the array: `f64 [7]`.
+        actual: String,
+        /// Type and shape of the input: `f32 [1, 7]`.
+        expected: String,
+    },
+    /// An array has another number of bytes than its description says.
+    #[error("its array has {actual} bytes, {expected} are needed for its type and shape")]
+    Length { actual: u64, expected: u64 },
+    /// A part of a sample with several cannot be used.
+    #[error("part {number} for input {input:?}: {error}")]
+    Part {
+        /// Position of the part, counted from 1.
+        number: usize,
+        input: String,
+        error: Box<Self>,
+    },
+}
+
+fn counted(parts: usize) -> String {
+    if parts == 1 { "1 part".to_owned() } else { format!("{parts} parts") }
+}
+
+/// Converts pictures as the card defines; all buffers are reused for the next picture.
+pub(super) struct PicturePreprocessor {
+    geometry: Geometry,
+    normalisation: PixelNormalisation,
+}
+
+/// Conversion of a picture's bytes to numbers.
+struct PixelNormalisation {
+    format: PixelFormat,
+    layout: Layout,
+    /// For each channel of the tensor: the channel of the picture, and factor and offset for its bytes.
+    channels: Vec<Channel>,
+}
+
+#[derive(Clone, Copy)]
+struct Channel {
+    from: usize,
+    factor: f32,
+    offset: f32,
+}
+
+impl PicturePreprocessor {
+    pub(super) fn new(source: &PictureSource) -> Self {
+        Self { geometry: Geometry::new(source), normalisation: PixelNormalisation::new(source) }
+    }
+
+    /// Converts the picture in a part to the numbers of an input. Returns the relation between the two.
+    pub(super) fn preprocess(
+        &mut self,
+        part: &Part,
+        numbers: &mut Numbers,
+    ) -> Result<PictureTransform, InputError> {
+        let (picture, transform) = self.geometry.apply(part, self.normalisation.format)?;
+        for_elements!(numbers, elements => self.normalisation.apply(picture.pixels(), elements));
+        Ok(transform)
+    }
+}
+
+impl PixelNormalisation {
+    fn new(source: &PictureSource) -> Self {
+        let Normalisation { scale, mean, std } = &source.normalisation;
+        let count = mean.len();
+        let channel = |(to, (mean, std)): (usize, (&f64, &f64))| Channel {
+            from: if source.colour == Colour::Bgr { count - 1 - to } else { to },
+            // `(byte × scale − mean) / std` as one multiplication and one addition.
+            factor: (scale / std) as f32,
+            offset: (-mean / std) as f32,
+        };
+        Self {
+            format: if source.colour == Colour::Grey { PixelFormat::Grey8 } else { PixelFormat::Rgb8 },
+            layout: source.layout,
+            channels: mean.iter().zip(std).enumerate().map(channel).collect(),
+        }
+    }
+
+    /// Converts bytes of interleaved channels to normalised numbers: one pass for each channel (which the compiler
+    /// vectorises) or, if the layout stays interleaved, one pass over all.
+    fn apply<T: Element>(&self, pixels: &[u8], tensor: &mut [T]) {
+        let channels = &self.channels[..];
+        let count = channels.len();
+        match self.layout {
+            Layout::Nchw => {
+                let plane = tensor.len() / count;
+                for (numbers, channel) in tensor.chunks_exact_mut(plane).zip(channels) {
+                    for (number, pixel) in numbers.iter_mut().zip(pixels.chunks_exact(count)) {
+                        *number =
+                            T::from_f32(f32::from(pixel[channel.from]) * channel.factor + channel.offset);
+                    }
+                }
+            }
+            Layout::Nhwc => {
+                for (numbers, pixel) in tensor.chunks_exact_mut(count).zip(pixels.chunks_exact(count)) {
+                    for (number, channel) in numbers.iter_mut().zip(channels) {
+                        *number =
+                            T::from_f32(f32::from(pixel[channel.from]) * channel.factor + channel.offset);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_sample::{Description, Sample};
+
+    use super::super::card::Card;
+    use super::super::card::tests::{SMALL, changed};
+    use super::super::data_type::DataType;
+    use super::*;
+
+    fn pixels(format: PixelFormat, width: u32, height: u32, bytes: &'static [u8]) -> Part {
+        Sample::from_part(Description::pixels(format, width, height), bytes.into()).parts.swap_remove(0)
+    }
+
+    /// Converts a picture as a card defines.
+    fn convert(card: &Card, part: &Part) -> Result<Numbers, InputError> {
+        let input = &card.inputs[0];
+        let mut numbers = Numbers::zeros(input.data_type, input.count());
+        PicturePreprocessor::new(input.picture().expect("is one")).preprocess(part, &mut numbers)?;
+        Ok(numbers)
+    }
+
+    #[test]
+    fn numbers_are_scaled_and_normalised() {
+        let card = changed("", "").expect("is right");
+        let numbers = convert(&card, &pixels(PixelFormat::Grey8, 2, 1, &[10, 4])).expect("fits");
+        assert_eq!(numbers, Numbers::Float32(vec![(10.0 * 0.5 - 1.0) / 2.0, (4.0 * 0.5 - 1.0) / 2.0]));
+    }
+
+    #[test]
+    fn pixels_follow_layout_and_colour_of_card() {
+        let colour = |layout: &str, shape: &str, order: &str| {
+            let card = SMALL
+                .replace("layout = \"nchw\"", &format!("layout = \"{layout}\""))
+                .replace("shape = [1, 1, 1, 2]", &format!("shape = {shape}"))
+                .replace("colour = \"grey\"", &format!("colour = \"{order}\""))
+                .replace("scale = 0.5", "scale = 1.0")
+                .replace("mean = [1.0]", "mean = [0.0, 0.0, 0.0]")
+                .replace("std = [2.0]", "std = [1.0, 1.0, 1.0]");
+            let card = Card::parse(&card).expect("is right");
+            convert(&card, &pixels(PixelFormat::Rgb8, 2, 1, &[1, 2, 3, 4, 5, 6])).expect("fits")
+        };
+        let floats = |numbers: [f32; 6]| Numbers::Float32(numbers.into());
+        assert_eq!(colour("nchw", "[1, 3, 1, 2]", "rgb"), floats([1.0, 4.0, 2.0, 5.0, 3.0, 6.0]));
+        assert_eq!(colour("nchw", "[1, 3, 1, 2]", "bgr"), floats([3.0, 6.0, 2.0, 5.0, 1.0, 4.0]));
+        assert_eq!(colour("nhwc", "[1, 1, 2, 3]", "rgb"), floats([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]));
+        assert_eq!(colour("nhwc", "[1, 1, 2, 3]", "bgr"), floats([3.0, 2.0, 1.0, 6.0, 5.0, 4.0]));
+    }
+
+    #[test]
+    fn bytes_stay_as_they_are_without_normalisation() {
+        let card = SMALL
+            .replace("dtype = \"float32\"", "dtype = \"uint8\"")
+            .replace("scale = 0.5\nmean = [1.0]\nstd = [2.0]", "");
+        let card = Card::parse(&card).expect("is right");
+        let numbers = convert(&card, &pixels(PixelFormat::Grey8, 2, 1, &[0, 255])).expect("fits");
+        assert_eq!(numbers, Numbers::Uint8(vec![0, 255]));
+        // Quantised models: bytes less 128.
+        let signed = SMALL
+            .replace("dtype = \"float32\"", "dtype = \"int8\"")
+            .replace("scale = 0.5\nmean = [1.0]\nstd = [2.0]", "mean = [128.0]");
+        let numbers =
+            convert(&Card::parse(&signed).expect("is right"), &pixels(PixelFormat::Grey8, 2, 1, &[0, 255]));
+        assert_eq!(numbers.expect("fits"), Numbers::Int8(vec![-128, 127]));
+    }
+
+    #[test]
+    fn shortest_side_is_scaled_and_centre_cropped() {
+        let card = changed(
+            "resize = { mode = \"exact\", width = 2, height = 1 }",
+            "resize = { mode = \"shortest\", size = 2 }\ncrop = { width = 2, height = 1 }",
+        );
+        let wide = pixels(PixelFormat::Grey8, 8, 4, &[6; 32]);
+        let numbers = convert(&card.expect("is right"), &wide).expect("fits");
+        assert_eq!(numbers, Numbers::Float32(vec![1.0, 1.0]));
+    }
+
+    #[test]
+    fn wrong_size_without_resize_is_refused() {
+        let card = changed("resize = { mode = \"exact\", width = 2, height = 1 }", "").expect("is right");
+        assert!(convert(&card, &pixels(PixelFormat::Grey8, 2, 1, &[1, 2])).is_ok());
+        let error =
+            convert(&card, &pixels(PixelFormat::Grey8, 1, 1, &[1])).expect_err("is too small").to_string();
+        assert!(error.contains("1 × 1") && error.contains("2 × 1"), "{error}");
+        assert_eq!(card.inputs[0].data_type, DataType::Float32);
+    }
+}

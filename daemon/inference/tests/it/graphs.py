@@ -1,0 +1,282 @@
+#!/usr/bin/env python3
+"""Writes small ONNX models with their cards, and what numpy computes from their outputs.
+
+    graphs.py OUT
+
+Each model is a folder of OUT. Detectors have constant outputs, drawn at random; `expected.json` in their folders has the
+answer for a picture of PICTURE's size. The computation is written from the definitions of the layouts and shares nothing with
+the code under test.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from onnx import TensorProto, checker, helper, numpy_helper, save_model
+from PIL import Image
+
+PICTURE = (120, 80)  # width, height
+INPUT = (64, 64)
+LABELS = ["bolt", "nut", "washer"]
+SCORE, IOU, MOST = 0.3, 0.5, 20
+TYPES = {
+    "float16": TensorProto.FLOAT16, "float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE,
+    "int8": TensorProto.INT8, "int16": TensorProto.INT16, "int32": TensorProto.INT32, "int64": TensorProto.INT64,
+    "uint8": TensorProto.UINT8, "uint16": TensorProto.UINT16, "uint32": TensorProto.UINT32, "uint64": TensorProto.UINT64,
+    "bool": TensorProto.BOOL,
+}
+PREPROCESSING = """
+[preprocessing]
+resize = {{ mode = "letterbox", width = {0}, height = {1} }}
+scale = 0.00392156862745098
+mean = [0.1, 0.2, 0.3]
+std = [0.5, 1.0, 2.0]
+""".format(*INPUT)
+
+
+def value(name, dtype, shape):
+    return helper.make_tensor_value_info(name, TYPES[dtype], shape)
+
+
+def write(out, name, card, nodes, inputs, outputs, initialisers=()):
+    graph = helper.make_graph(nodes, name, inputs, outputs, [numpy_helper.from_array(a, n) for n, a in initialisers])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    checker.check_model(model)
+    folder = out / name
+    folder.mkdir(parents=True, exist_ok=True)
+    save_model(model, str(folder / "model.onnx"))
+    (folder / "model.toml").write_text(f'name = "{name}"\n{card}')
+    return folder
+
+
+def picture_input(width=INPUT[0], height=INPUT[1]):
+    return f'[input]\nname = "image"\ndtype = "float32"\nlayout = "nchw"\nshape = [1, 3, {height}, {width}]\ncolour = "rgb"\n'
+
+
+# --- detection --------------------------------------------------------------------------------------------------------
+
+
+def detector(out, name, outputs, lines, candidates, iou):
+    """A model with constant outputs, and the answer that `candidates` (class, score, left, top, right, bottom in pixels of the
+    input) lead to."""
+    names = list(outputs)
+    nodes = [helper.make_node("Identity", ["c_" + n], [n]) for n in names]
+    types = {code: name for name, code in TYPES.items()}
+    infos = [value(n, types[numpy_helper.from_array(a).data_type], a.shape) for n, a in outputs.items()]
+    labels = json.dumps(LABELS)
+    card = f'task = "detection"\n{picture_input()}{PREPROCESSING}[output]\nlabels = {labels}\n'
+    card += f"score_threshold = {SCORE}\nmax_detections = {MOST}\n{lines}\n"
+    if iou is not None:
+        card += f"iou_threshold = {iou}\n"
+    inputs = [value("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
+    constants = [("c_" + n, a) for n, a in outputs.items()]
+    folder = write(out, name, card, nodes, inputs, infos, constants)
+    found = to_picture(suppressed([c for c in candidates if c[1] > SCORE], iou))
+    (folder / "expected.json").write_text(json.dumps(found))
+
+
+def suppressed(candidates, iou):
+    left = sorted(candidates, key=lambda c: -c[1])
+    kept = []
+    while left and len(kept) < MOST:
+        best = left.pop(0)
+        kept.append(best)
+        if iou is not None:
+            boxes = np.array([c[2:] for c in left]).reshape(-1, 4)
+            low, high = np.maximum(boxes[:, :2], best[2:4]), np.minimum(boxes[:, 2:], best[4:6])
+            common = np.prod(np.clip(high - low, 0, None), axis=1)
+            areas = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)
+            area = (best[4] - best[2]) * (best[5] - best[3])
+            overlap = common / (areas + area - common)
+            left = [c for c, o in zip(left, overlap) if c[0] != best[0] or o <= iou]
+    return kept
+
+
+def letterbox():
+    """Size of the picture in the input, and its upper left corner there."""
+    factor = min(INPUT[0] / PICTURE[0], INPUT[1] / PICTURE[1])
+    size = [round(side * factor) for side in PICTURE]
+    return size, [(whole - part) // 2 for whole, part in zip(INPUT, size)]
+
+
+def to_picture(candidates):
+    size, corner = letterbox()
+    answer = []
+    for kind, score, *edges in candidates:
+        points = (np.array(edges).reshape(2, 2) - corner) * np.array(PICTURE) / size
+        points = np.clip(points, 0, PICTURE)
+        if (points[1] > points[0]).all():
+            answer.append({"label": LABELS[int(kind)], "score": float(score), "box": points.ravel().tolist()})
+    return answer
+
+
+def boxes(rng, count):
+    """Boxes [count, 4] as centre and size, around a few places so that many overlap."""
+    places = rng.uniform(10, 54, (6, 2))
+    centres = places[rng.integers(0, len(places), count)] + rng.normal(0, 2, (count, 2))
+    return np.concatenate([centres, rng.uniform(8, 30, (count, 2))], axis=1).astype(np.float32)
+
+
+def edges(b):
+    return np.concatenate([b[:, :2] - b[:, 2:] / 2, b[:, :2] + b[:, 2:] / 2], axis=1)
+
+
+def detectors(out):
+    rng = np.random.default_rng(11)
+    count = 150
+    b, scores = boxes(rng, count), rng.uniform(0, 1, (count, 3)).astype(np.float32)
+    kinds = scores.argmax(axis=1)
+    best = [(k, s[k], *e) for k, s, e in zip(kinds, scores, edges(b))]
+    rows = np.concatenate([b.T, scores.T])[None]
+    detector(out, "yolov8", {"output0": rows}, 'layout = "yolov8"\nname = "output0"', best, IOU)
+
+    half = rows.astype(np.float16)
+    h = half[0].astype(np.float32)
+    best_half = [(c[4:].argmax(), c[4:].max(), *e) for c, e in zip(h.T, edges(h[:4].T))]
+    detector(out, "yolov8-half", {"output0": half}, 'layout = "yolov8"\nname = "output0"', best_half, IOU)
+
+    objects = rng.normal(0, 2, count).astype(np.float32)
+    logits = rng.normal(0, 2, (count, 3)).astype(np.float32)
+    share = lambda x: 1 / (1 + np.exp(-x.astype(np.float64)))
+    raw = np.concatenate([b, objects[:, None], logits], axis=1)[None]
+    found = [(l.argmax(), share(o) * share(l).max(), *e) for o, l, e in zip(objects, logits, edges(b))]
+    detector(out, "yolov5", {"output": raw}, 'layout = "yolov5"\nname = "output"\nactivation = "sigmoid"', found, IOU)
+
+    top = np.concatenate([edges(b), scores.max(axis=1)[:, None], kinds[:, None].astype(np.float32)], axis=1)
+    top[-20:, 4:] = (0.0, -1.0)  # padding without a class
+    found = [(r[5], r[4], *r[:4]) for r in top[:-20]]
+    detector(out, "yolov10", {"output0": top[None].astype(np.float32)}, 'layout = "yolov10"\nname = "output0"', found, None)
+
+    queries = rng.normal(0, 2, (count, 4)).astype(np.float32)
+    shares = np.exp(queries.astype(np.float64))
+    shares /= shares.sum(axis=1, keepdims=True)
+    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(shares, edges(b))]
+    fractions = b / np.array([*INPUT, *INPUT], np.float32)
+    lines = 'layout = "detr"\nscores = "logits"\nboxes = "pred_boxes"\n'
+    both = {"logits": queries[None], "pred_boxes": fractions[None]}
+    detector(out, "detr", both, lines + 'activation = "softmax"', found, None)
+
+    pairs = [(k, share(l[k]), *e) for l, e in zip(logits, edges(b)) for k in range(3)]
+    both = {"logits": logits[None], "pred_boxes": fractions[None]}
+    detector(out, "rt-detr", both, lines + 'activation = "sigmoid"', pairs, None)
+
+    e = edges(b) / np.array([*INPUT, *INPUT])
+    separate = {
+        "boxes": e[:, [1, 0, 3, 2]].astype(np.float32)[None],
+        "scores": scores.max(axis=1)[None],
+        "classes": np.where(np.arange(count) < 100, kinds, 99).astype(np.int64)[None],
+        "count": np.array([[100]], np.int32),
+    }
+    lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"\ncount = "count"\n'
+    detector(out, "nms", separate, lines + 'box_format = "yxyx"\nbox_unit = "fraction"', best[:100], None)
+
+    plain = {"boxes": edges(b), "scores": scores.max(axis=1), "classes": kinds.astype(np.float32)}
+    lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"'
+    detector(out, "nms-plain", plain, lines, best, None)
+    plain["classes"] = kinds.astype(np.float32) + 1
+    detector(out, "nms-unknown-class", plain, lines, [], None)
+
+
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+def arrays(out):
+    for name in TYPES:
+        card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "{name}"\nshape = [3]\n'
+        card += f'[output]\nname = "y"\ndtype = "{name}"\nshape = [3]\n'
+        node = helper.make_node("Identity", ["x"], ["y"])
+        write(out, "identity-" + name, card, [node], [value("x", name, [3])], [value("y", name, [3])])
+
+    # action = 2 state + mean(front) + offset; done = action > 0.
+    card = """
+task = "tensors"
+[[input]]
+name = "front"
+dtype = "uint8"
+layout = "nhwc"
+shape = [1, 2, 2, 3]
+colour = "rgb"
+[[input]]
+name = "state"
+dtype = "float32"
+shape = [1, 2]
+[[input]]
+name = "offset"
+dtype = "int64"
+shape = [1, 2]
+value = [[10, -1000]]
+[preprocessing]
+[[output]]
+name = "action"
+dtype = "float32"
+shape = [1, 2]
+[[output]]
+name = "done"
+dtype = "bool"
+shape = [1, 2]
+"""
+    nodes = [
+        helper.make_node("Cast", ["front"], ["pixels"], to=TensorProto.FLOAT),
+        helper.make_node("ReduceMean", ["pixels"], ["mean"], keepdims=0),
+        helper.make_node("Cast", ["offset"], ["shift"], to=TensorProto.FLOAT),
+        helper.make_node("Add", ["state", "state"], ["double"]),
+        helper.make_node("Add", ["double", "mean"], ["sum"]),
+        helper.make_node("Add", ["sum", "shift"], ["action"]),
+        helper.make_node("Greater", ["action", "zero"], ["done"]),
+    ]
+    inputs = [value("front", "uint8", [1, 2, 2, 3]), value("state", "float32", [1, 2]), value("offset", "int64", [1, 2])]
+    outputs = [value("action", "float32", [1, 2]), value("done", "bool", [1, 2])]
+    write(out, "policy", card, nodes, inputs, outputs, [("zero", np.zeros(1, np.float32))])
+
+    # The root of a negative number is NaN; the zeros of the first run have one.
+    card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [3]\n'
+    card += '[output]\nname = "y"\ndtype = "float32"\nshape = [3]\n'
+    node = helper.make_node("Sqrt", ["x"], ["y"])
+    write(out, "root", card, [node], [value("x", "float32", [3])], [value("y", "float32", [3])])
+
+    card = f'task = "tensors"\n{picture_input()}{PREPROCESSING}'
+    card += f'[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3, {INPUT[1]}, {INPUT[0]}]\n'
+    shape = [1, 3, INPUT[1], INPUT[0]]
+    node = helper.make_node("Identity", ["image"], ["y"])
+    folder = write(out, "picture", card, [node], [value("image", "float32", shape)], [value("y", "float32", shape)])
+    rng = np.random.default_rng(5)
+    coarse = rng.integers(0, 256, (10, 15, 3), np.uint8)
+    picture = Image.fromarray(coarse).resize(PICTURE, Image.BICUBIC)
+    (folder / "picture.rgb").write_bytes(picture.tobytes())
+    size, (x, y) = letterbox()
+    canvas = np.full((INPUT[1], INPUT[0], 3), 114, np.float32)
+    canvas[y : y + size[1], x : x + size[0]] = np.asarray(picture.resize(size, Image.BILINEAR))
+    numbers = (canvas / 255 - np.array([0.1, 0.2, 0.3])) / np.array([0.5, 1.0, 2.0])
+    (folder / "expected.f32").write_bytes(numbers.transpose(2, 0, 1).astype("<f4").tobytes())
+
+
+# --- pictures to other answers ----------------------------------------------------------------------------------------
+
+
+def others(out):
+    shape = [1, 3, INPUT[1], INPUT[0]]
+    plain = PREPROCESSING.replace("mean = [0.1, 0.2, 0.3]", "mean = [0.0, 0.0, 0.0]").replace(
+        "std = [0.5, 1.0, 2.0]", "std = [1.0, 1.0, 1.0]")
+    # The strongest colour is the class.
+    card = f'task = "segmentation"\n{picture_input()}{plain}[output]\nname = "y"\nlabels = ["red", "green", "blue"]\n'
+    node = helper.make_node("Identity", ["image"], ["y"])
+    write(out, "segmentation", card, [node], [value("image", "float32", shape)], [value("y", "float32", shape)])
+    node = helper.make_node("ArgMax", ["image"], ["y"], axis=1, keepdims=0)
+    outputs = [value("y", "int64", [1, INPUT[1], INPUT[0]])]
+    write(out, "segmentation-classes", card, [node], [value("image", "float32", shape)], outputs)
+
+    card = f'task = "embedding"\n{picture_input()}{plain}[output]\nname = "y"\nnormalise = true\n'
+    node = helper.make_node("ReduceMean", ["image"], ["y"], axes=[2, 3], keepdims=0)
+    write(out, "embedding", card, [node], [value("image", "float32", shape)], [value("y", "float32", [1, 3])])
+
+
+def main():
+    out = Path(sys.argv[1])
+    detectors(out)
+    arrays(out)
+    others(out)
+
+
+if __name__ == "__main__":
+    main()

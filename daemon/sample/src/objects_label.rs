@@ -1,0 +1,83 @@
+//! Labels of a picture with objects: the expected answer of a detector.
+
+use serde::{Deserialize, Serialize};
+
+/// Expected answer of a detector, as the label of a sample in JSON:
+/// `{"objects": [{"label": "dented", "box": [12.5, 40, 81, 96.25]}, …], "width": 1280, "height": 960}`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectsLabel {
+    /// The objects in the picture; may be empty.
+    pub objects: Vec<LabelledObject>,
+    /// Width of the picture in which the boxes are, pixels. The sample's picture may have another size, in the same proportions.
+    pub width: u32,
+    /// Height of that picture, pixels.
+    pub height: u32,
+}
+
+/// An object in a picture, with its class and its place.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LabelledObject {
+    /// Class of the object.
+    pub label: String,
+    /// Left, top, right and bottom edge, pixels.
+    #[serde(rename = "box")]
+    pub edges: [f32; 4],
+}
+
+impl ObjectsLabel {
+    /// Reads the label of a sample. Returns `None` if it is another label, such as the name of a class.
+    pub fn parse(label: &str) -> Option<Self> {
+        let label: Self = label.starts_with('{').then(|| serde_json::from_str(label).ok())??;
+        let is_valid =
+            label.width > 0 && label.height > 0 && label.objects.iter().all(LabelledObject::is_valid);
+        is_valid.then_some(label)
+    }
+
+    /// Returns the text of the label.
+    pub fn format(&self) -> String {
+        // Texts and numbers always have a form in JSON.
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+impl LabelledObject {
+    /// Returns whether the edges are finite numbers in their order.
+    pub fn is_valid(&self) -> bool {
+        let [left, top, right, bottom] = self.edges;
+        self.edges.iter().all(|edge| edge.is_finite()) && left <= right && top <= bottom
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn objects_round_trip_as_label() {
+        let object = LabelledObject { label: "hole missing".to_owned(), edges: [1.5, 2.0, 30.0, 4.25] };
+        for objects in [vec![], vec![object.clone(), object]] {
+            let label = ObjectsLabel { objects, width: 40, height: 30 };
+            assert_eq!(ObjectsLabel::parse(&label.format()), Some(label));
+        }
+    }
+
+    #[test]
+    fn other_labels_are_no_objects() {
+        let with = |objects: &str| format!(r#"{{"objects": [{objects}], "width": 4, "height": 3}}"#);
+        assert!(ObjectsLabel::parse(&with(r#"{"label": "a", "box": [0, 0, 1, 1]}"#)).is_some());
+        for label in [
+            "good".to_owned(),
+            String::new(),
+            "{".to_owned(),
+            "{good}".to_owned(),
+            r#"[{"label": "a", "box": [0, 0, 1, 1]}]"#.to_owned(),
+            r#"{"objects": []}"#.to_owned(),
+            r#"{"objects": [], "width": 0, "height": 3}"#.to_owned(),
+            with(r#"{"label": "a", "box": [0, 0, 1]}"#),
+            with(r#"{"label": "a", "box": [2, 0, 1, 1]}"#),
+            with(r#"{"label": "a"}"#),
+        ] {
+            assert_eq!(ObjectsLabel::parse(&label), None, "{label}");
+        }
+    }
+}
