@@ -273,7 +273,7 @@ fn check_pipeline(
     }
     if pipeline.episode_steps.is_none() && pipeline.limit.episodes.is_some() {
         let text = "episodes needs episode_steps, the largest number of iterations of an episode; otherwise the run might never end";
-        report.add(format!("{at}.limit.episodes"), text);
+        report.add(format!("{prefix}.limit.episodes"), text);
     }
     let warm_up = &pipeline.warm_up;
     if pipeline.episode_steps.is_none() && (warm_up.episodes > 0 || warm_up.steps > 0) {

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use peernet_sample::Sample;
+use tokio_util::sync::CancellationToken;
 
 /// Receiver of one answer. A model may send it parts of the answer before the answer is complete, and stops computing
 /// when nobody waits for the answer any more.
@@ -15,8 +16,8 @@ pub trait Requester: Send + Sync {
     /// If the request was cancelled.
     fn send_part(&self, part: Sample) -> Result<(), Cancelled>;
 
-    /// Returns whether the request was cancelled: its time limit passed, or the other end is gone.
-    fn is_cancelled(&self) -> bool;
+    /// Returns the token that is cancelled when the time limit of the request passes or the other end is gone.
+    fn cancellation(&self) -> CancellationToken;
 
     /// Waits for `duration`.
     ///
@@ -39,8 +40,8 @@ impl Requester for PatientRequester {
         Ok(())
     }
 
-    fn is_cancelled(&self) -> bool {
-        false
+    fn cancellation(&self) -> CancellationToken {
+        CancellationToken::new()
     }
 
     fn wait(&self, duration: Duration) -> Result<(), Cancelled> {

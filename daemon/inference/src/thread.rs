@@ -45,7 +45,7 @@ impl WorkerSlot {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         // A request that was cancelled in the queue costs no computation.
-        if requester.is_cancelled() {
+        if requester.cancellation().is_cancelled() {
             return Err(InferenceError::Cancelled { model: self.name.to_string() });
         }
         let mut worker = match self.worker.take() {

@@ -5,12 +5,14 @@ use std::time::Duration;
 
 use peernet_inference::{Cancelled, Requester};
 use peernet_sample::Sample;
+use tokio_util::sync::CancellationToken;
 
 /// Requester on this host. It takes no parts of an answer, because actuators act on complete answers.
 #[derive(Debug, Default)]
 pub(super) struct LocalRequester {
     is_cancelled: Mutex<bool>,
     cancelled: Condvar,
+    cancellation: CancellationToken,
 }
 
 /// Cancels the request when it is dropped: after the timeout, or when the pipeline stops waiting.
@@ -21,16 +23,17 @@ impl Drop for CancelOnDrop {
     fn drop(&mut self) {
         *self.0.is_cancelled.lock().unwrap_or_else(PoisonError::into_inner) = true;
         self.0.cancelled.notify_all();
+        self.0.cancellation.cancel();
     }
 }
 
 impl Requester for LocalRequester {
     fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
-        if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
+        if self.cancellation.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    fn is_cancelled(&self) -> bool {
-        *self.is_cancelled.lock().unwrap_or_else(PoisonError::into_inner)
+    fn cancellation(&self) -> CancellationToken {
+        self.cancellation.clone()
     }
 
     fn wait(&self, duration: Duration) -> Result<(), Cancelled> {

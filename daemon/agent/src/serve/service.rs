@@ -7,6 +7,7 @@ use peernet_inference::{Bank, Cancelled, FinishedJob, Job, LoadError, Pool, Requ
 use peernet_logger::Slug;
 use peernet_networks::{Failure, IncomingRequest, PartSender, RequestCancelled, SessionHello};
 use peernet_sample::Sample;
+use tokio_util::sync::CancellationToken;
 
 use super::{ServeContext, failure_from_error};
 use crate::host::Host;
@@ -110,8 +111,8 @@ impl Requester for PeerRequester {
         self.0.send(&part).map_err(|RequestCancelled| Cancelled)
     }
 
-    fn is_cancelled(&self) -> bool {
-        self.0.is_cancelled()
+    fn cancellation(&self) -> CancellationToken {
+        self.0.cancellation()
     }
 
     fn wait(&self, duration: Duration) -> Result<(), Cancelled> {

@@ -171,12 +171,12 @@ impl ReplyAssembler {
             ("end", Role::Sensor) => return Ok(self.finish(ReplyOutcome::End)),
             ("reward", Role::Actuator) => {
                 let reward = rest.parse().ok().filter(|reward: &f64| reward.is_finite());
-                notes.reward = Some(reward.ok_or_else(|| wrong("reward NUMBER"))?);
+                notes.reward = Some(reward.ok_or_else(|| form_error("reward NUMBER"))?);
             }
             ("success", Role::Actuator) => match rest {
                 "0" => notes.success = Some(false),
                 "1" => notes.success = Some(true),
-                _ => return Err(wrong("success 0, or success 1")),
+                _ => return Err(form_error("success 0, or success 1")),
             },
             ("episode-ended", Role::Actuator) => notes.episode_ended = true,
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),

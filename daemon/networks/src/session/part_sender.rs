@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use peernet_clock::MonoTime;
 use peernet_sample::Sample;
+use tokio_util::sync::CancellationToken;
 
 use super::cloud::ListenerState;
 use super::incoming::RequestKey;
@@ -49,6 +50,11 @@ impl PartSender {
     /// ended.
     pub fn is_cancelled(&self) -> bool {
         self.control.is_cancelled()
+    }
+
+    /// Returns the token that is cancelled when the edge does not wait for the answer any more.
+    pub fn cancellation(&self) -> CancellationToken {
+        self.control.cancellation()
     }
 
     /// Waits for `duration`.

@@ -3,6 +3,8 @@
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use tokio_util::sync::CancellationToken;
+
 use crate::message::MAX_UNREAD_PARTS;
 
 /// Error: the edge does not wait for the answer any more.
@@ -15,6 +17,8 @@ pub struct RequestCancelled;
 pub(crate) struct RequestControl {
     state: Mutex<ControlState>,
     changed: Condvar,
+    /// Cancelled with the request, for models that wait in a task.
+    cancellation: CancellationToken,
 }
 
 #[derive(Debug, Default)]
@@ -35,6 +39,12 @@ impl RequestControl {
     pub(crate) fn cancel(&self) {
         self.state().is_cancelled = true;
         self.changed.notify_all();
+        self.cancellation.cancel();
+    }
+
+    /// Returns the token that is cancelled with the request.
+    pub(crate) fn cancellation(&self) -> CancellationToken {
+        self.cancellation.clone()
     }
 
     pub(crate) fn is_cancelled(&self) -> bool {

@@ -132,21 +132,21 @@ async fn episodes_of_different_lengths_have_borders() {
     let mut test_store = TestStore::new().await;
     // Lengths 7, 3, 12, 5, 1 and the rest.
     let begins = [1, 8, 11, 23, 28, 29];
-    stored(&mut test_store, 40, |iteration| {
+    store_run(&mut test_store, 40, |iteration| {
         let episode = begins.iter().rposition(|begin| *begin <= iteration.number).expect("after the first");
         (iteration.episode, iteration.step) = (episode as u32, (iteration.number - begins[episode]) as u32);
         true
     })
     .await;
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((known.count, known.steps, known.borders), (6, None, began([8, 11, 23, 28, 29])));
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!((episodes.count, episodes.steps, episodes.borders), (6, None, start_times([8, 11, 23, 28, 29])));
     let mut other = test_store.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 9")
         .execute(&mut other)
         .await
         .expect("deletes");
-    let known = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(known.borders, began([11, 23, 28, 29]), "the second episode has lost its beginning");
+    let episodes = test_store.store.episodes(1).await.expect("answers");
+    assert_eq!(episodes.borders, start_times([11, 23, 28, 29]), "the second episode has lost its beginning");
 }
 
 #[tokio::test]

@@ -18,7 +18,7 @@ use peernet_statistics::SplitMix64;
 use serde::{Deserialize, Serialize};
 
 use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
-use crate::{InferenceError, LoadError, Model, UNKNOWN_LABEL, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, UNKNOWN_LABEL, Worker};
 use data_file::{data_file, read_latencies};
 use latency::{LatencyDistribution, check_ms};
 
@@ -93,6 +93,7 @@ impl ModelKind for DistributionConfig {
         });
         let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };
         Ok(Arc::new(Distribution {
+            name: shared.name.to_string(),
             source: Arc::new(source),
             inner,
             device: shared.device.clone(),
@@ -168,6 +169,7 @@ impl LatencySource {
 
 /// Model that takes the time drawn from a distribution.
 struct Distribution {
+    name: String,
     source: Arc<LatencySource>,
     inner: Option<Arc<dyn Model>>,
     device: String,
@@ -178,7 +180,7 @@ struct Distribution {
 impl Model for Distribution {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let inner = self.inner.as_ref().map(|inner| inner.create_worker()).transpose()?;
-        Ok(Box::new(DistributionWorker { source: Arc::clone(&self.source), inner }))
+        Ok(Box::new(DistributionWorker { name: self.name.clone(), source: Arc::clone(&self.source), inner }))
     }
 
     fn device(&self) -> String {
@@ -202,12 +204,18 @@ impl Model for Distribution {
 }
 
 struct DistributionWorker {
+    name: String,
     source: Arc<LatencySource>,
     inner: Option<Box<dyn Worker>>,
 }
 
 impl Worker for DistributionWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let drawn = self.source.next();
         let started_at = recorder.clock().mono();
         let mut inference = recorder.time(stage::INFERENCE);
@@ -216,14 +224,16 @@ impl Worker for DistributionWorker {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             Some(inner) => {
                 // Its stages are below a node of their own, so that they do not count as stages of the iteration.
-                let answer = inner.infer(sample, &mut inference.time(INNER_MODEL))?;
+                let answer = inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?;
                 let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
                 inference.value(OVERRUN, overrun.seconds(), Unit::SECONDS);
                 answer
             }
         };
         let remaining = started_at + drawn - inference.clock().mono();
-        std::thread::sleep(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)));
+        requester
+            .wait(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)))
+            .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &UNKNOWN_LABEL]).is_some() {
             // The edge looks for it below the root.

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
 use peernet_logger::{Recorder, stage};
 use peernet_sample::{Description, MediaType, Part, Sample};
 use serde::Serialize;
@@ -9,7 +10,7 @@ use tokio::runtime::Runtime;
 
 use super::answer::StreamedAnswer;
 use super::{Openai, nodes, request};
-use crate::{InferenceError, Worker};
+use crate::{Cancelled, InferenceError, Requester, Worker};
 
 /// Thread's state: the runtime that waits for the server.
 pub(super) struct OpenaiWorker {
@@ -34,7 +35,12 @@ impl OpenaiWorker {
 }
 
 impl Worker for OpenaiWorker {
-    fn infer(&mut self, sample: &Sample, recorder: &mut Recorder) -> Result<Sample, InferenceError> {
+    fn infer(
+        &mut self,
+        sample: &Sample,
+        recorder: &mut Recorder,
+        requester: &dyn Requester,
+    ) -> Result<Sample, InferenceError> {
         let Openai { name, config, server, clock, .. } = &*self.model;
         let body = {
             let _preprocessing = recorder.time(stage::PREPROCESSING);
@@ -45,13 +51,21 @@ impl Worker for OpenaiWorker {
         };
         let mut inference = recorder.time(stage::INFERENCE);
         let mut answer = StreamedAnswer::new(clock.mono());
-        // The text is passed on as a whole; a worker that answers in parts would pass each text on here.
         let limits = config.time_limits();
-        let request = server.complete(body, &limits, clock, &mut answer, |_text| ());
-        let result = self.runtime.block_on(request);
+        // While the requester has too many unread parts, this thread waits and reads nothing from the server.
+        let send_text = |text: &str| {
+            if let Err(Cancelled) = requester.send_part(text_part(text)) {
+                tracing::debug!(model = name, "the request was cancelled; the rest of the text is not sent");
+            }
+        };
+        let request = server.complete(body, &limits, clock, &mut answer, send_text);
+        let cancellation = requester.cancellation();
+        // Dropping the request closes the connection, so that the server stops computing.
+        let result = self.runtime.block_on(cancellation.run_until_cancelled(request));
         // What is known of a failed answer is recorded, too.
         nodes::record(&answer, &mut inference);
         drop(inference);
+        let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;
         result.map_err(|error| InferenceError::Failed {
             model: name.clone(),
             reason: error.without_secret(server.secret()).to_string(),
@@ -59,6 +73,11 @@ impl Worker for OpenaiWorker {
         let _postprocessing = recorder.time(stage::POSTPROCESSING);
         Ok(into_sample(answer))
     }
+}
+
+/// Returns a part of an answer: a text.
+fn text_part(text: &str) -> Sample {
+    Sample::from_part(Description::unshaped(MediaType::Text), Bytes::copy_from_slice(text.as_bytes()))
 }
 
 /// Returns the answer as a sample: the text, and its details as JSON.
