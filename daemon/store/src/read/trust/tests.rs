@@ -113,6 +113,15 @@ fn restarted_process_is_reported() {
 }
 
 #[test]
+fn replayed_latencies_and_overrun_are_collected() {
+    let mut run = detail("", "finished");
+    run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
+    let statistics = RunStatistics { stages: vec![node("overrun", 300, 0.002)], ..RunStatistics::default() };
+    let input = collect(&run, &statistics, &[]);
+    assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
+}
+
+#[test]
 fn labels_outside_models_classes_are_reported() {
     let mut run = detail("", "finished");
     run.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
