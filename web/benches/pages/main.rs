@@ -31,7 +31,8 @@ const SMALL_NODES: u64 = 1_000_000;
 #[tokio::main]
 async fn main() {
     let mut arguments = std::env::args().skip(1).filter(|argument| argument != "--bench");
-    let nodes: u64 = arguments.next().map_or(SMALL_NODES * 100, |word| word.parse().expect("a number of nodes"));
+    let nodes: u64 =
+        arguments.next().map_or(SMALL_NODES * 100, |word| word.parse().expect("a number of nodes"));
     let scratch = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
     let folder = arguments.next().map_or_else(|| scratch.path().to_owned(), PathBuf::from);
     std::fs::create_dir_all(&folder).expect("a folder");

@@ -71,11 +71,17 @@ async fn addresses(router: &Router) -> Vec<(String, String)> {
         ("API: run", format!("/api/v1/runs/{run}")),
         ("API: stages", format!("/api/v1/runs/{run}/stages")),
         ("API: histogram", format!("/api/v1/runs/{run}/histogram?stage=upload")),
-        ("API: series of five nodes, 2,000 points", format!("/api/v1/runs/{run}/series?stages={names}&points=2000")),
+        (
+            "API: series of five nodes, 2,000 points",
+            format!("/api/v1/runs/{run}/series?stages={names}&points=2000"),
+        ),
         ("API: trust", format!("/api/v1/runs/{run}/trust")),
         ("API: compare, experiment", format!("/api/v1/compare?experiment={experiment}")),
         ("API: first 1,000 iterations", format!("/api/v1/runs/{run}/iterations?limit=1000")),
-        ("API: last 100 iterations", format!("/api/v1/runs/{run}/iterations?after={}", last.saturating_sub(100))),
+        (
+            "API: last 100 iterations",
+            format!("/api/v1/runs/{run}/iterations?after={}", last.saturating_sub(100)),
+        ),
         (
             "API: 100 iterations without an answer",
             format!("/api/v1/runs/{run}/iterations?after={middle}&unsuccessful=true"),

@@ -128,8 +128,11 @@ impl CloudLink {
     ) {
         let epochs = observation.map(|found| (Some(found.edge_epoch), found.cloud_epoch));
         let (edge, cloud) = epochs.unwrap_or_default();
-        let crossings = Crossing::in_tree(tree, up, (edge, cloud))
-            .zip(Crossing::in_tree(tree, first_part, (cloud, edge)));
+        let crossings = Crossing::in_tree(tree, up, (edge, cloud)).zip(Crossing::in_tree(
+            tree,
+            first_part,
+            (cloud, edge),
+        ));
         let Some((up, down)) = crossings else { return };
         let [_, delay] = self.judge_stamps(&up, Some(&down));
         if let Some(Measure::Transit(transit)) = tree.measure_mut(first_part) {

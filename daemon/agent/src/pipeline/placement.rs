@@ -318,7 +318,8 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
     });
     let requester = Arc::<LocalRequester>::default();
     let _cancel = CancelOnDrop(Arc::clone(&requester));
-    if let Err(refused) = pool.submit(Job { sample: sample.clone(), recorder: log, received, requester, reply })
+    if let Err(refused) =
+        pool.submit(Job { sample: sample.clone(), recorder: log, received, requester, reply })
     {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
         return Computed { log: refused.job.recorder, result, transport: None };

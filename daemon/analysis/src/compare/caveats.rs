@@ -54,7 +54,8 @@ fn replayed(runs: &[Loaded], lines: &[Line]) -> Option<String> {
         Some(with_name(&line.name(), distribution))
     };
     let descriptions: Vec<String> = lines.iter().filter_map(describe).collect();
-    (!descriptions.is_empty()).then(|| format!("Replayed latencies, not measured: {}.", descriptions.join("; ")))
+    (!descriptions.is_empty())
+        .then(|| format!("Replayed latencies, not measured: {}.", descriptions.join("; ")))
 }
 
 /// Returns a description of the missing numbers of each latency of a line.

@@ -46,7 +46,6 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         );
         return Ok(());
     };
-    let mut failed = 0;
     let all = input.samples.len() as u64;
     let is_single = all == 1;
     let mut failed = 0;

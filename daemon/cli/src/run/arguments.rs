@@ -99,7 +99,8 @@ impl RunSelection {
             Self::Number(number) if (1..=plan.runs.len()).contains(number) => None,
             Self::Number(number) => Some(format!("there is no run {number}; there are {}", plan.runs.len())),
             Self::Label(axis, label) => {
-                let all_labels = || plan.configurations.iter().flat_map(|configuration| &configuration.labels);
+                let all_labels =
+                    || plan.configurations.iter().flat_map(|configuration| &configuration.labels);
                 let mut labels: Vec<&str> = Vec::new();
                 for (_, label) in all_labels().filter(|(name, _)| name == axis) {
                     if !labels.contains(&label.as_str()) {

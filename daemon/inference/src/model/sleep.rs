@@ -112,7 +112,9 @@ impl Worker for SleepWorker {
     ) -> Result<Sample, InferenceError> {
         for (name, duration) in &self.stages {
             let _stage = recorder.time(name.clone());
-            requester.wait(*duration).map_err(|_| InferenceError::Cancelled { model: self.name.to_string() })?;
+            requester
+                .wait(*duration)
+                .map_err(|_| InferenceError::Cancelled { model: self.name.to_string() })?;
         }
         Ok(Sample::from_part(Description::bytes(), Bytes::new()))
     }

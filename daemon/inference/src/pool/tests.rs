@@ -7,8 +7,8 @@ use peernet_logger::{HostId, Recorder, stage};
 use peernet_sample::{Description, Sample};
 
 use super::*;
-use crate::{Requester, Worker};
 use crate::model::echo::{Echo, EchoConfig};
+use crate::{Requester, Worker};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 

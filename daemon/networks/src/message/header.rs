@@ -246,7 +246,9 @@ impl Header {
         let mut wire = Vec::with_capacity(256);
         let written = match self {
             // Field names would take most of the bytes of these frequent messages.
-            Self::Request(_) | Self::Reply(_) | Self::PartialReply(_) => rmp_serde::encode::write(&mut wire, self),
+            Self::Request(_) | Self::Reply(_) | Self::PartialReply(_) => {
+                rmp_serde::encode::write(&mut wire, self)
+            }
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
         written.map_err(|error| HeaderError::NotEncodable(error.to_string()))?;

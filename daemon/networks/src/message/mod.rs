@@ -38,11 +38,11 @@ pub(crate) use header::{
     Open, Outcome, PartialReply, PartsRead, RefusalKind, Refused, Reply, Request, SampleHeader,
     StatisticsReport, UnknownSession,
 };
-pub(crate) use hello::{PARTIAL_REPLIES_SINCE, STATISTICS_SINCE};
 pub use hello::{
     MAX_CONDITIONS, PeerClock, RAW_STAMPS_SINCE, RawClock, SESSION_VERSIONS, SessionAccepted, SessionHello,
     SessionId,
 };
+pub(crate) use hello::{PARTIAL_REPLIES_SINCE, STATISTICS_SINCE};
 pub use probe_key::ProbeKey;
 pub(crate) use tree::{
     TreeFrameError, add_upload, decode_tree, decode_tree_delta, encode_tree, encode_tree_delta,

@@ -11,9 +11,9 @@ use peernet_stream::{
 use proptest::prelude::*;
 
 use super::{
-    Accepted, Cancel, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PeerClock, ProbeKey,
-    PartialReply, PartsRead, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader, SessionAccepted, SessionHello, SessionId,
-    StatisticsReport, UnknownSession,
+    Accepted, Cancel, ClockSocketName, ClockUpdate, Departure, Goodbye, Header, Open, Outcome, PartialReply,
+    PartsRead, PeerClock, ProbeKey, RawClock, RefusalKind, Refused, Reply, Request, SampleHeader,
+    SessionAccepted, SessionHello, SessionId, StatisticsReport, UnknownSession,
 };
 
 fn slug() -> impl Strategy<Value = Slug> {

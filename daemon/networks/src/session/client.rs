@@ -145,7 +145,9 @@ impl<W> ClientSession<W> {
             Header::PartialReply(part) if part.request >= self.next_request => {
                 CloudMessage::Malformed("a part of an answer to a request that was never sent")
             }
-            Header::PartialReply(part) if self.waiters.contains_key(&part.request) => CloudMessage::Part(part),
+            Header::PartialReply(part) if self.waiters.contains_key(&part.request) => {
+                CloudMessage::Part(part)
+            }
             Header::PartialReply(_) => CloudMessage::LatePart,
             Header::Clock(update) if update.session == self.session => CloudMessage::Clock(update.clock),
             Header::Clock(_) => CloudMessage::Malformed("the clock of another session"),
@@ -167,9 +169,7 @@ impl<W> ClientSession<W> {
             | Header::Refused(_)
             | Header::Request(_)
             | Header::PartsRead(_)
-            | Header::Cancel(_) => {
-                CloudMessage::Malformed("a message that an open session never receives")
-            }
+            | Header::Cancel(_) => CloudMessage::Malformed("a message that an open session never receives"),
         }
     }
 

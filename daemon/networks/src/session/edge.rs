@@ -10,7 +10,9 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{Absorbed, ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result};
+use super::exchange::{
+    Absorbed, ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result,
+};
 use super::open::{OpenError, OpenedSession, handshake};
 use super::parts::PartHandler;
 use super::receiving::ReceivingTask;

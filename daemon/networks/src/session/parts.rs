@@ -107,8 +107,10 @@ mod tests {
         };
         let mut parts = ArrivedParts::default();
         // Every second part is lost.
-        let acknowledged: Vec<u32> =
-            (0..MAX_UNREAD_PARTS).step_by(2).filter_map(|number| parts.add(number, departure, arrived)).collect();
+        let acknowledged: Vec<u32> = (0..MAX_UNREAD_PARTS)
+            .step_by(2)
+            .filter_map(|number| parts.add(number, departure, arrived))
+            .collect();
         assert_eq!(acknowledged, [17, 33, 49]);
         assert_eq!(parts.count, MAX_UNREAD_PARTS / 2);
     }

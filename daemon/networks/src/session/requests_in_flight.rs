@@ -97,11 +97,7 @@ impl RequestsInFlight {
 
     /// Adds a part of an answer. Returns the handler of the parts, and the number of parts to acknowledge if it is time
     /// to.
-    pub(super) fn add_part(
-        &self,
-        part: &PartialReply,
-        arrived: Stamp,
-    ) -> (Option<PartHandler>, Option<u32>) {
+    pub(super) fn add_part(&self, part: &PartialReply, arrived: Stamp) -> (Option<PartHandler>, Option<u32>) {
         let mut client = self.client();
         let Some(waiter) = client.waiter_mut(part.request) else { return (None, None) };
         let acknowledged = waiter.parts.add(part.part, part.departure, arrived);

@@ -9,7 +9,8 @@ use super::request_control::RequestControl;
 use crate::SessionSettings;
 use crate::message::{
     Accepted, Cancel, ClockUpdate, Goodbye, Header, Open, Outcome, PARTIAL_REPLIES_SINCE, PartsRead,
-    PeerClock, RefusalKind, Refused, Reply, Request, SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted, SessionHello, SessionId, UnknownSession,
+    PeerClock, RefusalKind, Refused, Reply, Request, SESSION_VERSIONS, STATISTICS_SINCE, SessionAccepted,
+    SessionHello, SessionId, UnknownSession,
 };
 use crate::statistics::Counters;
 use crate::transport::{AddressGroup, ConnectionId, Peer};

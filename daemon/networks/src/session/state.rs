@@ -12,8 +12,8 @@ use super::parts::PartHandler;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};
 use crate::message::{
-    Cancel, Departure, Header, HeaderError, PARTIAL_REPLIES_SINCE, PeerClock, RAW_STAMPS_SINCE, Request, SampleHeader, SessionId,
-    TreeFrameError, add_upload, encode_tree,
+    Cancel, Departure, Header, HeaderError, PARTIAL_REPLIES_SINCE, PeerClock, RAW_STAMPS_SINCE, Request,
+    SampleHeader, SessionId, TreeFrameError, add_upload, encode_tree,
 };
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{EdgeSender, SendFailure, SendOptions};
@@ -149,8 +149,7 @@ impl SessionState {
         let departed = DepartedRequest { upload: add_upload(recorder.tree_mut(), departure), stamp, epoch };
         // From here on an early return drops `pending`, which cancels the request.
         let sizes = Sizes::default();
-        let mut pending =
-            PendingRequest { state: self, request, is_sent: false, departed, sizes, answer };
+        let mut pending = PendingRequest { state: self, request, is_sent: false, departed, sizes, answer };
         let header = Header::Request(Request {
             session: self.terms.session,
             request,

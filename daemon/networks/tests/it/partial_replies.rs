@@ -7,8 +7,8 @@ use peernet_networks::{FIRST_PART, FIRST_PART_DOWNLOAD, PARTS, PartHandler, Requ
 use peernet_stream::{Release, VersionRange};
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings, text,
-    within,
+    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings,
+    text, within,
 };
 
 over_every_network!(
@@ -40,9 +40,7 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     let (handler, texts) = collector();
     let pending = tokio::spawn({
         let session = session.clone();
-        async move {
-            session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await
-        }
+        async move { session.request_in_parts(recorder(), &sample("count"), TIME_LIMIT, Some(handler)).await }
     });
     let incoming = cloud.next_request().await;
     let parts = incoming.parts.clone();
@@ -71,7 +69,10 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     assert_eq!(exchange.first_part, Some(download));
     let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
     let received = transit.received.expect("has arrived");
-    assert!(received >= transit.sent && transit.raw_stamps.is_some(), "both ends read one clock: {transit:?}");
+    assert!(
+        received >= transit.sent && transit.raw_stamps.is_some(),
+        "both ends read one clock: {transit:?}"
+    );
     let last = tree.get(exchange.download.expect("answered")).expect("in the tree");
     let Measure::Transit(last) = &last.measure else { panic!("{last:?}") };
     assert!(transit.sent < last.sent, "the first part leaves before the whole answer");

@@ -9,8 +9,8 @@ use peernet_sample::{Description, Part, Sample};
 use peernet_stream::{Release, VersionRange};
 
 use crate::support::{
-    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings, text,
-    unused_address, within,
+    Cloud, TIME_LIMIT, TestNetwork, clock, echo, over_every_network, recorder, request, sample, settings,
+    text, unused_address, within,
 };
 
 over_every_network!(

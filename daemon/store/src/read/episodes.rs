@@ -78,8 +78,11 @@ async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i6
     let mut ends: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
     while ends.iter().any(|(before, at)| before + 1 < *at) {
         let middles: Vec<i64> = ends.iter().map(|(before, at)| before + (at - before) / 2).collect();
-        let known: HashMap<i64, u32> =
-            rows_by_number(readers, run, &middles).await?.into_iter().map(|row| (row.number, row.episode)).collect();
+        let known: HashMap<i64, u32> = rows_by_number(readers, run, &middles)
+            .await?
+            .into_iter()
+            .map(|row| (row.number, row.episode))
+            .collect();
         for (episode, ((before, at), middle)) in (1..).zip(ends.iter_mut().zip(middles)) {
             let has_begun = known.get(&middle).is_some_and(|known| *known >= episode);
             if has_begun { *at = middle } else { *before = (*before).max(middle) }

@@ -139,7 +139,10 @@ async fn episodes_of_different_lengths_have_borders() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((episodes.count, episodes.steps, episodes.borders), (6, None, start_times([8, 11, 23, 28, 29])));
+    assert_eq!(
+        (episodes.count, episodes.steps, episodes.borders),
+        (6, None, start_times([8, 11, 23, 28, 29]))
+    );
     let mut other = test_store.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 9")
         .execute(&mut other)

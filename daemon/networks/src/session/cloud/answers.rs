@@ -9,7 +9,8 @@ use peernet_sample::Sample;
 use tokio::sync::Notify;
 
 use crate::message::{
-    Departure, Header, HeaderError, Outcome, PartialReply, RAW_STAMPS_SINCE, Reply, SampleHeader, encode_tree_delta,
+    Departure, Header, HeaderError, Outcome, PartialReply, RAW_STAMPS_SINCE, Reply, SampleHeader,
+    encode_tree_delta,
 };
 use crate::session::incoming::{Failure, RequestKey};
 use crate::session::server::Route;

@@ -195,7 +195,8 @@ fn iterations_without_valid_length_are_counted() {
         *length = [1e308, -5.0, 0.0, 1e-320, 1e300, 3.0, -1e308][n % 7];
     }
     let one = comparison(vec![talking(0, "tokens", &points)]);
-    let counted: Vec<(f64, f64)> = points.iter().copied().filter(|(length, _)| is_included(*length)).collect();
+    let counted: Vec<(f64, f64)> =
+        points.iter().copied().filter(|(length, _)| is_included(*length)).collect();
     assert_eq!(counted.len(), 168);
     let found = lengths(&one, &with(counted.clone(), true)).expect("lengths");
     let sentences = &found.rows[0].sentences;
