@@ -58,6 +58,8 @@ cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 put 755 usr/share/peernet models/export_torchvision.py
 put 644 usr/share/peernet/models/quality-control models/quality-control/model.onnx models/quality-control/model.toml
 put 644 usr/share/peernet/models/quality-control/pictures models/quality-control/pictures/*
+put 644 usr/share/peernet/models/defect-detector models/defect-detector/model.onnx models/defect-detector/model.toml
+put 644 usr/share/peernet/models/defect-detector/pictures models/defect-detector/pictures/*
 
 doc=usr/share/doc/peernet
 put 644 $doc README.md CHANGELOG.md

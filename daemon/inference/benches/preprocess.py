@@ -2,6 +2,8 @@
 """The work of preprocess.rs with Pillow, numpy and, where installed, Python's onnxruntime.
 
     preprocess.py MODEL_FOLDER PICTURE [ROUNDS]
+
+Cards with one of the resizes `exact` and `letterbox`; the boxes of a detector of layout `yolov8` are read and suppressed with numpy.
 """
 
 import io
@@ -12,6 +14,39 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+
+def resized(image, resize):
+    return np.asarray(image.resize((resize["width"], resize["height"]), Image.BILINEAR))
+
+
+def letterboxed(image, resize):
+    wide, high = resize["width"], resize["height"]
+    factor = min(wide / image.width, high / image.height)
+    width, height = round(image.width * factor), round(image.height * factor)
+    canvas = np.full((high, wide, 3), resize.get("fill", 114), np.uint8)
+    x, y = (wide - width) // 2, (high - height) // 2
+    canvas[y : y + height, x : x + width] = np.asarray(image.resize((width, height), Image.BILINEAR))
+    return canvas
+
+
+def boxes(rows, output):
+    """Boxes, classes and scores of an output [4 + classes, n]; overlapping boxes of one class are suppressed."""
+    kinds, scores = rows[4:].argmax(axis=0), rows[4:].max(axis=0)
+    chosen = np.flatnonzero(scores > output.get("score_threshold", 0.25))
+    chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
+    centres, halves = rows[:2, chosen].T, rows[2:4, chosen].T / 2
+    edges, kinds, scores = np.concatenate([centres - halves, centres + halves], axis=1), kinds[chosen], scores[chosen]
+    areas = np.prod(edges[:, 2:] - edges[:, :2], axis=1)
+    kept, left = [], np.arange(len(chosen))
+    while len(left) and len(kept) < output.get("max_detections", 100):
+        best, left = left[0], left[1:]
+        kept.append(best)
+        sides = np.minimum(edges[left, 2:], edges[best, 2:]) - np.maximum(edges[left, :2], edges[best, :2])
+        common = np.prod(np.clip(sides, 0, None), axis=1)
+        overlaps = common / (areas[left] + areas[best] - common)
+        left = left[(kinds[left] != kinds[best]) | (overlaps <= output.get("iou_threshold", 0.45))]
+    return edges[kept], kinds[kept], scores[kept]
 
 
 def main():
@@ -26,8 +61,8 @@ def main():
 
     def preprocess():
         image = Image.open(io.BytesIO(file)).convert("RGB")
-        image = image.resize((resize["width"], resize["height"]), Image.BILINEAR)
-        values = (np.asarray(image).astype(np.float32) * scale - mean) / std
+        pixels = letterboxed(image, resize) if resize["mode"] == "letterbox" else resized(image, resize)
+        values = (pixels.astype(np.float32) * scale - mean) / std
         return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
 
     try:
@@ -45,16 +80,23 @@ def main():
         def infer(values):
             return session.run(None, {name: values})
 
+    output = card["output"]
+    is_detector = card["task"] == "detection" and output["layout"] == "yolov8"
+
     # One after the other, as an agent does, so that both programs' caches are as warm.
-    taken = {"preprocessing": [], "inference": []}
+    taken = {"preprocessing": [], "inference": [], "postprocessing": []}
     for _ in range(rounds + 1):
         begin = time.perf_counter()
         values = preprocess()
         middle = time.perf_counter()
         taken["preprocessing"].append(middle - begin)
         if infer:
-            infer(values)
-            taken["inference"].append(time.perf_counter() - middle)
+            outputs = infer(values)
+            end = time.perf_counter()
+            taken["inference"].append(end - middle)
+            if is_detector:
+                boxes(outputs[0][0], output)
+                taken["postprocessing"].append(time.perf_counter() - end)
     print(f"{'':<16}{'min':>10}{'median':>10}   ms, {rounds} rounds")
     for stage, times in taken.items():
         if times:

@@ -39,7 +39,7 @@ fn main() {
         let job = Job::for_whole_answer(sample.clone(), recorder, clock.mono(), reply);
         pool.submit(job).expect("the queue is empty");
         let FinishedJob { recorder, result } = receiver.recv().expect("is answered");
-        result.expect("the picture is classified");
+        result.expect("the picture is answered");
         let tree = recorder.finish();
         for (stage, times) in STAGES.iter().zip(&mut taken) {
             times.extend(tree.find(&[stage]).and_then(|(_, node)| node.measure.value()));
