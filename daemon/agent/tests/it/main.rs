@@ -16,6 +16,7 @@ mod outage;
 mod outbox;
 mod remote;
 mod replayed;
+mod streaming;
 mod spool;
 mod stopping;
 mod superseded;

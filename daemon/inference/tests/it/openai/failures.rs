@@ -126,9 +126,9 @@ fn too_long_answer_is_refused() {
 
 #[test]
 fn key_in_answer_of_server_is_hidden() {
-    let key = env!("CARGO_PKG_NAME");
+    let key = &some_variable();
     let refused = whole("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
-    let (reason, _) = failure(refused, "api_key_env = 'CARGO_PKG_NAME'");
+    let (reason, _) = failure(refused, "api_key_env = 'PATH'");
     assert_eq!(reason, "its server answered with HTTP status 401 Unauthorized: wrong key ***");
 }
 

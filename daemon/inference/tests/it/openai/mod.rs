@@ -42,6 +42,11 @@ fn parts(answer: &Sample) -> (&str, serde_json::Value) {
     (text, serde_json::from_slice(&details.bytes).expect("is JSON"))
 }
 
+/// Returns the value of the variable `PATH`, which is set for every test and serves as a key.
+fn some_variable() -> String {
+    std::env::var("PATH").expect("is set")
+}
+
 #[test]
 fn answer_has_text_times_and_token_counts() {
     let role = json!({ "choices": [{ "delta": { "role": "assistant", "content": "" } }] }).to_string();
@@ -91,9 +96,8 @@ fn answer_has_text_times_and_token_counts() {
 fn request_has_configured_fields_and_key() {
     let answer = vec![head(), content("yes"), finish("length"), done()];
     let server = ScriptedServer::start(vec![answer.clone(), answer]);
-    // A variable that is set for every test; its value serves as the key.
-    let key = env!("CARGO_PKG_NAME");
-    let more = "api_key_env = 'CARGO_PKG_NAME'\nprompt = 'Is it open?'\ndevice = 'cuda:0'\n\
+    let key = &some_variable();
+    let more = "api_key_env = 'PATH'\nprompt = 'Is it open?'\ndevice = 'cuda:0'\n\
                 parameters = { max_tokens = 3, temperature = 0.0 }";
     let bank = bank(&[&model(&server, more)]);
     let pool = loaded(&bank, "vlm");
@@ -112,7 +116,8 @@ fn request_has_configured_fields_and_key() {
     assert_eq!(value(&finished.recorder.finish(), "finish-reason-length"), Some(1.0));
     let request = server.request();
     assert!(request.head.starts_with("post /v1/chat/completions http/1.1\r\n"), "{}", request.head);
-    assert!(request.head.contains(&format!("authorization: bearer {key}\r\n")), "{}", request.head);
+    let header = format!("authorization: bearer {}\r\n", key.to_lowercase());
+    assert!(request.head.contains(&header), "{}", request.head);
     let content = json!([
         { "type": "text", "text": "Is it open?" },
         { "type": "image_url", "image_url": { "url": "data:image/jpeg;base64,/9g=" } },

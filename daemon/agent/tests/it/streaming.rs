@@ -1,0 +1,135 @@
+//! Tests of a language model on a cloud, whose answer reaches the edge in parts.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::thread;
+
+use peernet_clock::{DelaySource, Verdict};
+use peernet_logger::Measure;
+use peernet_stream::Outcome;
+
+use crate::harness::{Aggregator, TestAgent, value};
+
+/// Number of chunks of an answer.
+const CHUNKS: usize = 5;
+
+/// Reads a request to its end. Returns `None` if the client has closed the connection.
+fn read_request(stream: &mut BufReader<TcpStream>) -> Option<String> {
+    let (mut first, mut length) = (String::new(), 0);
+    loop {
+        let mut line = String::new();
+        if stream.read_line(&mut line).ok()? == 0 {
+            return None;
+        }
+        if first.is_empty() {
+            first.clone_from(&line);
+        }
+        if let Some((name, value)) = line.split_once(':')
+            && name.eq_ignore_ascii_case("content-length")
+        {
+            length = value.trim().parse().ok()?;
+        }
+        if line == "\r\n" {
+            break;
+        }
+    }
+    let mut body = vec![0; length];
+    stream.read_exact(&mut body).ok()?;
+    Some(first)
+}
+
+/// Starts a server of chat completions that sends `chunks` chunks, and then the end of the stream unless it is `None`.
+/// The receiver gets a message when a client closes the connection before the end.
+fn start_server(end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let address = listener.local_addr().expect("is bound");
+    let (closed, closings) = sync_channel(8);
+    thread::spawn(move || {
+        for stream in listener.incoming().map_while(Result::ok) {
+            let closed = closed.clone();
+            thread::spawn(move || {
+                let mut stream = BufReader::new(stream);
+                let Some(request) = read_request(&mut stream) else { return };
+                let mut output = stream.get_ref().try_clone().expect("a descriptor is free");
+                if !request.starts_with("POST") {
+                    let _ = output.write_all(b"HTTP/1.1 404 Not Found\r\ncontent-length: 0\r\n\r\n");
+                    return;
+                }
+                let head = "HTTP/1.1 200 OK\r\ncontent-type: text/event-stream\r\nconnection: close\r\n\r\n";
+                let chunk = |number| format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"w{number} \"}}}}]}}\n\n");
+                let text: String = (0..CHUNKS).map(chunk).collect();
+                output.write_all(format!("{head}{text}").as_bytes()).expect("the client reads");
+                if let Some(end) = end {
+                    let _ = output.write_all(end.as_bytes());
+                } else if read_request(&mut stream).is_none() {
+                    let _ = closed.send(());
+                }
+            });
+        }
+    });
+    (address, closings)
+}
+
+fn cloud_tables(server: SocketAddr) -> String {
+    format!(
+        "[serve]\nlisten = 'tcp://127.0.0.1:0'\n\
+         [[model]]\nname = 'chat'\nkind = 'openai'\nurl = 'http://{server}/v1'\nmodel = 'm'\nprompt = 'Count.'\n"
+    )
+}
+
+fn edge_tables(cloud: &TestAgent, keys: &str) -> String {
+    format!(
+        "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'text', length = 20 }}\n\
+         placement = {{ kind = 'remote', peer = '{}', model = 'chat' }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 3 }}\n{keys}",
+        cloud.address()
+    )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn first_part_of_answer_is_timed_across_network() {
+    let end = "data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\ndata: [DONE]\n\n";
+    let (server, _closings) = start_server(Some(end));
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &edge_tables(&cloud, "")).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert_eq!(seen.iterations().len(), 3);
+    for iteration in seen.iterations() {
+        assert_eq!(iteration.outcome, Outcome::Ok);
+        let tree = &iteration.tree;
+        assert_eq!(value(tree, "parts"), Some(CHUNKS as f64));
+        let seconds = |name| value(tree, name).unwrap_or_else(|| panic!("{name} in {tree:?}"));
+        let (_, node) = tree.find(&["inference", "time-to-first-token"]).expect("is recorded");
+        let at_cloud = node.measure.value().expect("is known");
+        assert!(seconds("first-part") > at_cloud, "the network and the queue are added");
+        assert!(seconds("first-part") < seconds("total"));
+        let (_, node) = tree.find(&["first-part-download"]).expect("is recorded");
+        let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
+        let delay = transit.delay.expect("is judged");
+        assert_eq!((delay.source, delay.verdict), (DelaySource::SameClock, Verdict::Ok));
+        assert!(delay.value.is_some_and(|delay| !delay.is_negative()));
+    }
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn timeout_at_edge_stops_language_model() {
+    let (server, closings) = start_server(None);
+    let aggregator = Aggregator::start().await;
+    let cloud = TestAgent::start("cloud", None, &cloud_tables(server)).await;
+    let tables = edge_tables(&cloud, "timeout_ms = 200");
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert!(seen.iterations().iter().all(|it| matches!(it.outcome, Outcome::Timeout(_))));
+    // The connection to the server is closed long before the time limits of the model.
+    let closing = tokio::task::spawn_blocking(move || closings.recv().expect("the server runs"));
+    tokio::time::timeout(std::time::Duration::from_secs(8), closing)
+        .await
+        .expect("the model still waits for its server")
+        .expect("does not panic");
+    edge.stop().await.expect("stops well");
+    cloud.stop().await.expect("stops well");
+}
