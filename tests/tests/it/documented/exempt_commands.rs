@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 9] = [
+pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 10] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -24,6 +24,11 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 9] = [
         ],
         "tests/tests/it/models/torchvision.rs",
         "#[test]\nfn exported_model_answers_like_torchvision()",
+    ),
+    (
+        &["peernet models check defect-detector"],
+        "tests/tests/it/models/commands.rs",
+        "run_models_command(&[\"check\", \"defect-detector\"])",
     ),
     (
         &["cargo build --release --locked --package peernetd --bin peernetd"],
