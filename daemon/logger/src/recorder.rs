@@ -88,7 +88,7 @@ impl Recorder {
         }
         match tree.measure_mut(transit) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {
-                transit.received = Some(arrival.wall)
+                transit.received = Some(arrival.wall);
             }
             _ => return Err(TreeError::NotInFlight(transit.index())),
         }

@@ -72,6 +72,11 @@ def check_rows(file, is_remote):
         assert 0 < number("time-per-output-token") * (MAX_TOKENS - 1) <= inference, row
         assert number("inter-token-latency") <= number("inter-token-latency-max"), row
         assert (row["upload"] != "") == is_remote, row
+        if is_remote:
+            # Each chunk crossed the network as a part of the answer.
+            assert float(row["parts"]) == number("output-chunks"), row
+            assert first < float(row["first-part"]) < float(row["total"]), row
+            assert float(row["first-part-download"]) >= 0, row
     first = sorted(float(row["inference_time-to-first-token"]) for row in rows)[len(rows) // 2]
     token = sorted(float(row["inference_time-per-output-token"]) for row in rows)[len(rows) // 2]
     print(f"ok    {file}: first token {first * 1e3:.2f} ms, then {token * 1e6:.0f} µs per token (medians)", flush=True)

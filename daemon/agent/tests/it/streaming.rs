@@ -57,7 +57,9 @@ fn start_server(end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
                     return;
                 }
                 let head = "HTTP/1.1 200 OK\r\ncontent-type: text/event-stream\r\nconnection: close\r\n\r\n";
-                let chunk = |number| format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"w{number} \"}}}}]}}\n\n");
+                let chunk = |number| {
+                    format!("data: {{\"choices\":[{{\"delta\":{{\"content\":\"w{number} \"}}}}]}}\n\n")
+                };
                 let text: String = (0..CHUNKS).map(chunk).collect();
                 output.write_all(format!("{head}{text}").as_bytes()).expect("the client reads");
                 if let Some(end) = end {

@@ -16,6 +16,18 @@ const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", 
 /// Maximum number of different labels of one group that are listed. Of more labels only the number is given.
 const MAX_JOINED_LABELS: usize = 3;
 
+/// Returns the runs with equal labels as groups, in the order of their first runs. `labels` has the labels of each run.
+pub fn group_by_labels(labels: &[Vec<String>]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for (run, run_labels) in labels.iter().enumerate() {
+        match groups.iter_mut().find(|group| labels[group[0]] == *run_labels) {
+            Some(group) => group.push(run),
+            None => groups.push(vec![run]),
+        }
+    }
+    groups
+}
+
 /// Configurations of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configurations {
@@ -304,6 +316,13 @@ pub(super) fn differ(labels: &[String]) -> bool {
 mod tests {
     use super::*;
     use crate::rows::Rows;
+
+    #[test]
+    fn runs_with_equal_labels_are_one_group() {
+        let labels = ["a", "b", "a", "c", "b"].map(|label| vec![label.to_owned(), "x".to_owned()]);
+        assert_eq!(group_by_labels(&labels), [vec![0, 2], vec![1, 4], vec![3]]);
+        assert_eq!(group_by_labels(&[]), Vec::<Vec<usize>>::new());
+    }
 
     #[test]
     fn runs_are_named_by_folders_without_common_prefix() {

@@ -24,7 +24,7 @@ mod testing;
 pub use best::differences_to_best;
 pub use caveats::skipped_starts;
 pub use columns::{ChosenColumns, Column, choose_columns};
-pub use configuration::Configurations;
+pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use pairwise::PairwiseDifference;
@@ -147,13 +147,8 @@ impl Comparison {
         let mut counted_rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
         let total_column =
             if counted_rows.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
-        let mut lines: Vec<Line> = Vec::new();
-        for (number, labels) in labels.into_iter().enumerate() {
-            match lines.iter_mut().find(|line| line.labels == labels) {
-                Some(line) => line.runs.push(number),
-                None => lines.push(Line::new(labels, number)),
-            }
-        }
+        let groups = group_by_labels(&labels).into_iter();
+        let mut lines: Vec<Line> = groups.map(|group| Line::new(labels[group[0]].clone(), group)).collect();
         lines.iter_mut().for_each(|line| line.fill(runs, total_column));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);
@@ -174,10 +169,10 @@ impl Comparison {
 }
 
 impl Line {
-    fn new(labels: Vec<String>, run: usize) -> Self {
+    fn new(labels: Vec<String>, runs: Vec<usize>) -> Self {
         Self {
             labels,
-            runs: vec![run],
+            runs,
             repeats: 1,
             edges: 1,
             count: 0,

@@ -9,18 +9,11 @@ use crate::scale::Scale;
 
 /// Number of bins between the ends of the values.
 const BINS: u32 = 48;
-/// Quantile from which the end of the axis is computed. If values lie far beyond it, they are only counted, so that one straggler does not
-/// compress all others into a corner.
-const END_QUANTILE: f64 = 0.99;
-/// Share of the length from the smallest value to that quantile by which the axis extends beyond the quantile.
-const MARGIN: f64 = 0.1;
-/// Multiple of that length up to which the largest value is not a straggler, so that the axis ends at the largest value.
-const MAX_EXTENSION: f64 = 1.5;
 /// Margin on both sides of values that lie far from zero, as a share of their range.
 const ROOM: f64 = 0.05;
 /// Share by which a value may lie beyond the end of the axis because of rounding.
 const ROUNDING: f64 = 1e-9;
-/// Share of the quantile [`END_QUANTILE`] below which the smallest value is taken as zero. Without this limit such a value would make the
+/// Share of the largest value below which the smallest value is taken as zero. Without this limit such a value would make the
 /// axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.
@@ -75,12 +68,12 @@ impl BinnedAxis {
     fn ends<'a>(all: impl Iterator<Item = &'a Summary>, unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &Summary| {
             let Moments { min, max, .. } = summary.moments;
-            let quantile = summary.quantile(END_QUANTILE)?;
-            let lo = if min.abs() < quantile.abs() * ZERO_SHARE { 0.0 } else { min };
-            let scale = Scale::decades((lo, quantile)).unwrap_or(Scale::linear((lo, quantile)));
-            let extended_by = |factor: f64| scale.between(lo, quantile, factor);
-            let hi = if max <= extended_by(MAX_EXTENSION) { max } else { extended_by(1.0 + MARGIN).min(max) };
-            Some((lo * unit.per_si, hi * unit.per_si))
+            let lo = if min.abs() < max.abs() * ZERO_SHARE { 0.0 } else { min };
+            let extend = |lo: f64, quantile: f64, factor: f64| {
+                let scale = Scale::decades((lo, quantile)).unwrap_or(Scale::linear((lo, quantile)));
+                scale.between(lo, quantile, factor)
+            };
+            Some((lo * unit.per_si, summary.axis_end(lo, extend)? * unit.per_si))
         };
         let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         // If all values are equal, the bins get a width that can be drawn.

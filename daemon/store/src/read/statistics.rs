@@ -22,11 +22,6 @@ pub(crate) use self::runs::statistics;
 pub(crate) use self::series::{series, stage_buckets};
 
 const WHAT: &str = "statistics";
-/// Quantile at which the axis of a histogram ends, except for a margin. Larger samples are only counted, so that one outlier does not
-/// compress all other samples into a bin.
-const AXIS_END_QUANTILE: f64 = 0.99;
-/// Length of the axis beyond that quantile, as a share of its length up to the quantile.
-const AXIS_MARGIN: f64 = 0.1;
 
 #[derive(FromRow)]
 struct RollupRow {
@@ -86,8 +81,8 @@ pub(crate) async fn histogram(
     let Some(figures) = samples.figures() else { return Ok(None) };
     let bins = bins.clamp(1, 500);
     let low = figures.min;
-    let quantile = samples.summary.quantile(AXIS_END_QUANTILE).unwrap_or(figures.max);
-    let high = (quantile + (quantile - low) * AXIS_MARGIN).min(figures.max);
+    let extend = |low: f64, quantile: f64, factor: f64| low + (quantile - low) * factor;
+    let high = samples.summary.axis_end(low, extend).unwrap_or(figures.max);
     // If all samples are equal, the bin gets a width that can be drawn.
     let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
     let edges: Vec<f64> = (0..=bins).map(|index| low + (high - low) * index as f64 / bins as f64).collect();

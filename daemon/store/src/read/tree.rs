@@ -193,5 +193,5 @@ fn measure(row: &NodeRow, transit: Option<&TransitRow>) -> Result<Measure, Store
 fn delay(row: &NodeRow, stamps: &TransitRow) -> Result<Option<OneWayDelay>, StoreError> {
     let TransitRow { raw_ns, source, verdict, .. } = *stamps;
     let stored = StoredDelay { raw_ns, source, verdict, value: row.value, bounds: row.lo.zip(row.hi) };
-    stored.to_delay(WHAT)
+    stored.into_delay(WHAT)
 }

@@ -91,7 +91,7 @@ fn impossible_model_commands_fail_with_exit_code() {
         (
             &["show", "efficientnet_v2_xl"] as &[&str],
             66,
-            "the folders contain efficientnet_v2_s, defect-detector, quality-control",
+            "the folders contain defect-detector, efficientnet_v2_s, quality-control",
         ),
         (&["list", "--models-dir", "/nowhere"], 66, "there is no folder /nowhere"),
         (&["check", "quality-control", "--device", "gpu"], 64, "is not a device"),

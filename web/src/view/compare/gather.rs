@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use peernet_analysis::compare::{Column, model_computes};
+use peernet_analysis::compare::{Column, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
@@ -115,27 +115,20 @@ pub(crate) async fn load_comparison(
         .zip(&statistics)
         .map(|(run, statistics)| (*run, Arc::clone(&statistics.kept)))
         .collect();
-    let mut groups: Vec<Group> = Vec::new();
-    for (run_index, ((detail, statistics), values)) in
-        details.into_iter().zip(statistics).zip(values).enumerate()
-    {
-        let group = groups.iter_mut().find(|group| experiment.is_some() && group.values == values);
-        match group {
-            Some(group) => {
-                group.runs.push(detail.summary);
-                group.statistics.push(statistics);
-            }
-            None => {
-                let settings = settings.iter().map(|column| column.labels[run_index].clone()).collect();
-                groups.push(Group {
-                    values,
-                    settings,
-                    runs: vec![detail.summary],
-                    statistics: vec![statistics],
-                });
-            }
-        }
-    }
+    // Runs that are chosen one by one are separate configurations, even with equal labels.
+    let run_groups = match experiment {
+        Some(_) => group_by_labels(&values),
+        None => (0..details.len()).map(|run| vec![run]).collect(),
+    };
+    // Each run is moved into its group, because statistics are large.
+    let mut loaded: Vec<_> =
+        details.into_iter().map(|detail| detail.summary).zip(statistics).map(Some).collect();
+    let group = |group: Vec<usize>| {
+        let (runs, statistics) = group.iter().filter_map(|run| loaded[*run].take()).unzip();
+        let settings = settings.iter().map(|column| column.labels[group[0]].clone()).collect();
+        Group { values: values[group[0]].clone(), settings, runs, statistics }
+    };
+    let mut groups: Vec<Group> = run_groups.into_iter().map(group).collect();
     if experiment.is_some() {
         groups.sort_by(|a, b| order::compare_labels(&a.values, &b.values));
     }

@@ -188,7 +188,7 @@ fn strip(plan: &Plan<'_>, way: NetworkDirection, hatches: &[Item]) -> Picture {
         let begin = (end - bucket_width).max(0.0);
         match segments.last_mut() {
             Some((_, to, last_verdict)) if *last_verdict == verdict && begin - *to < bucket_width * 0.75 => {
-                *to = end
+                *to = end;
             }
             _ => segments.push((begin, end, verdict)),
         }

@@ -197,7 +197,7 @@ impl<S: Sink> ConnectionTask<S> {
                 }
             }
             Step::Companion(Err(error)) | Step::Payload(Err(error)) => {
-                self.channel.lock().end(error.to_string())
+                self.channel.lock().end(error.to_string());
             }
             Step::Directive(Directive::Admit(payload)) => self.payload_subscriber = Some(payload),
             Step::Directive(Directive::Limit(limits)) => {

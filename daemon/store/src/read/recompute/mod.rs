@@ -227,6 +227,6 @@ impl Row {
     /// Returns the delay as stored, or `None` if it was never judged.
     fn delay(&self) -> Result<Option<OneWayDelay>, StoreError> {
         let Self { raw_ns, source, verdict, value, .. } = *self;
-        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.to_delay(WHAT)
+        StoredDelay { raw_ns, source, verdict, value, bounds: self.lo.zip(self.hi) }.into_delay(WHAT)
     }
 }

@@ -150,7 +150,7 @@ impl Link {
                 };
                 match codec::decode(&frame) {
                     Ok(ToAggregator::Echo { bytes, .. }) if !self.settings.controlled => {
-                        echo_position = Some(bytes)
+                        echo_position = Some(bytes);
                     }
                     _ => self.up.send(frame.len(), SentMessage::Frame(frame.into()), self.agent.millis),
                 }

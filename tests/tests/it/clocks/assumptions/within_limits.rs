@@ -69,7 +69,7 @@ fn intervals_are_right_for_all_crystals_and_paths() {
     for (case, up, down) in paths {
         let wire_directions = [wire_direction(up, up / 2, 1), wire_direction(down, down / 4, 1)];
         check_case(case, wire_directions, 420, |[edge, _]| {
-            schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0)
+            schedule_temperature_cycles(edge, 199.0, 0.999, 1_000.0);
         });
     }
 }
