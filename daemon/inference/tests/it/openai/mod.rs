@@ -77,7 +77,8 @@ fn answer_has_text_times_and_token_counts() {
         tree.find(&["inference"]).and_then(|(_, node)| node.measure.value()).expect("is recorded");
     let gap = value("inter-token-latency").expect("is recorded");
     assert!(first >= 0.040, "the chunk with the role is no token: {first}");
-    assert!(gap >= 0.030 && inference >= first + gap, "{inference} {first} {gap}");
+    // A busy machine may stamp the first chunk late, so that only the time until the second has a lower limit.
+    assert!(gap > 0.0 && first + gap >= 0.070 && inference >= first + gap, "{inference} {first} {gap}");
     assert_eq!(value("inter-token-latency-max"), Some(gap));
     assert_eq!(value("inter-token-latency-p50"), Some(gap));
     // Two chunks have five tokens, so that four tokens arrived in the time of one gap.
