@@ -248,7 +248,7 @@ pub(crate) fn poll<T>(mut condition: impl FnMut() -> Option<T>) -> Option<T> {
     None
 }
 
-/// Polls a number until it has reached `minimum`. The timeout starts anew whenever the number has grown.
+/// Polls a number until it has reached `minimum`. The timeout starts again whenever the number has grown.
 ///
 /// # Panics
 /// If it does not grow for [`TEST_TIMEOUT`].

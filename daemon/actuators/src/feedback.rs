@@ -2,7 +2,7 @@
 
 use serde::Deserialize;
 
-/// What the controlled system reports about an action.
+/// Report of the controlled system about an action.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Feedback {

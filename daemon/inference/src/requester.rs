@@ -6,11 +6,11 @@ use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
 /// Receiver of one answer. A model may send it parts of the answer before the answer is complete, and stops computing
-/// when nobody waits for the answer any more.
+/// when the request is cancelled.
 pub trait Requester: Send + Sync {
     /// Sends a part of the answer. Waits while too many earlier parts are unread.
     ///
-    /// The complete answer repeats what its parts contained, so that a lost part costs nothing but its earliness.
+    /// The complete answer repeats the content of its parts. The content of a lost part therefore only arrives later.
     ///
     /// # Errors
     /// If the request was cancelled.
@@ -26,7 +26,7 @@ pub trait Requester: Send + Sync {
     fn wait(&self, duration: Duration) -> Result<(), Cancelled>;
 }
 
-/// Error: nobody waits for the answer any more.
+/// Error: the request was cancelled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("nobody waits for the answer any more: its time limit passed, or the other end is gone")]
 pub struct Cancelled;

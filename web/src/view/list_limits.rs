@@ -4,7 +4,7 @@ use peernet_statistics::number::count;
 
 /// Maximum number of pipelines, and of hosts, on the overview.
 pub(crate) const MAX_ON_OVERVIEW: usize = 100;
-/// Maximum number of rows of a list on a page of its own.
+/// Maximum number of rows of a list that has a separate page.
 pub(crate) const MAX_IN_LIST: usize = 500;
 
 /// Returns `the first 100 of 5,000`; `None` if the whole list is shown.

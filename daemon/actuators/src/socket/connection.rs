@@ -193,7 +193,7 @@ impl Connection {
     }
 }
 
-/// What is done while an error occurs, and what the controller has to do.
+/// Operation during which an error occurred, with what the controller has to do.
 const SENDING: (&str, &str) = ("send an answer to", "accept the answer");
 const RECEIVING: (&str, &str) = ("receive feedback from", "send feedback");
 

@@ -8,6 +8,8 @@ use super::*;
 use crate::record::{HostRecord, ModelRecord, Placement, RunRecord};
 use crate::rows::{Outcome, Row, RowRef};
 
+mod defects;
+
 /// Returns a run in which every stage takes the given time within a microsecond, and the total 1 ms more; `None` for a stage that did not
 /// take place. Milliseconds.
 fn run(folder: &str, [sensing, upload, inference, download]: [Option<f64>; 4]) -> Loaded {
@@ -460,50 +462,4 @@ fn accuracy_is_shown_beside_latency() {
     let sentence = format!("excluded from the accuracy: top-1 of {}: 3 of 100.", comparison.lines[1].name());
     assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());
     assert_eq!(comparison.lines[1].accuracy("top-1").map(|top| (top.count, top.unscored)), Some((97, 3)));
-}
-
-#[test]
-fn labels_outside_model_classes_are_not_scored() {
-    let mut runs = paper();
-    for run in &mut runs[..2] {
-        run.rows.change(|row| row.values.push(("unknown-label".into(), 1.0)));
-        run.record.facts.push(("Classes".to_owned(), "4: good, dented".to_owned()));
-    }
-    let comparison = Comparison::new(&runs);
-    let names = [0, 1].map(|at: usize| format!("{}: 100 of 100", comparison.lines[at].name()));
-    let sentence = format!(
-        "Not scored, because the label is not a class of the model (classes: good, dented): {}.",
-        names.join("; ")
-    );
-    assert!(comparison.text().contains(&sentence), "{sentence} in {}", comparison.text());
-    assert!(!comparison.text().contains("Top-1"), "nothing was scored");
-    assert!(is_compared("unknown-label"));
-}
-
-#[test]
-fn defects_of_results_are_noted() {
-    let mut broken = run("broken\nline", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    assert!(Comparison::new(std::slice::from_ref(&broken)).caveats.is_empty());
-    let mut value = |iteration: u64, name: &str, to: Option<f64>| {
-        broken.rows.change(|row| {
-            if row.iteration == iteration {
-                row.values.retain(|(other, _)| other != name);
-                row.values.extend(to.map(|to| (name.to_owned().into(), to)));
-            }
-        });
-    };
-    value(21, "upload", None);
-    value(22, "upload", Some(f64::INFINITY));
-    value(23, "sensing", Some(f64::NEG_INFINITY));
-    broken.record.format = 1;
-    broken.record.counts = crate::record::Counts::from_rows(&broken.rows, 0);
-    broken.record.counts.ok += 4;
-    let other = run("other", [Some(1.0), Some(5.0), Some(3.0), Some(1.0)]);
-    let text = Comparison::new(&[broken, other]).text();
-    for sentence in [
-        "Incomplete results: results/broken line: data.csv has 106 of the 110 iterations that run.json counts.",
-        "sensing of broken line 1 of 100 iterations; upload of broken line 2 of 100 iterations",
-    ] {
-        assert!(text.contains(sentence), "{sentence}: {text}");
-    }
 }

@@ -63,7 +63,7 @@ pub(crate) struct DepartedRequest {
     pub(crate) epoch: u32,
 }
 
-/// What a request was waiting for when its time ended.
+/// Event that a request was waiting for when its time ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Awaited {
     /// A slot among the requests in flight: nothing was sent.

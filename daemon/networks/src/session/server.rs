@@ -96,7 +96,7 @@ pub(crate) struct Route {
     pub(crate) counters: Arc<Counters>,
 }
 
-/// What becomes of the answer to a request.
+/// Result of ending a request: whether its answer is sent.
 #[derive(Debug)]
 pub(crate) enum FinishedRequest {
     /// It is sent to the edge.

@@ -134,7 +134,7 @@ impl DistributionConfig {
         }
     }
 
-    /// Returns the configuration of the inner model; `None` if there is none.
+    /// Returns the configuration of the inner model, if one is configured.
     fn inner_model<'a>(
         &self,
         shared: &SharedKeys,

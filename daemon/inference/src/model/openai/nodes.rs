@@ -34,7 +34,7 @@ const FINISH_REASON_STOP: Name = Name::from_static("finish-reason-stop");
 /// 1 if the limit on tokens ended the answer, otherwise 0.
 const FINISH_REASON_LENGTH: Name = Name::from_static("finish-reason-length");
 
-/// Records an answer, complete or not; what is not known is left out.
+/// Records an answer, complete or not. Unknown numbers are left out.
 pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     let started_at = answer.started_at;
     for (name, at) in [

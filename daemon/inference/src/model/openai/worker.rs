@@ -60,7 +60,7 @@ impl Worker for OpenaiWorker {
         };
         let request = server.complete(body, &limits, clock, &mut answer, send_text);
         let cancellation = requester.cancellation();
-        // Dropping the request closes the connection, so that the server stops computing.
+        // Dropping the request closes the connection, so that the server can stop computing.
         let result = self.runtime.block_on(cancellation.run_until_cancelled(request));
         // What is known of a failed answer is recorded, too.
         nodes::record(&answer, &mut inference);

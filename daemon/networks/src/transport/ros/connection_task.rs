@@ -53,7 +53,7 @@ pub(super) struct ConnectionTask<S: Sink> {
     pub(super) abort: CancellationToken,
 }
 
-/// What the task handles next.
+/// Next event that the task handles.
 enum Step {
     /// A companion arrived, or its subscription ended.
     Companion(Result<TopicMessage, NodeFailure>),

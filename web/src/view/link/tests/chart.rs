@@ -50,7 +50,7 @@ fn nothing_at_all_still_makes_a_picture() {
 }
 
 #[test]
-fn points_of_another_time_neither_tilt_the_line_nor_set_the_scale() {
+fn points_outside_the_range_change_neither_line_nor_scale() {
     let mut link = link(Some(0.000_01), &[]);
     // A clock was set back by five seconds: the second after it still holds the offset from before, and the first band is wide.
     for (place, point) in link.history.iter_mut().enumerate().skip(60) {

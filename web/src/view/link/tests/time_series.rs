@@ -20,7 +20,7 @@ fn chart_removes_steady_drift_and_breaks_at_step() {
 }
 
 #[test]
-fn points_that_are_put_together_keep_the_widest_bounds_and_all_probes() {
+fn merged_points_keep_widest_bounds_and_all_probes() {
     let at = |second: i64| WallTime::from_unix_nanos(second * 1_000_000_000);
     let points = vec![
         clock_point(at(11), 1, Some(0.0005)),
