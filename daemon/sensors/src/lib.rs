@@ -10,6 +10,7 @@ pub use error::SensorError;
 pub use sensor::{SensorConfig, SensorKind};
 pub use transform::{TransformConfig, TransformKind};
 
+use peernet_clock::Span;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
@@ -33,6 +34,21 @@ pub trait Sensor: Send {
     /// # Errors
     /// If the reset fails; a later reset may succeed.
     fn reset(&mut self) -> Result<(), SensorError> {
+        Ok(())
+    }
+
+    /// Returns whether the sensor observes a simulation, which has to be advanced by the duration of each iteration.
+    fn advances(&self) -> bool {
+        false
+    }
+
+    /// Advances the simulation that the sensor observes by `time`, before its next sample. Called only if
+    /// [`advances`](Self::advances) and [`blocks`](Self::blocks) return `true`.
+    ///
+    /// # Errors
+    /// If the simulation cannot be advanced; its state is then unknown until the next reset.
+    fn advance(&mut self, time: Span) -> Result<(), SensorError> {
+        let _ = time;
         Ok(())
     }
 

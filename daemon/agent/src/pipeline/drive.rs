@@ -46,7 +46,7 @@ pub(super) async fn drive(
         }
         let wakeup_at = pipeline_loop.next_wakeup();
         let sensing = pipeline_loop.resources.sensing.as_mut().map(|sensing| &mut sensing.sample);
-        let resetting = pipeline_loop.resources.pending_reset.as_mut();
+        let preparing = pipeline_loop.resources.pending_preparation.as_mut();
         let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {
             biased;
@@ -65,7 +65,7 @@ pub(super) async fn drive(
                 Ok(sensed) => pipeline_loop.handle_sensed(sensed),
                 Err(_) => pipeline_loop.handle_sensor_death(),
             },
-            Some(result) = await_if_some(resetting) => pipeline_loop.handle_reset(result),
+            Some(result) = await_if_some(preparing) => pipeline_loop.handle_preparation(result),
             Some(elapsed) = await_if_some(wakeup_at.map(|at| Box::pin(start_timer.wait_until(at)))) => {
                 if let Err(error) = elapsed {
                     pipeline_loop.end(LoopEnd::Broken(LoopError::Timer(Arc::new(error))));

@@ -4,8 +4,9 @@
 //! machine of the inner loop, also without I/O, and `drive` waits for its events. `runner` sets a pipeline up, connects
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
-//! Before each episode the actuator and the sensor are reset (`episode_reset`), outside of all iterations; the feedback of
-//! the actuator may end an episode early, and is summed up over the episode (`episode_scores`).
+//! Before each episode the actuator and the sensor are reset, and before each other sample a simulated sensor is advanced
+//! by the time of the last iteration (`preparation`), both outside of all iterations. The feedback of the actuator may end an
+//! episode early, and is summed up over the episode (`episode_scores`).
 //!
 //! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`
 //! requests a sample from the sensor and applies the transforms. The sample waits until fewer iterations than the
@@ -19,7 +20,6 @@ mod backoff;
 mod context;
 mod deadline;
 mod drive;
-mod episode_reset;
 mod episode_scores;
 mod failure_log;
 mod in_flight;
@@ -29,6 +29,7 @@ mod local_requester;
 mod observe;
 mod pipeline_loop;
 mod placement;
+mod preparation;
 mod progress;
 mod resources;
 mod run;

@@ -78,8 +78,8 @@ pub(super) struct PipelineLoop<'a> {
     backoff: FailureBackoff,
     /// Failures of the sensor since its last sample.
     sensor_failures: u32,
-    /// Pauses between resets that fail.
-    reset_backoff: FailureBackoff,
+    /// Pauses between preparations that fail.
+    preparation_backoff: FailureBackoff,
 }
 
 impl<'a> PipelineLoop<'a> {
@@ -98,7 +98,7 @@ impl<'a> PipelineLoop<'a> {
             end_reason: None,
             backoff,
             sensor_failures: 0,
-            reset_backoff: FailureBackoff::default(),
+            preparation_backoff: FailureBackoff::default(),
         };
         pipeline_loop.resume_pending_sample();
         pipeline_loop
@@ -135,7 +135,7 @@ impl<'a> PipelineLoop<'a> {
         Some(ready)
     }
 
-    /// Starts an iteration or the reset before it, or ends the loop, if any of these is due. Returns whether it did.
+    /// Starts an iteration or the preparation for it, or ends the loop, if any of these is due. Returns whether it did.
     pub(super) fn start_iteration(&mut self) -> bool {
         self.end_reported_episode();
         if !self.can_start() {
@@ -148,8 +148,9 @@ impl<'a> PipelineLoop<'a> {
             self.end_reason = Some(LoopEnd::Midnight);
             return true;
         }
-        // While the iterations of the last episode ended, starts came due that are not wanted.
-        let next = if self.is_reset_due() { now } else { self.resources.schedule.next_at(now) };
+        let preparation = self.due_preparation();
+        // While the iterations before a preparation ended, starts came due that are not wanted.
+        let next = if preparation.is_some() { now } else { self.resources.schedule.next_at(now) };
         if self.run.is_limit_reached(next) {
             self.end_reason = Some(LoopEnd::Limit);
             return true;
@@ -158,8 +159,8 @@ impl<'a> PipelineLoop<'a> {
         if self.paused_until(now).is_some() {
             return false;
         }
-        if self.is_reset_due() {
-            self.resources.start_reset();
+        if let Some(preparation) = preparation {
+            self.resources.start_preparation(preparation);
             return true;
         }
         let Some(start) = self.resources.schedule.take(now) else { return false };
@@ -239,10 +240,10 @@ impl<'a> PipelineLoop<'a> {
 
     fn can_start(&self) -> bool {
         let is_idle =
-            self.end_reason.is_none() && !self.awaits_sample() && self.resources.pending_reset.is_none();
+            self.end_reason.is_none() && !self.awaits_sample() && self.resources.pending_preparation.is_none();
         // A closed loop starts the next iteration when the last one is complete; an open loop starts it also while
-        // others are in flight, unless they belong to an episode that has to end before a reset.
-        let may_overlap = !self.resources.schedule.is_closed() && !self.is_reset_due();
+        // others are in flight, unless these have to end before a preparation.
+        let may_overlap = !self.resources.schedule.is_closed() && self.due_preparation().is_none();
         is_idle && (self.in_flight.is_empty() || may_overlap)
     }
 
@@ -253,7 +254,7 @@ impl<'a> PipelineLoop<'a> {
 
     /// Returns the end of the pause after failures; `None` if the loop does not pause.
     fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
-        self.backoff.paused_until(now).max(self.reset_backoff.paused_until(now))
+        self.backoff.paused_until(now).max(self.preparation_backoff.paused_until(now))
     }
 
     /// Queues a sample as the next iteration, records a failure of the sensor, or ends the loop at the end of samples.
@@ -341,6 +342,7 @@ impl<'a> PipelineLoop<'a> {
         if let Some(result) = result {
             result.record(&mut tree, ended.mono - pending.start.intended);
         }
+        self.resources.add_elapsed(ended.mono - pending.start.intended);
         self.run.record(pending.position, outcome, tree, ended, self.context, &self.resources.live_state);
     }
 }

@@ -4,15 +4,15 @@ use std::io;
 use std::sync::Arc;
 
 use peernet_actuators::{ActuatorError, ActuatorKind};
-use peernet_clock::{MonoTime, SharedClock};
+use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_sensors::{SensorError, SensorKind, Transform, TransformKind};
 use tokio::task::JoinError;
 
 use super::actuator_executor::ActuatorExecutor;
-use super::episode_reset::{self, EpisodeReset};
 use super::load::Schedule;
 use super::pipeline_loop::PendingSample;
+use super::preparation::{self, PendingPreparation, Preparation};
 use super::sensing::{SensorChain, SensorExecutor};
 use super::start_timer::StartTimer;
 use crate::config::PipelineConfig;
@@ -52,10 +52,14 @@ pub(super) struct PipelineResources {
     pub(super) actuator: Option<ActuatorExecutor>,
     /// `true` if the sensor or the actuator has to be reset before each episode.
     resets: bool,
-    /// The reset in progress. It cannot be cancelled, so it may outlive the connection.
-    pub(super) pending_reset: Option<EpisodeReset>,
+    /// `true` if the sensor observes a simulation that is advanced by the duration of each iteration.
+    advances: bool,
+    /// The preparation in progress. It cannot be cancelled, so it may outlive the connection.
+    pub(super) pending_preparation: Option<PendingPreparation>,
     /// `true` from a reset until the first sample after it.
     pub(super) is_reset: bool,
+    /// Time by which the simulation has not been advanced yet.
+    elapsed: Option<Span>,
     pub(super) schedule: Schedule,
     pub(super) start_timer: StartTimer,
     /// Facts about sensor, transforms and load (label and text) for the page of a run.
@@ -90,13 +94,16 @@ impl PipelineResources {
         facts.extend(actuator.iter().flat_map(|actuator| actuator.facts().iter().cloned()));
         facts.extend(config.actuator.arguments_fact(fingerprints));
         let resets = sensor.resets() || actuator.as_ref().is_some_and(ActuatorExecutor::resets);
+        let advances = sensor.advances();
         let sensor = SensorExecutor::new(SensorChain { sensor, transforms }, &config.name)
             .map_err(AssembleError::Thread)?;
         Ok(Self {
             actuator,
             resets,
-            pending_reset: None,
+            advances,
+            pending_preparation: None,
             is_reset: false,
+            elapsed: None,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
@@ -113,15 +120,28 @@ impl PipelineResources {
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
-    /// Returns whether a reset must precede an iteration that is the first of an episode.
-    pub(super) fn needs_reset(&self) -> bool {
-        self.resets && !self.is_reset
+    /// Returns what must precede the next iteration. `begins_episode`: it is the first of an episode.
+    pub(super) fn due_preparation(&self, begins_episode: bool) -> Option<Preparation> {
+        if begins_episode && self.resets {
+            return (!self.is_reset).then_some(Preparation::Reset);
+        }
+        self.elapsed.map(Preparation::Advance)
     }
 
-    /// Starts the reset for an episode. No request to the sensor is pending.
-    pub(super) fn start_reset(&mut self) {
+    /// Adds the duration of an iteration to the time by which the simulation is advanced before the next sample.
+    pub(super) fn add_elapsed(&mut self, duration: Span) {
+        if self.advances {
+            self.elapsed = Some(self.elapsed.unwrap_or(Span::ZERO) + duration);
+        }
+    }
+
+    /// Starts a preparation. No request to the sensor is pending.
+    pub(super) fn start_preparation(&mut self, preparation: Preparation) {
+        // A reset begins a new simulation, so the time of the last iteration does not count.
+        self.elapsed = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
-        self.pending_reset = Some(episode_reset::reset(actuator, self.sensor.reset_request()));
+        let request = self.sensor.preparation_request();
+        self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
     }
 
     /// Returns the facts about sensor, transforms and load, then `model_facts`.

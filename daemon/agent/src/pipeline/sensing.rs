@@ -9,6 +9,8 @@ use peernet_sample::Sample;
 use peernet_sensors::{Sensor, SensorError, Transform};
 use tokio::sync::oneshot;
 
+use super::preparation::Preparation;
+
 /// Output of a sensor for one request.
 pub(super) struct SensorOutput {
     /// The recorder with the node `sensing`.
@@ -42,19 +44,19 @@ pub(super) enum SensorResponse {
 pub(super) enum SensorRequest {
     /// Asks for one sample.
     Sample { log: Recorder, reply: oneshot::Sender<SensorOutput> },
-    /// Resets the sensor for an episode.
-    Reset { reply: oneshot::Sender<Result<(), SensorError>> },
+    /// Prepares the sensor for the next sample.
+    Prepare { preparation: Preparation, reply: oneshot::Sender<Result<(), SensorError>> },
 }
 
-/// A reset of the sensor that can be requested.
-pub(super) struct ResetRequest(SyncSender<SensorRequest>);
+/// A preparation of the sensor that can be requested.
+pub(super) struct PreparationRequest(SyncSender<SensorRequest>);
 
-impl ResetRequest {
-    /// Requests the reset. The caller has no other pending request. The receiver is closed if the thread has ended.
-    pub(super) fn send(self) -> oneshot::Receiver<Result<(), SensorError>> {
+impl PreparationRequest {
+    /// Requests the preparation. The caller has no other pending request. The receiver is closed if the thread has ended.
+    pub(super) fn send(self, preparation: Preparation) -> oneshot::Receiver<Result<(), SensorError>> {
         let (reply, output) = oneshot::channel();
         // If the thread has ended, the request is dropped with `reply`.
-        let _ = self.0.try_send(SensorRequest::Reset { reply });
+        let _ = self.0.try_send(SensorRequest::Prepare { preparation, reply });
         output
     }
 }
@@ -95,11 +97,11 @@ impl SensorExecutor {
         Ok(Self::Thread(requests))
     }
 
-    /// Returns the request for a reset; `None` for a sensor without a thread, which has nothing to reset.
-    pub(super) fn reset_request(&self) -> Option<ResetRequest> {
+    /// Returns the request for a preparation; `None` for a sensor without a thread, which needs none.
+    pub(super) fn preparation_request(&self) -> Option<PreparationRequest> {
         match self {
             Self::Inline(_) => None,
-            Self::Thread(requests) => Some(ResetRequest(requests.clone())),
+            Self::Thread(requests) => Some(PreparationRequest(requests.clone())),
         }
     }
 
@@ -125,8 +127,11 @@ fn serve_requests(mut chain: SensorChain, requests: &Receiver<SensorRequest>) {
             SensorRequest::Sample { log, reply } => {
                 let _ = reply.send(chain.run(log));
             }
-            SensorRequest::Reset { reply } => {
-                let _ = reply.send(chain.sensor.reset());
+            SensorRequest::Prepare { preparation, reply } => {
+                let _ = reply.send(match preparation {
+                    Preparation::Reset => chain.sensor.reset(),
+                    Preparation::Advance(time) => chain.sensor.advance(time),
+                });
             }
         }
     }

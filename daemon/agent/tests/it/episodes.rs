@@ -27,6 +27,26 @@ class Loose(Sensor):
         super().reset()
         if self.episode == 2: raise RuntimeError('no arm')
 
+class Simulation(Sensor):
+    def __init__(self):
+        super().__init__()
+        self.advances = []
+    def reset(self):
+        super().reset()
+        self.advances = []
+    def advance(self, seconds):
+        import time
+        if self.episode == 3 and self.step == 2: raise RuntimeError('unstable')
+        time.sleep(0.05)
+        self.advances.append(seconds)
+    def sample(self):
+        return dict(super().sample(), advances=self.advances)
+
+class Follower:
+    def act(self, answer):
+        assert len(answer['advances']) == answer['step'] - 1, answer
+        if answer['advances']: return {'reward': answer['advances'][-1]}
+
 class Stuck(Arm):
     def act(self, answer):
         import time
@@ -124,6 +144,35 @@ async fn failed_reset_fails_one_iteration_and_its_episode() {
     assert!(reason.starts_with("cannot reset the sensor for an episode: RuntimeError: no arm"), "{reason}");
     assert_eq!(iterations.iter().filter(|iteration| iteration.outcome == Outcome::Ok).count(), 6);
     assert_eq!(results(&iterations), [(0, 0.0, 1.5), (1, 0.0, 0.0), (2, 0.0, 1.5)], "a failed one counts");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn simulation_is_advanced_by_total_of_last_iteration() {
+    let keys = "episode_steps = 4\nlimit = { episodes = 4 }\nwarm_up = { iterations = 0 }";
+    let iterations = run("kind = 'sleep'\ninference_ms = 20", ("Simulation", "Follower"), keys).await;
+    let steps = |episode, steps: u32| (0..steps).map(move |step| (episode, step));
+    // In the third episode the simulation fails before the third step: it ends with an iteration that has failed.
+    let expected: Vec<_> = steps(0, 4).chain(steps(1, 4)).chain(steps(2, 3)).chain(steps(3, 4)).collect();
+    assert_eq!(positions(&iterations), expected);
+    for pair in iterations.windows(2) {
+        let (last, next) = (&pair[0], &pair[1]);
+        if (next.episode, next.step) == (2, 2) {
+            let reason = next.outcome.reason().expect("it failed");
+            let text = "RuntimeError: unstable";
+            assert!(reason.starts_with("cannot advance the simulation by ") && reason.contains(text), "{reason}");
+            continue;
+        }
+        assert_eq!(next.outcome, Outcome::Ok);
+        assert_adds_up(next);
+        let advanced = value(&next.tree, "reward");
+        if next.step == 0 {
+            assert_eq!(advanced, None, "a reset begins a new simulation");
+            continue;
+        }
+        let total = value(&last.tree, "total").expect("a total");
+        assert!((advanced.expect("it advances") - total).abs() < 1e-6, "{advanced:?} after {total}");
+        assert!((0.02..0.05).contains(&total), "advancing, 50 ms, is outside of all iterations: {total}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -40,6 +40,8 @@ pub(super) enum Request<'a> {
     Call { parts: Vec<PartHead> },
     /// Calls `reset()` of the object.
     Reset {},
+    /// Calls `advance(seconds)` of the object.
+    Advance { seconds: f64 },
 }
 
 /// Reply of the worker.

@@ -18,7 +18,7 @@ const STOP_TIMEOUT: Span = Span::from_millis(1000);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// Sensor; the object has `sample()`, and may have `reset()`.
+    /// Sensor; the object has `sample()`, and may have `reset()` and `advance(seconds)`.
     Sensor,
     /// Model; the object has `infer(x)`, and may have `preprocess(x)` and `postprocess(y)`.
     Model,
@@ -103,6 +103,19 @@ impl PythonObject {
     /// If the object raised an exception or gave no answer.
     pub fn reset(&mut self) -> Result<(), PythonError> {
         self.exchange(Worker::reset).result.map(drop)
+    }
+
+    /// Returns whether the object is a sensor with `advance(seconds)`.
+    pub fn advances(&self) -> bool {
+        self.description.advances()
+    }
+
+    /// Calls `advance(seconds)` of the object, which advances a simulation. Blocks and restarts as [`call`](Self::call) does.
+    ///
+    /// # Errors
+    /// If the object raised an exception or gave no answer.
+    pub fn advance(&mut self, time: Span) -> Result<(), PythonError> {
+        self.exchange(|worker, until| worker.advance(time, until)).result.map(drop)
     }
 
     /// Sends a request to the process and receives its reply.

@@ -27,12 +27,19 @@ pub struct ObjectDescription {
     is_incomplete: bool,
     /// `true` if a sensor or an actuator has `reset()`.
     resets: bool,
+    /// `true` if a sensor has `advance(seconds)`.
+    advances: bool,
 }
 
 impl ObjectDescription {
     /// Returns whether the object is a sensor or an actuator with `reset()`.
     pub(super) const fn resets(&self) -> bool {
         self.resets
+    }
+
+    /// Returns whether the object is a sensor with `advance(seconds)`.
+    pub(super) const fn advances(&self) -> bool {
+        self.advances
     }
 
     /// Returns facts for the run's page, such as (`Sensor`, `the Python class camera::Camera, Python 3.11.2`). The

@@ -179,6 +179,7 @@ def start(request):
     user_object, what = load_object(settings["module"], settings["path"], METHODS[settings["role"]])
     role = ROLES[settings["role"]](user_object)
     # A model has no episodes.
+    advances = settings["role"] == "sensor" and callable(getattr(user_object, "advance", None))
     resets = settings["role"] != "model" and callable(getattr(user_object, "reset", None))
     version = ".".join(str(number) for number in sys.version_info[:3])
     description = {
@@ -186,6 +187,7 @@ def start(request):
         "python": version,
         "executable": bounded_utf8(sys.executable or ""),
         "resets": resets,
+        "advances": advances,
     }
     description.update(describe_code(settings["module"], folder, modules_before))
     return role, description, Encoder(settings["pickle"]), Decoder(settings["pickle"], settings["images"])
@@ -196,6 +198,8 @@ def answer(channel, request, role, encoder, decoder):
     try:
         if "reset" in request:
             value = reset(role.user_object)
+        elif "advance" in request:
+            value = advance(role.user_object, request["advance"]["seconds"])
         else:
             value = role.call(decoder.read(channel, request["call"]["parts"]), stages)
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
@@ -215,6 +219,12 @@ def answer(channel, request, role, encoder, decoder):
 def reset(user_object):
     """Prepares the object for an episode. What its reset() returns is not used, so that Gymnasium's environments fit."""
     user_object.reset()
+    wait_for_gpu()
+
+
+def advance(user_object, seconds):
+    """Advances the simulation that a sensor observes by the time that the last iteration took."""
+    user_object.advance(seconds)
     wait_for_gpu()
 
 

@@ -73,9 +73,12 @@ impl Worker {
 
     /// Calls `reset()` of the object.
     pub(super) fn reset(&mut self, until: MonoTime) -> Result<Answer, WorkerError> {
-        let head = encode_request(&Request::Reset {})?;
-        self.process.write(&[&head], until)?;
-        self.receive_reply(until)
+        self.send_header(&Request::Reset {}, until)
+    }
+
+    /// Calls `advance(seconds)` of the object.
+    pub(super) fn advance(&mut self, time: Span, until: MonoTime) -> Result<Answer, WorkerError> {
+        self.send_header(&Request::Advance { seconds: time.seconds() }, until)
     }
 
     /// Kills the process.
@@ -86,6 +89,13 @@ impl Worker {
     /// Ends the process.
     pub(super) fn end(self, grace: Span) -> ProcessEnd {
         self.process.end(grace)
+    }
+
+    /// Sends a request without parts, and receives the reply.
+    fn send_header(&mut self, request: &Request<'_>, until: MonoTime) -> Result<Answer, WorkerError> {
+        let header = encode_request(request)?;
+        self.process.write(&[&header], until)?;
+        self.receive_reply(until)
     }
 
     fn receive_reply(&mut self, deadline: MonoTime) -> Result<Answer, WorkerError> {

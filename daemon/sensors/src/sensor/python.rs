@@ -1,6 +1,6 @@
 //! Sensor kind `python`: an object of the user with `sample()`.
 
-use peernet_clock::SharedClock;
+use peernet_clock::{SharedClock, Span};
 use peernet_external::hide_values;
 pub use peernet_external::python::PythonConfig;
 use peernet_external::python::{PythonObject, Role};
@@ -59,6 +59,14 @@ impl Sensor for Python {
 
     fn reset(&mut self) -> Result<(), SensorError> {
         Ok(self.object.reset()?)
+    }
+
+    fn advances(&self) -> bool {
+        self.object.advances()
+    }
+
+    fn advance(&mut self, time: Span) -> Result<(), SensorError> {
+        Ok(self.object.advance(time)?)
     }
 
     fn facts(&self) -> Vec<(String, String)> {

@@ -1,18 +1,18 @@
-//! Begin and end of episodes in the loop: the reset before each, and the end that the actuator reports.
+//! Begin and end of episodes in the loop: the preparation before each iteration, and the end that the actuator reports.
 
 use peernet_actuators::Feedback;
 use peernet_stream::Outcome;
 
 use super::PipelineLoop;
-use crate::pipeline::episode_reset::ResetError;
 use crate::pipeline::in_flight::PendingIteration;
 use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
+use crate::pipeline::preparation::{Preparation, PreparationError};
 
 impl PipelineLoop<'_> {
-    /// Returns whether the sensor or the actuator has to be reset before the next iteration.
-    pub(super) fn is_reset_due(&self) -> bool {
-        self.run.begins_episode() && self.resources.needs_reset()
+    /// Returns how the sensor and the actuator have to be prepared before the next iteration.
+    pub(super) fn due_preparation(&self) -> Option<Preparation> {
+        self.resources.due_preparation(self.run.begins_episode())
     }
 
     /// Ends the episode whose end the actuator has reported. A sample that was requested before belongs to that episode, so
@@ -23,20 +23,20 @@ impl PipelineLoop<'_> {
         }
     }
 
-    /// Handles the end of the reset before an episode. If it failed, an iteration fails with the reason, and its episode
-    /// ends: no step of an episode may be taken without a reset.
-    pub(in crate::pipeline) fn handle_reset(&mut self, result: Result<(), ResetError>) {
-        self.resources.pending_reset = None;
+    /// Handles the end of a preparation. If it failed, an iteration fails with the reason, and its episode ends: no step of an
+    /// episode may be taken without a reset, or with a simulation whose time is unknown.
+    pub(in crate::pipeline) fn handle_preparation(&mut self, result: Result<(), PreparationError>) {
+        self.resources.pending_preparation = None;
         let clock = &self.context.host.clock;
         let now = clock.mono();
         let outcome = match result {
             Ok(()) => Outcome::Ok,
-            Err(ResetError::SensorDied) => return self.handle_sensor_death(),
+            Err(PreparationError::SensorDied) => return self.handle_sensor_death(),
             Err(error) => Outcome::Failed(error.to_string()),
         };
-        self.reset_backoff.record_outcome(&outcome, now);
+        self.preparation_backoff.record_outcome(&outcome, now);
         self.resources.is_reset = outcome == Outcome::Ok;
-        // The time of a reset belongs to no iteration.
+        // The time of a preparation belongs to no iteration.
         self.resources.schedule.resume_at(now);
         if outcome != Outcome::Ok && self.end_reason.is_none() {
             let start = Start { intended: now, skipped: 0 };
