@@ -237,7 +237,13 @@ def main() -> None:
     example = torch.zeros(1, 3, HEIGHT, WIDTH)
     path = options.out / "model.onnx"
     torch.onnx.export(
-        detector.eval(), example, str(path), input_names=["image"], output_names=["boxes"], opset_version=OPSET
+        detector.eval(),
+        example,
+        str(path),
+        input_names=["image"],
+        output_names=["boxes"],
+        dynamic_axes={"image": {0: "batch"}, "boxes": {0: "batch"}},
+        opset_version=OPSET,
     )
     text = CARD.format(
         width=WIDTH,

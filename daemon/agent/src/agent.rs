@@ -371,8 +371,11 @@ fn build_bank(
         None => bank,
     };
     bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
-        let text =
+        let mut text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.load_duration().seconds());
+        if let Some(bytes) = pool.memory_growth() {
+            text.push_str(&format!("; the process grew by {:.0} MB", bytes as f64 * 1e-6));
+        }
         incidents.report(IncidentKind::ModelLoaded, IncidentSubject::default(), text);
     })
 }

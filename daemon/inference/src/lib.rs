@@ -7,6 +7,7 @@
 //! A new kind is one file or folder in [`model`], registered in the `mod.rs` there.
 
 pub mod bank;
+mod batching;
 mod error;
 mod job;
 pub mod model;
@@ -18,6 +19,7 @@ mod temp_dirs;
 mod thread;
 
 pub use bank::{Bank, BankConfig};
+pub use batching::{Batching, Request};
 pub use error::{InferenceError, LibraryError, LoadError};
 pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
@@ -43,6 +45,12 @@ pub trait Worker: Send {
         recorder: &mut Recorder,
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError>;
+
+    /// Computes the answers of several requests together, at most as many as [`Model::batching`] allows. Returns one result per
+    /// request, in their order. Each stage is recorded for all of them, from its start to its end for the whole batch.
+    fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
+        requests.iter_mut().map(|one| self.infer(one.sample, one.recorder, one.requester)).collect()
+    }
 }
 
 /// A loaded model.
@@ -56,6 +64,11 @@ pub trait Model: Send + Sync {
     /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
+    }
+
+    /// Returns how many requests a worker computes together.
+    fn batching(&self) -> Batching {
+        Batching::OFF
     }
 
     /// Returns the device on which the model runs, such as `cpu` or `cuda:0`.

@@ -19,6 +19,8 @@ pub struct Pool {
     name: Slug,
     model: Arc<dyn Model>,
     load_duration: Span,
+    /// Growth of the process's resident memory while the model was loaded, bytes.
+    memory_growth: Option<u64>,
     workers: usize,
     execution: Execution,
     /// Facts in addition to the facts of the model.
@@ -58,12 +60,19 @@ impl Pool {
         };
         Ok(Self {
             load_duration: clock.mono() - started_at,
+            memory_growth: None,
             name,
             model,
             workers,
             execution,
             additional_facts: Vec::new(),
         })
+    }
+
+    /// Sets the growth of the process's resident memory while the model was loaded, bytes.
+    pub(crate) fn with_memory_growth(mut self, bytes: Option<u64>) -> Self {
+        self.memory_growth = bytes;
+        self
     }
 
     /// Adds facts to the facts of the model.
@@ -81,8 +90,13 @@ impl Pool {
         match &self.execution {
             Execution::Inline(slot) => {
                 // The reply is called without the lock, because it may submit the next job.
-                let (reply, done) = slot.lock().unwrap_or_else(PoisonError::into_inner).compute(job);
-                deliver(&self.name, reply, done);
+                let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+                let taken_at = slot.clock.mono();
+                let finished = slot.compute(vec![job], taken_at);
+                drop(slot);
+                for (reply, done) in finished {
+                    deliver(&self.name, reply, done);
+                }
                 Ok(())
             }
             Execution::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
@@ -137,6 +151,12 @@ impl Pool {
     /// Returns the duration of loading the model and creating its workers.
     pub fn load_duration(&self) -> Span {
         self.load_duration
+    }
+
+    /// Returns the growth of this process's resident memory while the model was loaded, bytes; `None` if it is unknown. Memory
+    /// of a GPU and of users' processes does not count, memory that others allocated meanwhile does.
+    pub fn memory_growth(&self) -> Option<u64> {
+        self.memory_growth
     }
 
     /// Returns the number of samples that are computed at the same time.

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Bounded first-in first-out queue with several producers and consumers.
 ///
@@ -70,6 +71,25 @@ impl<T> Queue<T> {
         if state.closed { None } else { state.waiting.pop_front() }
     }
 
+    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and not at all if the
+    /// queue is closed.
+    pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
+        let deadline = Instant::now() + timeout;
+        let mut state = self.lock();
+        loop {
+            let missing = size.saturating_sub(items.len());
+            let ready = missing.min(state.waiting.len());
+            items.extend(state.waiting.drain(..ready));
+            let remaining = deadline.saturating_duration_since(Instant::now());
+            if items.len() >= size || state.closed || remaining.is_zero() {
+                return;
+            }
+            state.idle += 1;
+            state = self.changed.wait_timeout(state, remaining).unwrap_or_else(PoisonError::into_inner).0;
+            state.idle -= 1;
+        }
+    }
+
     /// Closes the queue: wakes all consumers, and returns the items that none of them took.
     pub(crate) fn close(&self) -> VecDeque<T> {
         let mut state = self.lock();
@@ -98,6 +118,36 @@ mod tests {
         assert_eq!((queue.push('a'), queue.push('b')), (Ok(()), Ok(())));
         assert_eq!(queue.push('c'), Err(('c', Rejection::Full)));
         assert_eq!((queue.pop(), queue.pop(), queue.len()), (Some('a'), Some('b'), 0));
+    }
+
+    #[test]
+    fn batch_is_complete_at_its_size_or_at_timeout() {
+        let hour = Duration::from_secs(3600);
+        let queue = Arc::new(Queue::new(8));
+        for item in ['b', 'c', 'd'] {
+            queue.push(item).expect("has room");
+        }
+        let mut items = vec!['a'];
+        queue.pop_more(&mut items, 3, hour);
+        assert_eq!((&items[..], queue.len()), (&['a', 'b', 'c'][..], 1));
+        let mut items = vec!['a'];
+        queue.pop_more(&mut items, 3, Duration::from_millis(1));
+        assert_eq!(items, ['a', 'd']);
+        let waiting = std::thread::spawn({
+            let queue = Arc::clone(&queue);
+            move || {
+                let mut items = vec!['a'];
+                queue.pop_more(&mut items, 3, hour);
+                items
+            }
+        });
+        queue.push('e').expect("has room");
+        queue.push('f').expect("has room");
+        assert_eq!(waiting.join().expect("does not panic"), ['a', 'e', 'f']);
+        queue.close();
+        let mut items = vec!['a'];
+        queue.pop_more(&mut items, 3, hour);
+        assert_eq!(items, ['a'], "a closed queue does not wait");
     }
 
     #[test]

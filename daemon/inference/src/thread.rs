@@ -4,13 +4,13 @@ use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use peernet_clock::SharedClock;
-use peernet_logger::{Recorder, Slug, stage};
+use peernet_clock::{MonoTime, SharedClock};
+use peernet_logger::{Slug, stage};
 use peernet_sample::Sample;
 
 use crate::job::Reply;
 use crate::queue::Queue;
-use crate::{FinishedJob, InferenceError, Job, Model, Requester, Worker};
+use crate::{FinishedJob, InferenceError, Job, Model, Request, Worker};
 
 /// A worker with the objects that it needs to answer jobs; used by one thread at a time.
 pub(crate) struct WorkerSlot {
@@ -24,52 +24,81 @@ pub(crate) struct WorkerSlot {
 impl WorkerSlot {
     /// Serves jobs until the queue is closed.
     pub(crate) fn serve(&mut self, queue: &Queue<Job>) {
+        let batching = self.model.batching();
         while let Some(job) = queue.pop() {
-            let (reply, done) = self.compute(job);
-            deliver(&self.name, reply, done);
+            let taken_at = self.clock.mono();
+            let mut jobs = vec![job];
+            if batching.is_on() {
+                queue.pop_more(&mut jobs, batching.max_size, batching.max_wait);
+            }
+            for (reply, done) in self.compute(jobs, taken_at) {
+                deliver(&self.name, reply, done);
+            }
         }
     }
 
-    /// Computes one job; the caller passes the result to [`deliver`]. Never panics.
-    pub(crate) fn compute(&mut self, job: Job) -> (Reply, FinishedJob) {
-        let Job { sample, mut recorder, received, requester, reply } = job;
-        recorder.record_timer(stage::QUEUE, received, self.clock.mono());
-        let result = self.infer(&sample, &mut recorder, &*requester);
-        (reply, FinishedJob { recorder, result })
-    }
-
-    fn infer(
-        &mut self,
-        sample: &Sample,
-        recorder: &mut Recorder,
-        requester: &dyn Requester,
-    ) -> Result<Sample, InferenceError> {
+    /// Computes jobs that were taken from the queue at `taken_at` or later; the caller passes the results to [`deliver`]. Never
+    /// panics.
+    pub(crate) fn compute(&mut self, mut jobs: Vec<Job>, taken_at: MonoTime) -> Vec<(Reply, FinishedJob)> {
+        let started_at = self.clock.mono();
+        let is_batching = self.model.batching().is_on();
+        for job in &mut jobs {
+            let left_queue_at = if is_batching { taken_at.max(job.received) } else { started_at };
+            job.recorder.record_timer(stage::QUEUE, job.received, left_queue_at);
+            if is_batching {
+                job.recorder.record_timer(stage::BATCH_WAIT, left_queue_at, started_at);
+            }
+        }
         // A request that was cancelled in the queue costs no computation.
-        if requester.cancellation().is_cancelled() {
-            return Err(InferenceError::Cancelled { model: self.name.to_string() });
-        }
+        let (cancelled, mut awaited): (Vec<_>, Vec<_>) =
+            jobs.into_iter().partition(|job| job.requester.cancellation().is_cancelled());
+        let results = if awaited.is_empty() { Vec::new() } else { self.infer(&mut awaited) };
+        let cancellation = || Err(InferenceError::Cancelled { model: self.name.to_string() });
+        let cancelled = cancelled.into_iter().map(|job| (job, cancellation()));
+        let finished = |(job, result): (Job, _)| (job.reply, FinishedJob { recorder: job.recorder, result });
+        awaited.into_iter().zip(results).chain(cancelled).map(finished).collect()
+    }
+
+    /// Returns one result per job, in their order.
+    fn infer(&mut self, jobs: &mut [Job]) -> Vec<Result<Sample, InferenceError>> {
         let mut worker = match self.worker.take() {
             Some(worker) => worker,
             None => {
                 let restarted_at = self.clock.mono();
-                let worker = self.model.create_worker().map_err(|error| InferenceError::Failed {
-                    model: self.name.to_string(),
-                    reason: format!("its worker could not be rebuilt after a panic: {error}"),
-                })?;
-                recorder.record_timer(stage::RESTART, restarted_at, self.clock.mono());
-                worker
+                let created = self.model.create_worker();
+                let ready_at = self.clock.mono();
+                match created {
+                    Ok(worker) => {
+                        for job in jobs.iter_mut() {
+                            job.recorder.record_timer(stage::RESTART, restarted_at, ready_at);
+                        }
+                        worker
+                    }
+                    Err(error) => {
+                        let reason = format!("its worker could not be rebuilt after a panic: {error}");
+                        let model = self.name.to_string();
+                        return vec![Err(InferenceError::Failed { model, reason }); jobs.len()];
+                    }
+                }
             }
         };
-        // The panic closes the recorder's open nodes as it unwinds, so that the recorder stays usable. The worker is
-        // discarded.
-        match catch_unwind(AssertUnwindSafe(|| worker.infer(sample, recorder, requester))) {
-            Ok(result) => {
+        let count = jobs.len();
+        // The panic closes the recorders' open nodes as it unwinds, so that they stay usable. The worker is discarded.
+        let outcome = catch_unwind(AssertUnwindSafe(|| match jobs {
+            [Job { sample, recorder, requester, .. }] => vec![worker.infer(sample, recorder, &**requester)],
+            jobs => {
+                let mut requests: Vec<_> = jobs.iter_mut().map(Request::from).collect();
+                worker.infer_batch(&mut requests)
+            }
+        }));
+        match outcome {
+            Ok(results) => {
                 self.worker = Some(worker);
-                result
+                results
             }
             Err(panic) => {
                 let message = panic_message(panic.as_ref()).to_owned();
-                Err(InferenceError::Panicked { model: self.name.to_string(), message })
+                vec![Err(InferenceError::Panicked { model: self.name.to_string(), message }); count]
             }
         }
     }

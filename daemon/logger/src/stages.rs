@@ -4,9 +4,7 @@ use peernet_clock::{Span, WallTime};
 
 use crate::{HostIndex, Measure, Name, Node, NodeId, Tree, stage};
 
-/// Number of stages.
-const STAGES: usize = 11;
-static ORDER: [Name; STAGES] = stage::ORDER;
+static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
 ///
@@ -21,7 +19,7 @@ static ORDER: [Name; STAGES] = stage::ORDER;
 /// clock. A step of the edge's wall clock between sending and receipt looks like a delay.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stages {
-    durations: [Option<Span>; STAGES],
+    durations: [Option<Span>; stage::COUNT],
     transport: Option<Span>,
     round_trip: Option<Span>,
     total: Option<Span>,
@@ -109,7 +107,7 @@ impl Transport {
 
 impl Stages {
     fn from_tree(tree: &Tree) -> Self {
-        let mut stages = [Stage::default(); STAGES];
+        let mut stages = [Stage::default(); stage::COUNT];
         let mut transport = Transport::default();
         let mut total = Stage::default();
         for (_, node) in tree.children(NodeId::ROOT) {

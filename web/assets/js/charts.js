@@ -23,7 +23,7 @@ const PEER = (() => {
     return getComputedStyle(probe).color;
   });
   const px = (rem) => rem * cached("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
-  const look = (stage) => ({ "send-queue": "queue", ipc: "encode" })[stage] ?? stage;
+  const look = (stage) => ({ "send-queue": "queue", "batch-wait": "queue", ipc: "encode" })[stage] ?? stage;
 
   function hatch(ground, line, angle) {
     const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1, size = 6;

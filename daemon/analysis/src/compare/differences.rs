@@ -14,7 +14,7 @@ use crate::loaded::Loaded;
 use crate::rows::RowRef;
 
 /// Stages in their order. The names are stored in a static, so that [`STAGES`] can borrow them.
-static ORDER: [Name; 11] = stage::ORDER;
+static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Stages that two lines of a comparison may both have.
 pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {

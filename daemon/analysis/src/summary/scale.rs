@@ -3,7 +3,7 @@
 use peernet_logger::Unit;
 
 /// Nodes whose values are times, wherever they are in the tree. Their columns are times in files of any program.
-const DURATION_COLUMNS: [&str; 18] = [
+const DURATION_COLUMNS: [&str; 19] = [
     "sensing",
     "upload",
     "preprocessing",
@@ -15,6 +15,7 @@ const DURATION_COLUMNS: [&str; 18] = [
     "encode",
     "send-queue",
     "queue",
+    "batch-wait",
     "ipc",
     "capture-ipc",
     "restart",

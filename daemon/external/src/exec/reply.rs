@@ -10,7 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
-const RESERVED_NAMES: [&str; 38] = [
+const RESERVED_NAMES: [&str; 39] = [
     "iteration",
     "sensing",
     "capture",
@@ -19,6 +19,7 @@ const RESERVED_NAMES: [&str; 38] = [
     "send-queue",
     "upload",
     "queue",
+    "batch-wait",
     "download",
     "actuation",
     "total",

@@ -46,7 +46,7 @@ const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Toke
 }
 
 /// Every stage in the order of stacks, keys and tables; the unattributed time is the last.
-pub const STAGES: [Stage; 13] = [
+pub const STAGES: [Stage; 14] = [
     dark("sensing", Token::new("s-sensing", 0x10_9e6d, 0x29_b783), Hatch::Plain),
     pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Level),
     Stage {
@@ -55,6 +55,10 @@ pub const STAGES: [Stage; 13] = [
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
     pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
+    Stage {
+        line: Some(Rgb::hex(0x6b_5a00)),
+        ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Level)
+    },
     // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
     Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
     pale(
@@ -94,6 +98,11 @@ const OTHER: Stage = Stage {
     hatch: Hatch::Plain,
     line: None,
 };
+
+/// Returns the label of a stage or a part of one in legends, tables and sentences: its name, except for [`LATENESS`].
+pub fn label(name: &str) -> &str {
+    if name == LATENESS { "late start" } else { name }
+}
 
 /// Returns the look of a stage, of a part of a stage, or of a total. A stage that a user's program defines has the colour of quiet text.
 pub fn stage(name: &str) -> Stage {

@@ -181,14 +181,8 @@ def detectors(out):
 # --- arrays -----------------------------------------------------------------------------------------------------------
 
 
-def arrays(out):
-    for name in TYPES:
-        card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "{name}"\nshape = [3]\n'
-        card += f'[output]\nname = "y"\ndtype = "{name}"\nshape = [3]\n'
-        node = helper.make_node("Identity", ["x"], ["y"])
-        write(out, "identity-" + name, card, [node], [value("x", name, [3])], [value("y", name, [3])])
-
-    # action = 2 state + mean(front) + offset; done = action > 0.
+def policy(out, name, batch):
+    """action = 2 state + mean(front) + offset; done = action > 0, for each sample of a batch."""
     card = """
 task = "tensors"
 [[input]]
@@ -218,22 +212,46 @@ shape = [1, 2]
 """
     nodes = [
         helper.make_node("Cast", ["front"], ["pixels"], to=TensorProto.FLOAT),
-        helper.make_node("ReduceMean", ["pixels"], ["mean"], keepdims=0),
+        helper.make_node("ReduceMean", ["pixels"], ["means"], axes=[1, 2, 3], keepdims=1),
+        helper.make_node("Flatten", ["means"], ["mean"], axis=1),
         helper.make_node("Cast", ["offset"], ["shift"], to=TensorProto.FLOAT),
         helper.make_node("Add", ["state", "state"], ["double"]),
         helper.make_node("Add", ["double", "mean"], ["sum"]),
         helper.make_node("Add", ["sum", "shift"], ["action"]),
         helper.make_node("Greater", ["action", "zero"], ["done"]),
     ]
-    inputs = [value("front", "uint8", [1, 2, 2, 3]), value("state", "float32", [1, 2]), value("offset", "int64", [1, 2])]
-    outputs = [value("action", "float32", [1, 2]), value("done", "bool", [1, 2])]
-    write(out, "policy", card, nodes, inputs, outputs, [("zero", np.zeros(1, np.float32))])
+    inputs = [
+        value("front", "uint8", [batch, 2, 2, 3]),
+        value("state", "float32", [batch, 2]),
+        value("offset", "int64", [1, 2]),
+    ]
+    outputs = [value("action", "float32", [batch, 2]), value("done", "bool", [batch, 2])]
+    write(out, name, card, nodes, inputs, outputs, [("zero", np.zeros(1, np.float32))])
+
+
+def arrays(out):
+    for name in TYPES:
+        card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "{name}"\nshape = [3]\n'
+        card += f'[output]\nname = "y"\ndtype = "{name}"\nshape = [3]\n'
+        node = helper.make_node("Identity", ["x"], ["y"])
+        write(out, "identity-" + name, card, [node], [value("x", name, [3])], [value("y", name, [3])])
+
+    policy(out, "policy", 1)
+    policy(out, "open-policy", "batch")
 
     # The root of a negative number is NaN; the zeros of the first run have one.
-    card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [3]\n'
-    card += '[output]\nname = "y"\ndtype = "float32"\nshape = [3]\n'
-    node = helper.make_node("Sqrt", ["x"], ["y"])
-    write(out, "root", card, [node], [value("x", "float32", [3])], [value("y", "float32", [3])])
+    for name, shape in (("root", [3]), ("open-root", ["batch", 3])):
+        card_shape = [1 if length == "batch" else length for length in shape]
+        card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = {card_shape}\n'
+        card += f'[output]\nname = "y"\ndtype = "float32"\nshape = {card_shape}\n'
+        node = helper.make_node("Sqrt", ["x"], ["y"])
+        write(out, name, card, [node], [value("x", "float32", shape)], [value("y", "float32", shape)])
+
+    # One row for all samples of a batch.
+    card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [1, 3]\n'
+    card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
+    node = helper.make_node("ReduceMean", ["x"], ["y"], axes=[0])
+    write(out, "mean-of-rows", card, [node], [value("x", "float32", ["batch", 3])], [value("y", "float32", [1, 3])])
 
     card = f'task = "tensors"\n{picture_input()}{PREPROCESSING}'
     card += f'[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3, {INPUT[1]}, {INPUT[0]}]\n'

@@ -42,7 +42,7 @@ pub(super) fn answer(name: &str, parts: Vec<Part>) -> Result<Sample, InferenceEr
     run(&loaded(&bank, name), Sample { parts, source: String::new(), label: None }).result
 }
 
-fn pixels((width, height): (u32, u32), bytes: Vec<u8>) -> Part {
+pub(super) fn pixels((width, height): (u32, u32), bytes: Vec<u8>) -> Part {
     Part { description: Description::pixels(PixelFormat::Rgb8, width, height), bytes: bytes.into() }
 }
 
@@ -50,16 +50,16 @@ pub(super) fn grey_picture() -> Part {
     pixels(PICTURE, vec![128; (PICTURE.0 * PICTURE.1 * 3) as usize])
 }
 
-fn array(element: ElementType, shape: &[u32], bytes: Vec<u8>) -> Part {
+pub(super) fn array(element: ElementType, shape: &[u32], bytes: Vec<u8>) -> Part {
     let description = Description { media: MediaType::Tensor, shape: shape.to_vec(), element: Some(element) };
     Part { description, bytes: bytes.into() }
 }
 
-fn bytes(numbers: &[f32]) -> Vec<u8> {
+pub(super) fn bytes(numbers: &[f32]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
 }
 
-fn floats(bytes: &[u8]) -> Vec<f32> {
+pub(super) fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.as_chunks().0.iter().map(|number| f32::from_le_bytes(*number)).collect()
 }
 

@@ -3,6 +3,7 @@
 
 mod accuracy;
 mod bank;
+mod batching;
 mod detection;
 mod distribution;
 mod exec;

@@ -100,6 +100,9 @@ standard_names! {
     symbols { "" "s" "B" "bit/s" "token/s" "W" "°C" "J" "token" }
 }
 
+/// Cloud or edge: from when a worker takes a sample until the computation of its batch starts.
+// The wire form contains it as text, as that of `ipc`.
+pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
 // The wire form contains it as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
@@ -117,13 +120,17 @@ pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
 /// Wait for an actuator's restarted worker, below `actuation` and part of it.
 pub const ACTUATION_RESTART: Name = Name::from_static("actuation-restart");
 
+/// Number of stages that add up to `stages-total`.
+pub const COUNT: usize = 12;
+
 /// The stages that add up to `stages-total`, in the order of every stack, key and table.
-pub const ORDER: [Name; 11] = [
+pub const ORDER: [Name; COUNT] = [
     SENSING,
     ENCODE,
     SEND_QUEUE,
     UPLOAD,
     QUEUE,
+    BATCH_WAIT,
     IPC,
     PREPROCESSING,
     INFERENCE,
@@ -138,7 +145,7 @@ mod tests {
 
     #[test]
     fn standard_names_are_recognised() {
-        for stage in ORDER.iter().filter(|stage| **stage != IPC) {
+        for stage in ORDER.iter().filter(|stage| ![IPC, BATCH_WAIT].contains(stage)) {
             assert_eq!(standard(stage), Some(stage.as_str()));
         }
         assert_eq!(standard("gripper-force"), None);

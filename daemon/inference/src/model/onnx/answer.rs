@@ -1,7 +1,6 @@
 //! The answer to a sample: conversion of a run's outputs by the card's task.
 
 use bytes::Bytes;
-use ort::session::SessionOutputs;
 use peernet_sample::{Description, ElementType, MediaType, Part, Sample};
 
 use super::card::{Card, Embedding, Task, TensorOutput};
@@ -10,42 +9,40 @@ use super::geometry::PictureTransform;
 use super::outputs::{Output, OutputError, Outputs};
 use super::{detection, segment};
 
-/// Converts the outputs of a run to the answer. `transform` relates the sample's first picture to its input.
+/// Converts the outputs of a sample to its answer. `transform` relates the sample's first picture to its input.
 ///
 /// # Errors
 /// If an output contains NaN, or does not fit the card.
 pub(super) fn answer(
     card: &Card,
-    outputs: &SessionOutputs<'_>,
+    outputs: &Outputs<'_, '_>,
     transform: Option<&PictureTransform>,
 ) -> Result<Sample, OutputError> {
-    let outputs = Outputs(outputs);
     let transform = transform.ok_or(OutputError::NoPicture);
     let parts = match &card.task {
         Task::Classification(task) => {
             let numbers = classes(&outputs.get(&task.name)?, task.labels.len())?;
             vec![json(classify(task, &mut numbers.into_owned())?)]
         }
-        Task::Detection(task) => vec![json(detection::detect(task, &outputs, transform?)?)],
-        Task::Segmentation(task) => segment::segment(task, &outputs, transform?)?,
+        Task::Detection(task) => vec![json(detection::detect(task, outputs, transform?)?)],
+        Task::Segmentation(task) => segment::segment(task, outputs, transform?)?,
         Task::Embedding(task) => vec![embedding(task, &outputs.get(&task.name)?)?],
         Task::Tensors(tensors) => {
-            tensors.iter().map(|tensor| part(&declared(tensor, &outputs)?)).collect::<Result<_, _>>()?
+            tensors.iter().map(|tensor| part(&declared(tensor, outputs)?)).collect::<Result<_, _>>()?
         }
     };
     Ok(Sample { parts, source: String::new(), label: None })
 }
 
 /// Checks the outputs of a run whose numbers mean nothing: their names, types and shapes.
-pub(super) fn check(card: &Card, outputs: &SessionOutputs<'_>) -> Result<(), OutputError> {
-    let outputs = Outputs(outputs);
+pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), OutputError> {
     let size = || card.picture().map(|picture| picture.size).ok_or(OutputError::NoPicture);
     match &card.task {
         Task::Classification(task) => classes(&outputs.get(&task.name)?, task.labels.len()).map(drop),
-        Task::Detection(task) => detection::check(task, &outputs, size()?),
-        Task::Segmentation(task) => segment::check(task, &outputs),
+        Task::Detection(task) => detection::check(task, outputs, size()?),
+        Task::Segmentation(task) => segment::check(task, outputs),
         Task::Embedding(task) => outputs.get(&task.name)?.unbatched::<1>("[1, n]").map(drop),
-        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared(tensor, &outputs).map(drop)),
+        Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| declared(tensor, outputs).map(drop)),
     }
 }
 

@@ -3,18 +3,23 @@
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
 use super::Onnx;
 use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{LoadError, Model};
+use crate::{Batching, LoadError, Model};
 
 /// Largest number of threads within or across the operators of a model.
 const MAX_THREADS: usize = 1024;
+/// Largest number of requests in a batch.
+const MAX_BATCH: usize = 1024;
+/// Longest wait for further requests of a batch, milliseconds.
+const MAX_BATCH_WAIT_MS: f64 = 60_000.0;
 
 /// Keys of a model of `kind = "onnx"`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnnxConfig {
     /// Folder with `model.onnx` and its card `model.toml`.
@@ -25,6 +30,42 @@ pub struct OnnxConfig {
     /// Threads of each worker across independent operators; above 1 these run in parallel.
     #[serde(default = "one_thread")]
     pub inter_threads: NonZeroUsize,
+    /// Limits of the batches in which each worker computes concurrent requests. Without it each is computed alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub batch: Option<BatchConfig>,
+}
+
+/// The key `batch`: several requests in one run of the model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BatchConfig {
+    /// Largest number of requests in a batch.
+    pub max_size: NonZeroUsize,
+    /// Longest time that the first request of a batch waits for further ones, milliseconds. 0 takes only those that wait already.
+    #[serde(default)]
+    pub max_wait_ms: f64,
+}
+
+impl OnnxConfig {
+    /// Returns the limits of a batch.
+    pub(super) fn batching(&self) -> Batching {
+        self.batch.map_or(Batching::OFF, |BatchConfig { max_size, max_wait_ms }| Batching {
+            max_size: max_size.get(),
+            max_wait: Duration::from_secs_f64(max_wait_ms * 1e-3),
+        })
+    }
+
+    fn check_batch(&self, shared: &SharedKeys) -> Result<(), LoadError> {
+        let wait_ms = self.batch.map_or(0.0, |batch| batch.max_wait_ms);
+        if (0.0..=MAX_BATCH_WAIT_MS).contains(&wait_ms) {
+            return Ok(());
+        }
+        Err(LoadError::InvalidKey {
+            model: shared.name.to_string(),
+            key: "batch.max_wait_ms",
+            reason: format!("{wait_ms} is not a time; write milliseconds, from 0 to {MAX_BATCH_WAIT_MS}"),
+        })
+    }
 }
 
 const fn one_thread() -> NonZeroUsize {
@@ -37,17 +78,21 @@ impl ModelKind for OnnxConfig {
     }
 
     fn limits(&self) -> Vec<(&'static str, usize, usize)> {
+        let batch = self.batch.map_or(1, |batch| batch.max_size.get());
         vec![
+            ("batch.max_size", batch, MAX_BATCH),
             ("intra_threads", self.intra_threads.get(), MAX_THREADS),
             ("inter_threads", self.inter_threads.get(), MAX_THREADS),
         ]
     }
 
     fn check(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<(), LoadError> {
+        self.check_batch(shared)?;
         Onnx::check(self, shared, context.runtime)
     }
 
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
+        self.check_batch(shared)?;
         Ok(Arc::new(Onnx::load(self, shared, context)?))
     }
 }
@@ -57,7 +102,7 @@ impl ModelConfig {
     /// across operators.
     pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
         let [intra_threads, inter_threads] = threads;
-        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads } }.into()
+        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads, batch: None } }.into()
     }
 }
 

@@ -1,6 +1,7 @@
 //! The inputs of a model: their numbers, which are filled from the parts of a sample.
 
 use std::borrow::Cow;
+use std::ops::Range;
 
 use ort::session::SessionInputValue;
 use peernet_sample::{Description, MediaType, Part, Sample};
@@ -10,11 +11,11 @@ use super::geometry::PictureTransform;
 use super::numbers::Numbers;
 use super::picture::{InputError, PicturePreprocessor};
 
-/// All inputs of a model. Buffers are reused for the next sample.
+/// All inputs of a model, for one sample or for a batch. Buffers are reused.
 pub(super) struct ModelInputs {
     inputs: Vec<InputBuffer>,
-    /// Relation of the first picture to its input, for the last sample.
-    transform: Option<PictureTransform>,
+    /// For each sample of the batch, the relation of its first picture to its input.
+    transforms: Vec<Option<PictureTransform>>,
 }
 
 /// One input with its numbers.
@@ -22,22 +23,27 @@ struct InputBuffer {
     input: Input,
     /// Conversion of a picture; `None` for arrays and constants.
     preprocessor: Option<PicturePreprocessor>,
+    /// The numbers of all samples of the largest batch; of a constant that all samples share, once.
     numbers: Numbers,
+    /// Shape in the next run of the session.
+    shape: Vec<usize>,
 }
 
 impl ModelInputs {
-    /// Creates the inputs: constants as they are in the card, all others zeros.
-    pub(super) fn new(inputs: &[Input]) -> Self {
-        Self { inputs: inputs.iter().map(InputBuffer::new).collect(), transform: None }
+    /// Creates inputs for at most `max_size` samples: constants as they are in the card, all others zeros. An input has one row
+    /// for each sample if `is_batched`.
+    pub(super) fn new(inputs: &[Input], max_size: usize, is_batched: impl Fn(&Input) -> bool) -> Self {
+        let buffer = |input: &Input| InputBuffer::new(input, if is_batched(input) { max_size } else { 1 });
+        Self { inputs: inputs.iter().map(buffer).collect(), transforms: vec![None; max_size] }
     }
 
-    /// Fills the inputs from the parts of a sample, in the order of the card.
+    /// Fills the inputs of the sample at `index` of the batch from its parts, in the order of the card.
     ///
     /// # Errors
     /// If the sample has fewer or more parts than the model takes, or if a part is not what its input is made from. A model that
     /// takes one part ignores further ones.
-    pub(super) fn fill(&mut self, sample: &Sample) -> Result<(), InputError> {
-        self.transform = None;
+    pub(super) fn fill(&mut self, index: usize, sample: &Sample) -> Result<(), InputError> {
+        self.transforms[index] = None;
         let taken = || self.inputs.iter().filter(|buffer| buffer.takes_part());
         let (actual, expected) = (sample.parts.len(), taken().count());
         // A model of one input ignores further parts, such as the depth beside a picture.
@@ -49,55 +55,70 @@ impl ModelInputs {
             return Err(InputError::Parts { actual, expected, names: names.join(", ") });
         }
         let buffers = self.inputs.iter_mut().filter(|buffer| buffer.takes_part());
-        for (index, (buffer, part)) in buffers.zip(&sample.parts).enumerate() {
-            let transform = buffer.fill(part).map_err(|error| match expected {
+        for (position, (buffer, part)) in buffers.zip(&sample.parts).enumerate() {
+            let transform = buffer.fill(index, part).map_err(|error| match expected {
                 1 => error,
                 _ => {
                     let input = buffer.input.name.clone();
-                    InputError::Part { number: index + 1, input, error: Box::new(error) }
+                    InputError::Part { number: position + 1, input, error: Box::new(error) }
                 }
             })?;
-            self.transform = self.transform.or(transform);
+            self.transforms[index] = self.transforms[index].or(transform);
         }
         Ok(())
     }
 
-    /// Returns the relation between the last sample's first picture and its input; `None` without a picture.
-    pub(super) fn transform(&self) -> Option<&PictureTransform> {
-        self.transform.as_ref()
+    /// Returns the relation between the first picture of the sample at `index` and its input; `None` without a picture.
+    pub(super) fn transform(&self, index: usize) -> Option<&PictureTransform> {
+        self.transforms[index].as_ref()
     }
 
-    /// Returns the inputs for a run of the session, by name and without a copy.
-    pub(super) fn values<'a>(&'a self) -> ort::Result<Vec<(Cow<'a, str>, SessionInputValue<'a>)>> {
-        let value = |buffer: &'a InputBuffer| {
-            let InputBuffer { input, numbers, .. } = buffer;
-            Ok((Cow::Borrowed(input.name.as_str()), numbers.as_input(&input.shape)?))
-        };
-        self.inputs.iter().map(value).collect()
+    /// Returns the inputs of the first `size` samples for a run of the session, by name and without a copy.
+    pub(super) fn values(
+        &mut self,
+        size: usize,
+    ) -> ort::Result<Vec<(Cow<'_, str>, SessionInputValue<'_>)>> {
+        for buffer in self.inputs.iter_mut().filter(|buffer| buffer.is_batched()) {
+            buffer.shape[0] = size;
+        }
+        self.inputs.iter().map(InputBuffer::value).collect()
     }
 }
 
 impl InputBuffer {
-    fn new(input: &Input) -> Self {
-        let mut numbers = Numbers::zeros(input.data_type, input.count());
+    fn new(input: &Input, rows: usize) -> Self {
+        let mut numbers = Numbers::zeros(input.data_type, input.count() * rows);
         if let Source::Constant(values) = &input.source {
             numbers.fill(values);
         }
-        Self { input: input.clone(), preprocessor: input.picture().map(PicturePreprocessor::new), numbers }
+        let preprocessor = input.picture().map(PicturePreprocessor::new);
+        Self { input: input.clone(), preprocessor, numbers, shape: input.shape.clone() }
+    }
+
+    /// Returns the name and the numbers for the next run of the session.
+    fn value(&self) -> ort::Result<(Cow<'_, str>, SessionInputValue<'_>)> {
+        Ok((Cow::Borrowed(self.input.name.as_str()), self.numbers.as_input(&self.shape)?))
     }
 
     fn takes_part(&self) -> bool {
         !matches!(self.input.source, Source::Constant(_))
     }
 
-    fn fill(&mut self, part: &Part) -> Result<Option<PictureTransform>, InputError> {
+    /// Returns whether the input has a row for each sample of a batch.
+    fn is_batched(&self) -> bool {
+        self.numbers.len() > self.input.count()
+    }
+
+    fn fill(&mut self, index: usize, part: &Part) -> Result<Option<PictureTransform>, InputError> {
+        let count = self.input.count();
+        let range = index * count..(index + 1) * count;
         match &mut self.preprocessor {
-            Some(preprocessor) => preprocessor.preprocess(part, &mut self.numbers).map(Some),
-            None => self.fill_from_array(part).map(|()| None),
+            Some(preprocessor) => preprocessor.preprocess(part, &mut self.numbers, range).map(Some),
+            None => self.fill_from_array(part, range).map(|()| None),
         }
     }
 
-    fn fill_from_array(&mut self, part: &Part) -> Result<(), InputError> {
+    fn fill_from_array(&mut self, part: &Part, range: Range<usize>) -> Result<(), InputError> {
         let Part { description, bytes } = part;
         if description.media != MediaType::Tensor {
             return Err(InputError::NotAnArray(description.media.iana().into_owned()));
@@ -113,7 +134,7 @@ impl InputBuffer {
         if actual != expected {
             return Err(InputError::Length { actual, expected });
         }
-        self.numbers.read(bytes);
+        self.numbers.read(range, bytes);
         Ok(())
     }
 }
@@ -157,8 +178,8 @@ mod tests {
 
     #[test]
     fn parts_fill_inputs_in_order_of_card() {
-        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs);
-        inputs.fill(&sample(parts())).expect("fits");
+        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
+        inputs.fill(0, &sample(parts())).expect("fits");
         let numbers: Vec<&Numbers> = inputs.inputs.iter().map(|buffer| &buffer.numbers).collect();
         assert_eq!(
             numbers,
@@ -169,16 +190,16 @@ mod tests {
                 &Numbers::Int64(vec![3, 4]),
             ]
         );
-        assert_eq!(inputs.transform().expect("of the first picture").picture, (2, 1));
+        assert_eq!(inputs.transform(0).expect("of the first picture").picture, (2, 1));
     }
 
     #[test]
     fn part_that_does_not_fit_is_named() {
-        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs);
+        let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
         let mut refusal = |change: &dyn Fn(&mut Vec<Part>)| {
             let mut changed = parts();
             change(&mut changed);
-            inputs.fill(&sample(changed)).expect_err("does not fit").to_string()
+            inputs.fill(0, &sample(changed)).expect_err("does not fit").to_string()
         };
         let other = |part: Part| move |parts: &mut Vec<Part>| parts[1] = part.clone();
         for (error, expected) in [
@@ -211,8 +232,8 @@ mod tests {
 
     #[test]
     fn payload_without_picture_is_refused() {
-        let mut inputs = ModelInputs::new(&changed("", "").expect("is right").inputs);
-        let mut fill = |sample: &Sample| inputs.fill(sample).expect_err("wrong").to_string();
+        let mut inputs = ModelInputs::new(&changed("", "").expect("is right").inputs, 1, |_| false);
+        let mut fill = |sample: &Sample| inputs.fill(0, sample).expect_err("wrong").to_string();
         assert_eq!(fill(&sample(Vec::new())), "it has no payload");
         let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
         assert_eq!(fill(&plain), "it is plain bytes, not a picture");

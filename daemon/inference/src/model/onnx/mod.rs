@@ -43,7 +43,7 @@ use peernet_logger::{Name, Slug};
 use peernet_sample::{ObjectsLabel, list_examples, normalized_label};
 
 use super::{LoadContext, SharedKeys};
-use crate::{LoadError, Model, Worker};
+use crate::{Batching, LoadError, Model, Worker};
 use card::Card;
 use device::Device;
 use library::Runtime;
@@ -97,6 +97,7 @@ struct Plan {
     workers: usize,
     intra_threads: usize,
     inter_threads: usize,
+    batching: Batching,
 }
 
 impl Onnx {
@@ -136,6 +137,7 @@ impl Onnx {
             workers: shared.workers.get(),
             intra_threads: config.intra_threads.get(),
             inter_threads: config.inter_threads.get(),
+            batching: config.batching(),
         };
         Ok((plan, runtime))
     }
@@ -157,6 +159,10 @@ impl Model for Onnx {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
         Ok(Box::new(OnnxWorker::new_warmed_up(Arc::clone(&self.plan), session)?))
+    }
+
+    fn batching(&self) -> Batching {
+        self.plan.batching
     }
 
     fn device(&self) -> String {

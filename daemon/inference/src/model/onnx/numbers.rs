@@ -1,5 +1,7 @@
 //! Numbers of any element type: the contents of inputs and outputs.
 
+use std::ops::Range;
+
 use half::f16;
 use ort::session::SessionInputValue;
 use ort::value::TensorRef;
@@ -179,45 +181,46 @@ impl Numbers {
         }
     }
 
-    /// Replaces all numbers by given ones; a single one is used for all.
+    /// Returns how many there are.
+    pub(super) fn len(&self) -> usize {
+        for_elements!(self, elements => elements.len())
+    }
+
+    /// Replaces all numbers by given ones, which are repeated.
     pub(super) fn fill(&mut self, values: &[f64]) {
         for_elements!(self, elements => fill(elements, values));
     }
 
-    /// Replaces the numbers by the bytes of a sample: little-endian, as many as the numbers need. A byte other than 0 is true.
-    pub(super) fn read(&mut self, bytes: &[u8]) {
+    /// Replaces the numbers at `range` by the bytes of a sample: little-endian, as many as the numbers need. A byte other than
+    /// 0 is true.
+    pub(super) fn read(&mut self, range: Range<usize>, bytes: &[u8]) {
         match self {
-            Self::Float16(elements) => copy(elements, bytes, f16::from_le_bytes),
-            Self::Float32(elements) => copy(elements, bytes, f32::from_le_bytes),
-            Self::Float64(elements) => copy(elements, bytes, f64::from_le_bytes),
-            Self::Int8(elements) => copy(elements, bytes, i8::from_le_bytes),
-            Self::Int16(elements) => copy(elements, bytes, i16::from_le_bytes),
-            Self::Int32(elements) => copy(elements, bytes, i32::from_le_bytes),
-            Self::Int64(elements) => copy(elements, bytes, i64::from_le_bytes),
-            Self::Uint8(elements) => elements.copy_from_slice(bytes),
-            Self::Uint16(elements) => copy(elements, bytes, u16::from_le_bytes),
-            Self::Uint32(elements) => copy(elements, bytes, u32::from_le_bytes),
-            Self::Uint64(elements) => copy(elements, bytes, u64::from_le_bytes),
-            Self::Bool(elements) => copy(elements, bytes, |[byte]| byte != 0),
+            Self::Float16(elements) => copy(&mut elements[range], bytes, f16::from_le_bytes),
+            Self::Float32(elements) => copy(&mut elements[range], bytes, f32::from_le_bytes),
+            Self::Float64(elements) => copy(&mut elements[range], bytes, f64::from_le_bytes),
+            Self::Int8(elements) => copy(&mut elements[range], bytes, i8::from_le_bytes),
+            Self::Int16(elements) => copy(&mut elements[range], bytes, i16::from_le_bytes),
+            Self::Int32(elements) => copy(&mut elements[range], bytes, i32::from_le_bytes),
+            Self::Int64(elements) => copy(&mut elements[range], bytes, i64::from_le_bytes),
+            Self::Uint8(elements) => elements[range].copy_from_slice(bytes),
+            Self::Uint16(elements) => copy(&mut elements[range], bytes, u16::from_le_bytes),
+            Self::Uint32(elements) => copy(&mut elements[range], bytes, u32::from_le_bytes),
+            Self::Uint64(elements) => copy(&mut elements[range], bytes, u64::from_le_bytes),
+            Self::Bool(elements) => copy(&mut elements[range], bytes, |[byte]| byte != 0),
         }
     }
 
-    /// Returns the numbers as an input of a session, without a copy.
+    /// Returns the first numbers, as many as `shape` has, as an input of a session, without a copy.
     pub(super) fn as_input<'a>(&'a self, shape: &'a [usize]) -> ort::Result<SessionInputValue<'a>> {
         for_elements!(self, elements => {
-            TensorRef::from_array_view((shape, elements.as_slice())).map(SessionInputValue::from)
+            TensorRef::from_array_view((shape, &elements[..shape.iter().product()])).map(SessionInputValue::from)
         })
     }
 }
 
 fn fill<T: Element>(elements: &mut [T], values: &[f64]) {
-    match values {
-        [value] => elements.fill(T::from_f64(*value)),
-        values => {
-            for (element, value) in elements.iter_mut().zip(values) {
-                *element = T::from_f64(*value);
-            }
-        }
+    for (element, value) in elements.iter_mut().zip(values.iter().cycle()) {
+        *element = T::from_f64(*value);
     }
 }
 
@@ -245,13 +248,13 @@ mod tests {
     #[test]
     fn bytes_of_sample_are_little_endian() {
         let mut numbers = Numbers::zeros(DataType::Int16, 2);
-        numbers.read(&[1, 0, 0xfe, 0xff]);
+        numbers.read(0..2, &[1, 0, 0xfe, 0xff]);
         assert_eq!(numbers, Numbers::Int16(vec![1, -2]));
         let mut halves = Numbers::zeros(DataType::Float16, 1);
-        halves.read(&[0x00, 0x3c]);
+        halves.read(0..1, &[0x00, 0x3c]);
         assert_eq!(halves, Numbers::Float16(vec![f16::ONE]));
         let mut truths = Numbers::zeros(DataType::Bool, 3);
-        truths.read(&[0, 1, 2]);
+        truths.read(0..3, &[0, 1, 2]);
         assert_eq!(truths, Numbers::Bool(vec![false, true, true]));
     }
 }

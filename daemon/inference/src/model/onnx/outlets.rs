@@ -2,7 +2,7 @@
 
 use ort::value::{Outlet, TensorElementType};
 
-use super::card::{Card, Detection, DetectionOutputs, Task};
+use super::card::{Card, Detection, DetectionOutputs, Input, Source, Task};
 use super::data_type::DataType;
 use super::outputs::is_float;
 
@@ -20,6 +20,12 @@ pub(super) enum MismatchError {
         "it has the input {0:?}, which its card does not name; add an [[input]], with `value` if it is a constant"
     )]
     UnnamedInput(String),
+    /// The model takes a fixed number of samples, so that it cannot compute batches.
+    #[error(
+        "its input {0:?} takes one sample at a time; remove `batch`, or export the model with an open first dimension \
+         (dynamic_axes) and write the length 1 in the card"
+    )]
+    FixedBatch(String),
 }
 
 /// Elements that an output may have.
@@ -35,6 +41,22 @@ enum Elements {
 
 /// Length of a dimension that an output must have; `None` for any.
 type Length = Option<usize>;
+
+/// Returns whether the model takes any number of samples along the first dimension of an input.
+pub(super) fn has_open_batch(input: &Input, outlets: &[Outlet]) -> bool {
+    let outlet = outlets.iter().find(|outlet| outlet.name() == input.name);
+    let length = outlet.and_then(|outlet| outlet.dtype().tensor_shape()?.first().copied());
+    input.shape.first() == Some(&1) && length.is_some_and(|length| length < 0)
+}
+
+/// Checks that all inputs that samples fill have an open batch dimension.
+pub(super) fn check_batch(card: &Card, outlets: &[Outlet]) -> Result<(), MismatchError> {
+    let filled = card.inputs.iter().filter(|input| !matches!(input.source, Source::Constant(_)));
+    match filled.into_iter().find(|input| !has_open_batch(input, outlets)) {
+        Some(input) => Err(MismatchError::FixedBatch(input.name.clone())),
+        None => Ok(()),
+    }
+}
 
 /// Checks that the model has the inputs and outputs of the card, and no further inputs.
 pub(super) fn check(card: &Card, inputs: &[Outlet], outputs: &[Outlet]) -> Result<(), MismatchError> {

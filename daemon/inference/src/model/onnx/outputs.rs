@@ -47,8 +47,20 @@ pub(super) enum OutputError {
     Json(#[from] serde_json::Error),
 }
 
-/// The outputs of one run, in the host's memory.
-pub(super) struct Outputs<'a, 'run>(pub(super) &'a SessionOutputs<'run>);
+/// The outputs of one sample in a run, in the host's memory.
+pub(super) struct Outputs<'a, 'run> {
+    run: &'a SessionOutputs<'run>,
+    row: Row,
+}
+
+/// Position of a sample in the batch of a run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row {
+    /// From 0.
+    pub(super) index: usize,
+    /// Number of samples in the batch.
+    pub(super) batch: usize,
+}
 
 /// One output.
 pub(super) struct Output<'a> {
@@ -56,15 +68,22 @@ pub(super) struct Output<'a> {
     pub(super) shape: Vec<usize>,
     pub(super) data_type: DataType,
     value: &'a DynValue,
+    row: Row,
 }
 
-impl<'a> Outputs<'a, '_> {
+impl<'a, 'run> Outputs<'a, 'run> {
+    /// Returns the outputs of the sample at `row`.
+    pub(super) const fn new(run: &'a SessionOutputs<'run>, row: Row) -> Self {
+        Self { run, row }
+    }
+
     /// Returns an output by its name.
     ///
     /// # Errors
-    /// If the model has no such output, or if it is not an array of a type that cards can name.
+    /// If the model has no such output, if it is not an array of a type that cards can name, or if it does not have a row for
+    /// each sample of the batch.
     pub(super) fn get(&self, name: &'a str) -> Result<Output<'a>, OutputError> {
-        let value = self.0.get(name).ok_or_else(|| OutputError::Missing(name.to_owned()))?;
+        let value = self.run.get(name).ok_or_else(|| OutputError::Missing(name.to_owned()))?;
         let unusable = |actual: String| OutputError::Type {
             name: name.to_owned(),
             actual,
@@ -75,7 +94,14 @@ impl<'a> Outputs<'a, '_> {
         };
         let data_type = DataType::from_onnx(*ty).ok_or_else(|| unusable(ty.to_string()))?;
         let shape = shape.iter().map(|length| usize::try_from(*length).unwrap_or_default()).collect();
-        Ok(Output { name, shape, data_type, value })
+        let mut output = Output { name, shape, data_type, value, row: self.row };
+        let batch = self.row.batch;
+        match output.shape.first_mut() {
+            _ if batch == 1 => {}
+            Some(rows) if *rows == batch => *rows = 1,
+            _ => return Err(output.wrong_shape(&format!("[{batch}, …], a row for each sample of the batch,"))),
+        }
+        Ok(output)
     }
 }
 
@@ -118,7 +144,7 @@ impl<'a> Output<'a> {
     /// Returns the numbers as 32-bit floats, which may be NaN; only numbers of another type are copied.
     pub(super) fn unchecked_numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
         Ok(match self.data_type {
-            DataType::Float32 => Cow::Borrowed(self.value.try_extract_tensor::<f32>()?.1),
+            DataType::Float32 => Cow::Borrowed(self.elements::<f32>()?),
             DataType::Float16 => self.converted::<f16>()?,
             DataType::Float64 => self.converted::<f64>()?,
             DataType::Int8 => self.converted::<i8>()?,
@@ -133,10 +159,17 @@ impl<'a> Output<'a> {
         })
     }
 
+    /// Returns the elements of the sample's row.
+    fn elements<T: ort::value::PrimitiveTensorElementType>(&self) -> ort::Result<&'a [T]> {
+        let (_, elements) = self.value.try_extract_tensor::<T>()?;
+        let count = elements.len() / self.row.batch;
+        Ok(&elements[self.row.index * count..][..count])
+    }
+
     fn converted<T: Element + ort::value::PrimitiveTensorElementType>(
         &self,
     ) -> Result<Cow<'a, [f32]>, OutputError> {
-        let (_, elements) = self.value.try_extract_tensor::<T>()?;
+        let elements = self.elements::<T>()?;
         Ok(Cow::Owned(elements.iter().map(|element| element.to_f32()).collect()))
     }
 
@@ -168,7 +201,7 @@ impl<'a> Output<'a> {
     where
         T: Element + ort::value::PrimitiveTensorElementType,
     {
-        let (_, elements) = self.value.try_extract_tensor::<T>()?;
+        let elements = self.elements::<T>()?;
         if elements.iter().fold(false, |any, element| any | element.is_nan()) {
             return Err(OutputError::NotANumber(self.name.to_owned()));
         }

@@ -1,5 +1,7 @@
 //! Conversion of a picture to an input of the model.
 
+use std::ops::Range;
+
 use peernet_imaging::ImageError;
 use peernet_sample::{Part, PixelFormat};
 
@@ -86,14 +88,15 @@ impl PicturePreprocessor {
         Self { geometry: Geometry::new(source), normalisation: PixelNormalisation::new(source) }
     }
 
-    /// Converts the picture in a part to the numbers of an input. Returns the relation between the two.
+    /// Converts the picture in a part to the numbers of an input at `range`. Returns the relation between the two.
     pub(super) fn preprocess(
         &mut self,
         part: &Part,
         numbers: &mut Numbers,
+        range: Range<usize>,
     ) -> Result<PictureTransform, InputError> {
         let (picture, transform) = self.geometry.apply(part, self.normalisation.format)?;
-        for_elements!(numbers, elements => self.normalisation.apply(picture.pixels(), elements));
+        for_elements!(numbers, elements => self.normalisation.apply(picture.pixels(), &mut elements[range]));
         Ok(transform)
     }
 }
@@ -159,7 +162,8 @@ mod tests {
     fn convert(card: &Card, part: &Part) -> Result<Numbers, InputError> {
         let input = &card.inputs[0];
         let mut numbers = Numbers::zeros(input.data_type, input.count());
-        PicturePreprocessor::new(input.picture().expect("is one")).preprocess(part, &mut numbers)?;
+        let mut preprocessor = PicturePreprocessor::new(input.picture().expect("is one"));
+        preprocessor.preprocess(part, &mut numbers, 0..input.count())?;
         Ok(numbers)
     }
 

@@ -18,7 +18,10 @@ pub(super) fn open(
     shared: Option<&SharedModel>,
 ) -> Result<Session, LoadError> {
     let session = build(plan, runtime, shared).map_err(|error| session_error(plan, &error))?;
-    match outlets::check(&plan.card, session.inputs(), session.outputs()) {
+    let is_batched = plan.batching.is_on();
+    let checked = outlets::check(&plan.card, session.inputs(), session.outputs())
+        .and_then(|()| if is_batched { outlets::check_batch(&plan.card, session.inputs()) } else { Ok(()) });
+    match checked {
         Ok(()) => Ok(session),
         Err(error) => Err(LoadError::File { file: plan.file.clone(), reason: error.to_string() }),
     }

@@ -1,0 +1,151 @@
+//! Tests of batches: several requests in one run of an ONNX model.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use peernet_inference::{
+    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, PatientRequester, Requester,
+};
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::{ElementType, Part, Sample};
+use tokio_util::sync::CancellationToken;
+
+use super::graphs::{array, bytes, floats, models, pixels, table};
+use super::{bank, clock, loaded, slug};
+
+/// Requester that does not wait for an answer any more.
+struct CancelledRequester;
+
+impl Requester for CancelledRequester {
+    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+        Err(Cancelled)
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        let token = CancellationToken::new();
+        token.cancel();
+        token
+    }
+
+    fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
+        Err(Cancelled)
+    }
+}
+
+/// Returns a bank with a generated model and its key `batch`.
+fn batching_bank(name: &str, batch: &str) -> Bank {
+    bank(&[&format!("{}\nbatch = {batch}", table(name, &models().join(name)))])
+}
+
+/// Submits requests and returns what became of them, in their order.
+fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>)>) -> Vec<FinishedJob> {
+    let pool = loaded(bank, name);
+    let clock = clock();
+    let (sender, receiver) = sync_channel(requests.len());
+    for (index, (parts, requester)) in requests.into_iter().enumerate() {
+        let sender = sender.clone();
+        let job = Job {
+            sample: Sample { parts, source: String::new(), label: None },
+            recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
+            received: clock.mono(),
+            requester,
+            reply: Box::new(move |done| sender.send((index, done)).expect("is awaited")),
+        };
+        pool.submit(job).expect("the queue has room");
+    }
+    drop(sender);
+    let mut finished: Vec<_> = receiver.iter().collect();
+    finished.sort_by_key(|(index, _)| *index);
+    finished.into_iter().map(|(_, done)| done).collect()
+}
+
+fn awaited(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
+    (parts, Arc::new(PatientRequester))
+}
+
+fn row(numbers: &[f32]) -> Vec<Part> {
+    vec![array(ElementType::F32, &[1, numbers.len() as u32], bytes(numbers))]
+}
+
+/// Returns the numbers of the first part of an answer.
+fn numbers(done: &FinishedJob) -> Vec<f32> {
+    let answer = done.result.as_ref().unwrap_or_else(|error| panic!("{error}"));
+    floats(&answer.parts[0].bytes)
+}
+
+/// Ends the recorder of a job, and returns the value of a node.
+fn value(done: FinishedJob, path: &[&str]) -> Option<f64> {
+    done.recorder.finish().find(path)?.1.measure.value()
+}
+
+#[test]
+fn batch_answers_each_of_its_samples() {
+    let bank = batching_bank("open-policy", "{ max_size = 4, max_wait_ms = 60000 }");
+    let sample = |index: u8| {
+        let front = pixels((2, 2), vec![10 * index; 12]);
+        let mut parts = vec![front];
+        parts.extend(row(&[f32::from(index), 600.0]));
+        awaited(parts)
+    };
+    let finished = run_all(&bank, "open-policy", (0..4).map(sample).collect());
+    for (index, done) in finished.into_iter().enumerate() {
+        // 2 × state + mean of the bytes + constant.
+        let (state, mean) = (index as f32, 10.0 * index as f32);
+        assert_eq!(numbers(&done), [2.0 * state + mean + 10.0, 1200.0 + mean - 1000.0]);
+        let answer = done.result.as_ref().expect("is checked");
+        assert_eq!(answer.parts[1], array(ElementType::Bool, &[1, 2], vec![1, 1]));
+        let tree = done.recorder.finish();
+        for stage in ["queue", "batch-wait", "preprocessing", "inference", "postprocessing"] {
+            assert!(tree.find(&[stage]).is_some(), "{stage} in {tree:?}");
+        }
+        let size = tree.find(&["inference", "batch-size"]).expect("is recorded").1.measure.value();
+        assert_eq!(size, Some(4.0));
+    }
+}
+
+#[test]
+fn batch_starts_when_its_first_request_has_waited() {
+    let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 20 }");
+    let mut finished = run_all(&bank, "open-root", vec![awaited(row(&[4.0, 9.0, 16.0]))]);
+    let done = finished.remove(0);
+    assert_eq!(numbers(&done), [2.0, 3.0, 4.0]);
+    let tree = done.recorder.finish();
+    let of = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value()).expect("is recorded");
+    assert_eq!(of(&["inference", "batch-size"]), 1.0);
+    assert!(of(&["batch-wait"]) >= 0.02, "{tree:?}");
+}
+
+#[test]
+fn failure_of_one_sample_leaves_the_others() {
+    let bank = batching_bank("open-root", "{ max_size = 4, max_wait_ms = 60000 }");
+    let requests = vec![
+        awaited(row(&[4.0, 9.0, 16.0])),
+        awaited(row(&[1.0, 2.0])),
+        (row(&[1.0, 1.0, 1.0]), Arc::new(CancelledRequester) as Arc<dyn Requester>),
+        awaited(row(&[1.0, -1.0, 1.0])),
+    ];
+    let mut finished = run_all(&bank, "open-root", requests);
+    assert_eq!(numbers(&finished[0]), [2.0, 3.0, 4.0]);
+    let errors: Vec<_> = finished[1..].iter().map(|done| done.result.clone().expect_err("fails")).collect();
+    assert!(errors[0].to_string().contains("its array is f32 [1, 2], the model requires f32 [1, 3]"), "{}", errors[0]);
+    assert_eq!(errors[1], InferenceError::Cancelled { model: "open-root".to_owned() });
+    assert!(errors[2].to_string().contains("contains NaN"), "{}", errors[2]);
+    assert_eq!(value(finished.remove(0), &["inference", "batch-size"]), Some(2.0), "two could be computed");
+    assert_eq!(value(finished.remove(0), &["inference"]), None, "it was not computed");
+}
+
+#[test]
+fn model_that_cannot_compute_batches_is_refused() {
+    let refusal = |name: &str, batch: &str| -> LoadError {
+        batching_bank(name, batch).load(&slug(name), None).map(drop).expect_err("is refused")
+    };
+    let error = refusal("root", "{ max_size = 2 }").to_string();
+    assert!(error.contains("its input \"x\" takes one sample at a time; remove `batch`"), "{error}");
+    let error = refusal("mean-of-rows", "{ max_size = 2 }").to_string();
+    assert!(error.contains("a row for each sample of the batch"), "{error}");
+    let error = refusal("open-root", "{ max_size = 2, max_wait_ms = -1.0 }").to_string();
+    assert!(error.contains("batch.max_wait_ms of model open-root: -1 is not a time"), "{error}");
+    let error = refusal("open-root", "{ max_size = 100000 }").to_string();
+    assert!(error.contains("100000 is too large; at most 1024"), "{error}");
+}
