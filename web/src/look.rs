@@ -2,9 +2,10 @@
 
 use std::sync::LazyLock;
 
+pub(crate) use peernet_figures::look::{LATENESS, label};
 use peernet_logger::{Name, stage};
 
-static STAGES: [Name; 11] = stage::ORDER;
+static STAGES: [Name; stage::COUNT] = stage::ORDER;
 
 /// The stages and `unattributed`, in the order of every stack, key and table. Pages pass it to the scripts.
 pub(crate) static STACK: LazyLock<Vec<&'static str>> =
@@ -16,28 +17,24 @@ pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
 /// Name of the rest of an iteration, if neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
 
-/// Time from the intended start to the actual start. It is a part of the unattributed time with a name of its own.
-pub(crate) const LATENESS: &str = "lateness";
-
 /// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
 /// Value of the success of episodes, and its title: a mean of 0 and 1.
 pub(crate) const SUCCESS: (&str, &str) = (peernet_analysis::actuator_results::EPISODE_SUCCESS, "Success");
 
-/// Returns the label of a node in tables and sentences: its name, except for `lateness`.
-pub(crate) fn label(name: &str) -> &str {
-    if name == LATENESS { "late start" } else { name }
-}
-
 /// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
 
-/// Returns the label of an entry of the key. The label of `encode` includes `ipc`, which has the same colour.
+/// Returns the label of an entry of the key, which includes the other stages of the same colour.
 pub(crate) fn entry(name: &str) -> &str {
-    if name == "encode" { "encode, ipc" } else { name }
+    match name {
+        "encode" => "encode, ipc",
+        "queue" => "queue, batch-wait",
+        name => name,
+    }
 }
 
 /// Returns the colour class of a node: `f-CLASS` is the fill, `o-CLASS` the text on it.

@@ -1,8 +1,7 @@
-//! Distributions of sketches on an axis that several distributions share. Only pages have them.
+//! Distributions of sketches on an axis that several distributions share.
 
 use peernet_statistics::{Moments, Summary};
 
-use super::lengths::would_squeeze;
 use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
 use crate::scale::Scale;
@@ -18,6 +17,8 @@ const ROUNDING: f64 = 1e-9;
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.
 const MARKS: usize = 5;
+/// Share of the largest value: an axis begins at zero unless the smallest value is above it.
+const ZERO_THRESHOLD: f64 = 0.75;
 
 /// Axis of a quantity with its bins.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,22 +36,22 @@ impl BinnedAxis {
     /// distribution, the axis ends a little above that percentile. The axis is logarithmic if it spans more than a decade. `None` without
     /// values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let ends = Self::ends(all, &unit)?;
+        let logarithmic = |ends| Scale::decades(ends).unwrap_or(Scale::linear(ends));
+        let ends = Self::ends(all, &unit, logarithmic)?;
         Some(Self::new(unit, Self::between(ends), ends))
     }
 
-    /// Returns an axis that begins at zero and ends a little above the same upper end as [`BinnedAxis::around`]. It begins near the smallest
-    /// value instead in three cases: zero would squeeze all values into a corner, the values span more than a decade, or the smallest value is
-    /// negative.
+    /// Returns a linear axis that begins at zero and ends a little above the largest value, or above the 99th percentile if stragglers lie far
+    /// beyond it. It begins near the smallest value instead if zero would squeeze all values into a corner, or if that value is negative.
+    // Linear for any range: latency grows in a line with the length of answers, which would be a curve on a logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let (lo, hi) = Self::ends(all, &unit)?;
+        let (lo, hi) = Self::ends(all, &unit, Scale::linear)?;
         let room = (hi - lo) * ROOM;
-        let scale = if lo < 0.0 {
-            Self::between((lo, hi.max(0.0)))
-        } else if would_squeeze(lo, hi) {
-            Self::between((lo - room, hi + room))
-        } else {
-            Scale::of_sizes([lo, hi].into_iter())
+        let is_squeezed = lo > hi * ZERO_THRESHOLD;
+        let scale = match lo {
+            _ if lo < 0.0 => Scale::linear((lo, hi.max(0.0))).widened(MARKS),
+            _ if is_squeezed => Scale::linear((lo - room, hi + room)).widened(MARKS),
+            _ => Scale::up_to(hi + room / 2.0, MARKS + 1),
         };
         Some(Self::new(unit, scale, (lo, hi)))
     }
@@ -64,15 +65,17 @@ impl BinnedAxis {
         Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(MARKS))
     }
 
-    /// Returns the ends of the values that are shown.
-    fn ends<'a>(all: impl Iterator<Item = &'a Summary>, unit: &Unit) -> Option<(f64, f64)> {
+    /// Returns the ends of the values that are shown on a scale between two values.
+    fn ends<'a>(
+        all: impl Iterator<Item = &'a Summary>,
+        unit: &Unit,
+        scale: impl Fn((f64, f64)) -> Scale,
+    ) -> Option<(f64, f64)> {
         let ends = |summary: &Summary| {
             let Moments { min, max, .. } = summary.moments;
             let lo = if min.abs() < max.abs() * ZERO_SHARE { 0.0 } else { min };
-            let extend = |lo: f64, quantile: f64, factor: f64| {
-                let scale = Scale::decades((lo, quantile)).unwrap_or(Scale::linear((lo, quantile)));
-                scale.between(lo, quantile, factor)
-            };
+            let extend =
+                |lo: f64, quantile: f64, factor: f64| scale((lo, quantile)).between(lo, quantile, factor);
             Some((lo * unit.per_si, summary.axis_end(lo, extend)? * unit.per_si))
         };
         let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;

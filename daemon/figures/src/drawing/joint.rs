@@ -1,18 +1,25 @@
-//! A sample of points, with the distributions of both quantities over all iterations at the sides of the plot. Only pages have this kind.
+//! A sample of points, with the distributions of both quantities over all iterations at the sides of the plot.
+
+use std::collections::BTreeMap;
 
 use peernet_statistics::Summary;
 
 use super::binned::BinnedAxis;
-use super::lengths::cells;
-use crate::look::{Fill, Stage, Style};
+use crate::look::{Fill, INK, Stage, Style};
 use crate::plot::{At, Item, Path, Plot, Strip};
 
 /// Number of points from which on cells with shades replace the points, because dots would hide each other.
 const MIN_POINTS_FOR_CELLS: usize = 400;
-/// Number of cells across and upwards.
-const CELLS: (f64, f64) = (50.0, 25.0);
-/// Number of pieces of a drawn line, because a straight line is a curve on a logarithmic axis.
-const STEPS: u32 = 64;
+/// Number of cells across and upwards. A cell is about 2.5 points wide and high in a file.
+const CELLS: (f64, f64) = (80.0, 44.0);
+/// Number of shades of cells.
+const SHADES: f64 = 14.0;
+/// Diameter of a point in a file, points.
+const POINT_DIAMETER: f64 = 2.4;
+/// Width of a distribution at the side of the plot in a file, points.
+const SIDE_WIDTH: f64 = 26.0;
+/// Width of the line through the points in a file, points.
+const LINE_WIDTH: f64 = 0.75;
 
 /// Values of a plot, in SI units.
 #[derive(Clone, Copy, Debug)]
@@ -36,7 +43,7 @@ impl Joint<'_> {
     }
 
     /// Returns the positions of the points that are not beyond the end of an axis.
-    fn positions(&self) -> Vec<(f64, f64)> {
+    pub(super) fn positions(&self) -> Vec<(f64, f64)> {
         self.points.iter().filter_map(|point| self.position(*point)).collect()
     }
 
@@ -55,27 +62,45 @@ impl Joint<'_> {
             let shades = cells(points.into_iter(), CELLS).into_iter();
             plot.items.extend(shades.map(|(shade, path)| Item::path(path, style.clone().opacity(shade))));
         } else if !points.is_empty() {
-            let style = Style::of_page(format!("dots d-{}", self.stage.class));
+            let colour = self.stage.line_colour().tint(0.62);
+            let style = Style::line(format!("dots d-{}", self.stage.class), colour, POINT_DIAMETER);
             plot.items.push(Item::path(Path::dots(points), style));
         }
         if let Some((intercept, slope)) = self.line {
-            let ends = (self.x.1.moments.min, self.x.1.moments.max.min(x.end()));
-            let steps = (0..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
-            let xs = steps.map(|step| x.scale.between(ends.0, ends.1, step));
-            let line = Path::line(xs.map(|x| self.position((x, intercept + slope * x))));
+            let ends = [self.x.1.moments.min, self.x.1.moments.max.min(x.end())];
+            let line = Path::line(ends.map(|x| self.position((x, intercept + slope * x))).into_iter());
             // The line needs a halo only over cells.
-            let styles =
-                [Style::halo(), Style::of_page("fit")].into_iter().skip(usize::from(!self.has_cells()));
-            plot.items.extend(styles.map(|style| Item::path(line.clone(), style)));
+            let styles = [Style::halo(), Style::line("fit", INK.light, LINE_WIDTH)];
+            let shown = styles.into_iter().skip(usize::from(!self.has_cells()));
+            plot.items.extend(shown.map(|style| Item::path(line.clone(), style)));
         }
         let bars = Style::total().bin();
         // Each strip has a line along the side that is next to the plot.
         let strip = |mut items: Vec<Item>, line_end: At| {
             items.push(Item::line(At::new(0.0, 1.0), line_end, Style::rail()));
-            Some(Strip { items, size: 0.0 })
+            Some(Strip { items, size: SIDE_WIDTH })
         };
         plot.top_strip = strip(x.upright_bars(self.x.1, &bars), At::new(1.0, 1.0));
         plot.right_strip = strip(y.level_bars(self.y.1, &bars), At::new(0.0, 0.0));
         plot
     }
+}
+
+/// Counts points into this number of cells across and upwards. Returns a path of rectangles for each shade from 0 to 1, the lightest shade
+/// first. The shade grows with the logarithm of the count, so that a single point is visible.
+fn cells(points: impl Iterator<Item = (f64, f64)>, (columns, rows): (f64, f64)) -> Vec<(f64, Path)> {
+    let mut counts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for (x, y) in points {
+        let cell = ((x * columns).min(columns - 1.0) as u32, (y * rows).min(rows - 1.0) as u32);
+        *counts.entry(cell).or_default() += 1;
+    }
+    let max_logarithm = f64::from(counts.values().copied().max().unwrap_or(1)).ln_1p();
+    let mut cells_by_step: BTreeMap<u32, Vec<[(f64, f64); 2]>> = BTreeMap::new();
+    for ((column, row), count) in counts {
+        let step = (f64::from(count).ln_1p() / max_logarithm * SHADES).round() as u32;
+        let corner = |column: u32, row: u32| (f64::from(column) / columns, f64::from(row) / rows);
+        cells_by_step.entry(step).or_default().push([corner(column, row), corner(column + 1, row + 1)]);
+    }
+    let shade = |step: u32| 0.18 + 0.82 * f64::from(step) / SHADES;
+    cells_by_step.into_iter().map(|(step, cells)| (shade(step), Path::rects(cells))).collect()
 }

@@ -3,7 +3,7 @@
 use peernet_statistics::number::fixed;
 
 use super::stack::{Direction, Stack};
-use crate::look::{TextStyle, stage};
+use crate::look::{TextStyle, label, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
 use crate::sheet::file::{MOST_NAME, SMALL, TEXT, WIDTH};
@@ -98,7 +98,7 @@ impl Stacked {
 
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
-        let key = |name: &String| Key::new(Swatch::Area(stage(name).area()), name.clone());
+        let key = |name: &String| Key::new(Swatch::Area(stage(name).area()), label(name));
         let plots = match self.is_upright() {
             _ if self.bars.is_empty() => Vec::new(),
             true => vec![self.upright_plot()],

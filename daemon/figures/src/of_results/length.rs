@@ -4,21 +4,34 @@ use super::Columns;
 use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_run_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::Lengths;
-use peernet_analysis::answer_length::{LATENCY, answer_length, varies};
-use peernet_analysis::loaded::Loaded;
-use peernet_analysis::rows::RowRef;
+use crate::drawing::{Lengths, Unit};
+use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, varies};
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::{RowRef, Rows};
+
+/// Returns whether the answers of a run are counted in tokens, as those of a language model are.
+pub(super) fn has_tokens(rows: &Rows) -> bool {
+    rows.names().iter().any(|name| is_tokens(name) && rows.counted_values(name).next().is_some())
+}
+
+/// Returns the name of a column that counts tokens without its stage: `output-tokens` of `inference_output-tokens`.
+fn tokens(column: &str) -> Option<&str> {
+    is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
+}
 
 /// Returns the figure of length and latency of each answer.
-pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, MissingData> {
-    let columns_with_values =
-        run.rows.names().iter().filter(|name| run.rows.counted_values(name).next().is_some());
+pub(super) fn drawings(
+    record: &RunRecord,
+    rows: &Rows,
+    columns: &Columns,
+) -> Result<Vec<Drawing>, MissingData> {
+    let columns_with_values = rows.names().iter().filter(|name| rows.counted_values(name).next().is_some());
     let x = columns
         .x
         .clone()
         .unwrap_or_else(|| answer_length(columns_with_values.map(|name| &**name)).to_owned());
     let y = columns.y.clone().unwrap_or_else(|| LATENCY.to_owned());
-    let counted_rows = run.rows.iter().filter(|row| row.is_counted());
+    let counted_rows = rows.iter().filter(|row| row.is_counted());
     let point = |row: RowRef<'_>| Some((row.value(&x)?, row.value(&y)?));
     let points: Vec<(f64, f64)> =
         counted_rows.filter_map(point).filter(|(x, y)| is_drawable(*x) && is_drawable(*y)).collect();
@@ -34,17 +47,22 @@ pub(super) fn drawings(run: &Loaded, columns: &Columns) -> Result<Vec<Drawing>, 
     if columns.x.is_none() && !varies(shortest, longest) {
         return Err(MissingData::SimilarLength { x });
     }
+    let (x_unit, x_words) = match tokens(&x) {
+        Some(tokens) => (Unit { title: heading(tokens), symbol: "".into(), per_si: 1.0 }, tokens),
+        None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
+    };
     let lengths = Lengths {
         title: with_run_name(
-            &format!("{} against {}", heading(&y), x.replace(['-', '_'], " ")),
-            &run.record.title,
+            &format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " ")),
+            &record.title,
         ),
-        x: unit(&run.record.units, &x, &heading(&x)),
-        y: unit(&run.record.units, &y, &heading(&y)),
+        x: x_unit,
+        y: unit(&record.units, &y, &heading(&y)),
         stage: y.clone(),
-        notes: std::iter::once(count_note(&run.rows.iter(), points.len()))
-            .chain(too_large_note(run.rows.iter(), &[x.as_str(), y.as_str()]))
+        notes: std::iter::once(count_note(&rows.iter(), points.len()))
+            .chain(too_large_note(rows.iter(), &[x.as_str(), y.as_str()]))
             .collect(),
+        line: Growth::from_iterations(&points).as_ref().and_then(Growth::line),
         points,
     };
     Ok(vec![Drawing::new("length", AnyFigure::Lengths(lengths))])

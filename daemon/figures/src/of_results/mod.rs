@@ -148,6 +148,9 @@ pub fn of_run(record: &RunRecord, rows: &Rows, folder: &Path) -> Result<Vec<Path
     // Without a total there is no distribution of totals.
     drawings.extend(cumulative::drawings(record, rows, None).unwrap_or_default());
     drawings.extend(series::drawings(record, rows).unwrap_or_default());
+    if length::has_tokens(rows) {
+        drawings.extend(length::drawings(record, rows, &Columns::default()).unwrap_or_default());
+    }
     Ok(written_figures::write(&drawings, folder)?.files)
 }
 
@@ -186,7 +189,7 @@ pub fn draw(
         Kind::Histograms => histograms::drawings(first, columns.x.as_deref()),
         Kind::Cumulative => cumulative::drawings(&first.record, &first.rows, columns.x.as_deref()),
         Kind::Series => series::drawings(&first.record, &first.rows),
-        Kind::Length => length::drawings(first, columns),
+        Kind::Length => length::drawings(&first.record, &first.rows, columns),
         Kind::Stacked => stacked::drawings(runs),
         Kind::Totals => totals::drawings(runs),
         Kind::Accuracy => accuracy::drawings(runs),

@@ -173,7 +173,7 @@ fn lateness_is_separate_part() {
     let bar = &figure.bars[0];
     assert!((bar.means[2] - 7e-3).abs() < 1e-9 && (bar.means[3] - 2e-3).abs() < 1e-9, "{bar:?}");
     assert!((bar.means.iter().sum::<f64>() - bar.total).abs() < 1e-9, "{bar:?}");
-    assert!(figure.notes.iter().any(|note| note.starts_with("lateness: ")), "{:?}", figure.notes);
+    assert!(figure.notes.iter().any(|note| note.starts_with("late start: ")), "{:?}", figure.notes);
 }
 
 #[test]
@@ -379,19 +379,19 @@ fn many_curves_are_several_pictures() {
 fn length_is_counted_in_tokens_if_available() {
     let talking =
         run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
-    let drawings = length::drawings(&talking, &Columns::default()).expect("there are lengths");
+    let drawings = length::drawings(&talking.record, &talking.rows, &Columns::default()).expect("there are lengths");
     let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
-    assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Inference tokens, as logged"));
+    assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Tokens"));
     let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
-    let reason = length::drawings(&constant, &Columns::default()).expect_err("all alike");
+    let reason = length::drawings(&constant.record, &constant.rows, &Columns::default()).expect_err("all alike");
     assert!(reason.to_string().contains("--x"), "{reason}");
     let close = run(60, |number| vec![("download-bytes", 96.0 + number as f64 % 3.0), ("inference", 5.0)]);
-    assert!(length::drawings(&close, &Columns::default()).is_err());
+    assert!(length::drawings(&close.record, &close.rows, &Columns::default()).is_err());
     let asked = Columns { x: Some("download-bytes".to_owned()), y: None };
-    assert!(length::drawings(&close, &asked).is_ok(), "what was asked for is drawn");
+    assert!(length::drawings(&close.record, &close.rows, &asked).is_ok(), "what was asked for is drawn");
     let nothing = run(60, |_| vec![("download-bytes", 0.0), ("inference", 5.0)]);
     for columns in [Columns::default(), asked] {
-        let reason = length::drawings(&nothing, &columns).expect_err("a column of points");
+        let reason = length::drawings(&nothing.record, &nothing.rows, &columns).expect_err("a column of points");
         assert!(reason.to_string().contains("download-bytes is 0 in every iteration"), "{reason}");
     }
 }

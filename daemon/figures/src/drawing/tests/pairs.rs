@@ -145,6 +145,7 @@ fn lengths(points: Vec<(f64, f64)>) -> Lengths {
         y: Unit::milliseconds("Inference"),
         stage: "inference".to_owned(),
         points,
+        line: None,
         notes: vec!["n = 3".to_owned()],
     }
 }
