@@ -59,7 +59,7 @@ async fn addresses(router: &Router) -> Vec<(String, String)> {
         ("link, an hour", format!("/links/{link}?range=1h")),
         ("link, a day", format!("/links/{link}?range=24h")),
         ("runs", "/runs".to_owned()),
-        ("runs of a pipeline", format!("/runs?host={host}&pipeline={pipeline}")),
+        ("runs of a pipeline", format!("/runs?pipeline={pipeline}")),
         ("run, with its trust report", format!("/runs/{run}")),
         ("run, distribution of the upload", format!("/runs/{run}?stage=upload&view=cumulative")),
         ("iteration", format!("/runs/{run}/iterations/{middle}")),
