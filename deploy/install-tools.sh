@@ -180,7 +180,7 @@ install_bench_environment() {
     cmp -s "$requirements" "$venv/requirements.txt" && [ -x "$venv/bin/python" ] && return 0
     python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
         || fail "the benchmarks' onnxruntime needs Python 3.11 or newer, python3 is $(python3 --version 2>&1)"
-    say "installing numpy, onnxruntime, pillow and pyzmq into $venv, for make bench"
+    say "installing numpy, onnx, onnxruntime, pillow and pyzmq into $venv, for make bench"
     python3 -m venv --clear "$venv" || fail "python3 -m venv $venv failed"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement "$requirements" \
         || fail "pip could not install $requirements into $venv; is there a network?"

@@ -7,8 +7,11 @@ from types import ModuleType
 from . import (
     agent,
     attacked,
+    batching,
     browser,
     delays,
+    detection,
+    efficientnet,
     idle,
     ingest,
     live,
@@ -19,6 +22,7 @@ from . import (
     pages,
     python,
     stream,
+    streaming,
     violations,
 )
 
@@ -29,6 +33,10 @@ ALL: dict[str, ModuleType] = {
     "networks": networks,
     "python": python,
     "model": model,
+    "detection": detection,
+    "efficientnet": efficientnet,
+    "batching": batching,
+    "streaming": streaming,
     "ingest": ingest,
     "stream": stream,
     "live": live,

@@ -1,0 +1,159 @@
+"""ONNX models that the benchmarks make: with an open batch length, and with as many candidates as a YOLO detector."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import onnx
+import onnxruntime
+from onnx import TensorProto, helper, numpy_helper
+
+from programs import Failure
+
+# Symbolic length of the batch, and the batches whose results are compared.
+BATCH = "batch"
+COMPARED_BATCH = 4
+# The largest difference between the results of a batch and of one sample at a time.
+TOLERANCE = 1e-4
+
+# As YOLOv8 with an input of 640 × 640 and the classes of COCO.
+SIDE, CANDIDATES, CLASSES = 640, 8_400, 80
+# Share of the candidates above the threshold, and number of objects around which these lie.
+CONFIDENT, OBJECTS = 0.02, 12
+DETECTOR_CARD = """\
+name = "{name}"
+task = "detection"
+
+[input]
+name = "images"
+dtype = "float32"
+layout = "nchw"
+shape = [1, 3, {side}, {side}]
+colour = "rgb"
+
+[preprocessing]
+resize = {{ mode = "letterbox", width = {side}, height = {side} }}
+scale = 0.00392156862745098
+mean = [0.0, 0.0, 0.0]
+std = [1.0, 1.0, 1.0]
+
+[output]
+layout = "yolov8"
+name = "output0"
+labels = {labels}
+"""
+
+
+def copy_with_open_batch(source: Path, target: Path) -> None:
+    """Copies a model's folder without its pictures; the graph of the copy takes batches of any length.
+
+    Raises a failure if a batch does not give the results of its samples one by one.
+    """
+    target.mkdir()
+    shutil.copy(source / "model.toml", target)
+    model = onnx.load(source / "model.onnx")
+    graph = model.graph
+    del graph.value_info[:]
+    for value in (*graph.input, *graph.output):
+        value.type.tensor_type.shape.dim[0].dim_param = BATCH
+    _open_reshapes(graph)
+    # The provenance of the card has the hash of the original.
+    lines = (target / "model.toml").read_text().splitlines(keepends=True)
+    (target / "model.toml").write_text("".join(line for line in lines if not line.startswith("sha256")))
+    onnx.checker.check_model(model)
+    onnx.save(model, target / "model.onnx")
+    _compare(target / "model.onnx")
+
+
+def _open_reshapes(graph: onnx.GraphProto) -> None:
+    """Lets constant shapes of Reshape nodes that begin with a batch of 1 copy the length of their input (0)."""
+    shapes = {node.input[1] for node in graph.node if node.op_type == "Reshape"}
+    constants = {tensor.name: tensor for tensor in graph.initializer}
+    for node in graph.node:
+        if node.op_type == "Constant":
+            constants.update((node.output[0], one.t) for one in node.attribute if one.name == "value")
+    for name in shapes & constants.keys():
+        tensor = constants[name]
+        shape = numpy_helper.to_array(tensor).copy()
+        if shape.size and shape[0] == 1:
+            shape[0] = 0
+            tensor.CopyFrom(numpy_helper.from_array(shape, tensor.name))
+
+
+def seconds_per_sample(folder: Path, sizes: tuple[int, ...], rounds: int) -> dict[int, float]:
+    """Returns the median time of a sample in batches of these sizes, with one thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(folder / "model.onnx", options, providers=["CPUExecutionProvider"])
+    taken = session.get_inputs()[0]
+    times: dict[int, list[float]] = {size: [] for size in sizes}
+    for size in (*sizes, *sizes * rounds):
+        batch = np.zeros((size, *taken.shape[1:]), np.float32)
+        begin = time.perf_counter()
+        session.run(None, {taken.name: batch})
+        times[size].append((time.perf_counter() - begin) / size)
+    # The first round warms up.
+    return {size: median(values[1:]) for size, values in times.items()}
+
+
+def _compare(file: Path) -> None:
+    session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
+    taken = session.get_inputs()[0]
+    shape = (COMPARED_BATCH, *taken.shape[1:])
+    batch = np.random.default_rng(1).standard_normal(shape, dtype=np.float32)
+    together = session.run(None, {taken.name: batch})[0]
+    alone = np.concatenate([session.run(None, {taken.name: one[None]})[0] for one in batch])
+    if together.shape != alone.shape or not np.allclose(together, alone, atol=TOLERANCE, rtol=TOLERANCE):
+        raise Failure(f"{file} gives other results for a batch of {COMPARED_BATCH} than for one sample at a time")
+
+
+def make_detector(folder: Path) -> None:
+    """Makes a model whose output is as large as YOLOv8's and does not depend on its input: always the same candidates.
+
+    Its inference takes no time, so that only the stages before and after it are measured.
+    """
+    folder.mkdir()
+    constant = numpy_helper.from_array(_candidates(), "candidates")
+    nodes = [
+        # The corner of the input, multiplied with zero: graphs must use their input.
+        helper.make_node("Slice", ["images", "begin", "end"], ["corner"]),
+        helper.make_node("ReduceMax", ["corner"], ["pixel"], keepdims=0),
+        helper.make_node("Mul", ["pixel", "zero"], ["nothing"]),
+        helper.make_node("Add", ["candidates", "nothing"], ["output0"]),
+    ]
+    initializers = [
+        constant,
+        numpy_helper.from_array(np.zeros(4, np.int64), "begin"),
+        numpy_helper.from_array(np.ones(4, np.int64), "end"),
+        numpy_helper.from_array(np.zeros((), np.float32), "zero"),
+    ]
+    taken = helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, SIDE, SIDE])
+    given = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 4 + CLASSES, CANDIDATES])
+    graph = helper.make_graph(nodes, "detector", [taken], [given], initializers)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    onnx.checker.check_model(model)
+    onnx.save(model, folder / "model.onnx")
+    labels = [f"class {number}" for number in range(CLASSES)]
+    (folder / "model.toml").write_text(DETECTOR_CARD.format(name=folder.name, side=SIDE, labels=labels))
+
+
+def _candidates() -> np.ndarray:
+    """Candidates [1, 4 + classes, n]: low scores, but for boxes that lie around some objects."""
+    random = np.random.default_rng(1)
+    out = np.empty((4 + CLASSES, CANDIDATES), np.float32)
+    out[:2] = random.uniform(0, SIDE, (2, CANDIDATES))
+    out[2:4] = random.uniform(10, 200, (2, CANDIDATES))
+    out[4:] = random.uniform(0, 0.01, (CLASSES, CANDIDATES))
+    centres = random.uniform(150, SIDE - 150, (2, OBJECTS))
+    sizes = random.uniform(40, 200, (2, OBJECTS))
+    classes = random.integers(0, CLASSES, OBJECTS)
+    for candidate in random.choice(CANDIDATES, int(CONFIDENT * CANDIDATES), replace=False):
+        number = candidate % OBJECTS
+        out[:2, candidate] = centres[:, number] + random.normal(0, 3, 2)
+        out[2:4, candidate] = sizes[:, number] * random.normal(1, 0.03, 2)
+        out[4 + classes[number], candidate] = random.uniform(0.3, 0.95)
+    return out[None]

@@ -1,0 +1,250 @@
+"""Streamed answers of a language model: what each token costs beyond the server's stream, and what no stream costs."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+from deployment import free_ports
+from experiments import cloud, need_peernet, run_experiment
+from peers.token_server import WHOLE_BYTES
+from programs import PEERNET, Failure, Program, output, peer
+from quantiles import median_spread, spread
+from report import Section, Table, micros, ratio, times
+
+# A folder with `peernetd` and `peernet` of an older build, whose requests without a stream are measured in turn.
+BASELINE = "PEERNET_BENCH_BASELINE"
+BURST, PACED, INTERVAL_MS = 2_000, 100, 5.0
+READERS = ("bare reader", "reader with JSON", "PEERNet, local", "PEERNet, cloud")
+BARE = READERS[0]
+
+TOKEN_AIM_S = 20e-6
+BASELINE_AIM = 1.05
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One answer as its reader saw it: seconds since 1970 of its start, and seconds from there."""
+
+    at: float
+    total: float
+    # From the request to the first token.
+    first: float
+    parts: float | None = None
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """What the server did for one answer, seconds since 1970."""
+
+    received: float
+    first: float
+    last: float
+
+
+@dataclass
+class Bench:
+    """The server, the cloud and the lengths of the runs."""
+
+    folder: Path
+    server: int
+    cloud: int
+    counts: dict[str, int]
+
+    def read(self, model: str, reader: str) -> list[Answer]:
+        """Returns the answers of a model, read by one of READERS."""
+        if not reader.startswith("PEERNet"):
+            command = peer("token_server", "read", self.server, model, self.counts[model])
+            command += [] if reader == BARE else ["--parse"]
+            return [Answer(one["at"], one["total"], one["first"]) for one in json.loads(output(command))]
+        is_local = reader == "PEERNet, local"
+        name = f"{model}-{'local' if is_local else 'cloud'}"
+        text = _experiment(model, self.counts[model], None if is_local else self.cloud, _openai(self.server, model))
+        (run,) = run_experiment(self.folder, name, text)
+        first = "inference_time-to-first-token" if is_local else "first-part"
+        return [
+            Answer(float(row["at"]), float(row["total"]), float(row[first]), float(row.get("parts") or 0))
+            for row in run.rows
+        ]
+
+    def stamps(self, model: str) -> list[Stamps]:
+        lines = map(json.loads, (self.folder / "stamps").read_text().splitlines())
+        keys = ("received", "first", "last")
+        return [Stamps(*(line[key] * 1e-9 for key in keys)) for line in lines if line["model"] == model]
+
+
+@dataclass
+class Paced:
+    """Delays of one repeat: of the first token and of the end, beyond the server's own times, seconds."""
+
+    first: list[float] = field(default_factory=list)
+    end: list[float] = field(default_factory=list)
+
+
+def prepare() -> None:
+    need_peernet()
+    if baseline := _baseline():
+        for name in ("peernetd", "peernet"):
+            if not (baseline / name).exists():
+                raise Failure(f"{BASELINE} names {baseline}, which has no {name}")
+
+
+def measure(quick: bool) -> Section:
+    repeats = 2 if quick else 7
+    counts = {"burst": 5, "paced": 2, "whole": 50} if quick else {"burst": 30, "paced": 8, "whole": 1_000}
+    section = Section("Streamed answers")
+    with tempfile.TemporaryDirectory(prefix="peernet-bench-") as name:
+        folder = Path(name)
+        serve = peer("token_server", "serve", BURST, PACED, INTERVAL_MS, folder / "stamps")
+        with Program(serve, folder / "server.log") as server:
+            server.wait_until("it listens", lambda: server.text().endswith("\n"))
+            port, (cloud_port, old_port) = int(server.text()), free_ports(2)
+            bench = Bench(folder, port, cloud_port, counts)
+            models = "".join(_openai(port, model) for model in counts)
+            with cloud(folder, cloud_port, models + _echo()):
+                _burst(section, bench, repeats)
+                _paced(section, bench, repeats)
+                _whole(section, bench, repeats, old_port)
+    return section
+
+
+def _burst(section: Section, bench: Bench, repeats: int) -> None:
+    totals: dict[str, list[float]] = {reader: [] for reader in READERS}
+    parts: list[float] = []
+
+    def add(reader: str) -> None:
+        answers = bench.read("burst", reader)
+        totals[reader].append(median(answer.total for answer in answers))
+        if reader == READERS[-1]:
+            parts.extend(answer.parts or 0.0 for answer in answers)
+
+    _in_turn("burst", repeats, READERS, add)
+    section.say(
+        f"A scripted server with the chat API of OpenAI on the loopback interface sends {BURST:,} tokens at once, one "
+        "in each event. *Bare reader*: a Python program that reads the bytes and drops them; *with JSON*: one that "
+        "parses each event. *Local*: `peernet run` with a local model of the kind `openai`; *cloud*: an agent has the "
+        f"model, and sends each token to `peernet run` when it arrives. {repeats} repeats of {bench.counts['burst']} "
+        "answers, in turn; medians over the repeats, differences taken repeat by repeat."
+    )
+    table = Table(f"{BURST:,} tokens at once, µs", "whole answer p50", "per token", "per token beyond the bare reader")
+    for reader in READERS:
+        beyond = [(a - b) / BURST for a, b in zip(totals[reader], totals[BARE], strict=True)]
+        whole = median(totals[reader])
+        table.row(reader, micros(whole), micros(whole / BURST), "–" if reader == BARE else micros(median(beyond)))
+        if reader.startswith("PEERNet"):
+            seen = median(beyond)
+            promise = f"streaming, {reader.removeprefix('PEERNet, ')}: ≤ {TOKEN_AIM_S * 1e6:g} µs per token"
+            section.aim(promise, f"{micros(seen)} µs", seen <= TOKEN_AIM_S)
+    section.table(table)
+    section.say(f"Parts of an answer that arrived at the edge, median: {median(parts):,.0f}.")
+
+
+def _paced(section: Section, bench: Bench, repeats: int) -> None:
+    readers = (BARE, *READERS[2:])
+    seen: dict[str, list[Paced]] = {reader: [] for reader in readers}
+    _in_turn("paced", repeats, readers, lambda reader: seen[reader].append(_delays(bench, bench.read("paced", reader))))
+    section.say(
+        f"The same server sends {PACED} tokens, one each {INTERVAL_MS:g} ms; {repeats} repeats of "
+        f"{bench.counts['paced']} answers, in turn. *First token*: from the request to the first token at the reader "
+        "(with the cloud: `first-part`), less the server's own time from the request to that token. *End*: from the "
+        "server's stamp before it writes the last token to the end of the answer at the reader. All programs read the "
+        "clock of one machine."
+    )
+    table = Table("delay, µs", "first token p50", "p99", "end p50", "p99")
+    for reader, delays in seen.items():
+        spreads = [median_spread([spread(getattr(one, key)) for one in delays]) for key in ("first", "end")]
+        table.row(reader, *(micros(one[key]) for one in spreads for key in ("p50", "p99")))
+    section.table(table)
+
+
+def _delays(bench: Bench, answers: list[Answer]) -> Paced:
+    stamps, delays = bench.stamps("paced"), Paced()
+    for answer in answers:
+        own = [one for one in stamps if answer.at <= one.received <= answer.at + answer.total]
+        if len(own) != 1:
+            raise Failure(f"{len(own)} answers of the server belong to the answer at {answer.at}; expected 1")
+        delays.first.append(answer.first - (own[0].first - own[0].received))
+        delays.end.append(answer.at + answer.total - own[0].last)
+    return delays
+
+
+def _whole(section: Section, bench: Bench, repeats: int, old_port: int) -> None:
+    count, baseline = bench.counts["whole"], _baseline()
+    columns: dict[str, list[dict[str, dict[str, float]]]] = {}
+
+    def add(name: str) -> None:
+        model = "whole" if name == "one part" else "echo"
+        port, program = bench.cloud, PEERNET
+        if baseline and name == "baseline":
+            port, program = old_port, baseline / "peernet"
+        text = _experiment(model, count, port, "")
+        (run,) = run_experiment(bench.folder, f"{name.replace(' ', '-')}-cloud", text, program=program)
+        total, inference = run.samples("total"), run.samples("inference")
+        outside = [a - b for a, b in zip(total, inference, strict=True)]
+        columns.setdefault(name, []).append({"total": spread(total), "outside": spread(outside)})
+
+    names = ["not streamed", "one part"]
+    if baseline:
+        names.append("baseline")
+        with cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"):
+            _in_turn("not streamed", repeats, names, add)
+    else:
+        _in_turn("not streamed", repeats, names, add)
+    section.say(
+        f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
+        "the server above in one token. `total` of the latter includes the request to the server; the second column "
+        f"leaves out `inference`. {repeats} repeats of {count:,} answers, in turn."
+        + (f" *Baseline*: not streamed, by the build that `{BASELINE}` names." if baseline else "")
+    )
+    table = Table("µs", "total p50", "p99", "total without inference p50", "p99")
+    for name in names:
+        spreads = [median_spread([one[key] for one in columns[name]]) for key in ("total", "outside")]
+        table.row(name, *(micros(one[key]) for one in spreads for key in ("p50", "p99")))
+    section.table(table)
+    if baseline:
+        ours, old = ([one["total"]["p50"] for one in columns[name]] for name in ("not streamed", "baseline"))
+        cost = ratio(ours, old)
+        promise = f"a request that is not streamed ≤ {BASELINE_AIM:g} × the older build's"
+        section.aim(promise, times(cost), cost <= BASELINE_AIM)
+
+
+def _in_turn(what: str, repeats: int, names: tuple[str, ...] | list[str], measure_one: Callable[[str], None]) -> None:
+    """Measures each name once in each repeat; which one goes first changes with each repeat."""
+    for repeat in range(repeats):
+        first = repeat % len(names)
+        for name in (*names[first:], *names[:first]):
+            measure_one(name)
+        print(f"  {what}: repeat {repeat + 1} of {repeats}", file=sys.stderr, flush=True)
+
+
+def _experiment(model: str, iterations: int, port: int | None, models: str) -> str:
+    remote = f'{{ kind = "remote", peer = "tcp://127.0.0.1:{port}", model = "{model}" }}'
+    placement = f'{{ kind = "local", model = "{model}" }}' if port is None else remote
+    return f"""
+[experiment]
+iterations = {iterations}
+warm_up = {{ iterations = {max(1, iterations // 10)} }}
+[pipeline]
+sensor = {{ kind = "text", length = 100 }}
+placement = {placement}
+load = {{ mode = "closed" }}
+{models if port is None else ""}
+"""
+
+
+def _openai(port: int, model: str) -> str:
+    return f'[[model]]\nname = "{model}"\nkind = "openai"\nurl = "http://127.0.0.1:{port}/v1"\nmodel = "{model}"\n'
+
+
+def _echo() -> str:
+    return f'[[model]]\nname = "echo"\nkind = "echo"\nanswer_bytes = {WHOLE_BYTES}\n'
+
+
+def _baseline() -> Path | None:
+    return Path(os.environ[BASELINE]) if os.environ.get(BASELINE) else None
