@@ -1,7 +1,7 @@
 # make demo   builds the programs and runs the factory line on loopback: three processes, until Ctrl-C
 # make demo-clock-fault  the same with the edge's clock wrong on purpose: the delays do not move
 # make test   everything that must hold; installs what it needs
-# make interop  programs of other projects as peers: ROS 1, ROS 2, llama.cpp, libzmq
+# make interop  programs of other projects as peers: ROS 1, ROS 2, llama.cpp, MuJoCo, libzmq
 # make check  the quick part: formatting, lints, unit and end-to-end tests
 # make bench  the measured tables, ratios side by side in one run
 # make soak   hundreds of kills, a day's outage, full disks, with release builds; takes its time

@@ -69,6 +69,8 @@ rosnode       python3-rosnode         its tools see our nodes
 g++           build-essential   compiles programs for Fast DDS and libzmq
 ip            iproute2          network namespaces as hosts
 unshare       util-linux        network namespaces as hosts
+wirefilter    vde2              links between them that delay
+/usr/lib/x86_64-linux-gnu/libOSMesa.so.8|/usr/lib/aarch64-linux-gnu/libOSMesa.so.8  libosmesa6  MuJoCo renders without a screen
 '
 
 # Prints "package  reason" for each line of $1 whose command is missing.
@@ -245,6 +247,6 @@ for set in "$@"; do
 done
 # After the benchmarks' environment, which clears the folder that contains these.
 [ -z "${wants_api:-}" ] || python_environment api "schemathesis" "the tests of the REST API"
-[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS, llama.cpp and pyzmq" "tests with foreign peers"
+[ -z "${wants_interop:-}" ] || python_environment interop "Cyclone DDS, llama.cpp, MuJoCo and pyzmq" "tests with foreign peers"
 [ -z "${wants_chrony:-}" ] || unpack_chrony
 say "$*: all tools are installed"

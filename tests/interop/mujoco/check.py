@@ -1,0 +1,54 @@
+"""Checks the results of the teleoperated arm. Usage: check.py FOLDER_OF_RESULTS"""
+import csv
+import json
+import pathlib
+import statistics
+import sys
+
+# The file of networks calls the links so; smallest delays that deploy/test-links.sh adds to an upload. Seconds.
+MIN_UPLOAD_S = {"LAN": 0.0, "CAN": 0.001, "5G": 0.06}
+RUNS = 9
+
+
+def rows_of(folder):
+    with open(folder / "data.csv") as text:
+        return list(csv.DictReader(text))
+
+
+def check_run(folder):
+    """Checks one run; returns its network, whether its pictures were resized, and the median of its total."""
+    settings = dict(json.loads((folder / "run.json").read_text())["experiment"]["configuration"])
+    rows = rows_of(folder)
+    assert {row["episode"] for row in rows} == {"0", "1", "2"}, folder
+    for row in rows:
+        assert row["outcome"] == "ok", row
+        # The reward is the negative distance between pen and cup.
+        assert -2.0 < float(row["actuation_reward"] if "actuation_reward" in row else row["reward"]) <= 0.0, row
+        # Rendering takes tens of milliseconds and is outside of the iteration.
+        assert float(row["sensing_capture"] if "sensing_capture" in row else row["capture"]) < 0.05, row
+        drawn = float(row["inference_drawn-latency"])
+        assert float(row["inference"]) >= drawn, row
+    counted = [row for row in rows if row["warm-up"] == "0"]
+    network = settings["Network"]
+    for row in counted:
+        assert (row["upload"] != "") == (network != "none"), row
+        if network != "none" and row["upload"]:
+            assert float(row["upload"]) >= MIN_UPLOAD_S[network], row
+    last = [row for row, following in zip(rows, [*rows[1:], None]) if following is None or following["step"] == "0"]
+    assert all(row["episode-success"] in ("0", "1", "0.0", "1.0") for row in last[1:]), last
+    return network, settings["Resize"], statistics.median(float(row["total"]) for row in counted)
+
+
+def main():
+    folders = sorted(pathlib.Path(sys.argv[1], "runs").iterdir())
+    totals = {}
+    for folder in folders:
+        network, resize, total = check_run(folder)
+        totals.setdefault((network, resize), []).append(total)
+    assert sum(map(len, totals.values())) == RUNS, totals
+    assert max(totals["none", "no"]) < min(totals["CAN", "no"]) < min(totals["5G", "yes"]), totals
+    assert max(totals["CAN", "yes"]) < min(totals["CAN", "no"]), totals
+    print("mujoco: all checks passed;", {"/".join(key): [round(total, 4) for total in value] for key, value in totals.items()})
+
+
+main()
