@@ -27,14 +27,18 @@ impl Document {
         Self { path, text }
     }
 
-    /// Returns the documents for users: the README and the folder `docs`.
+    /// Returns the documents for users: the README and the folders `docs` and `docs/experiments`.
     ///
     /// # Panics
     /// If they do not exist.
     pub fn for_users() -> Vec<Self> {
-        let docs = std::fs::read_dir(root().join("docs")).expect("the folder docs is there");
-        let docs = docs.map(|entry| Path::new("docs").join(entry.expect("it can be listed").file_name()));
-        let docs = docs.filter(|path| path.extension().is_some_and(|ending| ending == "md"));
+        let files = |folder: &'static str| {
+            let entries = std::fs::read_dir(root().join(folder)).expect("the folder is there");
+            let paths =
+                entries.map(move |entry| Path::new(folder).join(entry.expect("it can be listed").file_name()));
+            paths.filter(|path| path.extension().is_some_and(|ending| ending == "md"))
+        };
+        let docs = files("docs").chain(files("docs/experiments"));
         std::iter::once(PathBuf::from("README.md")).chain(docs).map(Self::read).collect()
     }
 

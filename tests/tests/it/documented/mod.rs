@@ -3,6 +3,7 @@
 
 mod exempt_commands;
 mod from_source;
+mod language_model;
 mod manual_start;
 mod one_machine;
 mod paper;
@@ -18,10 +19,11 @@ use crate::experiments::{same_seed, users};
 use exempt_commands::{EXECUTED_ELSEWHERE, NEVER_EXECUTED, is_known};
 
 /// Commands that these tests and those of experiments execute.
-const EXECUTED_COMMANDS: [&[&str]; 9] = [
+const EXECUTED_COMMANDS: [&[&str]; 10] = [
     &one_machine::COMMANDS,
     &manual_start::COMMANDS,
     &from_source::COMMANDS,
+    &language_model::COMMANDS,
     &paper::COMMANDS,
     &pictures::COMMANDS,
     &published::COMMANDS,
