@@ -65,11 +65,14 @@ doc=usr/share/doc/peernet
 put 644 $doc README.md CHANGELOG.md
 install -m 644 deploy/README.md "$stage/$doc/deploy.md"
 put 644 $doc/docs docs/*.md
+put 644 $doc/docs/experiments docs/experiments/*.md
 put 644 $doc/onnxruntime onnxruntime/lib/LICENSE onnxruntime/lib/ThirdPartyNotices.txt
 put 644 $doc/examples configs/*.toml
 put 644 $doc/examples/experiments configs/experiments/*.toml
 put 644 $doc/examples/experiments/networks configs/experiments/networks/*.yaml
 put 644 $doc/examples/python configs/python/*.py
+put 644 $doc/examples/language-models configs/language-models/*.py
+put 644 $doc/examples/teleoperation configs/teleoperation/*.py configs/teleoperation/arm.xml configs/teleoperation/requirements.txt
 # Paths in a checkout become those of the package.
 find "$stage/$doc/examples" -name '*.toml' -exec sed -i \
     -e "s|\"models/|\"/usr/share/peernet/models/|" -e "s|configs/|/$doc/examples/|" {} +

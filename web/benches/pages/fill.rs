@@ -6,8 +6,8 @@ use bytes::Bytes;
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{
-    BatchHead, Chain, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome, Proof,
-    STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
+    BatchHead, Chain, EndReason, Event, ExperimentPlace, Hello, HostSecret, Incident, IncidentKind, Outcome,
+    Proof, RunEnded, STREAM_VERSIONS, StreamId, ToAgent, ToAggregator, codec,
 };
 use tokio_util::sync::CancellationToken;
 use zeromq::{Message, Options, Socket, SocketType};
@@ -140,6 +140,8 @@ impl Agent {
             }
         }
         self.second += 1;
+        let ended = generate::at(self.second as f64);
+        events.push(Event::RunEnded(RunEnded { run, ended, reason: EndReason::Finished }));
         self.send(&events).await;
     }
 

@@ -200,7 +200,8 @@ impl Sensor for Images {
         let count = self.pictures.len();
         let order = if self.shuffle.is_some() { "shuffled" } else { "by name" };
         let times = if self.repeat { "repeated" } else { "once" };
-        let images = format!("{count} images of {}, {order}, {times}", self.path.display());
+        let noun = if count == 1 { "image" } else { "images" };
+        let images = format!("{count} {noun} of {}, {order}, {times}", self.path.display());
         let files = self.pictures.iter().map(|picture| (self.name(&picture.file), picture.file.as_path()));
         let mut facts = vec![
             ("Sensor".to_owned(), images),
