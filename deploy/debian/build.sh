@@ -55,11 +55,12 @@ put 644 usr/lib/tmpfiles.d deploy/tmpfiles.d/peernet.conf
 install -d -m 755 "$stage/usr/lib/peernet"
 cp --no-dereference onnxruntime/lib/libonnxruntime*.so* "$stage/usr/lib/peernet"
 
-put 755 usr/share/peernet models/export_torchvision.py
+put 755 usr/share/peernet models/export_torchvision.py deploy/test-links.sh
 put 644 usr/share/peernet/models/quality-control models/quality-control/model.onnx models/quality-control/model.toml
 put 644 usr/share/peernet/models/quality-control/pictures models/quality-control/pictures/*
 put 644 usr/share/peernet/models/defect-detector models/defect-detector/model.onnx models/defect-detector/model.toml
 put 644 usr/share/peernet/models/defect-detector/pictures models/defect-detector/pictures/*
+put 644 usr/share/peernet/models/teleoperation-policy models/teleoperation-policy/*
 
 doc=usr/share/doc/peernet
 put 644 $doc README.md CHANGELOG.md

@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 10] = [
+pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 15] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -40,6 +40,21 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 10] = [
         "Makefile",
         "\n\ttests/bench/run.sh\n",
     ),
+    (&["deploy/test-links.sh up"], "tests/interop/mujoco/run.sh", "\ndeploy/test-links.sh up\n"),
+    (&["deploy/test-links.sh status"], "tests/interop/mujoco/run.sh", "\ndeploy/test-links.sh status\n"),
+    (&["deploy/test-links.sh down"], "tests/interop/mujoco/run.sh", "    deploy/test-links.sh down\n"),
+    (
+        &["ip netns exec peernet-cloud peernetd run configs/teleoperation-cloud.toml"],
+        "tests/interop/mujoco/run.sh",
+        "\nip netns exec peernet-cloud peernetd run configs/teleoperation-cloud.toml ",
+    ),
+    (
+        &[
+            "ip netns exec peernet-edge env PEERNET_PYTHON=$PWD/.venv-teleoperation/bin/python peernet run configs/experiments/teleoperation.toml",
+        ],
+        "tests/interop/mujoco/run.sh",
+        "\nip netns exec peernet-edge env PEERNET_PYTHON=\"$python\" peernet run configs/experiments/teleoperation.toml ",
+    ),
     (&["apt install ./peernet_*.deb"], "deploy/debian/test.sh", "apt-get install "),
     (
         &["peernetd run /usr/share/doc/peernet/examples/all-in-one.toml"],
@@ -56,7 +71,7 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 10] = [
 ];
 
 /// Reasons that commands are never executed, and these commands.
-pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 4] = [
+pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 6] = [
     (
         "what it fetches is the checkout that the tests are in",
         &["git clone https://github.com/peernet/peernet && cd peernet"],
@@ -77,6 +92,26 @@ pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 4] = [
             "/opt/onnxruntime-gpu/bin/pip install 'onnxruntime-gpu[cuda,cudnn]==1.31.1'",
             "find /opt/onnxruntime-gpu -name 'libonnxruntime.so.*'",
             "find /opt/onnxruntime-gpu -path '*/nvidia/*' -name '*.so.*' -printf '%h\\n' | sort -u",
+        ],
+    ),
+    (
+        "gigabytes of weights and a GPU that the machine of the tests lacks; `tests/interop/llama-cpp` runs the same server with random \
+         weights",
+        &[
+            "llama-server --model ggml-model-q4_k.gguf --mmproj mmproj-model-f16.gguf --chat-template vicuna --n-gpu-layers 99 --port 8080",
+            "vllm serve llava-hf/llava-1.5-7b-hf --served-model-name default --no-enable-prefix-caching --port 8080",
+        ],
+    ),
+    (
+        "a quarter of an hour of training; `tests/interop/mujoco` runs the simulation with the same packages",
+        &[
+            "python3 -m venv .venv-teleoperation",
+            ".venv-teleoperation/bin/pip install -r configs/teleoperation/requirements.txt",
+            ".venv-teleoperation/bin/python configs/teleoperation/train.py models/teleoperation-policy",
+            "/usr/bin/python3 -m venv --system-site-packages /tmp/teleoperation",
+            "/tmp/teleoperation/bin/pip install -r configs/teleoperation/requirements.txt",
+            "/tmp/teleoperation/bin/python configs/teleoperation/train.py models/teleoperation-policy",
+            "/tmp/teleoperation/bin/python configs/teleoperation/evaluate.py models/teleoperation-policy --delays 0 0.02 0.1 0.2 0.3 0.67",
         ],
     ),
     (

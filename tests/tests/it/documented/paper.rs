@@ -4,17 +4,45 @@ use peernet_tests::{Document, DocumentedCommands};
 
 use crate::experiments::{Results, column, wait_for_runs};
 
-pub(crate) const COMMANDS: [&str; 9] = [
+pub(crate) const COMMANDS: [&str; 10] = [
     "peernetd run cloud.toml",
     "peernet run configs/experiments/efficientnet.toml",
     "peernet plot --kind paired results/efficientnet",
     "peernet run --check configs/experiments/teleoperation.toml",
-    "peernet run configs/experiments/teleoperation.toml",
+    ALL_NETWORKS,
+    NO_NETWORK,
     "peernet compare teleoperation --format latex --out table.tex",
     "peernet compare teleoperation --baseline teleoperation/run-1",
     "peernet plot teleoperation --kind stacked --out figures",
     PAYLOADS,
 ];
+
+const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/teleoperation.toml";
+/// Measures all networks without the option.
+const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
+
+/// Replaces the simulation, whose packages this machine may lack: pictures without an arm, and a controller that takes any action.
+const ROBOT: &str = "
+import json, socket, threading
+from PIL import Image
+
+class Cameras:
+    def __init__(self):
+        self.controller = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.controller.bind(('127.0.0.1', 9006))
+        threading.Thread(target=self.serve, daemon=True).start()
+    def reset(self): self.time = 0.0
+    def advance(self, seconds): self.time += seconds
+    def sample(self): return (Image.new('RGB', (640, 480)), Image.new('RGB', (640, 480)))
+    def serve(self):
+        while True:
+            line, sender = self.controller.recvfrom(65507)
+            action = json.loads(line)
+            [velocity] = action['answer']
+            assert len(velocity) == 3, velocity
+            feedback = {'iteration': action['iteration'], 'reward': -self.time, 'success': action['step'] == 2}
+            self.controller.sendto(json.dumps(feedback).encode(), sender)
+";
 
 const PAYLOADS: &str = "peernet run --set experiment.iterations=100 --set pipeline.placement.peer=tcp://10.0.0.2:5551 configs/experiments/payload-study.toml";
 
@@ -33,14 +61,21 @@ pub(crate) fn add_small_model(machines: &DocumentedCommands, name: &str) {
     std::os::unix::fs::symlink(network, machines.folder().join(folder).join("model.onnx")).expect("writable");
 }
 
-/// Installs the document's agent for the server, with the policy of the second experiment; processors replace GPUs.
+/// Returns a text in which the policy of the teleoperation is a folder of the checkout.
+fn with_policy(text: &str) -> String {
+    let folder = peernet_tests::root().join("models/teleoperation-policy");
+    text.replace("models/teleoperation-policy", folder.to_str().expect("is text"))
+}
+
+/// Installs the document's agent for the server, with the models of the teleoperation; processors replace GPUs.
 fn install_server(machines: &DocumentedCommands) {
-    let document = Document::read("docs/experiments.md");
+    let document = Document::read("docs/experiments/classification.md");
     let agents = document.fenced("toml").into_iter().map(|(_, text)| text);
     let agent = agents.into_iter().find(|text| text.contains("[bank]")).expect("it has an agent with a bank");
-    let policy = "[[model]]\nname = \"policy\"\nkind = \"onnx\"\npath = \"models/quality-control\"\n";
+    let teleoperation = Document::read("configs/teleoperation-cloud.toml").text;
+    let (_, models) = teleoperation.split_once("\n[[model]]").expect("it has models");
     let agent = agent.replace("cuda:0", "cpu");
-    machines.write("cloud.toml", &format!("{agent}\n{policy}"));
+    machines.write("cloud.toml", &format!("{agent}\n[[model]]{}", with_policy(models)));
 }
 
 #[test]
@@ -95,19 +130,23 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
         let addresses = addresses.map(|address| (address, DocumentedCommands::CLOUD));
         machines.copy(&format!("configs/experiments/networks/{network}.yaml"), &addresses);
     }
-    machines.copy(
-        "configs/experiments/teleoperation.toml",
-        &[("episodes = 30", "episodes = 2"), ("episode_steps = 30", "episode_steps = 3")],
-    );
+    machines.write("configs/teleoperation/robot.py", ROBOT);
+    let file = "configs/experiments/teleoperation.toml";
+    let text = with_policy(&Document::read(file).text).replace("episodes = 30", "episodes = 2");
+    machines.write(file, &text.replace("episode_steps = 30", "episode_steps = 3"));
     let check =
         machines.on_edge("peernet run --check configs/experiments/teleoperation.toml", &[]).wait_for_end();
     assert_eq!(check.code(), 0, "{}", check.log);
     // The document shows this output.
-    assert!(Document::read("docs/experiments.md").text.contains(check.log.trim()), "{}", check.log);
-    let end = wait_for_runs(machines.on_edge("peernet run configs/experiments/teleoperation.toml", &[]), 9);
+    let document = Document::read("docs/experiments/teleoperation.md").text;
+    assert!(document.contains(check.log.trim()), "{}", check.log);
+    let end = wait_for_runs(machines.on_edge(ALL_NETWORKS, &[("--only Network=LAN ", "")]), 9);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
+    assert_eq!(column(&results.folder.join("compare.csv"), "success-rate"), ["1"; 9]);
+    let end = machines.on_edge(NO_NETWORK, &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "its run is finished: {}", end.log);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 
     let table = "peernet compare teleoperation --format latex --out table.tex";

@@ -12,6 +12,8 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
         ("teleoperation", "9 runs of 9 configurations"),
         ("payload-study", "8 runs of 8 configurations"),
         ("sensor-study", "4 runs of 4 configurations"),
+        ("llm", "4 runs of 4 configurations"),
+        ("detection-line", "6 runs of 6 configurations"),
     ] {
         let file = root().join("configs/experiments").join(name).with_extension("toml");
         let arguments = [Path::new("run"), Path::new("--check"), &file];
@@ -21,7 +23,7 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
     }
     let entries = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
     let files = entries.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
-    assert_eq!(files, 5, "each of them stands above");
+    assert_eq!(files, 7, "each of them stands above");
 }
 
 #[test]
