@@ -1,6 +1,6 @@
 #!/bin/bash
-# Creates a test bed for docs/experiments/teleoperation.md on one machine: two network namespaces that stand for a robot and
-# a server, joined by three links at the same time. Each link has its own subnet, rate and delay.
+# Creates the networks of docs/experiments/teleoperation.md on one machine: two network namespaces that stand for the robot and
+# the servers, joined by three links. Each link has its own subnet, rate and delay. All exist at the same time.
 #
 #     link    robot         servers                      up            down        delay up  delay down
 #     lan     192.168.1.20  192.168.1.30  192.168.1.40   1 Gbit/s      1 Gbit/s    none      none
@@ -30,31 +30,31 @@ state=/run/peernet-test-links
 # 640 × 480 pixels has 2 × 640 × 480 × 3 = 1,843,200 bytes; resized to 320 × 240 it has 460,800 bytes. Of each Ethernet frame of
 # 1,514 bytes, 1,448 are payload of TCP, so the links carry 1,927,000 and 482,000 bytes.
 #
-# lan: 1,927,000 B at 1 Gbit/s take 15.4 ms, and the copies at both ends 1 to 3 ms. Paper: 17.53 ms. Resized: 3.9 ms and copies.
+# lan: 1,927,000 B at 1 Gbit/s take 15.4 ms, and the copies at both ends 1 to 3 ms. Paper: 17.53 ms. Resized: 3.9 ms and the copies.
 #     Paper: 6.25 ms. Download without added delay: below 1 ms. Paper: 0.37 and 0.62 ms.
 # campus (CAN in the paper): the rate is chosen for the pair that is not resized: 1,927,000 B at 160 Mbit/s take 96 ms, and the delay
 #     adds 2 to 3 ms. Paper: 98.28 ms. Resized: 24 ms and the delay. Paper: 14.53 ms. No rate reproduces both, because the paper does
 #     not give the size to which it resizes: 14.53 ms would be half of our bytes. Download: the delay alone. Paper: 1.73 to 3.59 ms.
-# 5g: over 5G the paper sends only resized pictures. It does not separate the delay of the upload from the transmission, 432.71 ms
-#     together. We take 60 ms for the delay, a usual value for a mobile network with a VPN. The other 373 ms for 482,000 B are 10.3 Mbit/s.
-#     The paper's second server, the A100, has 339.20 ms over 5G, with a standard deviation of 234.52 ms; there is one profile for both.
+# 5g: over 5G the paper sends only resized pictures. Its upload takes 432.71 ms; it does not say how much of that is delay and how much
+#     transmission. We assume a delay of 60 ms, a usual value for a mobile network with a VPN. The other 373 ms for 482,000 B are
+#     10.3 Mbit/s. To the paper's second server, the A100, the upload takes 339.20 ± 234.52 ms; both servers share this profile.
 #     The download is an action of some hundred bytes, so its time is the delay alone. The five delays below have the mean 229 ms and
-#     the standard deviation 150 ms. Paper: 228.84 ± 149.83 ms. The smallest delay is the same in both directions, as the estimate
-#     of the clocks' offset by NTP and PEERNet assumes. 50 Mbit/s is a usual value; it does not matter for an action.
+#     the standard deviation 150 ms. Paper: 228.84 ± 149.83 ms. The smallest delay is the same in both directions,
+#     because the estimates of the clock offset by NTP and PEERNet assume this. 50 Mbit/s is a usual value; it does not matter for an action.
 
-# Links, which are also the names of their interfaces in both namespaces.
+# Names of the links. The interfaces of a link have the same name, in both namespaces.
 links='lan campus 5g'
 
-# profile LINK: sets the properties of a link.
+# profile LINK: sets these variables to the properties of a link.
 # subnet: first three numbers of its addresses.
-# up_rate, down_rate, up_burst, down_burst: arguments of tbf. The bucket is filled by timers; in a virtual machine they may be late by
-#     some hundred microseconds, and tokens beyond `burst` are lost then. So `burst` is what the rate carries in 0.5 to 3 ms. A larger
-#     bucket would let the beginning of each picture pass without the limit.
-# up_delay, down_delay: for `status`.
+# up_rate, down_rate, up_burst, down_burst: arguments of tbf. Timers fill the bucket; in a virtual machine they may be some hundred
+#     microseconds late, and then tokens beyond `burst` are lost. So `burst` is what the rate carries in 0.5 to 3 ms. With a larger
+#     bucket the beginning of each picture would not be limited to the rate.
+# up_delay, down_delay: text that `status` prints.
 # wire: options of a wirefilter that keeps the order of packets; empty for a veth pair without delay. LR is the direction from the edge to
 #     the cloud.
-# down_delays: delays from the cloud to the edge, ms. A second wirefilter in series takes another one of them every 20 ms, each with
-#     the same probability. Empty for none.
+# down_delays: delays from the cloud to the edge, ms. A second wirefilter in series selects one of them every 20 ms, each with the same
+#     probability. Empty if there is no second wirefilter.
 profile() {
     case $1 in
         lan)
@@ -69,8 +69,8 @@ profile() {
             subnet=10.20.0
             up_rate=160mbit up_burst=16kb
             down_rate=160mbit down_burst=16kb
-            # A packet never overtakes the one before it. So the end of a picture has a delay near 3 ms, and a single packet 2 ms on
-            # average.
+            # Each packet has a random delay from 1 to 3 ms, but never overtakes the one before it. So the end of a picture has a
+            # delay near 3 ms, and a single packet 2 ms on average.
             wire='-d LR2+1 -d RL2+1'
             up_delay='2 ± 1 ms' down_delay='2 ± 1 ms'
             down_delays=
@@ -86,8 +86,8 @@ profile() {
     esac
 }
 
-# Bytes that may wait at the beginning of a link. Larger than two pairs of pictures, so nothing is dropped there: with drops the
-# transfer times would depend on how TCP recovers, not on the link.
+# Largest number of bytes that may wait at the beginning of a link. It is larger than two pairs of pictures, so nothing is dropped
+# there. With drops, the transfer times would depend on how TCP recovers, not on the link.
 queue_limit=4mb
 
 # --------------------------------------------------------------------------------------------------------------------
@@ -103,15 +103,16 @@ need_tool() {
     command -v "$1" >/dev/null || fail "the command $1 is missing; install the package $2: apt-get install $2"
 }
 
-# named_namespaces: prints those of our namespaces that exist.
+# named_namespaces: prints the names of our namespaces, if they exist.
 named_namespaces() {
     for namespace in "$edge" "$cloud"; do
         [ ! -e "/run/netns/$namespace" ] || echo "$namespace"
     done
 }
 
-# makes_links PID: whether this process is a switch or a wire. A process that has ended, but was not reaped yet, has no program.
-makes_links() {
+# is_link_process PID: succeeds if this process is a switch or a wire of a link. /proc names no program for a process that has ended but
+# has not been reaped.
+is_link_process() {
     case $(readlink "/proc/$1/exe" 2>/dev/null) in
         */vde_switch* | */wirefilter*) return 0 ;;
     esac
@@ -121,13 +122,14 @@ makes_links() {
 # link_processes: prints the ids of the switches and wires of the links, one a line, some of them twice.
 link_processes() {
     local pid
-    # A switch or wire that was started a moment ago has no pid file yet; a namespace that was deleted manually has no list any more.
+    # Both sources are needed: a switch or wire that has just started has no pid file yet, and `ip netns pids` does not list the
+    # processes of a namespace that was deleted manually.
     {
         cat "$state"/*.pid 2>/dev/null || true
         for namespace in $(named_namespaces); do ip netns pids "$namespace" 2>/dev/null || true; done
     } | while read -r pid; do
-        # Compared with its program, because the system uses process ids again.
-        ! makes_links "$pid" || echo "$pid"
+        # The program is checked, because the system may have given the id to another process.
+        ! is_link_process "$pid" || echo "$pid"
     done
 }
 
@@ -149,24 +151,27 @@ wait_for() {
 
 add_namespace() {
     ip netns add "$1"
-    # Programs of one host reach each other at 127.0.0.1, such as the simulated robot and its agent.
+    # Programs in one namespace, such as the simulated robot and its agent, reach each other at 127.0.0.1.
     ip -n "$1" link set lo up
-    # Every kernel has Reno, and it does not pace. BBR, the default of some hosts, paces and measures the rate for seconds, and
-    # Cubic leaves slow start as soon as the delay varies (HyStart): the transfer times would be those of the algorithm.
-    # In the pause in which the simulation renders, which a real robot does not have, TCP would forget its window.
-    # A run shall not inherit the window of the run before it. Tail loss probes (early_retrans) would be sent whenever an acknowledgement
-    # is slow, and if the answer to one is overtaken, TCP assumes a loss and halves its window: uploads over 5G then take
-    # 500 to 800 ms instead of 432.
+    # tcp_congestion_control: every kernel has Reno, and it does not pace. BBR, the default of some hosts, paces and measures the rate
+    # for seconds, and Cubic leaves slow start as soon as the delay varies (HyStart). With them the transfer times would show the
+    # algorithm, not the link.
+    # tcp_slow_start_after_idle: otherwise TCP would reset its window while the simulation renders, a pause that a real robot does not have.
+    # tcp_no_metrics_save: otherwise a run would inherit the window of the run before it.
+    # tcp_early_retrans: otherwise TCP would send tail loss probes whenever an acknowledgement is slow. If the answer to a probe is
+    # overtaken, TCP assumes a loss and halves its window: uploads over 5G then take 500 to 800 ms instead of 432.
     in_namespace "$1" sysctl -qw net.ipv4.tcp_congestion_control=reno net.ipv4.tcp_slow_start_after_idle=0 \
         net.ipv4.tcp_no_metrics_save=1 net.ipv4.tcp_early_retrans=0
-    # Datagrams that wait for a switch or a wire; the default of many kernels is 10. A busy machine would lose packets without this.
+    # Largest number of datagrams that may wait for a switch or a wire. Many kernels allow 10 by default, and a busy machine would lose
+    # packets.
     in_namespace "$1" sysctl -qw net.unix.max_dgram_qlen=1000
-    # Router solicitations and similar packets of IPv6 would only disturb; a kernel without IPv6 lacks this setting.
+    # IPv6 is off, because its router solicitations would disturb the measurement. A kernel without IPv6 does not have this setting.
     in_namespace "$1" sysctl -qw net.ipv6.conf.all.disable_ipv6=1 2>/dev/null || true
 }
 
-# prioritise PID_FILE: lets a switch or wire run before all other programs. If it waits for a processor for some milliseconds, its queue
-# overflows, and TCP has to send pictures again: on a busy machine the 98 ms over the campus link became 110 ms without this.
+# prioritise PID_FILE: gives a switch or wire priority over all other programs. If it waits some milliseconds for a processor, its queue
+# overflows, and TCP has to send parts of pictures again: on a busy machine an upload over the campus link then took 110 ms instead
+# of 98.
 prioritise() {
     # Some containers forbid real-time scheduling.
     chrt --rr --pid 10 "$(cat "$1")" 2>/dev/null || renice --priority -15 --pid "$(cat "$1")" >/dev/null 2>&1 || true
@@ -192,7 +197,7 @@ add_wire() {
         || fail "wirefilter failed for $wire: $(tr '\n' ' ' <"$wire.log")"
     wait_for "the file $wire.pid of wirefilter" test -s "$wire.pid"
     prioritise "$wire.pid"
-    # It continues after an error in its start file.
+    # wirefilter continues after an error in its start file, so its log is checked.
     [ ! -s "$wire.log" ] || fail "wirefilter does not accept the settings of $wire: $(tr '\n' ' ' <"$wire.log")"
 }
 
@@ -223,10 +228,11 @@ add_link() {
         add_switch "$link-cloud" "$cloud" --tap "$link"
         local next=$link-cloud
         if [ -n "$down_delays" ]; then
-            # One wirefilter has one queue for both directions. Either it keeps the order in it, and an answer waits for the
-            # slowest of all acknowledgements before it; or packets may overtake each other, also those of a picture, and TCP sends them again.
-            # So there are two: the first keeps the order, and through the second one pictures pass without delay. If each packet had
-            # a random delay there, an answer of several packets would have the largest of them; so they share one for 20 ms.
+            # A wirefilter has one queue for both directions. If it keeps the order of packets, an answer waits for the slowest of all
+            # acknowledgements before it. If it does not, packets of a picture overtake each other too, and TCP sends them again.
+            # So there are two wirefilters: the first keeps the order and delays pictures; the second does not keep the order, delays
+            # answers, and passes pictures on at once. All packets within 20 ms have the same delay there. With a random delay for each
+            # packet, an answer of several packets would have the largest of their delays.
             next=$link-middle
             add_switch "$next" "$edge"
             # shellcheck disable=SC2086
@@ -260,7 +266,7 @@ up() {
         fail "already up, or not removed completely; see '$0 status', remove it with '$0 down'"
     fi
     [ -e /dev/net/tun ] || fail "the kernel has no /dev/net/tun; load the module tun: modprobe tun"
-    # From here on, any failure and any signal removes what exists.
+    # From here on, everything is removed after any failure or signal.
     trap 'code=$?; trap - EXIT; [ "$code" = 0 ] || { echo "test-links: up failed; everything is removed again" >&2; remove; }; exit "$code"' EXIT
     trap 'exit 130' INT TERM HUP
     mkdir -m 700 "$state"
@@ -288,7 +294,7 @@ status() {
             tc -n "$namespace" qdisc show dev "$link" 2>/dev/null | grep -q tbf || condition="broken: no interface $link in $namespace"
         done
         for file in "$state/$link"-*.pid; do
-            [ -z "$wire" ] || makes_links "$(cat "$file" 2>/dev/null)" || condition="broken: the process of $file has ended"
+            [ -z "$wire" ] || is_link_process "$(cat "$file" 2>/dev/null)" || condition="broken: the process of $file has ended"
         done
         [ "$condition" = works ] || broken=1
         printf '%-7s %-13s %-26s %-10s %-9s %-12s %-22s %s\n' "$link" "$subnet.20" "$subnet.30 $subnet.40" "$up_rate" "$down_rate" \
@@ -304,7 +310,7 @@ other_programs() {
     local pid
     for namespace in $(named_namespaces); do
         for pid in $(ip netns pids "$namespace" 2>/dev/null); do
-            makes_links "$pid" || echo "$(cat "/proc/$pid/comm" 2>/dev/null || echo '?') (process $pid in $namespace)"
+            is_link_process "$pid" || echo "$(cat "/proc/$pid/comm" 2>/dev/null || echo '?') (process $pid in $namespace)"
         done
     done
 }
@@ -332,7 +338,7 @@ down() {
     need_tool ip iproute2
     local programs
     programs=$(other_programs)
-    # A namespace without a name would continue to exist until these processes end.
+    # If the namespaces were deleted now, they would exist without a name until these processes end.
     [ -z "$programs" ] || fail "programs still run in the namespaces; end them first: $(echo "$programs" | paste -sd, | sed 's/,/, /g')"
     remove
     echo "down"

@@ -1,15 +1,15 @@
-"""A server with the chat API of OpenAI that follows a script: it has no model and reads no question.
+"""A server with the chat API of OpenAI whose answers follow a script: it has no model, and ignores what a request asks.
 
     python3 configs/language-models/scripted_server.py
 
-It waits as long as a model would compute, and sends words at a fixed pace. The number of words is drawn from a mixture
-of normal distributions. So the time and the length of each answer are known before PEERNet measures them. Each word is
-a token.
+It waits as long as a model would compute, and then sends words at a fixed pace. Each word is a token. The number of
+words is drawn from a mixture of normal distributions. So the correct result of a measurement is known in advance.
 
-With a picture, the defaults are ten times as fast as the language model of the paper on its robot: 8 to 15 tokens/s
-and 5 to 20 s per answer there, 80 to 150 tokens/s and 0.5 to 2 s here, with two common lengths.
+With a picture and the default options, it is ten times as fast as the language model on the robot of the paper: 80 to
+145 tokens/s and 0.5 to 2 s per answer, instead of 8 to 15 tokens/s and 5 to 20 s. As in the paper, answers have two
+common lengths.
 
-Needs Python 3.9 or later, and no packages. Ctrl-C ends it.
+Needs Python 3.9 or later, and no packages. Ctrl-C stops it.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import asyncio
 import contextlib
 import itertools
 import json
+import math
 import random
 import selectors
 import signal
@@ -56,8 +57,9 @@ def parse_lengths(text):
             mode = Mode(*map(float, part.split(":")))
         except (TypeError, ValueError):
             raise argparse.ArgumentTypeError(f"{part!r} is not MEAN:DEVIATION:WEIGHT, such as 60:12:0.5") from None
-        if not (mode.mean >= 1 and mode.deviation >= 0 and mode.weight > 0):
-            rule = "the mean is at least 1, the deviation at least 0, the weight above 0"
+        is_finite = all(map(math.isfinite, (mode.mean, mode.deviation, mode.weight)))
+        if not (is_finite and mode.mean >= 1 and mode.deviation >= 0 and mode.weight > 0):
+            rule = "the mean must be at least 1, the deviation at least 0, the weight above 0, all finite"
             raise argparse.ArgumentTypeError(f"{part!r}: {rule}")
         modes.append(mode)
     return modes
@@ -70,12 +72,12 @@ def parse_milliseconds(text):
     except ValueError:
         value = -1.0
     if not 0 <= value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of milliseconds from 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of milliseconds of at least 0")
     return value / 1000
 
 
 class Script:
-    """Time and length of the answers. The same seed gives the same lengths in the order of the requests."""
+    """Times (seconds) and lengths of the answers. The same seed gives the same sequence of lengths."""
 
     def __init__(self, seed, prefill, picture, token, lengths):
         self.random = random.Random(seed)
@@ -115,19 +117,21 @@ def is_positive_integer(value):
 
 
 class Answer:
-    """Answer to a request: when which token is sent, and the JSON around it."""
+    """Answer to a request: its tokens, the time at which each is sent, and the JSON around them."""
 
     def __init__(self, script, request, number):
         characters, pictures = read_question(request)
         self.id = f"chatcmpl-{number}"
         self.script, self.first = script, script.time_to_first_token(pictures)
         self.drawn = script.draw_length()
-        # `max_completion_tokens` is the newer name of the same field.
+        # `max_completion_tokens` is the newer name of the field `max_tokens`.
         limits = [request.get(name) for name in ("max_completion_tokens", "max_tokens")]
         self.length = min([self.drawn, *filter(is_positive_integer, limits)])
         self.finish_reason = "length" if self.length < self.drawn else "stop"
         self.is_streamed = request.get("stream") is True
-        self.includes_usage = bool((request.get("stream_options") or {}).get("include_usage"))
+        options = request.get("stream_options")
+        self.includes_usage = isinstance(options, dict) and bool(options.get("include_usage"))
+        # A token of English text has about four characters.
         input_tokens = max(1, characters // 4) + PICTURE_TOKENS * pictures
         self.usage = {
             "prompt_tokens": input_tokens,
@@ -151,13 +155,13 @@ class Answer:
 
 
 class Server:
-    """Answers requests, each on a connection of its own and at the same time as the others."""
+    """Answers requests concurrently, one on each connection."""
 
     def __init__(self, script):
         self.script, self.numbers, self.connections = script, itertools.count(1), set()
 
     async def serve(self, reader, writer):
-        """Answers the request of a connection, and stops as soon as the client has closed it."""
+        """Answers the request of a connection, and stops as soon as the client closes the connection."""
         connection = asyncio.current_task()
         self.connections.add(connection)
         connection.add_done_callback(self.connections.discard)
@@ -168,7 +172,7 @@ class Server:
                 details = {"message": str(error), "type": "invalid_request_error"}
                 await send_json(writer, error.status, {"error": details})
         except (ConnectionError, asyncio.IncompleteReadError, asyncio.CancelledError):
-            # The client has disconnected, or the server ends: nobody waits for an answer.
+            # The client has disconnected or the server is stopping, so no answer is needed.
             pass
         finally:
             writer.close()
@@ -196,7 +200,7 @@ class Server:
             raise RequestError("404 Not Found", f"this server has {known}, not {method} {path}")
 
     async def complete(self, writer, body):
-        """Sends the tokens of an answer, each at its time."""
+        """Sends the tokens of an answer, each at its time, or all of them at the end if the answer is not streamed."""
         start = asyncio.get_running_loop().time()
         try:
             request = json.loads(body)
@@ -228,13 +232,13 @@ class Server:
                 completion = answer.object("chat.completion", choices=[choice], usage=answer.usage)
                 await send_json(writer, "200 OK", completion)
         except (ConnectionError, asyncio.CancelledError):
-            # The client has disconnected, or the server ends.
+            # The client has disconnected, or the server is stopping.
             print(f"{answer.id}: stopped after {sent} of {answer.length} tokens", flush=True)
             raise
 
 
 async def sleep_until(at):
-    """Sleeps until a time of the loop's clock. Sleeping until a time, not for a time, keeps delays from adding up."""
+    """Sleeps until a time of the event loop's clock. With relative sleeps, the delays of the tokens would add up."""
     await asyncio.sleep(at - asyncio.get_running_loop().time())
 
 
@@ -304,7 +308,7 @@ def main():
     option("--port", type=int, default=8080, help="port to listen on; 0: any free port (default: %(default)s)")
     option("--seed", type=int, default=1, help="seed of the lengths (default: %(default)s)")
     for name, default, meaning in [
-        ("--prefill-ms", "20", "time from the request to its first token"),
+        ("--prefill-ms", "20", "time from the request to the first token, without pictures"),
         ("--picture-ms", "250", "additional time to the first token for each picture"),
         ("--token-ms", "6", "time from one token to the next"),
     ]:
@@ -315,11 +319,11 @@ def main():
         type=parse_lengths,
         default="60:12:0.5,240:25:0.5",
         metavar="MEAN:DEVIATION:WEIGHT,…",
-        help="common lengths of answers, in tokens (default: %(default)s); 3:1:0.2,60:12:0.4,240:25:0.4 adds a length "
-        "for yes and no",
+        help="common lengths of answers, in tokens (default: %(default)s); 3:1:0.2,60:12:0.4,240:25:0.4 adds the "
+        "length of yes and no",
     )
     arguments = parser.parse_args()
-    # `epoll` rounds times up to milliseconds, `select` does not.
+    # Sleeps with `epoll` are rounded up to milliseconds, those with `select` are not.
     loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
     try:
         loop.run_until_complete(run(arguments))

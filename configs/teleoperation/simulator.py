@@ -15,7 +15,7 @@ os.environ.setdefault("MUJOCO_GL", "osmesa")
 import numpy as np
 
 REQUIREMENTS = Path(__file__).with_name("requirements.txt")
-RENDERING_HINT = "set MUJOCO_GL=osmesa and install that library, on Debian: apt-get install libosmesa6"
+RENDERING_HINT = "set MUJOCO_GL=osmesa and install OSMesa, on Debian: apt-get install libosmesa6"
 try:
     import mujoco
 except ModuleNotFoundError as missing:
@@ -30,45 +30,45 @@ except (ImportError, AttributeError, OSError) as failure:
     ) from failure
 
 CAMERAS = ("tripod", "wrist")
-# Time for which a new action is held before the next pictures, seconds: a controller without any delay runs at 20 Hz.
+# Time for which the arm follows a new action before the next pictures, seconds. A controller without any delay thus runs at 20 Hz.
 PERIOD = 0.05
 # Largest speed of the tip, m/s.
 SPEED_LIMIT = 0.5
-# The teacher's gain, 1/s. At a delay of about 1 / GAIN the loop of arm and policy begins to oscillate without end.
+# The teacher's gain, 1/s. If the delay is longer than about 1 / GAIN, the loop of arm and policy is unstable: the arm oscillates.
 GAIN = 4.0
-# Distance from the target, and speed, below which an episode is a success; metres and m/s.
+# An episode is a success if the tip is closer to the target, and slower, than this; metres and m/s.
 TOLERANCE, RESTING_SPEED = 0.025, 0.1
-# Place of the tip at the start of an episode, and range of the cup's place on the table; metres.
+# Position of the tip at the start of an episode, and corners of the rectangle of the table in which the cup stands; metres.
 START = np.array([0.45, 0.0, 0.5])
 CUP_RANGE = np.array([[0.30, -0.20], [0.60, 0.20]])
-# The tip stays in this box, as a real arm would by its safety limits; metres.
+# Opposite corners of the box in which the tip stays, like the safety limits of a real arm; metres.
 WORKSPACE = np.array([[0.2, -0.4, 0.02], [0.75, 0.4, 0.6]])
 # Joint angles at which the hand points down near START, radians.
 POSTURE = np.array([0.0, -1.0, 1.6, -0.6, 0.0])
-# Weight of the damping of the pseudo-inverse, and gain that keeps the hand pointing down, 1/s.
-DAMPING, UPRIGHT_GAIN = 1e-3, 5.0
+# Damping of the least-squares inverse of the Jacobian, and gain that keeps the hand pointing down, 1/s.
+DAMPING, ORIENTATION_GAIN = 1e-3, 5.0
 
-# Seed of the targets, of all runs alike.
+# Seed of the targets; the same in all runs.
 EPISODE_SEED = 9_100_000
 
 
 def episode_rng(episode: int) -> np.random.Generator:
-    """Returns the random numbers of an episode, which depend on its number only: 0 for the first one."""
+    """Returns the random number generator of an episode, which depends only on the number of the episode; the first one is 0."""
     return np.random.default_rng([EPISODE_SEED, episode])
 
 
 def teacher(error: np.ndarray) -> np.ndarray:
-    """Returns the velocity that the policy learns, m/s, for the vector from the tip to the target, metres."""
-    return limited(GAIN * error, SPEED_LIMIT)
+    """Returns the velocity that the policy learns to output, m/s, from the vector from the tip to the target, metres."""
+    return clip_length(GAIN * error, SPEED_LIMIT)
 
 
-def limited(vector: np.ndarray, length: float) -> np.ndarray:
+def clip_length(vector: np.ndarray, length: float) -> np.ndarray:
     """Returns the vector, shortened to at most that length."""
     return vector * min(1.0, length / max(float(np.linalg.norm(vector)), 1e-9))
 
 
 class Simulator:
-    """An arm that follows the last action, the velocity of its tip, until it gets another one."""
+    """An arm whose tip moves with the velocity of the last action until it gets another one."""
 
     def __init__(self, width: int, height: int) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(Path(__file__).with_name("arm.xml")))
@@ -85,59 +85,59 @@ class Simulator:
         self.place(START, rng.uniform(*CUP_RANGE))
 
     def place(self, tip: np.ndarray, cup: np.ndarray) -> None:
-        """Moves the tip and the cup there at once, and stops the arm. Not a movement of the physics."""
+        """Sets the positions of the tip and the cup and stops the arm, without simulating a movement."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.mocap_pos[0, :2] = cup
         self.data.qpos[:] = POSTURE
         self.velocity = np.zeros(3)
-        # Newton's method: each pass moves the joints by the Jacobian's estimate for the rest of the way.
+        # Newton's method: each pass moves the joints by the Jacobian's estimate for the remaining distance.
         for _ in range(100):
             mujoco.mj_kinematics(self.model, self.data)
             mujoco.mj_comPos(self.model, self.data)
             rest = tip - self.tip
-            if np.linalg.norm(rest) < 1e-4 and np.linalg.norm(self.tilt()) < 1e-3:
+            if np.linalg.norm(rest) < 1e-4 and np.linalg.norm(self.orientation_error()) < 1e-3:
                 break
-            self.data.qpos += self.joint_velocities(limited(rest, 0.1), 1.0)
+            self.data.qpos += self.joint_velocities(clip_length(rest, 0.1), 1.0)
         mujoco.mj_forward(self.model, self.data)
 
     def turn_joints(self, angles: np.ndarray) -> None:
-        """Turns the joints by that much at once, radians. Not a movement of the physics."""
+        """Adds these angles to those of the joints, radians, without simulating a movement."""
         self.data.qpos += angles
         mujoco.mj_forward(self.model, self.data)
 
     def act(self, velocity: np.ndarray) -> None:
-        """Sets the action: the velocity of the tip, m/s, limited to SPEED_LIMIT. It is held until the next one."""
-        self.velocity = limited(np.asarray(velocity, float), SPEED_LIMIT)
+        """Sets the action: the velocity of the tip, m/s, limited to SPEED_LIMIT. The arm follows it until the next one."""
+        self.velocity = clip_length(np.asarray(velocity, float), SPEED_LIMIT)
 
     def advance(self, seconds: float) -> None:
-        """Lets that much time pass, seconds, while the arm follows the last action."""
+        """Simulates this time, in seconds, while the arm follows the last action. The time is rounded to whole steps of 2 ms."""
         for _ in range(round(seconds / self.model.opt.timestep)):
             velocity = self.velocity.copy()
-            # At the edge of the workspace only the part of the velocity that leads outside is dropped.
+            # At the edge of the workspace, components of the velocity that lead outside become zero; the others stay.
             velocity[(self.tip <= WORKSPACE[0]) & (velocity < 0)] = 0
             velocity[(self.tip >= WORKSPACE[1]) & (velocity > 0)] = 0
-            self.data.ctrl[:] = self.joint_velocities(velocity, UPRIGHT_GAIN)
+            self.data.ctrl[:] = self.joint_velocities(velocity, ORIENTATION_GAIN)
             mujoco.mj_step(self.model, self.data)
         mujoco.mj_forward(self.model, self.data)
 
-    def joint_velocities(self, velocity: np.ndarray, upright_gain: float) -> np.ndarray:
-        """Returns the speeds of the joints, rad/s, that move the tip with that velocity and turn the hand upright."""
+    def joint_velocities(self, velocity: np.ndarray, orientation_gain: float) -> np.ndarray:
+        """Returns the speeds of the joints, rad/s, that move the tip with this velocity and turn the hand so that it points down."""
         jacobian = np.zeros((6, self.model.nv))
         mujoco.mj_jacSite(self.model, self.data, jacobian[:3], jacobian[3:], self.tip_id)
-        wanted = np.concatenate([velocity, upright_gain * self.tilt()])
+        wanted = np.concatenate([velocity, orientation_gain * self.orientation_error()])
         # Damped least squares (Nakamura and Hanafusa 1986): near a singular posture the joints stay slow.
         damped = jacobian @ jacobian.T + DAMPING * np.eye(6)
         return jacobian.T @ np.linalg.solve(damped, wanted)
 
-    def tilt(self) -> np.ndarray:
-        """Returns the small rotation, radians, that turns the hand into its resting orientation: pointing down, facing forward."""
+    def orientation_error(self) -> np.ndarray:
+        """Returns the rotation that turns the hand until it points down and faces forward: a vector in radians, for small angles."""
         axes = self.data.site_xmat[self.tip_id].reshape(3, 3)
         return 0.5 * np.cross(axes.T, np.eye(3)).sum(axis=0)
 
     def render(self) -> tuple[np.ndarray, np.ndarray]:
         """Returns the pictures of the two cameras, [height, width, 3] of bytes in the order red, green, blue."""
         if self.renderer is None:
-            # Made late, because an OpenGL context belongs to the thread that made it.
+            # Created with the first picture, because an OpenGL context belongs to the thread that creates it.
             width, height = self.size
             self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
             try:
@@ -176,5 +176,5 @@ class Simulator:
 
     @property
     def success(self) -> bool:
-        """Whether the tip rests at the target. A tip that only passes by is too fast, so that oscillations are no success."""
+        """Whether the tip rests at the target. A tip that only passes the target is too fast, so an oscillating arm has no success."""
         return self.distance < TOLERANCE and self.speed < RESTING_SPEED

@@ -3,9 +3,10 @@
     train.py models/teleoperation-policy
 
 The teacher (simulator.py) knows the positions of tip and target; the network has to find them in the pictures. It is trained on random
-states of the arm, rendered with both cameras. It finds key points in each picture by a spatial softmax (Levine et al., End-to-end training of
-deep visuomotor policies, JMLR 2016; Finn et al., Deep spatial autoencoders, ICRA 2016) and computes the vector from the tip to the target
-from them. Gain and speed limit are part of the exported graph. requirements.txt says how to install what it needs.
+states of the arm, rendered with both cameras. A spatial softmax finds key points in each picture (Levine et al., End-to-end training
+of deep visuomotor policies, JMLR 2016; Finn et al., Deep spatial autoencoders, ICRA 2016). The network computes the vector from the tip
+to the target from the key points. The exported graph also applies the gain and the speed limit. requirements.txt says how to install the
+packages that this script needs.
 """
 
 from __future__ import annotations
@@ -24,11 +25,12 @@ from simulator import CUP_RANGE, GAIN, SPEED_LIMIT, START, WORKSPACE, Simulator
 
 SEED = 9_000_000
 WIDTH, HEIGHT = 96, 72
-# Sizes at which states are rendered, in turn, before they are resized: edges look different at each size.
+# Sizes at which pictures are rendered, in turn, before they are resized to the network's input. Edges look different at each size.
 SIZES = ((192, 144), (192, 144), (192, 144), (320, 240), (192, 144), (192, 144), (192, 144), (640, 480))
 MEAN, STD = 0.5, 0.25
+# Channels of the convolutions, and key points per picture.
 CHANNELS, POINTS = 16, 12
-EPOCHS, BATCH, PEAK_RATE = 20, 64, 4e-3
+EPOCHS, BATCH, PEAK_LEARNING_RATE = 20, 64, 4e-3
 OPSET = 13
 
 CARD = """\
@@ -73,7 +75,7 @@ licence = "MIT OR Apache-2.0"
 
 
 class KeyPoints(nn.Module):
-    """Positions from -1 to 1 and strengths of what the network looks for in pictures: [n, 3, height, width] to [n, 3 * POINTS]."""
+    """Finds key points in pictures [n, 3, height, width]. Output [n, 3 * POINTS]: x and y of each, from -1 to 1, then the strengths."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -88,14 +90,14 @@ class KeyPoints(nn.Module):
         self.register_buffer("places", torch.stack([columns.flatten(), rows.flatten()], dim=1))
 
     def forward(self, picture: torch.Tensor) -> torch.Tensor:
-        """Returns positions and strengths in one vector."""
+        """Returns the positions and strengths of the key points."""
         maps = self.maps(picture).flatten(2)
         positions = torch.matmul(maps.softmax(dim=2), self.places)
         return torch.cat([positions.flatten(1), torch.tanh(maps.amax(dim=2) / 10)], dim=1)
 
 
 class Policy(nn.Module):
-    """Velocity of the tip [n, 3], m/s, from the pictures of the tripod's and the wrist's camera."""
+    """Computes the velocity of the tip [n, 3], m/s, from the pictures of the tripod camera and the wrist camera."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -107,7 +109,7 @@ class Policy(nn.Module):
         return self.head(torch.cat([self.tripod(tripod), self.wrist(wrist)], dim=1))
 
     def forward(self, tripod: torch.Tensor, wrist: torch.Tensor) -> torch.Tensor:
-        """The output of the exported model: the teacher's rule for the vector that the network sees."""
+        """Returns the output of the exported model: the teacher's rule, applied to the vector that the network estimates."""
         wanted = GAIN * self.error(tripod, wrist)
         speed = (wanted * wanted).sum(dim=1, keepdim=True).sqrt()
         return wanted * SPEED_LIMIT / speed.clamp(min=SPEED_LIMIT)
@@ -119,7 +121,7 @@ def resized(pixels: np.ndarray) -> np.ndarray:
 
 
 def normalised(pixels: torch.Tensor) -> torch.Tensor:
-    """Returns bytes as the network's input."""
+    """Returns the network's input for pictures of bytes."""
     return (pixels.float() / 255 - MEAN) / STD
 
 
@@ -134,16 +136,16 @@ def render_states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
         target = np.array([*cup, simulator.target_height])
         kind = rng.random()
         if kind < 0.5:
-            # Success is decided near the target, so half of the states are there, at all scales down to 3 mm.
+            # Success is decided near the target, so half of the states are there, at distances from 3 to 160 mm.
             direction = rng.normal(size=3)
             tip = target + direction / np.linalg.norm(direction) * 10 ** rng.uniform(-2.5, -0.8)
         elif kind < 0.7:
-            # On the way from the start.
+            # On the straight way from the start to the target, with some deviation.
             tip = START + rng.random() * (target - START) + rng.normal(scale=0.03, size=3)
         else:
             tip = rng.uniform(*WORKSPACE)
         simulator.place(np.clip(tip, *WORKSPACE), cup)
-        # A moving hand is never exactly upright.
+        # A moving hand never points exactly down.
         simulator.turn_joints(rng.normal(scale=0.01, size=simulator.model.nv))
         pictures[index] = [resized(picture) for picture in simulator.render()]
         errors[index] = simulator.target - simulator.tip
@@ -151,25 +153,25 @@ def render_states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def augmented(pictures: torch.Tensor) -> torch.Tensor:
-    """Returns normalised pictures with slightly other brightness, contrast and noise, as after JPEG compression."""
+    """Returns normalised pictures with small random changes of brightness and contrast, and with noise like that of JPEG compression."""
     count = len(pictures)
     values = normalised(pictures) * (1 + 0.05 * torch.randn(count, 1, 1, 1)) + 0.05 * torch.randn(count, 1, 1, 1)
     return values + 0.05 * torch.rand(count, 1, 1, 1) * torch.randn_like(values)
 
 
 def train(policy: Policy, pictures: torch.Tensor, errors: torch.Tensor, epochs: int) -> None:
-    """Trains all weights."""
+    """Trains all weights of the policy to estimate the vectors to the target."""
     start = time.monotonic()
-    optimiser = torch.optim.AdamW(policy.parameters(), lr=PEAK_RATE, weight_decay=1e-3)
+    optimiser = torch.optim.AdamW(policy.parameters(), lr=PEAK_LEARNING_RATE, weight_decay=1e-3)
     steps = len(pictures) // BATCH
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, PEAK_RATE, total_steps=epochs * steps, pct_start=0.2)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, PEAK_LEARNING_RATE, total_steps=epochs * steps, pct_start=0.2)
     for epoch in range(epochs):
         losses = []
         for chosen in torch.randperm(len(pictures))[: steps * BATCH].split(BATCH):
-            found = policy.error(augmented(pictures[chosen, 0]), augmented(pictures[chosen, 1]))
-            wanted = errors[chosen]
-            # Relative to the distance, because only the direction counts far away, where the speed is limited.
-            loss = ((found - wanted).norm(dim=1) / (0.02 + 0.2 * wanted.norm(dim=1))).mean()
+            estimated = policy.error(augmented(pictures[chosen, 0]), augmented(pictures[chosen, 1]))
+            expected = errors[chosen]
+            # The loss is relative to the distance: far from the target the speed is limited, so only the direction matters.
+            loss = ((estimated - expected).norm(dim=1) / (0.02 + 0.2 * expected.norm(dim=1))).mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -178,12 +180,12 @@ def train(policy: Policy, pictures: torch.Tensor, errors: torch.Tensor, epochs: 
         print(f"epoch {epoch + 1}: loss {np.mean(losses):.4f}, {time.monotonic() - start:.0f} s", flush=True)
 
 
-def precision(policy: Policy, pictures: torch.Tensor, errors: torch.Tensor) -> float:
-    """Returns the mean error of the vector to the target for states within 10 cm of it, millimetres."""
+def mean_error(policy: Policy, pictures: torch.Tensor, errors: torch.Tensor) -> float:
+    """Returns the mean error of the estimated vector, millimetres, for states whose tip is within 10 cm of the target."""
     near = errors.norm(dim=1) < 0.1
     with torch.no_grad():
-        found = policy.error(normalised(pictures[near, 0]), normalised(pictures[near, 1]))
-    return 1000 * float((found - errors[near]).norm(dim=1).mean())
+        estimated = policy.error(normalised(pictures[near, 0]), normalised(pictures[near, 1]))
+    return 1000 * float((estimated - errors[near]).norm(dim=1).mean())
 
 
 def main() -> None:
@@ -198,12 +200,12 @@ def main() -> None:
     torch.manual_seed(SEED)
     torch.set_num_threads(options.threads)
     start = time.monotonic()
-    seen = render_states(options.states, SEED)
+    training = render_states(options.states, SEED)
     held_out = render_states(max(64, options.states // 16), SEED + 1)
     print(f"rendered {options.states} states in {time.monotonic() - start:.0f} s", flush=True)
     policy = Policy()
-    train(policy, *seen, options.epochs)
-    error = precision(policy.eval(), *held_out)
+    train(policy, *training, options.epochs)
+    error = mean_error(policy.eval(), *held_out)
     path, example = options.out / "model.onnx", torch.zeros(1, 3, HEIGHT, WIDTH)
     names = {"input_names": ["tripod", "wrist"], "output_names": ["velocity"]}
     torch.onnx.export(policy, (example, example), str(path), opset_version=OPSET, **names)

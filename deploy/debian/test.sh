@@ -40,6 +40,7 @@ check_installed() {
     examples=/usr/share/doc/peernet/examples
     for file in "$examples"/*.toml; do as_unit agent peernetd check "$file"; done
     for file in "$examples"/experiments/*.toml; do as_unit agent peernet run --check "$file"; done
+    as_unit agent peernet run --only Where=local --set experiment.repeats=1 "$examples/experiments/demo.toml"
 
     step "units"
     for unit in agent aggregator; do

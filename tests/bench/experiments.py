@@ -28,7 +28,7 @@ class Run:
     # Labels by the names of the axes.
     configuration: dict[str, str]
     repeat: int
-    # The iterations that statistics are made of, in their order.
+    # Iterations after the warm-up, in their order.
     rows: list[Row]
 
     def samples(self, column: str) -> list[float]:
@@ -50,9 +50,10 @@ def need_peernet() -> None:
 def run_experiment(
     folder: Path, name: str, text: str, *, timeout_s: float = 600.0, program: Path = PEERNET
 ) -> list[Run]:
-    """Executes an experiment in a folder and returns its runs. Iterations that fail are a failure.
+    """Executes an experiment in a folder and returns its runs. Raises a failure if an iteration fails.
 
-    `text` has all tables but `[agent]`, and `[experiment]` without its name. `program` is another build of `peernet`.
+    `text` is the configuration without `[agent]` and without the keys `name` and `plots` of `[experiment]`. `program`
+    is the build of `peernet` that executes it.
     """
     file, results = folder / f"{name}.toml", folder / f"{name}-results"
     if "[experiment]\n" not in text:
@@ -63,7 +64,7 @@ def run_experiment(
     output(command, folder=folder, timeout_s=timeout_s, environment={"ORT_DYLIB_PATH": str(ONNX_RUNTIME)})
     runs = [_read(path) for path in sorted(results.glob("runs/**/data.csv"))]
     if not runs or not all(run.rows for run in runs):
-        raise Failure(f"{command} ended well, but not every run below {results} has iterations")
+        raise Failure(f"{command} succeeded, but not every run below {results} has iterations after its warm-up")
     return runs
 
 
@@ -88,15 +89,15 @@ def read_answers(file: Path) -> dict[str, Any]:
 
 
 def _listens(program: Program, port: int) -> bool:
-    # A program that has ended has no sockets to look at.
+    # Raises a failure if the program has ended, because then it will never listen.
     program.check()
     return sees(program, port, LISTENING)
 
 
 def _read(data: Path) -> Run:
-    facts = json.loads((data.parent / "run.json").read_text())["experiment"]
+    place = json.loads((data.parent / "run.json").read_text())["experiment"]
     with data.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["warm-up"] == "0"]
-    if bad := [row for row in rows if row["outcome"] != "ok"]:
-        raise Failure(f"{len(bad)} iterations of {data.parent.name} did not go well: {bad[0]['reason']}")
-    return Run(dict(facts["configuration"]), facts["repeat"], rows)
+    if failed := [row for row in rows if row["outcome"] != "ok"]:
+        raise Failure(f"{len(failed)} iterations of {data.parent} failed, the first with: {failed[0]['reason']}")
+    return Run(dict(place["configuration"]), place["repeat"], rows)

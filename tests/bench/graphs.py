@@ -1,4 +1,4 @@
-"""ONNX models that the benchmarks make: with an open batch length, and with as many candidates as a YOLO detector."""
+"""ONNX models that the benchmarks create: one that accepts batches, and one with the output of a YOLO detector."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from onnx import TensorProto, helper, numpy_helper
 
 from programs import Failure
 
-# Symbolic length of the batch, and the batches whose results are compared.
+# Name of the open first dimension in the graph.
 BATCH = "batch"
+# Number of samples in the batch whose results are compared with those of single samples, and largest difference.
 COMPARED_BATCH = 4
-# The largest difference between the results of a batch and of one sample at a time.
 TOLERANCE = 1e-4
 
-# As YOLOv8 with an input of 640 × 640 and the classes of COCO.
+# Input, candidates and classes of YOLOv8 for COCO.
 SIDE, CANDIDATES, CLASSES = 640, 8_400, 80
-# Share of the candidates above the threshold, and number of objects around which these lie.
+# Share of the candidates with a score above the threshold, and number of objects around which these candidates lie.
 CONFIDENT, OBJECTS = 0.02, 12
 DETECTOR_CARD = """\
 name = "{name}"
@@ -49,9 +49,9 @@ labels = {labels}
 
 
 def copy_with_open_batch(source: Path, target: Path) -> None:
-    """Copies a model's folder without its pictures; the graph of the copy takes batches of any length.
+    """Copies a model's folder without its pictures, and changes the graph so that it takes batches of any size.
 
-    Raises a failure if a batch does not give the results of its samples one by one.
+    Raises a failure if the results of a batch differ from those of its samples one by one.
     """
     target.mkdir()
     shutil.copy(source / "model.toml", target)
@@ -61,7 +61,7 @@ def copy_with_open_batch(source: Path, target: Path) -> None:
     for value in (*graph.input, *graph.output):
         value.type.tensor_type.shape.dim[0].dim_param = BATCH
     _open_reshapes(graph)
-    # The provenance of the card has the hash of the original.
+    # The card has the hash of the original graph, which the changed graph does not match.
     lines = (target / "model.toml").read_text().splitlines(keepends=True)
     (target / "model.toml").write_text("".join(line for line in lines if not line.startswith("sha256")))
     onnx.checker.check_model(model)
@@ -70,7 +70,7 @@ def copy_with_open_batch(source: Path, target: Path) -> None:
 
 
 def _open_reshapes(graph: onnx.GraphProto) -> None:
-    """Lets constant shapes of Reshape nodes that begin with a batch of 1 copy the length of their input (0)."""
+    """Changes constant shapes of Reshape nodes: a first dimension of 1 becomes 0, which copies that of the input."""
     shapes = {node.input[1] for node in graph.node if node.op_type == "Reshape"}
     constants = {tensor.name: tensor for tensor in graph.initializer}
     for node in graph.node:
@@ -85,7 +85,7 @@ def _open_reshapes(graph: onnx.GraphProto) -> None:
 
 
 def seconds_per_sample(folder: Path, sizes: tuple[int, ...], rounds: int) -> dict[int, float]:
-    """Returns the median time of a sample in batches of these sizes, with one thread."""
+    """Returns the median time per sample, seconds, in batches of these sizes, with one thread."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(folder / "model.onnx", options, providers=["CPUExecutionProvider"])
@@ -112,14 +112,14 @@ def _compare(file: Path) -> None:
 
 
 def make_detector(folder: Path) -> None:
-    """Makes a model whose output is as large as YOLOv8's and does not depend on its input: always the same candidates.
+    """Creates a model whose output has the shape of YOLOv8's, but always has the same candidates.
 
-    Its inference takes no time, so that only the stages before and after it are measured.
+    Its inference takes almost no time, so the stages before and after it can be compared.
     """
     folder.mkdir()
     constant = numpy_helper.from_array(_candidates(), "candidates")
     nodes = [
-        # The corner of the input, multiplied with zero: graphs must use their input.
+        # A graph must use its input. So one pixel of it is multiplied by zero and added.
         helper.make_node("Slice", ["images", "begin", "end"], ["corner"]),
         helper.make_node("ReduceMax", ["corner"], ["pixel"], keepdims=0),
         helper.make_node("Mul", ["pixel", "zero"], ["nothing"]),
@@ -142,7 +142,7 @@ def make_detector(folder: Path) -> None:
 
 
 def _candidates() -> np.ndarray:
-    """Candidates [1, 4 + classes, n]: low scores, but for boxes that lie around some objects."""
+    """Returns candidates [1, 4 + classes, n]. Only those around the objects have scores above the threshold."""
     random = np.random.default_rng(1)
     out = np.empty((4 + CLASSES, CANDIDATES), np.float32)
     out[:2] = random.uniform(0, SIDE, (2, CANDIDATES))

@@ -1,4 +1,4 @@
-"""Requests of several users at once, each computed alone or several together as a batch."""
+"""Concurrent requests of several users, computed one by one or together in batches."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from quantiles import spread
 from report import Section, Table, micros, rate, ratio, times
 
 MODEL = ROOT / "models/quality-control"
-# The size of the model's input, so that preparing pictures takes little of the processor.
+# Width and height of the model's input: pictures of this size need little preprocessing.
 SIZE = (224, 168)
 USERS = (1, 4, 16)
 OFF, ON = "off", "on"
@@ -27,8 +27,8 @@ WARM_UP = 20
 
 
 @dataclass(frozen=True)
-class Together:
-    """Figures of all users of one run, over the time in which all of them measured."""
+class CombinedUsers:
+    """Answers per second and total (seconds) of all users of a run, over the time in which all of them measured."""
 
     rate: float
     p50: float
@@ -60,9 +60,9 @@ def _section(runs: list[Run], alone: dict[int, float], repeats: int, seconds: in
     section.say(
         f"An agent offers `quality-control` twice, with and without `{BATCH}`; its graph has an open batch length. One "
         "worker, one thread, all processes on one machine. Each user is a process of `peernet run`, which sends JPEG "
-        f"files of {SIZE[0]} × {SIZE[1]} pixels in a closed loop. {repeats} repeats of {seconds} s of each cell, in "
-        "random order within each repeat; only the time in which all users measured counts. Medians over the repeats, "
-        "ratios taken repeat by repeat."
+        f"files of {SIZE[0]} × {SIZE[1]} pixels in a closed loop. {repeats} repeats of {seconds} s of each "
+        "configuration, in random order within each repeat; only the time in which all users measured counts. Medians "
+        "over the repeats, ratios taken repeat by repeat."
     )
     cells = {(name, users): _cell(runs, name, users, repeats) for users in USERS for name in MODELS}
     middle = ("total p50, µs, off", "on", "p99 off", "on", "on to off")
@@ -81,28 +81,29 @@ def _section(runs: list[Run], alone: dict[int, float], repeats: int, seconds: in
         )
     section.table(table)
     section.say(
-        "What a batch can gain here, Python's onnxruntime with one thread, median time per sample: "
+        "Largest possible gain by batches: median time per sample in Python's onnxruntime with one thread, "
         + ", ".join(f"{micros(one)} µs in a batch of {size}" for size, one in alone.items())
         + "."
     )
     for users in USERS:
         if recorded := _recorded(runs, users):
-            section.say(f"With batches, {users} users, medians of columns: {recorded}.")
+            section.say(f"Medians of the columns about batches with {users} users: {recorded}.")
     return section
 
 
-def _cell(runs: list[Run], name: str, users: int, repeats: int) -> list[Together]:
+def _cell(runs: list[Run], name: str, users: int, repeats: int) -> list[CombinedUsers]:
+    """Returns the figures of one configuration, one item for each repeat."""
     chosen = [run for run in runs if run.configuration == {"Batches": name, "Users": str(users)}]
     cell = []
     for repeat in range(repeats):
         edges = [run for run in chosen if run.repeat == repeat]
         if len(edges) != users:
             raise Failure(f"repeat {repeat} with {users} users and batches {name} has {len(edges)} results")
-        cell.append(_together(edges))
+        cell.append(_combine(edges))
     return cell
 
 
-def _together(edges: list[Run]) -> Together:
+def _combine(edges: list[Run]) -> CombinedUsers:
     times = [[(float(row["at"]), float(row["total"])) for row in run.rows] for run in edges]
     begin = max(one[0][0] for one in times)
     end = min(at + total for at, total in (one[-1] for one in times))
@@ -110,7 +111,7 @@ def _together(edges: list[Run]) -> Together:
     if not totals:
         raise Failure(f"{len(edges)} users measured at different times, so that no iteration counts")
     figures = spread(totals)
-    return Together(len(totals) / (end - begin), figures["p50"], figures["p99"])
+    return CombinedUsers(len(totals) / (end - begin), figures["p50"], figures["p99"])
 
 
 def _recorded(runs: list[Run], users: int) -> str:

@@ -1,4 +1,4 @@
-"""Detectors through PEERNet and through Python: the same library, one thread, the same pictures, the same objects."""
+"""Detectors in PEERNet and in Python, with the same library, one thread and the same pictures."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ MODELS = ROOT / "models"
 STAGES = ("preprocessing", "inference", "postprocessing", "total")
 WARM_UP = 30
 
+# Largest aimed-for ratio of PEERNet's time to Python's.
 AIM = 1.0
 
-# The objects by the name of the picture.
+# Objects in each picture, by the picture's file name.
 Answers = dict[str, list[dict[str, Any]]]
 
 
@@ -33,12 +34,12 @@ class Case:
     model: Path
     pictures: Path
     score_threshold: float
-    # Largest accepted differences of an edge, pixels of the picture, and of a score.
+    # Largest accepted differences of the edges of a box, pixels of the picture, and of a score.
     edge_tolerance: float
     score_tolerance: float
     ours: list[Stages] = field(default_factory=list)
     theirs: list[Stages] = field(default_factory=list)
-    # Objects in all pictures, and largest differences of an edge and of a score.
+    # Objects that both found in all pictures, and largest differences of their edges (pixels) and scores.
     objects: int = 0
     edge: float = 0.0
     score: float = 0.0
@@ -60,10 +61,10 @@ def measure(quick: bool) -> Section:
         graphs.make_detector(large)
         defects = MODELS / "defect-detector"
         cases = [
-            # Two decoders of JPEG round differently. If one byte in seven changes by 1, as it does then, scores of
-            # this small model change by up to 0.07.
+            # The two JPEG decoders round differently: about one byte in seven differs by 1. This changes scores of
+            # this small model by up to 0.07.
             Case("defect-detector", defects, defects / "pictures", 0.3, 4.0, 0.1),
-            # Its output does not depend on the pictures, so that only the rounding of boxes remains.
+            # The output does not depend on the pictures, so only the rounding of boxes differs.
             Case("shape of YOLOv8", large, MODELS / "quality-control/pictures", 0.25, 0.01, 1e-5),
         ]
         for number, case in enumerate(cases):
@@ -71,7 +72,7 @@ def measure(quick: bool) -> Section:
         version = ""
         for repeat in range(repeats):
             for case in cases:
-                # Which one goes first changes with each repeat.
+                # The order alternates from repeat to repeat.
                 for turn in ("peernet", "python")[:: 1 if repeat % 2 == 0 else -1]:
                     if turn == "peernet":
                         case.ours.append(_peernet(it, case, seconds))
@@ -93,8 +94,8 @@ def _section(cases: list[Case], version: str, repeats: int, seconds: int) -> Sec
         "`postprocessing` decodes the boxes, suppresses overlapping ones and writes the answer.\n\n"
         "- *defect-detector*: pictures of 640 × 480 pixels, input 224 × 168, 588 candidates of 3 classes.\n"
         f"- *shape of YOLOv8*: pictures of 1280 × 960 pixels, input 640 × 640, {graphs.CANDIDATES:,} candidates of "
-        f"{graphs.CLASSES} classes, {graphs.CONFIDENT:.0%} of them above the threshold; the output is constant, so "
-        "that its inference means nothing."
+        f"{graphs.CLASSES} classes, {graphs.CONFIDENT:.0%} of them above the threshold; its output is constant, so "
+        "the time of its inference has no meaning."
     )
     for case in cases:
         table = Table(f"{case.title}, µs", "PEERNet p50", "p99", "Python p50", "p99", "PEERNet to Python")
@@ -109,7 +110,7 @@ def _section(cases: list[Case], version: str, repeats: int, seconds: int) -> Sec
         )
         for stage in ("preprocessing", "postprocessing"):
             cost = case.ratio(stage)
-            promise = f"detection, {case.title}: `{stage}` ≤ {AIM:g} × numpy's"
+            promise = f"detection, {case.title}: `{stage}` ≤ {AIM:g} × Python's"
             section.aim(promise, times(cost), cost <= AIM)
     return section
 
@@ -174,9 +175,9 @@ def _compare(case: Case, name: str, ours: list[dict[str, Any]], theirs: list[dic
         case.objects += 1
         case.edge = max(case.edge, _edges(match, found))
         case.score = max(case.score, abs(match["score"] - found["score"]))
-    # An object whose score is at the threshold may be in one of the answers only.
-    bad = [one for one in unmatched + left if one["score"] > case.score_threshold + case.score_tolerance]
-    if bad or case.score > case.score_tolerance:
+    # An object whose score is near the threshold may be missing in one of the answers.
+    missing = [one for one in unmatched + left if one["score"] > case.score_threshold + case.score_tolerance]
+    if missing or case.score > case.score_tolerance:
         raise Failure(
             f"{case.title}, {name}: PEERNet and Python found different objects (scores differ by up to "
             f"{case.score:.4f}):\n    PEERNet {json.dumps(ours)}\n    Python  {json.dumps(theirs)}"
@@ -184,5 +185,5 @@ def _compare(case: Case, name: str, ours: list[dict[str, Any]], theirs: list[dic
 
 
 def _edges(one: dict[str, Any], other: dict[str, Any]) -> float:
-    """Returns the largest difference of two boxes' edges, pixels."""
+    """Returns the largest difference between the edges of two boxes, pixels."""
     return max(abs(a - b) for a, b in zip(one["box"], other["box"], strict=True))

@@ -21,20 +21,22 @@ EXPORT = ROOT / "models/export_torchvision.py"
 # Debian packages torch and torchvision for its own Python only.
 PYTHON = Path("/usr/bin/python3")
 PACKAGES = "python3-torch python3-torchvision python3-onnx"
+# Stages that both measure. Python's `decode` and `transforms` are the parts of its `preprocessing`.
 COMPARED = ("preprocessing", "inference", "postprocessing", "total")
 THREADS = sorted({1, os.cpu_count() or 1})
 WARM_UP = 3
 
-# The decoders and scalers round differently, which changes answers of random weights by up to 1 %.
+# Largest relative difference of a score. The two decode and resize with different rounding, which changes scores of
+# random weights by up to 1 %.
 SCORE_TOLERANCE = 0.05
 TOTAL_AIM = 1.0
 
 
 def prepare() -> None:
     need_peernet()
-    about = "import sys, torch, torchvision, onnx; print('%d.%d' % sys.version_info[:2])"
+    script = "import sys, torch, torchvision, onnx; print('%d.%d' % sys.version_info[:2])"
     try:
-        version = output([PYTHON, "-c", about]).strip()
+        version = output([PYTHON, "-c", script]).strip()
     except (Failure, OSError) as error:
         raise Failure(
             f"{PYTHON} cannot import torch, torchvision and onnx; install them with apt-get install {PACKAGES} "
@@ -43,7 +45,7 @@ def prepare() -> None:
     own = f"{sys.version_info.major}.{sys.version_info.minor}"
     if version != own:
         raise Failure(
-            f"{PYTHON} is Python {version}, but the onnxruntime of the benchmarks is for Python {own}; make "
+            f"{PYTHON} is Python {version}, but the onnxruntime of the benchmarks is for Python {own}; create "
             f".venv-tools with {PYTHON} -m venv"
         )
 
@@ -60,7 +62,7 @@ def measure(quick: bool) -> Section:
         versions: dict[str, str] = {}
         for repeat in range(repeats):
             for threads in THREADS:
-                # Which one goes first changes with each repeat.
+                # The order alternates from repeat to repeat.
                 for turn in ("peernet", "python")[:: 1 if repeat % 2 == 0 else -1]:
                     if turn == "peernet":
                         ours[threads].append(_peernet(it, threads, seconds))
@@ -139,7 +141,7 @@ def _check(it: Deployment) -> None:
     theirs = _python(it, 1, 1)["answers"]
     answers = it.folder / "answers.txt"
     actuator = f'actuator = {{ kind = "exec", command = ["{RECORDER}", "{answers}"] }}'
-    # Both begin with the first picture by name.
+    # Python reports an answer for each picture that it had time for. Both begin with the first picture by name.
     text = _experiment(it, 1, f"iterations = {len(theirs)}\nwarm_up = {{ iterations = 0 }}", actuator)
     run_experiment(it.folder, "check", text)
     ours = read_answers(answers)

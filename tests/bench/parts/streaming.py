@@ -1,4 +1,4 @@
-"""Streamed answers of a language model: what each token costs beyond the server's stream, and what no stream costs."""
+"""Streamed answers of a language model: the time that PEERNet adds to each token, and to answers without a stream."""
 
 from __future__ import annotations
 
@@ -18,30 +18,34 @@ from programs import PEERNET, Failure, Program, output, peer
 from quantiles import median_spread, spread
 from report import Section, Table, micros, ratio, times
 
-# A folder with `peernetd` and `peernet` of an older build, whose requests without a stream are measured in turn.
+# Environment variable: folder with `peernetd` and `peernet` of an older build. If it is set, the two builds are compared
+# by requests whose answers are not streamed.
 BASELINE = "PEERNET_BENCH_BASELINE"
 BURST, PACED, INTERVAL_MS = 2_000, 100, 5.0
 READERS = ("bare reader", "reader with JSON", "PEERNet, local", "PEERNet, cloud")
 BARE = READERS[0]
 
+# Largest aimed-for time per token beyond the bare reader, and ratio to the older build.
 TOKEN_AIM_S = 20e-6
 BASELINE_AIM = 1.05
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One answer as its reader saw it: seconds since 1970 of its start, and seconds from there."""
+    """One answer as its reader measured it."""
 
+    # Start of the request, seconds since 1970.
     at: float
+    # Seconds from there to the end and to the first token.
     total: float
-    # From the request to the first token.
     first: float
+    # Number of parts that arrived; only PEERNet has it.
     parts: float | None = None
 
 
 @dataclass(frozen=True)
 class Stamps:
-    """What the server did for one answer, seconds since 1970."""
+    """Times of one answer at the server, seconds since 1970: request received, first and last token before writing."""
 
     received: float
     first: float
@@ -50,7 +54,7 @@ class Stamps:
 
 @dataclass
 class Bench:
-    """The server, the cloud and the lengths of the runs."""
+    """Ports of the scripted server and of the cloud, and number of answers of each model in a run."""
 
     folder: Path
     server: int
@@ -58,7 +62,7 @@ class Bench:
     counts: dict[str, int]
 
     def read(self, model: str, reader: str) -> list[Answer]:
-        """Returns the answers of a model, read by one of READERS."""
+        """Measures the answers of a model with one of READERS."""
         if not reader.startswith("PEERNet"):
             command = peer("token_server", "read", self.server, model, self.counts[model])
             command += [] if reader == BARE else ["--parse"]
@@ -74,14 +78,15 @@ class Bench:
         ]
 
     def stamps(self, model: str) -> list[Stamps]:
+        """Returns the server's times of all answers of a model."""
         lines = map(json.loads, (self.folder / "stamps").read_text().splitlines())
         keys = ("received", "first", "last")
         return [Stamps(*(line[key] * 1e-9 for key in keys)) for line in lines if line["model"] == model]
 
 
 @dataclass
-class Paced:
-    """Delays of one repeat: of the first token and of the end, beyond the server's own times, seconds."""
+class AnswerDelays:
+    """Delays of the first token and of the end in one repeat, without the server's own times, seconds."""
 
     first: list[float] = field(default_factory=list)
     end: list[float] = field(default_factory=list)
@@ -142,12 +147,12 @@ def _burst(section: Section, bench: Bench, repeats: int) -> None:
             promise = f"streaming, {reader.removeprefix('PEERNet, ')}: ≤ {TOKEN_AIM_S * 1e6:g} µs per token"
             section.aim(promise, f"{micros(seen)} µs", seen <= TOKEN_AIM_S)
     section.table(table)
-    section.say(f"Parts of an answer that arrived at the edge, median: {median(parts):,.0f}.")
+    section.say(f"Median number of parts per answer that arrived at the edge: {median(parts):,.0f}.")
 
 
 def _paced(section: Section, bench: Bench, repeats: int) -> None:
     readers = (BARE, *READERS[2:])
-    seen: dict[str, list[Paced]] = {reader: [] for reader in readers}
+    seen: dict[str, list[AnswerDelays]] = {reader: [] for reader in readers}
     _in_turn("paced", repeats, readers, lambda reader: seen[reader].append(_delays(bench, bench.read("paced", reader))))
     section.say(
         f"The same server sends {PACED} tokens, one each {INTERVAL_MS:g} ms; {repeats} repeats of "
@@ -163,12 +168,14 @@ def _paced(section: Section, bench: Bench, repeats: int) -> None:
     section.table(table)
 
 
-def _delays(bench: Bench, answers: list[Answer]) -> Paced:
-    stamps, delays = bench.stamps("paced"), Paced()
+def _delays(bench: Bench, answers: list[Answer]) -> AnswerDelays:
+    stamps, delays = bench.stamps("paced"), AnswerDelays()
     for answer in answers:
         own = [one for one in stamps if answer.at <= one.received <= answer.at + answer.total]
         if len(own) != 1:
-            raise Failure(f"{len(own)} answers of the server belong to the answer at {answer.at}; expected 1")
+            raise Failure(
+                f"the server received {len(own)} requests during the answer that began at {answer.at}; expected 1"
+            )
         delays.first.append(answer.first - (own[0].first - own[0].received))
         delays.end.append(answer.at + answer.total - own[0].last)
     return delays
@@ -198,8 +205,8 @@ def _whole(section: Section, bench: Bench, repeats: int, old_port: int) -> None:
         _in_turn("not streamed", repeats, names, add)
     section.say(
         f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
-        "the server above in one token. `total` of the latter includes the request to the server; the second column "
-        f"leaves out `inference`. {repeats} repeats of {count:,} answers, in turn."
+        "the server above in one token. `total` of the latter includes the request to the server; *total without "
+        f"inference* does not. {repeats} repeats of {count:,} answers, in turn."
         + (f" *Baseline*: not streamed, by the build that `{BASELINE}` names." if baseline else "")
     )
     table = Table("µs", "total p50", "p99", "total without inference p50", "p99")
@@ -215,7 +222,7 @@ def _whole(section: Section, bench: Bench, repeats: int, old_port: int) -> None:
 
 
 def _in_turn(what: str, repeats: int, names: tuple[str, ...] | list[str], measure_one: Callable[[str], None]) -> None:
-    """Measures each name once in each repeat; which one goes first changes with each repeat."""
+    """Measures each name once in each repeat. A different name goes first in each repeat."""
     for repeat in range(repeats):
         first = repeat % len(names)
         for name in (*names[first:], *names[:first]):

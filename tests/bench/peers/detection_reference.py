@@ -1,4 +1,4 @@
-"""A detector as Python programs run it: PIL, numpy and onnxruntime with one thread. Prints JSON, in seconds.
+"""A detector written in Python in the usual way: PIL, numpy and onnxruntime with one thread. Prints JSON, in seconds.
 
 It does what the card of a model with the layout `yolov8` says: decode, letterbox, normalise, run, decode the boxes,
 suppress overlapping boxes, write the answer. The key `answers` has the objects that it found in each picture.
@@ -30,8 +30,9 @@ STAGES = ("preprocessing", "inference", "postprocessing", "total")
 
 @dataclass(frozen=True)
 class Letterbox:
-    """How a picture was fitted into the model's input: scales per axis, and the left and upper margin in pixels."""
+    """How a picture was fitted into the model's input: scale of each axis, and left and upper margin in pixels."""
 
+    # Size of the picture, pixels.
     width: int
     height: int
     scale_x: float
@@ -41,27 +42,27 @@ class Letterbox:
 
 
 class Detector:
-    """A session with the numbers of its card."""
+    """A session of onnxruntime, and the settings of the model's card."""
 
     def __init__(self, folder: Path) -> None:
         card: dict[str, Any] = tomllib.loads((folder / "model.toml").read_text())
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         self.session = onnxruntime.InferenceSession(folder / "model.onnx", options, providers=["CPUExecutionProvider"])
-        preparation, out = card["preprocessing"], card["output"]
+        preprocessing, out = card["preprocessing"], card["output"]
         self.input = card["input"]["name"]
         self.output = out["name"]
-        self.width, self.height = preparation["resize"]["width"], preparation["resize"]["height"]
-        self.fill = preparation["resize"].get("fill", 114)
-        self.scale = np.float32(preparation["scale"])
-        self.mean, self.std = np.float32(preparation["mean"]), np.float32(preparation["std"])
+        self.width, self.height = preprocessing["resize"]["width"], preprocessing["resize"]["height"]
+        self.fill = preprocessing["resize"].get("fill", 114)
+        self.scale = np.float32(preprocessing["scale"])
+        self.mean, self.std = np.float32(preprocessing["mean"]), np.float32(preprocessing["std"])
         self.labels: list[str] = out["labels"]
         self.score_threshold = out.get("score_threshold", 0.25)
         self.iou_threshold = out.get("iou_threshold", 0.45)
         self.max_detections = out.get("max_detections", 100)
 
     def prepare(self, data: bytes) -> tuple[np.ndarray, Letterbox]:
-        """Decodes a picture and makes the input of it, float32 [1, 3, height, width]."""
+        """Decodes a picture and returns the model's input, float32 [1, 3, height, width]."""
         image = Image.open(io.BytesIO(data)).convert("RGB")
         ratio = min(self.width / image.width, self.height / image.height)
         width, height = round(image.width * ratio), round(image.height * ratio)
@@ -77,7 +78,7 @@ class Detector:
         return self.session.run([self.output], {self.input: tensor})[0]
 
     def answer(self, out: np.ndarray, fitted: Letterbox) -> str:
-        """Returns the objects of an output as JSON, the best first."""
+        """Returns the objects in an output as JSON, the best first."""
         candidates = out[0].T
         scores = candidates[:, 4:]
         classes = scores.argmax(axis=1)
@@ -87,7 +88,7 @@ class Detector:
         boxes = np.empty((len(candidates), 4), np.float32)
         boxes[:, :2] = candidates[:, :2] - candidates[:, 2:4] / 2
         boxes[:, 2:] = candidates[:, :2] + candidates[:, 2:4] / 2
-        # Boxes of different classes are moved apart, so that one pass suppresses within each class only.
+        # Boxes of different classes are moved apart, so that one pass suppresses only boxes of the same class.
         apart = boxes + (classes * np.float32(2 * max(self.width, self.height)))[:, None]
         kept = suppress(apart, best, self.iou_threshold)[: self.max_detections]
         boxes, classes, best = boxes[kept], classes[kept], best[kept]
@@ -102,7 +103,7 @@ class Detector:
 
 
 def suppress(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[int]:
-    """Non-maximum suppression: the indices of the boxes [n, 4] that remain, the best first."""
+    """Non-maximum suppression: returns the indices of the boxes [n, 4] that remain, the best first."""
     left, top, right, bottom = boxes.T
     areas = (right - left) * (bottom - top)
     order = scores.argsort()[::-1]
@@ -120,7 +121,7 @@ def suppress(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[in
 def main() -> None:
     detector, pictures, seconds = Detector(Path(sys.argv[1])), Path(sys.argv[2]), float(sys.argv[3])
     files = sorted(path for path in pictures.iterdir() if path.suffix in (".jpg", ".jpeg"))
-    answers = {path.name: json.loads(detector.answer(*_found(detector, path.read_bytes()))) for path in files}
+    answers = {path.name: json.loads(detector.answer(*_prepare_and_run(detector, path.read_bytes()))) for path in files}
     times: dict[str, list[float]] = {stage: [] for stage in STAGES}
     end = None
     for count, path in enumerate(itertools.cycle(files)):
@@ -144,7 +145,7 @@ def main() -> None:
     print(json.dumps({"version": onnxruntime.__version__, "stages": figures, "answers": answers}))
 
 
-def _found(detector: Detector, data: bytes) -> tuple[np.ndarray, Letterbox]:
+def _prepare_and_run(detector: Detector, data: bytes) -> tuple[np.ndarray, Letterbox]:
     tensor, fitted = detector.prepare(data)
     return detector.run(tensor), fitted
 

@@ -3,11 +3,11 @@
     token_server.py serve BURST PACED INTERVAL-MS STAMPS    serves until it is stopped; prints its port
     token_server.py read PORT MODEL COUNT [--parse]         reads COUNT streams; prints JSON
 
-The name of the model in the request selects the answer: `burst` sends BURST tokens at once, `paced` sends PACED tokens,
-one each INTERVAL-MS, `whole` sends a text of WHOLE_BYTES in one token. The server appends to the file STAMPS a line of
-JSON for each answer: its model, and nanoseconds since 1970 at which it had the request, and wrote the first token, the
-last token and the end. It answers one request at a time. `read` does nothing with the bytes unless it parses the JSON
-of each event.
+The name of the model in the request selects the answer: `burst` sends BURST tokens at once; `paced` sends PACED tokens,
+one each INTERVAL-MS; `whole` sends a text of WHOLE_BYTES in one token. The server answers one request at a time. For
+each answer it appends a line of JSON to the file STAMPS: the model, and four times in nanoseconds since 1970: request
+received, just before the first token, just before the last token, and end written. `read` drops the bytes; with
+`--parse` it parses the JSON of each event first.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ HEAD = b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nTransfer-Encoding
 
 
 def event(data: str) -> bytes:
-    """Returns an event of the stream as one chunk of HTTP."""
+    """Returns a server-sent event as one chunk of HTTP."""
     body = f"data: {data}\n\n".encode()
     return b"%x\r\n%s\r\n" % (len(body), body)
 
@@ -42,7 +42,7 @@ def token(model: str, text: str) -> bytes:
 
 
 class Server:
-    """The answers, made in advance."""
+    """Server whose answers are encoded in advance, so that it adds little time."""
 
     def __init__(self, burst: int, paced: int, interval_s: float, stamps: Path) -> None:
         self.interval_s = interval_s
@@ -122,9 +122,9 @@ def receive(connection: socket.socket) -> bytes:
 
 
 def read(port: int, model: str, count: int, parse: bool) -> list[dict[str, float]]:
-    """Reads answers one after the other, after one that does not count.
+    """Reads answers one after the other; the first one is warm-up and is left out.
 
-    Returns for each its start, seconds since 1970, and seconds from there to its first token and to its end.
+    Returns for each answer its start, seconds since 1970, and the seconds from there to its first token and to its end.
     """
     messages = [{"role": "user", "content": "x" * 100}]
     body = json.dumps({"model": model, "messages": messages, "stream": True}).encode()
@@ -170,11 +170,11 @@ def main() -> None:
     reader.add_argument("model", choices=MODELS)
     reader.add_argument("count", type=int)
     reader.add_argument("--parse", action="store_true")
-    asked = parser.parse_args()
-    if asked.command == "serve":
-        Server(asked.burst, asked.paced, asked.interval_ms / 1e3, asked.stamps).serve()
+    arguments = parser.parse_args()
+    if arguments.command == "serve":
+        Server(arguments.burst, arguments.paced, arguments.interval_ms / 1e3, arguments.stamps).serve()
     else:
-        json.dump(read(asked.port, asked.model, asked.count, asked.parse), sys.stdout)
+        json.dump(read(arguments.port, arguments.model, arguments.count, arguments.parse), sys.stdout)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""A classifier of torchvision as Python programs run it: its transforms, then onnxruntime. Prints JSON, in seconds.
+"""A classifier of torchvision in Python in the usual way: its transforms, then onnxruntime. Prints JSON, in seconds.
 
-It needs torch and torchvision, which Debian packages for the system's Python; PACKAGES is a folder with onnxruntime.
-The key `answers` has the best classes of each picture.
+It needs torch and torchvision, which Debian packages for the system's Python. PACKAGES is the folder of installed
+packages that has onnxruntime. The key `answers` has the best classes of each picture.
 
 Usage: torchvision_reference.py MODEL-FOLDER PICTURES-FOLDER SECONDS THREADS PACKAGES
 """
@@ -17,7 +17,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-# After the system's packages, so that torch gets the numpy that it was built with.
+# PACKAGES comes after the system's packages, so that torch gets the numpy that it was built with.
 sys.path.append(sys.argv[5])
 
 import numpy as np
@@ -35,7 +35,7 @@ STAGES = ("decode", "transforms", "preprocessing", "inference", "postprocessing"
 
 
 class Classifier:
-    """A session, and the transforms of the model's default weights."""
+    """A session of onnxruntime, and the transforms that belong to the model's default weights."""
 
     def __init__(self, folder: Path, threads: int) -> None:
         options = onnxruntime.SessionOptions()
@@ -47,7 +47,7 @@ class Classifier:
         self.transforms = _weights(folder.name).transforms()
 
     def answer(self, data: bytes) -> tuple[str, list[float]]:
-        """Returns the answer to a file as JSON, and the time before and after each step."""
+        """Returns the answer to a picture file as JSON, and the time before the first step and after each step."""
         stamps = [time.perf_counter()]
         image = Image.open(io.BytesIO(data)).convert("RGB")
         stamps.append(time.perf_counter())
@@ -67,7 +67,7 @@ class Classifier:
 
 
 def _weights(name: str) -> Any:
-    """Returns the default weights of a model without downloading them; torchvision 0.14 has no public function."""
+    """Returns the description of a model's default weights, without downloading the weights."""
     if hasattr(torchvision.models, "get_model_weights"):
         return torchvision.models.get_model_weights(name).DEFAULT
     raise SystemExit(f"torchvision {torchvision.__version__} is too old; 0.14 or newer is required")

@@ -136,10 +136,14 @@ async fn show(
     let comparison = load_comparison(store, &selection).await?;
     let distributions = distributions(&comparison, selected_stage)?;
     let baseline = comparison.baseline(baseline)?;
-    let means = run_means(store, &comparison).await?;
+    let (means, time_series, answers) = tokio::try_join!(
+        run_means(store, &comparison),
+        run_time_series(store, &comparison),
+        answers(store, &comparison),
+    )?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
-    let over_time = over_time(&comparison, &run_time_series(store, &comparison).await?);
-    let lengths = lengths(&comparison, &answers(store, &comparison).await?);
+    let over_time = over_time(&comparison, &time_series);
+    let lengths = lengths(&comparison, &answers);
     let compare = assemble(shell("Compare"), &comparison, (&means, baseline), distributions, host);
     page(&Compare { over_time, lengths, ..compare })
 }

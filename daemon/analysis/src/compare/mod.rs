@@ -43,6 +43,9 @@ use configuration::EMPTY_CELL;
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
 
+/// Column of the time from the request to a language model until its first token.
+const FIRST_TOKEN: &str = "inference_time-to-first-token";
+
 /// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
@@ -108,6 +111,8 @@ pub struct Line {
     pub starts: Starts,
     /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
+    /// Time from the request to a language model until its first token; `None` for other models.
+    pub first_token: Option<Latency>,
     /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
@@ -181,6 +186,7 @@ impl Line {
             actuator: ActuatorResults::default(),
             starts: Starts::default(),
             latencies: [None; LATENCIES.len()],
+            first_token: None,
             accuracies: [None; ACCURACIES.len()],
             unknown_labels: None,
             difference_to_best: None,
@@ -216,13 +222,15 @@ impl Line {
         self.actuator = ActuatorResults::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));
         self.unknown_labels = unknown_labels(runs_of_line());
-        self.latencies = LATENCIES.map(|name| {
+        let latency = |name: &str| {
             let mut moments = Moments::default();
             let numbers = runs_of_line().flat_map(|run| run.rows.counted_values(name));
             numbers.filter(|number| Summary::accepts(*number)).for_each(|number| moments.record(number));
             let Moments { mean, count, .. } = moments;
             (count > 0).then(|| Latency { mean, std: moments.std(), count })
-        });
+        };
+        self.latencies = LATENCIES.map(latency);
+        self.first_token = latency(FIRST_TOKEN);
     }
 
     /// Returns an accuracy by its name in [`ACCURACIES`].
@@ -245,7 +253,7 @@ fn values(rows: &Rows, column: &str) -> Vec<f64> {
 pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
-    let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED]);
+    let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
     columns.chain(&EPISODE_VALUES).any(|name| *name == column)
 }
 

@@ -67,6 +67,7 @@ impl Comparison {
         header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
         header.push("miss-rate".to_owned());
         header.extend(ACTUATOR_COLUMNS.map(str::to_owned));
+        header.extend(["first-token-mean", "first-token-std"].map(str::to_owned));
         let row = |(index, line): (usize, &Line)| {
             let flag = |value: bool| u8::from(value).to_string();
             let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
@@ -101,6 +102,7 @@ impl Comparison {
             cells.push(line.actuator.superseded.to_string());
             cells.extend(success.unwrap_or_default().map(number));
             cells.extend(of_return.unwrap_or_default().map(number));
+            cells.extend([line.first_token.map(|latency| latency.mean), line.first_token.and_then(|latency| latency.std)].map(number));
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
@@ -119,6 +121,8 @@ impl Comparison {
         let has_deadlines = self.lines.iter().any(|line| line.misses.is_some());
         header.extend(has_deadlines.then(|| "missed (%)".to_owned()));
         header.extend(HEADINGS.map(str::to_owned));
+        let has_tokens = self.lines.iter().any(|line| line.first_token.is_some());
+        header.extend(has_tokens.then(|| "first token".to_owned()));
         let accuracies: Vec<usize> = (0..ACCURACIES.len())
             .filter(|index| self.lines.iter().any(|line| line.accuracies[*index].is_some()))
             .collect();
@@ -129,7 +133,9 @@ impl Comparison {
         header.extend(has_superseded.then(|| "superseded".to_owned()));
         header.extend(has_success.then(|| "success (%)".to_owned()));
         header.extend(has_returns.then(|| "return".to_owned()));
-        let decimals: Vec<usize> = (0..LATENCIES.len()).map(|latency| self.decimals(latency)).collect();
+        let decimals = HEADINGS.iter().enumerate().map(|(index, _)| self.decimals(|line| line.latencies[index]));
+        let decimals: Vec<usize> = decimals.collect();
+        let token_decimals = self.decimals(|line| line.first_token);
         let row = |line: &Line| {
             let mut cells = line.labels.clone();
             cells.extend(has_repeats.then(|| count(line.repeats as u64)));
@@ -142,6 +148,7 @@ impl Comparison {
             cells.extend(
                 line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
             );
+            cells.extend(has_tokens.then(|| cell(line.first_token, token_decimals)));
             cells.extend(
                 accuracies.iter().map(|index| share(line.accuracies[*index].map(share_and_interval))),
             );
@@ -160,8 +167,8 @@ impl Comparison {
     }
 
     /// Returns the number of decimals of a latency, which is the same for all rows, so that the numbers are easy to compare.
-    fn decimals(&self, latency: usize) -> usize {
-        let latencies = self.lines.iter().filter_map(|line| line.latencies[latency]);
+    fn decimals(&self, latency: impl Fn(&Line) -> Option<Latency>) -> usize {
+        let latencies = self.lines.iter().filter_map(latency);
         latencies.map(|latency| column_decimals(latency.std)).max().unwrap_or_default()
     }
 
@@ -172,6 +179,10 @@ impl Comparison {
              stages, including stages without a column; the paper calls it Total."
                 .to_owned(),
         ];
+        if self.lines.iter().any(|line| line.first_token.is_some()) {
+            let text = "First token: from the request to a language model until the first token of its answer, a part of inference.";
+            notes.push(text.to_owned());
+        }
         if self.lines.iter().any(|line| line.accuracies.iter().any(Option::is_some)) {
             let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval (Wilson), which assumes that the \
                         iterations are independent.";

@@ -162,6 +162,8 @@ impl Child {
     ) -> anyhow::Result<Self> {
         let order = with_arguments(|| serde_json::to_vec(order)).context("cannot write the order")?;
         let mut process = Command::new(PROGRAM)
+            // The program of the daemon is the command line only under this name.
+            .arg0(crate::NAMES[0])
             .args(["measure", "--order", "-"])
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())

@@ -5,6 +5,7 @@
 
 use std::os::fd::RawFd;
 
+use bytes::Bytes;
 use peernet_sample::{Description, Part};
 use serde::{Deserialize, Serialize};
 
@@ -40,6 +41,10 @@ pub(super) enum Request<'a> {
     Call { parts: Vec<PartHead> },
     /// Calls `reset()` of the object.
     Reset {},
+    /// Continues the call after a part of its answer.
+    Proceed {},
+    /// Ends the call after a part of its answer: nobody waits for it any more.
+    Cancel {},
     /// Calls `advance(seconds)` of the object.
     Advance { seconds: f64 },
 }
@@ -56,6 +61,8 @@ pub(super) enum Reply {
         #[serde(rename = "stages")]
         steps: Vec<(Step, i64, i64)>,
     },
+    /// A part of the answer of a model. The process waits for [`Request::Proceed`] or [`Request::Cancel`].
+    Part { parts: Vec<PartHead> },
     /// The sensor has no more samples.
     #[serde(rename = "over")]
     EndOfSamples {
@@ -95,6 +102,12 @@ impl PartHead {
     }
 }
 
+/// Returns the parts of a message: their heads with their bytes.
+pub(super) fn join_parts(heads: Vec<PartHead>, bytes: Vec<Bytes>) -> Vec<Part> {
+    let parts = heads.into_iter().zip(bytes);
+    parts.map(|(head, bytes)| Part { description: head.description, bytes }).collect()
+}
+
 /// Defect of a message from the worker.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
@@ -110,9 +123,9 @@ pub enum FrameError {
     /// The parts are longer than allowed.
     #[error("its value has more than {MAX_BYTES} bytes")]
     ValueLength,
-    /// The worker reports a second time that it is ready.
-    #[error("it reports twice that it is ready")]
-    ReadyTwice,
+    /// The worker sent a message that does not answer the request.
+    #[error("it sent a message that does not answer the request")]
+    UnexpectedReply,
     /// The part is not within the shared memory.
     #[error("{length} bytes at {at} are outside of the shared memory")]
     Position {

@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 use serde::Serialize;
 
-use super::frame::{FrameError, Reply, Request};
+use super::frame::{self, FrameError, Reply, Request};
 use super::interpreter;
 use super::worker::{Answer, Worker, WorkerError};
 use super::{CallResult, CallTimes, ObjectDescription, PythonConfig, PythonError, Step};
@@ -89,7 +89,16 @@ impl PythonObject {
     /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is delayed,
     /// and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
-        self.exchange(|worker, until| worker.call(parts, until))
+        self.call_in_parts(parts, &mut |_| true)
+    }
+
+    /// Calls a model as [`call`](Self::call) does, and passes each part of its answer to `on_part`, which returns whether somebody
+    /// still waits for the answer. If not, the object stops computing and the call fails. Parts are what the generator
+    /// `infer` yields. The timeout begins again with each part.
+    pub fn call_in_parts(&mut self, parts: &[Part], on_part: &mut dyn FnMut(Vec<Part>) -> bool) -> CallResult {
+        let clock = SharedClock::clone(&self.clock);
+        let timeout = milliseconds(self.config.timeout_ms.get());
+        self.exchange(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_part))
     }
 
     /// Returns whether the object has `reset()`.
@@ -168,18 +177,13 @@ impl PythonObject {
             times: CallTimes::new(started_at, ended_at, steps),
         };
         match reply {
-            Reply::Value { parts, steps } => {
-                let parts = parts.into_iter().zip(bytes);
-                let parts =
-                    parts.map(|(head, bytes)| Part { description: head.description, bytes }).collect();
-                call_result(Ok(Some(parts)), &steps)
-            }
+            Reply::Value { parts, steps } => call_result(Ok(Some(frame::join_parts(parts, bytes))), &steps),
             Reply::EndOfSamples { steps } => call_result(Ok(None), &steps),
             Reply::Raised { text, steps } => call_result(Err(PythonError::Raised(text)), &steps),
             Reply::UnsupportedValue { text, steps } => call_result(Err(PythonError::Value(text)), &steps),
-            Reply::Ready(_) => {
+            Reply::Ready(_) | Reply::Part { .. } => {
                 self.worker = None;
-                call_result(Err(self.invalid_message(FrameError::ReadyTwice)), &[])
+                call_result(Err(self.invalid_message(FrameError::UnexpectedReply)), &[])
             }
         }
     }

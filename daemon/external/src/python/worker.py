@@ -68,11 +68,31 @@ def pictures(value):
     return [item for item in items if is_a(item, "PIL.Image", "Image")] if len(items) <= MAX_LEAVES else []
 
 
+class Cancelled(Exception):
+    """Ends a call whose answer nobody waits for any more."""
+
+
+def streamed(generator, send_part):
+    """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded."""
+    yielded = []
+    while True:
+        try:
+            part = next(generator)
+        except StopIteration as end:
+            if end.value is not None:
+                return end.value
+            return "".join(yielded) if all(isinstance(part, str) for part in yielded) else yielded
+        yielded.append(part)
+        if not send_part(part):
+            generator.close()
+            raise Cancelled("nobody waits for the answer any more")
+
+
 class Sensor:
     def __init__(self, user_object):
         self.user_object = user_object
 
-    def call(self, _, stages):
+    def call(self, _, stages, send_part):
         started_at = now()
         try:
             value = self.user_object.sample()
@@ -89,7 +109,7 @@ class Actuator:
     def __init__(self, user_object):
         self.user_object = user_object
 
-    def call(self, value, stages):
+    def call(self, value, stages, send_part):
         begun = now()
         try:
             returned = self.user_object.act(value)
@@ -130,11 +150,13 @@ class Model:
         methods = ((stage, getattr(user_object, name, None)) for stage, name in steps)
         self.steps = [(stage, method) for stage, method in methods if callable(method)]
 
-    def call(self, value, stages):
+    def call(self, value, stages, send_part):
         for stage, step in self.steps:
             started_at = now()
             try:
                 value = step(value)
+                if stage == "infer" and inspect.isgenerator(value):
+                    value = streamed(value, send_part)
                 wait_for_gpu()
             finally:
                 stages.append((stage, started_at, now()))
@@ -195,13 +217,23 @@ def start(request):
 
 def answer(channel, request, role, encoder, decoder):
     stages = []
+
+    def send_part(value):
+        """Sends a part of the answer. Returns whether somebody still waits for the answer."""
+        wait_for_gpu()
+        channel.send(channel.frame("part", {"parts": []}, encoder.parts(value)))
+        reply = channel.read()
+        if reply is None:
+            raise PipeClosed
+        return "proceed" in reply
+
     try:
         if "reset" in request:
             value = reset(role.user_object)
         elif "advance" in request:
             value = advance(role.user_object, request["advance"]["seconds"])
         else:
-            value = role.call(decoder.read(channel, request["call"]["parts"]), stages)
+            value = role.call(decoder.read(channel, request["call"]["parts"]), stages, send_part)
         frame = channel.frame("value", {"stages": stages, "parts": []}, encoder.parts(value))
     except (PipeClosed, *EXITS):
         raise

@@ -57,18 +57,32 @@ impl Worker {
         self.receive_reply(deadline)
     }
 
-    /// Calls the object.
-    pub(super) fn call(&mut self, parts: &[Part], deadline: MonoTime) -> Result<Answer, WorkerError> {
+    /// Calls the object. `on_part` gets each part of the answer and returns whether somebody still waits for the answer;
+    /// `deadline` returns the end of the timeout that begins now.
+    pub(super) fn call(
+        &mut self,
+        parts: &[Part],
+        deadline: &dyn Fn() -> MonoTime,
+        on_part: &mut dyn FnMut(Vec<Part>) -> bool,
+    ) -> Result<Answer, WorkerError> {
         let positions = self.shared_memory.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
         let header = encode_request(&Request::Call { parts: heads })?;
         let mut chunks: Vec<&[u8]> = vec![&header];
         let piped = parts.iter().zip(&positions).filter(|(_, at)| at.is_none());
         chunks.extend(piped.map(|(part, _)| &part.bytes[..]));
-        self.process.write(&chunks, deadline)?;
-        let answer = self.receive_reply(deadline)?;
-        self.shared_memory.release_excess();
-        Ok(answer)
+        self.process.write(&chunks, deadline())?;
+        loop {
+            let (reply, bytes) = self.receive_reply(deadline())?;
+            let Reply::Part { parts } = reply else {
+                self.shared_memory.release_excess();
+                return Ok((reply, bytes));
+            };
+            // The worker waits for this request, so that a part in the shared memory is read before the next one is written.
+            let is_awaited = on_part(frame::join_parts(parts, bytes));
+            let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
+            self.process.write(&[&encode_request(&request)?], deadline())?;
+        }
     }
 
     /// Calls `reset()` of the object.
@@ -103,7 +117,9 @@ impl Worker {
         let length = frame::header_length(&prefix)?;
         let header = self.process.read_exact(length, deadline)?;
         let reply: Reply = serde_json::from_slice(&header).map_err(FrameError::from)?;
-        let Reply::Value { parts, .. } = &reply else { return Ok((reply, Vec::new())) };
+        let (Reply::Value { parts, .. } | Reply::Part { parts }) = &reply else {
+            return Ok((reply, Vec::new()));
+        };
         let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
         if total.is_none_or(|total| total > MAX_BYTES) {
             return Err(FrameError::ValueLength.into());

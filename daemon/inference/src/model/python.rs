@@ -104,9 +104,14 @@ impl Worker for PythonWorker {
         &mut self,
         sample: &Sample,
         recorder: &mut Recorder,
-        _requester: &dyn Requester,
+        requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
-        let called = self.object.call(&sample.parts);
+        let mut is_cancelled = false;
+        let called = self.object.call_in_parts(&sample.parts, &mut |parts| {
+            let part = Sample { parts, source: String::new(), label: None };
+            is_cancelled = requester.send_part(part).is_err();
+            !is_cancelled
+        });
         let started_at = called.times.started_at;
         if let Some(from) = called.times.restarted_at {
             recorder.record_timer(stage::RESTART, from, started_at);
@@ -122,6 +127,9 @@ impl Worker for PythonWorker {
                 Step::Act => stage::ACTUATION,
             };
             recorder.record_timer(name, from, to);
+        }
+        if is_cancelled {
+            return Err(InferenceError::Cancelled { model: self.model.clone() });
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {

@@ -1,9 +1,14 @@
 //! Python objects as models.
 
 use std::fs;
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
-use peernet_inference::{InferenceError, LoadError};
+use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, LoadError, Requester};
+use peernet_logger::{HostId, Recorder};
 use peernet_sample::{Description, MediaType, Sample};
+use tokio_util::sync::CancellationToken;
 
 use super::{bank, loaded, run, slug};
 
@@ -61,6 +66,101 @@ fn exceptions_and_unsupported_values_fail_one_sample() {
     assert!(matches!(error, InferenceError::Failed { .. }), "{error}");
     assert!(error.to_string().contains("its answer: a builtins.set cannot be transferred"), "{error}");
     assert!(run(&pool, text("cat")).result.is_ok());
+}
+
+const GENERATORS: &str = "
+import numpy
+class Words:
+    def infer(self, x):
+        try:
+            for word in x.split(): yield word + ' '
+        except GeneratorExit:
+            open('closed', 'w').close()
+            raise
+class Count:
+    def infer(self, x):
+        yield numpy.zeros(5000)
+        yield numpy.ones(5000)
+        return {'words': len(x.split())}
+class Broken:
+    def infer(self, x):
+        yield 'a'
+        raise ValueError('lost the thread')
+";
+
+/// Requester that keeps parts and cancels after some of them.
+struct Listener {
+    parts: Mutex<Vec<Sample>>,
+    limit: usize,
+}
+
+impl Requester for Listener {
+    fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
+        let mut parts = self.parts.lock().expect("is not poisoned");
+        parts.push(part);
+        if parts.len() < self.limit { Ok(()) } else { Err(Cancelled) }
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        CancellationToken::new()
+    }
+
+    fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
+        Ok(())
+    }
+}
+
+/// Runs an object of [`GENERATORS`]; returns the result and the parts that it sent.
+fn run_generator(
+    folder: &tempfile::TempDir,
+    object: &str,
+    limit: usize,
+) -> (Result<Sample, InferenceError>, Vec<Sample>) {
+    fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
+    let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
+    let pool = loaded(&bank, "p");
+    let clock = super::clock();
+    let listener = Arc::new(Listener { parts: Mutex::default(), limit });
+    let (sender, receiver) = sync_channel(1);
+    let job = Job {
+        sample: text("one two three"),
+        recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
+        received: clock.mono(),
+        requester: Arc::clone(&listener) as Arc<dyn Requester>,
+        reply: Box::new(move |done: FinishedJob| sender.send(done.result).expect("is awaited")),
+    };
+    pool.submit(job).expect("the queue has room");
+    let result = receiver.recv().expect("is answered");
+    let parts = std::mem::take(&mut *listener.parts.lock().expect("is not poisoned"));
+    // The process serves the next sample as well, whatever became of the last one.
+    assert_eq!(run(&pool, text("one two three")).result.is_ok(), object != "Broken");
+    (result, parts)
+}
+
+#[test]
+fn values_that_infer_yields_are_parts_of_the_answer() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let (result, parts) = run_generator(&folder, "Words", 10);
+    let texts: Vec<_> = parts.iter().map(|part| part.parts[0].bytes.clone()).collect();
+    assert_eq!(texts, ["one ", "two ", "three "]);
+    assert_eq!(result.expect("answers").parts[0].bytes, "one two three ", "without a returned value it is all of them");
+    // Arrays of 40 kB are in the shared memory, one after the other.
+    let (result, parts) = run_generator(&folder, "Count", 10);
+    let first_bytes: Vec<_> = parts.iter().map(|part| part.parts[0].bytes[6..8].to_vec()).collect();
+    assert_eq!(first_bytes, [vec![0, 0], 1.0_f64.to_le_bytes()[6..].to_vec()]);
+    assert_eq!(result.expect("answers").parts[0].bytes, r#"{"words":3}"#);
+    let (result, parts) = run_generator(&folder, "Broken", 10);
+    assert!(result.expect_err("raises").to_string().contains("ValueError: lost the thread"));
+    assert_eq!(parts.len(), 1);
+}
+
+#[test]
+fn generator_is_closed_when_nobody_waits() {
+    let folder = tempfile::tempdir().expect("can be made");
+    let (result, parts) = run_generator(&folder, "Words", 2);
+    assert_eq!(result, Err(InferenceError::Cancelled { model: "p".to_owned() }));
+    assert_eq!(parts.len(), 2, "the third is not computed");
+    assert!(folder.path().join("closed").exists());
 }
 
 #[test]

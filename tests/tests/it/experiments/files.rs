@@ -88,3 +88,18 @@ fn missing_or_invalid_file_is_named() {
     let message = format!("\n  {}: pipeline.sensor: cannot use the labels in ", file.display());
     assert!(end.code() == 78 && end.log.contains(&message), "{}: {}", end.code(), end.log);
 }
+
+// The package and `make demo` have one program under two names.
+#[test]
+fn daemon_linked_as_peernet_measures_experiment() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let link = folder.path().join("peernet");
+    std::os::unix::fs::symlink(program("peernetd"), &link).expect("writable");
+    let text = "[experiment]\nname = 'e'\niterations = 3\n\
+                [pipeline]\nsensor = { kind = 'text', length = 10 }\nplacement = { kind = 'local', model = 'echo' }\n\
+                [[model]]\nname = 'echo'\nkind = 'echo'\n";
+    std::fs::write(folder.path().join("e.toml"), text).expect("writable");
+    let end = Process::start(&link, &[Path::new("run"), Path::new("e.toml")], folder.path(), &[]).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    assert!(end.log.contains("1 of 1 runs finished"), "{}", end.log);
+}

@@ -13,7 +13,7 @@ use crate::error::WebError;
 /// Maximum number of buckets in which a run is read.
 const MAX_BUCKETS: usize = 120;
 /// Number of runs that are read concurrently.
-const CONCURRENT_READS: usize = 4;
+pub(super) const CONCURRENT_READS: usize = 4;
 
 /// Means of the stages of each run, by its number.
 pub(crate) type RunMeans = HashMap<i64, Vec<StageMeans>>;

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use futures::{StreamExt, TryStreamExt};
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
@@ -9,6 +10,7 @@ use peernet_statistics::number::{duration, length};
 use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
 
 use super::choice::{ChosenRun, choose_runs, without_answer};
+use super::differences::CONCURRENT_READS;
 use super::{Comparison, Configuration};
 use crate::error::WebError;
 use crate::picture::Picture;
@@ -74,20 +76,24 @@ pub(crate) async fn run_time_series(
     store: &Store,
     comparison: &Comparison,
 ) -> Result<TimeSeriesByRun, WebError> {
-    let mut all = TimeSeriesByRun::new();
-    for (_, run, name) in drawn_runs(comparison).0 {
+    let names: &Vec<Name> =
+        &[stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
+    let read = |(_, run, name): ChosenRun<'_, Name>| {
         let samples = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
         let points = (samples / SAMPLES_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
-        let main = [name];
-        let names: Vec<Name> = [stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
-        let (series, means, episodes) = tokio::try_join!(
-            store.series(run.number, &main, points),
-            store.stage_means(run.number, &names, points),
-            store.episodes(run.number),
-        )?;
-        all.insert(run.number, RunTimeSeries { series, means, episodes });
-    }
-    Ok(all)
+        let number = run.number;
+        async move {
+            let main = [name];
+            let (series, means, episodes) = tokio::try_join!(
+                store.series(number, &main, points),
+                store.stage_means(number, names, points),
+                store.episodes(number),
+            )?;
+            Ok((number, RunTimeSeries { series, means, episodes }))
+        }
+    };
+    let runs = drawn_runs(comparison).0;
+    futures::stream::iter(runs).map(read).buffered(CONCURRENT_READS).try_collect().await
 }
 
 /// Returns the pictures of the runs that are drawn, all with the same axes; `None` if no run has enough points.
