@@ -57,7 +57,8 @@ impl Growth {
     pub fn from_iterations(iterations: &[(f64, f64)]) -> Option<Self> {
         (iterations.len() >= MIN_ITERATIONS).then_some(())?;
         let step = iterations.len().div_ceil(MAX_ITERATIONS);
-        let points: Vec<Point> = iterations.iter().step_by(step).map(|(x, y)| Point { x: *x, y: *y }).collect();
+        let points: Vec<Point> =
+            iterations.iter().step_by(step).map(|(x, y)| Point { x: *x, y: *y }).collect();
         let fit = theil_sen(&points)?;
         Some(Self { interval: fit.slope.interval?, fit })
     }

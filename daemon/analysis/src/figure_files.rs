@@ -17,7 +17,8 @@ pub const HISTOGRAMS: [(&str, &str, &str); 6] = [
 /// Name endings of a figure's files, including the caption.
 const FILE_ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 /// Names of figures of which there is at most one.
-const SINGLE_FIGURES: [&str; 6] = ["cumulative", "series", "length", "stacked", "accuracy", "paired"];
+const SINGLE_FIGURES: [&str; 7] =
+    ["cumulative", "series", "length", "stacked", "accuracy", "success", "paired"];
 /// Names of figures of which there may be several, numbered from the second on.
 const NUMBERED_FIGURES: [&str; 4] = ["payload-latency", "payload-throughput", "totals", "users"];
 /// Maximum length of the header of `data.csv` that is read, bytes.

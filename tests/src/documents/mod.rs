@@ -34,8 +34,8 @@ impl Document {
     pub fn for_users() -> Vec<Self> {
         let files = |folder: &'static str| {
             let entries = std::fs::read_dir(root().join(folder)).expect("the folder is there");
-            let paths =
-                entries.map(move |entry| Path::new(folder).join(entry.expect("it can be listed").file_name()));
+            let paths = entries
+                .map(move |entry| Path::new(folder).join(entry.expect("it can be listed").file_name()));
             paths.filter(|path| path.extension().is_some_and(|ending| ending == "md"))
         };
         let docs = files("docs").chain(files("docs/experiments"));

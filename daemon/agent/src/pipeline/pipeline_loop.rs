@@ -239,8 +239,9 @@ impl<'a> PipelineLoop<'a> {
     }
 
     fn can_start(&self) -> bool {
-        let is_idle =
-            self.end_reason.is_none() && !self.awaits_sample() && self.resources.pending_preparation.is_none();
+        let is_idle = self.end_reason.is_none()
+            && !self.awaits_sample()
+            && self.resources.pending_preparation.is_none();
         // A closed loop starts the next iteration when the last one is complete; an open loop starts it also while
         // others are in flight, unless these have to end before a preparation.
         let may_overlap = !self.resources.schedule.is_closed() && self.due_preparation().is_none();

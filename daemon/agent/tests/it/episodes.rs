@@ -159,7 +159,10 @@ async fn simulation_is_advanced_by_total_of_last_iteration() {
         if (next.episode, next.step) == (2, 2) {
             let reason = next.outcome.reason().expect("it failed");
             let text = "RuntimeError: unstable";
-            assert!(reason.starts_with("cannot advance the simulation by ") && reason.contains(text), "{reason}");
+            assert!(
+                reason.starts_with("cannot advance the simulation by ") && reason.contains(text),
+                "{reason}"
+            );
             continue;
         }
         assert_eq!(next.outcome, Outcome::Ok);

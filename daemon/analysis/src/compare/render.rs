@@ -102,7 +102,13 @@ impl Comparison {
             cells.push(line.actuator.superseded.to_string());
             cells.extend(success.unwrap_or_default().map(number));
             cells.extend(of_return.unwrap_or_default().map(number));
-            cells.extend([line.first_token.map(|latency| latency.mean), line.first_token.and_then(|latency| latency.std)].map(number));
+            cells.extend(
+                [
+                    line.first_token.map(|latency| latency.mean),
+                    line.first_token.and_then(|latency| latency.std),
+                ]
+                .map(number),
+            );
             cells
         };
         let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
@@ -133,7 +139,8 @@ impl Comparison {
         header.extend(has_superseded.then(|| "superseded".to_owned()));
         header.extend(has_success.then(|| "success (%)".to_owned()));
         header.extend(has_returns.then(|| "return".to_owned()));
-        let decimals = HEADINGS.iter().enumerate().map(|(index, _)| self.decimals(|line| line.latencies[index]));
+        let decimals =
+            HEADINGS.iter().enumerate().map(|(index, _)| self.decimals(|line| line.latencies[index]));
         let decimals: Vec<usize> = decimals.collect();
         let token_decimals = self.decimals(|line| line.first_token);
         let row = |line: &Line| {

@@ -95,7 +95,11 @@ impl PythonObject {
     /// Calls a model as [`call`](Self::call) does, and passes each part of its answer to `on_part`, which returns whether somebody
     /// still waits for the answer. If not, the object stops computing and the call fails. Parts are what the generator
     /// `infer` yields. The timeout begins again with each part.
-    pub fn call_in_parts(&mut self, parts: &[Part], on_part: &mut dyn FnMut(Vec<Part>) -> bool) -> CallResult {
+    pub fn call_in_parts(
+        &mut self,
+        parts: &[Part],
+        on_part: &mut dyn FnMut(Vec<Part>) -> bool,
+    ) -> CallResult {
         let clock = SharedClock::clone(&self.clock);
         let timeout = milliseconds(self.config.timeout_ms.get());
         self.exchange(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_part))

@@ -23,7 +23,7 @@ mod stages_over_time;
 mod time_series;
 
 pub use crate::plot::Unit;
-pub use accuracy::{Accuracy, Score};
+pub use accuracy::{Accuracy, Score, ScoredQuantity};
 pub use binned::BinnedAxis;
 
 pub use cumulative::{Cumulative, CumulativeCurve};

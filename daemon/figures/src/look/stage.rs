@@ -55,10 +55,7 @@ pub const STAGES: [Stage; 14] = [
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
     pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
-    Stage {
-        line: Some(Rgb::hex(0x6b_5a00)),
-        ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Level)
-    },
+    Stage { line: Some(Rgb::hex(0x6b_5a00)), ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Level) },
     // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
     Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
     pale(

@@ -1,4 +1,4 @@
-//! Figure of the accuracy of each configuration against its latency.
+//! Figures of the accuracy, and of the success of episodes, of each configuration against its latency.
 
 use peernet_statistics::number::{self, fixed};
 
@@ -6,8 +6,9 @@ use super::columns::{excluded_note, is_drawable, too_large_note};
 use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Accuracy, Score, Unit};
+use crate::drawing::{Accuracy, Score, ScoredQuantity, Unit};
 use peernet_analysis::accuracy::{ACCURACIES, score};
+use peernet_analysis::actuator_results::EPISODE_SUCCESS;
 use peernet_analysis::loaded::{Loaded, unknown_labels};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
@@ -17,8 +18,53 @@ pub(super) const TOP_1: &str = ACCURACIES[0];
 /// Maximum number of points that a reader can distinguish.
 const MAX_POINTS: usize = 24;
 
-/// Returns the figure with one point for each configuration that has scored answers; repeats are pooled.
+/// Returns the figures for which the runs have data: `accuracy`, where the right answers are known, and `success`, where an actuator reports
+/// the success of episodes.
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    match (accuracy_drawing(runs), success_drawing(runs)) {
+        (accuracy, Some(success)) => Ok(accuracy.into_iter().chain([success]).collect()),
+        (accuracy, None) => Ok(vec![accuracy?]),
+    }
+}
+
+/// Returns the figure with one point for each configuration with episodes; `None` without an episode. Repeats are pooled.
+fn success_drawing(runs: &[Loaded]) -> Option<Drawing> {
+    let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
+    let group_score = |(label, runs): &(String, Vec<&Loaded>)| {
+        let rows = || runs.iter().flat_map(|run| &run.rows);
+        let successes: Vec<f64> = rows().filter_map(|row| row.value(EPISODE_SUCCESS)).collect();
+        let totals = counted_rows(runs).filter_map(|row| row.value("total"));
+        let times: SortedValues = totals.filter(|time| is_drawable(*time)).collect();
+        Some(Score {
+            label: label.clone(),
+            right: successes.iter().filter(|success| **success == 1.0).count() as u64,
+            count: successes.len() as u64,
+            median: times.median()?,
+            p95: times.p95(),
+        })
+    };
+    let mut scores: Vec<Score> =
+        groups.iter().filter_map(group_score).filter(|score| score.count > 0).collect();
+    let most = scores.iter().map(|score| score.count).max()?;
+    let fewest = scores.iter().map(|score| score.count).min()?;
+    let n = if fewest == most { fixed(most as f64, 0) } else { format!("{fewest} to {most}") };
+    let missing = (scores.len() > MAX_POINTS)
+        .then(|| format!("the first {MAX_POINTS} of {} configurations", scores.len()));
+    scores.truncate(MAX_POINTS);
+    let note = format!("configurations: {} · episodes: {n} each", axes.join(", "));
+    let figure = Accuracy {
+        title: "Success against latency".to_owned(),
+        quantity: ScoredQuantity::Success,
+        unit: Unit::milliseconds("Total"),
+        scores,
+        notes: std::iter::once(note).chain(missing.clone()).collect(),
+    };
+    let drawing = Drawing::new("success", AnyFigure::Accuracy(figure));
+    Some(drawing.with_left_out(missing.into_iter().collect()))
+}
+
+/// Returns the figure with one point for each configuration that has scored answers; repeats are pooled.
+fn accuracy_drawing(runs: &[Loaded]) -> Result<Drawing, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let is_scored = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
     let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs)).filter(is_scored);
@@ -77,9 +123,10 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let quantity = if total == "total" { "Total" } else { "Sum of stages" };
     let accuracy = Accuracy {
         title: "Accuracy against latency".to_owned(),
+        quantity: ScoredQuantity::Top1,
         unit: Unit::milliseconds(quantity),
         scores,
         notes,
     };
-    Ok(vec![Drawing::new("accuracy", AnyFigure::Accuracy(accuracy)).with_left_out(missing)])
+    Ok(Drawing::new("accuracy", AnyFigure::Accuracy(accuracy)).with_left_out(missing))
 }

@@ -50,7 +50,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let columns: Vec<&str> = stage_names.chain(outside_stages.iter().copied()).chain([total]).collect();
     notes.extend(too_large_note(all_rows(), &columns));
     if stages.iter().any(|stage| *stage == LATENESS) {
-        notes.push("late start: from the intended start to the actual start · unattributed: without it".to_owned());
+        notes.push(
+            "late start: from the intended start to the actual start · unattributed: without it".to_owned(),
+        );
     }
     if omitted_groups > 0 {
         let configurations = number::counted(omitted_groups as u64, "configuration");

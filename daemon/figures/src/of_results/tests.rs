@@ -8,6 +8,7 @@ use peernet_stream::ExperimentPlace;
 
 use super::*;
 use crate::look::UNATTRIBUTED;
+use crate::sheet::file;
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
 use written_figures::AnyFigure;
@@ -215,6 +216,31 @@ fn accuracy_is_drawn_against_latency() {
 }
 
 #[test]
+fn success_of_episodes_is_drawn_against_latency() {
+    let with_episodes = |model: &str, total: f64, successes: u64| {
+        let record = placed(model, "local", 1.0).record;
+        let run = run(100, |number| {
+            let mut values = vec![("total", total)];
+            if number % 20 == 0 {
+                values.push(("episode-success", f64::from(number / 20 <= successes)));
+            }
+            values
+        });
+        Loaded { record, ..run }
+    };
+    let runs = [with_episodes("s", 20.0, 5), with_episodes("m", 600.0, 2), placed("l", "local", 9.0)];
+    let drawings = accuracy::drawings(&runs).expect("there are episodes");
+    let [drawing] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
+    assert_eq!(drawing.stem, "success");
+    let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
+    let scores: Vec<_> = figure.scores.iter().map(|one| (one.label.as_str(), one.right, one.count)).collect();
+    assert_eq!(scores, [("s, local", 5, 5), ("m, local", 2, 5)]);
+    assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
+    let svg = file::svg(&figure.figure());
+    assert!(svg.contains("Successful episodes, %") && svg.contains("success, %"), "{svg}");
+}
+
+#[test]
 fn single_configuration_is_compared_only_on_request() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut repeat = [placed("s", "local", 20.0), placed("s", "local", 21.0)];
@@ -379,11 +405,13 @@ fn many_curves_are_several_pictures() {
 fn length_is_counted_in_tokens_if_available() {
     let talking =
         run(60, |number| vec![("inference_tokens", number as f64), ("inference", number as f64 * 80.0)]);
-    let drawings = length::drawings(&talking.record, &talking.rows, &Columns::default()).expect("there are lengths");
+    let drawings =
+        length::drawings(&talking.record, &talking.rows, &Columns::default()).expect("there are lengths");
     let AnyFigure::Lengths(figure) = &drawings[0].figure else { panic!("lengths") };
     assert_eq!((figure.points.len(), figure.x.title.as_str()), (54, "Tokens"));
     let constant = run(60, |_| vec![("download-bytes", 96.0), ("inference", 5.0)]);
-    let reason = length::drawings(&constant.record, &constant.rows, &Columns::default()).expect_err("all alike");
+    let reason =
+        length::drawings(&constant.record, &constant.rows, &Columns::default()).expect_err("all alike");
     assert!(reason.to_string().contains("--x"), "{reason}");
     let close = run(60, |number| vec![("download-bytes", 96.0 + number as f64 % 3.0), ("inference", 5.0)]);
     assert!(length::drawings(&close.record, &close.rows, &Columns::default()).is_err());
@@ -391,7 +419,8 @@ fn length_is_counted_in_tokens_if_available() {
     assert!(length::drawings(&close.record, &close.rows, &asked).is_ok(), "what was asked for is drawn");
     let nothing = run(60, |_| vec![("download-bytes", 0.0), ("inference", 5.0)]);
     for columns in [Columns::default(), asked] {
-        let reason = length::drawings(&nothing.record, &nothing.rows, &columns).expect_err("a column of points");
+        let reason =
+            length::drawings(&nothing.record, &nothing.rows, &columns).expect_err("a column of points");
         assert!(reason.to_string().contains("download-bytes is 0 in every iteration"), "{reason}");
     }
 }

@@ -128,7 +128,11 @@ fn failure_of_one_sample_leaves_the_others() {
     let mut finished = run_all(&bank, "open-root", requests);
     assert_eq!(numbers(&finished[0]), [2.0, 3.0, 4.0]);
     let errors: Vec<_> = finished[1..].iter().map(|done| done.result.clone().expect_err("fails")).collect();
-    assert!(errors[0].to_string().contains("its array is f32 [1, 2], the model requires f32 [1, 3]"), "{}", errors[0]);
+    assert!(
+        errors[0].to_string().contains("its array is f32 [1, 2], the model requires f32 [1, 3]"),
+        "{}",
+        errors[0]
+    );
     assert_eq!(errors[1], InferenceError::Cancelled { model: "open-root".to_owned() });
     assert!(errors[2].to_string().contains("contains NaN"), "{}", errors[2]);
     assert_eq!(value(finished.remove(0), &["inference", "batch-size"]), Some(2.0), "two could be computed");

@@ -99,7 +99,8 @@ fn daemon_linked_as_peernet_measures_experiment() {
                 [pipeline]\nsensor = { kind = 'text', length = 10 }\nplacement = { kind = 'local', model = 'echo' }\n\
                 [[model]]\nname = 'echo'\nkind = 'echo'\n";
     std::fs::write(folder.path().join("e.toml"), text).expect("writable");
-    let end = Process::start(&link, &[Path::new("run"), Path::new("e.toml")], folder.path(), &[]).wait_for_end();
+    let end =
+        Process::start(&link, &[Path::new("run"), Path::new("e.toml")], folder.path(), &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
     assert!(end.log.contains("1 of 1 runs finished"), "{}", end.log);
 }

@@ -76,23 +76,21 @@ pub(crate) async fn run_time_series(
     store: &Store,
     comparison: &Comparison,
 ) -> Result<TimeSeriesByRun, WebError> {
-    let names: &Vec<Name> =
-        &[stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
-    let read = |(_, run, name): ChosenRun<'_, Name>| {
+    let names: &Vec<Name> = &[stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
+    let request = |(_, run, name): ChosenRun<'_, Name>| {
         let samples = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
         let points = (samples / SAMPLES_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
-        let number = run.number;
-        async move {
-            let main = [name];
-            let (series, means, episodes) = tokio::try_join!(
-                store.series(number, &main, points),
-                store.stage_means(number, names, points),
-                store.episodes(number),
-            )?;
-            Ok((number, RunTimeSeries { series, means, episodes }))
-        }
+        (run.number, [name], points)
     };
-    let runs = drawn_runs(comparison).0;
+    let read = |(run, main, points): (i64, [Name; 1], usize)| async move {
+        let (series, means, episodes) = tokio::try_join!(
+            store.series(run, &main, points),
+            store.stage_means(run, names, points),
+            store.episodes(run),
+        )?;
+        Ok((run, RunTimeSeries { series, means, episodes }))
+    };
+    let runs: Vec<_> = drawn_runs(comparison).0.into_iter().map(request).collect();
     futures::stream::iter(runs).map(read).buffered(CONCURRENT_READS).try_collect().await
 }
 

@@ -1,4 +1,4 @@
-//! Figure of accuracy against latency.
+//! Figure of accuracy, or of the success of episodes, against latency.
 
 mod numbers;
 
@@ -50,11 +50,32 @@ impl Score {
     }
 }
 
+/// Quantity of the vertical axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScoredQuantity {
+    /// Share of the answers that are right.
+    Top1,
+    /// Share of the episodes that were a success.
+    Success,
+}
+
+impl ScoredQuantity {
+    /// Returns the title of the axis, and that of the column in the key.
+    const fn titles(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Top1 => ("Top-1 accuracy, %", "accuracy, %"),
+            Self::Success => ("Successful episodes, %", "success, %"),
+        }
+    }
+}
+
 /// Figure with a numbered point for each configuration, and a table below that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
     /// Title of the figure.
     pub title: String,
+    /// Quantity of the vertical axis.
+    pub quantity: ScoredQuantity,
     /// Unit of the horizontal axis: a latency.
     pub unit: Unit,
     /// Points of the figure. Points without an answer or without a latency are not drawn.
@@ -124,7 +145,7 @@ impl Accuracy {
         } else {
             Scale::from_zero((0.0, slow * 1.04))
         };
-        let up = Axis::new(shares, "Top-1 accuracy, %", "%");
+        let up = Axis::new(shares, self.quantity.titles().0, "%");
         Some(Plot::new(self.unit.axis(across).with_grid(), up.with_grid()))
     }
 
@@ -147,7 +168,7 @@ impl Accuracy {
             [accuracy, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
         let symbol = &self.unit.symbol;
-        let titles = cells(["accuracy, %".to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
+        let titles = cells([self.quantity.titles().1.to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
         let lines = self.shown_scores().map(|(score, [_, share, _])| {
             let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
             (score.label.clone(), cells([fixed(share, 1), show(score.median), p95]))

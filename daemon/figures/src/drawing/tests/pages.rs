@@ -28,7 +28,8 @@ fn lengths_and_scaling_are_drawn_on_page() {
     let points = (0..3000).map(|i| (f64::from(i % 83), f64::from(i % 83) * 2e-3)).collect();
     let unit = Unit { title: "Tokens".to_owned(), symbol: "".into(), per_si: 1.0 };
     let (title, notes, stage) = (String::new(), Vec::new(), "inference".to_owned());
-    let lengths = Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, line: None, notes };
+    let lengths =
+        Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, line: None, notes };
     let html = page::plot(&lengths.figure().plots[0], "joint", "in words");
     assert_of_a_page(&html.replace("fill-opacity=\"", ""));
     assert!(html.contains("class=\"over\"") && html.contains("class=\"beside\""), "{html}");

@@ -67,6 +67,7 @@ fn score(label: &str, right: u64, count: u64, median: f64) -> Score {
 
 fn accuracy(scores: Vec<Score>) -> Accuracy {
     Accuracy {
+        quantity: ScoredQuantity::Top1,
         title: "Accuracy against latency".to_owned(),
         unit: Unit::milliseconds("Total"),
         scores,

@@ -102,7 +102,8 @@ impl ModelConfig {
     /// across operators.
     pub(crate) fn onnx(shared: SharedKeys, path: PathBuf, threads: [NonZeroUsize; 2]) -> Self {
         let [intra_threads, inter_threads] = threads;
-        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads, batch: None } }.into()
+        ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads, batch: None } }
+            .into()
     }
 }
 

@@ -74,10 +74,7 @@ impl ModelInputs {
     }
 
     /// Returns the inputs of the first `size` samples for a run of the session, by name and without a copy.
-    pub(super) fn values(
-        &mut self,
-        size: usize,
-    ) -> ort::Result<Vec<(Cow<'_, str>, SessionInputValue<'_>)>> {
+    pub(super) fn values(&mut self, size: usize) -> ort::Result<Vec<(Cow<'_, str>, SessionInputValue<'_>)>> {
         for buffer in self.inputs.iter_mut().filter(|buffer| buffer.is_batched()) {
             buffer.shape[0] = size;
         }

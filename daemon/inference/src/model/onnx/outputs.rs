@@ -99,7 +99,9 @@ impl<'a, 'run> Outputs<'a, 'run> {
         match output.shape.first_mut() {
             _ if batch == 1 => {}
             Some(rows) if *rows == batch => *rows = 1,
-            _ => return Err(output.wrong_shape(&format!("[{batch}, …], a row for each sample of the batch,"))),
+            _ => {
+                return Err(output.wrong_shape(&format!("[{batch}, …], a row for each sample of the batch,")));
+            }
         }
         Ok(output)
     }
