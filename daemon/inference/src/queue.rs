@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Bounded first-in first-out queue with several producers and consumers.
 ///
@@ -71,22 +71,27 @@ impl<T> Queue<T> {
         if state.closed { None } else { state.waiting.pop_front() }
     }
 
-    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and not at all if the
-    /// queue is closed.
+    /// Adds waiting items to `items` until there are `size`. Waits at most `timeout` for more of them, and takes none if the queue
+    /// is closed.
     pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
-        let deadline = Instant::now() + timeout;
+        let missing = size.saturating_sub(items.len());
         let mut state = self.lock();
-        loop {
-            let missing = size.saturating_sub(items.len());
-            let ready = missing.min(state.waiting.len());
-            items.extend(state.waiting.drain(..ready));
-            let remaining = deadline.saturating_duration_since(Instant::now());
-            if items.len() >= size || state.closed || remaining.is_zero() {
-                return;
-            }
-            state.idle += 1;
-            state = self.changed.wait_timeout(state, remaining).unwrap_or_else(PoisonError::into_inner).0;
-            state.idle -= 1;
+        // This consumer takes all of them at once, so that the queue has room for them.
+        state.idle += missing;
+        let is_short = |state: &mut State<T>| state.waiting.len() < missing && !state.closed;
+        let waited = self.changed.wait_timeout_while(state, timeout, is_short);
+        let (mut state, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        state.idle -= missing;
+        if state.closed {
+            return;
+        }
+        let ready = missing.min(state.waiting.len());
+        items.extend(state.waiting.drain(..ready));
+        let is_more_waiting = !state.waiting.is_empty();
+        drop(state);
+        // The notification of a further item may have come to this consumer instead of an idle one.
+        if is_more_waiting {
+            self.changed.notify_one();
         }
     }
 

@@ -2,6 +2,7 @@
 
 use bytes::Bytes;
 use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_sample::Part;
 
 use super::text_line::shorten;
 use super::{
@@ -89,6 +90,19 @@ impl Program {
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
     pub fn call(&mut self, request: Request<'_>) -> Result<ProgramCall, ProgramCallError> {
+        self.call_in_parts(request, &mut |_| true)
+    }
+
+    /// Sends a request as [`call`](Self::call) does, and passes each part of a model's answer to `on_part` when it arrives. `on_part`
+    /// returns whether somebody still waits for the answer; if not, the program is killed. The timeout begins again with each part.
+    ///
+    /// # Errors
+    /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if nobody waits any more.
+    pub fn call_in_parts(
+        &mut self,
+        request: Request<'_>,
+        on_part: &mut dyn FnMut(Part) -> bool,
+    ) -> Result<ProgramCall, ProgramCallError> {
         if self.is_finished {
             let now = self.clock.mono();
             let notes = ReplyNotes::default();
@@ -106,7 +120,8 @@ impl Program {
             None => self.restart()?,
         };
         let started_at = self.clock.mono();
-        let result = send_and_receive(&mut process, request, self.role, started_at + self.timeout);
+        let deadline = || self.clock.mono() + self.timeout;
+        let result = send_and_receive(&mut process, request, self.role, &deadline, on_part);
         let ended_at = self.clock.mono();
         match result {
             Ok(Reply { notes, outcome }) => {
@@ -121,6 +136,10 @@ impl Program {
             Err(error) => {
                 // The program is killed before the delay starts, so that it cannot disturb the next process.
                 let error = match error {
+                    ProgramCallError::Cancelled => {
+                        drop(process);
+                        return Err(error);
+                    }
                     ProgramCallError::Process(ProcessError::TimedOut) => ProgramCallError::TooSlow {
                         after: self.timeout.to_duration(),
                         stderr_suffix: process.kill().stderr_suffix(),
@@ -169,8 +188,10 @@ fn send_and_receive(
     process: &mut Process,
     request: Request<'_>,
     role: Role,
-    deadline: MonoTime,
+    deadline: &dyn Fn() -> MonoTime,
+    on_part: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
+    let mut until = deadline();
     // Output before the request would be mistaken for its reply. From then on, each reply would be mistaken for the
     // reply to the next request.
     if process.has_more() {
@@ -178,15 +199,22 @@ fn send_and_receive(
     }
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
-    process.write(&slices, deadline)?;
+    process.write(&slices, until)?;
     let mut assembler = ReplyAssembler::new(role);
     let mut input = ReplyInput::Line;
     loop {
         input = match input {
-            ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, deadline)?)?,
+            ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, until)?)?,
+            ReplyInput::LineAfter(part) => {
+                if !on_part(part) {
+                    return Err(ProgramCallError::Cancelled);
+                }
+                until = deadline();
+                ReplyInput::Line
+            }
             ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_BYTES`, which fits into a usize.
-            ReplyInput::Bytes(count) => assembler.push_bytes(process.read_exact(count as usize, deadline)?),
+            ReplyInput::Bytes(count) => assembler.push_bytes(process.read_exact(count as usize, until)?),
             ReplyInput::Reply(reply) => return Ok(reply),
         }
     }

@@ -104,6 +104,8 @@ pub enum ReplyInput {
     Line,
     /// The given number of bytes.
     Bytes(u64),
+    /// A line, after the caller has passed on this part of a model's answer.
+    LineAfter(Part),
     /// Nothing: the reply is complete.
     Reply(Reply),
 }
@@ -117,8 +119,19 @@ pub struct ReplyAssembler {
     line_count: usize,
     /// Number of bytes of all parts so far.
     bytes: u64,
-    /// Description of the part whose bytes are expected next, and whether it is the last part.
-    pending_part: Option<(peernet_sample::Description, bool)>,
+    /// Description of the part whose bytes are expected next, and its position.
+    pending_part: Option<(peernet_sample::Description, Position)>,
+}
+
+/// Position of a part in a reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Position {
+    /// Before the last part of the result.
+    Inner,
+    /// The last part of the result, with which the reply ends.
+    Last,
+    /// A part of the answer that is passed on at once, before the whole answer.
+    Partial,
 }
 
 impl ReplyAssembler {
@@ -181,9 +194,14 @@ impl ReplyAssembler {
             },
             ("episode-ended", Role::Actuator) => notes.episode_ended = true,
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
-            ("answer" | "part", Role::Sensor | Role::Model) => {
+            ("answer" | "part", Role::Sensor | Role::Model) | ("partial", Role::Model) => {
+                let position = match word {
+                    "answer" => Position::Last,
+                    "part" => Position::Inner,
+                    _ => Position::Partial,
+                };
                 return self
-                    .announce_part(rest, word == "answer")
+                    .announce_part(rest, position)
                     .map_err(|error| error.unwrap_or_else(|| form_error(ANSWER_FORM)));
             }
             _ => return Err(self.unknown_word(line)),
@@ -193,17 +211,27 @@ impl ReplyAssembler {
 
     /// Processes the bytes that [`ReplyInput::Bytes`] asked for.
     pub fn push_bytes(&mut self, bytes: Bytes) -> ReplyInput {
-        let Some((description, is_last)) = self.pending_part.take() else { return ReplyInput::Line };
-        self.parts.push(Part { description, bytes });
-        if is_last {
-            let parts = std::mem::take(&mut self.parts);
-            return self.finish(ReplyOutcome::Parts(parts));
+        let Some((description, position)) = self.pending_part.take() else { return ReplyInput::Line };
+        let part = Part { description, bytes };
+        match position {
+            Position::Partial => {
+                // A streamed answer may have any number of parts, which do not add up in memory.
+                self.line_count -= 1;
+                self.bytes -= part.bytes.len() as u64;
+                return ReplyInput::LineAfter(part);
+            }
+            Position::Inner => self.parts.push(part),
+            Position::Last => {
+                self.parts.push(part);
+                let parts = std::mem::take(&mut self.parts);
+                return self.finish(ReplyOutcome::Parts(parts));
+            }
         }
         ReplyInput::Line
     }
 
     /// Parses `BYTES [MEDIA-TYPE [SHAPE]]`. The error `None` means that the form is form_error.
-    fn announce_part(&mut self, rest: &str, is_last: bool) -> Result<ReplyInput, Option<FramingError>> {
+    fn announce_part(&mut self, rest: &str, position: Position) -> Result<ReplyInput, Option<FramingError>> {
         let mut words = rest.split_ascii_whitespace();
         let bytes: u64 = words.next().and_then(|word| word.parse().ok()).ok_or(None)?;
         let media = words.next().map_or(MediaType::Bytes, MediaType::from_iana);
@@ -222,7 +250,7 @@ impl ReplyAssembler {
         if self.parts.len() == MAX_PARTS {
             return Err(Some(FramingError::TooManyParts));
         }
-        self.pending_part = Some((description, is_last));
+        self.pending_part = Some((description, position));
         Ok(ReplyInput::Bytes(bytes))
     }
 
@@ -233,7 +261,7 @@ impl ReplyAssembler {
     fn unknown_word(&self, line: &str) -> FramingError {
         let words = match self.role {
             Role::Sensor => "answer, part, end, error, stage, value, sequence, label, source, version",
-            Role::Model => "answer, part, error, stage, value, version",
+            Role::Model => "answer, part, partial, error, stage, value, version",
             Role::Actuator => "done, error, stage, value, reward, success, episode-ended, version",
         };
         FramingError::Word { line: shorten(line), role: self.role.word(), words: words.to_owned() }

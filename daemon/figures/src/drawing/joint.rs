@@ -10,8 +10,8 @@ use crate::plot::{At, Item, Path, Plot, Strip};
 
 /// Number of points from which on cells with shades replace the points, because dots would hide each other.
 const MIN_POINTS_FOR_CELLS: usize = 400;
-/// Number of cells across and upwards. A cell is about 2.5 points wide and high in a file.
-const CELLS: (f64, f64) = (80.0, 44.0);
+/// Number of cells across and upwards. A cell is about 4 points wide and high in a file.
+const CELLS: (f64, f64) = (50.0, 25.0);
 /// Number of shades of cells.
 const SHADES: f64 = 14.0;
 /// Diameter of a point in a file, points.

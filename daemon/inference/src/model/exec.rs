@@ -118,11 +118,17 @@ impl Worker for ExecWorker {
         &mut self,
         sample: &Sample,
         recorder: &mut Recorder,
-        _requester: &dyn Requester,
+        requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
-        let program_call =
-            self.program.call(Request::Sample(sample)).map_err(|error| failed(error.to_string()))?;
+        let called = self.program.call_in_parts(Request::Sample(sample), &mut |part| {
+            let part = Sample { parts: vec![part], source: String::new(), label: None };
+            requester.send_part(part).is_ok()
+        });
+        let program_call = called.map_err(|error| match error {
+            ProgramCallError::Cancelled => InferenceError::Cancelled { model: self.model.clone() },
+            error => failed(error.to_string()),
+        })?;
         for stage in program_call.stages().map_err(|error| failed(error.to_string()))? {
             recorder.record_timer(Name::from(stage.name), stage.from, stage.to);
         }

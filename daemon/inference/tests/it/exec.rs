@@ -3,6 +3,7 @@
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
+use super::listener::run_in_parts;
 use super::{bank, jpeg, loaded, run, slug};
 
 /// Program that answers with its input and its device, and reports durations if the sample asks for them.
@@ -91,4 +92,21 @@ fn missing_program_is_found_by_check_and_load() {
     assert!(matches!(bank.check().as_slice(), [(0, LoadError::Program { .. })]));
     let error = bank.load(&slug("p"), None).expect_err("is not there").to_string();
     assert!(error.contains("model p") && error.contains("./no-such-program"), "{error}");
+}
+
+#[test]
+fn partial_lines_are_parts_of_the_answer() {
+    let script = "while read -r word bytes media shape rest; do x=$(head -c \"$bytes\"); \
+                  for i in 1 2 3; do printf 'partial 2 text/plain\\n%s;' \"$i\"; done; \
+                  printf 'answer 4 text/plain\\n%s' done; done";
+    let config = format!("name = 'p'\nkind = 'exec'\ncommand = {script:?}");
+    let bank = bank(&[&config]);
+    let pool = loaded(&bank, "p");
+    let (result, parts) = run_in_parts(&pool, text("x"), 10);
+    let texts: Vec<_> = parts.iter().map(|part| part.parts[0].bytes.clone()).collect();
+    assert_eq!(texts, ["1;", "2;", "3;"]);
+    assert_eq!(result.unwrap_or_else(|error| panic!("{error}")).parts[0].bytes, "done");
+    let (result, parts) = run_in_parts(&pool, text("x"), 2);
+    assert_eq!((result, parts.len()), (Err(InferenceError::Cancelled { model: "p".to_owned() }), 2));
+    assert!(run(&pool, text("x")).result.is_ok(), "the program is started again");
 }

@@ -9,6 +9,7 @@ mod distribution;
 mod exec;
 mod folders;
 mod graphs;
+mod listener;
 mod openai;
 mod process;
 mod python;

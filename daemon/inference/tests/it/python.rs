@@ -1,15 +1,11 @@
 //! Python objects as models.
 
 use std::fs;
-use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
-use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, LoadError, Requester};
-use peernet_logger::{HostId, Recorder};
+use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
-use tokio_util::sync::CancellationToken;
 
+use super::listener::run_in_parts;
 use super::{bank, loaded, run, slug};
 
 const MODEL: &str = "
@@ -87,28 +83,6 @@ class Broken:
         raise ValueError('lost the thread')
 ";
 
-/// Requester that keeps parts and cancels after some of them.
-struct Listener {
-    parts: Mutex<Vec<Sample>>,
-    limit: usize,
-}
-
-impl Requester for Listener {
-    fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
-        let mut parts = self.parts.lock().expect("is not poisoned");
-        parts.push(part);
-        if parts.len() < self.limit { Ok(()) } else { Err(Cancelled) }
-    }
-
-    fn cancellation(&self) -> CancellationToken {
-        CancellationToken::new()
-    }
-
-    fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
-        Ok(())
-    }
-}
-
 /// Runs an object of [`GENERATORS`]; returns the result and the parts that it sent.
 fn run_generator(
     folder: &tempfile::TempDir,
@@ -118,19 +92,7 @@ fn run_generator(
     fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
     let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
     let pool = loaded(&bank, "p");
-    let clock = super::clock();
-    let listener = Arc::new(Listener { parts: Mutex::default(), limit });
-    let (sender, receiver) = sync_channel(1);
-    let job = Job {
-        sample: text("one two three"),
-        recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
-        received: clock.mono(),
-        requester: Arc::clone(&listener) as Arc<dyn Requester>,
-        reply: Box::new(move |done: FinishedJob| sender.send(done.result).expect("is awaited")),
-    };
-    pool.submit(job).expect("the queue has room");
-    let result = receiver.recv().expect("is answered");
-    let parts = std::mem::take(&mut *listener.parts.lock().expect("is not poisoned"));
+    let (result, parts) = run_in_parts(&pool, text("one two three"), limit);
     // The process serves the next sample as well, whatever became of the last one.
     assert_eq!(run(&pool, text("one two three")).result.is_ok(), object != "Broken");
     (result, parts)

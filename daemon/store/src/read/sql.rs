@@ -111,11 +111,12 @@ statements! {
     VERDICTS = "SELECT verdict_count.run, name.text, verdict_count.verdict, verdict_count.count FROM verdict_count \
                 JOIN name ON name.id = verdict_count.name \
                 WHERE verdict_count.run IN (SELECT value FROM json_each(?1)) ORDER BY verdict_count.verdict";
-    /// First and last bucket: ?1 run, ?2 resolution.
-    EXTENT = "SELECT (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2), \
-              (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = ?2)";
-    /// Deleted data of a run: ?1 run.
-    TRIMMED = "SELECT kind, before_s FROM trimmed WHERE run = ?1";
+    /// For each resolution: its first and last bucket, and whether buckets were deleted. ?1 run, ?2 the resolutions, a JSON array.
+    EXTENTS = "SELECT width.value, \
+               (SELECT min(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
+               (SELECT max(bucket_s) FROM rollup WHERE run = ?1 AND resolution_s = width.value), \
+               EXISTS (SELECT 1 FROM trimmed WHERE run = ?1 AND kind = width.value) \
+               FROM json_each(?2) AS width";
     /// ?1 run, ?2 limit.
     SLOWEST = concat!(iteration_columns!(),
         "WHERE run = ?1 AND warm_up = 0 AND outcome = 0 AND total IS NOT NULL ORDER BY total DESC, number DESC LIMIT ?2");

@@ -36,7 +36,12 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 15] = [
         "\n\t$(CARGO) build --release --locked --package peernetd --bin peernetd --features ros2\n",
     ),
     (
-        &["tests/bench/run.sh python", "tests/bench/run.sh stream", "tests/bench/run.sh --quick loop"],
+        &[
+            "tests/bench/run.sh python",
+            "tests/bench/run.sh stream",
+            "tests/bench/run.sh pages",
+            "tests/bench/run.sh --quick loop",
+        ],
         "Makefile",
         "\n\ttests/bench/run.sh\n",
     ),

@@ -4,7 +4,7 @@ use peernet_tests::{Document, DocumentedCommands};
 
 use crate::experiments::{Results, column, wait_for_runs};
 
-pub(crate) const COMMANDS: [&str; 10] = [
+pub(crate) const COMMANDS: [&str; 12] = [
     "peernetd run cloud.toml",
     "peernet run configs/experiments/efficientnet.toml",
     "peernet plot --kind paired results/efficientnet",
@@ -15,11 +15,16 @@ pub(crate) const COMMANDS: [&str; 10] = [
     "peernet compare teleoperation --baseline teleoperation/run-1",
     "peernet plot teleoperation --kind stacked --out figures",
     PAYLOADS,
+    DETECTION_CLOUD,
+    DETECTION,
 ];
 
 const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/teleoperation.toml";
 /// Measures all networks without the option.
 const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
+
+/// `peernet run` with a Python that has Debian's packages.
+const PYTHON_RUN: &str = "env PEERNET_PYTHON=/usr/bin/python3 peernet run";
 
 /// Replaces the simulation, whose packages this machine may lack: pictures without an arm, and a controller that takes any action.
 const ROBOT: &str = "
@@ -43,6 +48,9 @@ class Cameras:
             feedback = {'iteration': action['iteration'], 'reward': -self.time, 'success': action['step'] == 2}
             self.controller.sendto(json.dumps(feedback).encode(), sender)
 ";
+
+const DETECTION_CLOUD: &str = "peernetd run configs/detection-cloud.toml";
+const DETECTION: &str = "peernet run configs/experiments/detection-line.toml";
 
 const PAYLOADS: &str = "peernet run --set experiment.iterations=100 --set pipeline.placement.peer=tcp://10.0.0.2:5551 configs/experiments/payload-study.toml";
 
@@ -90,7 +98,42 @@ fn paper_experiments_are_measured_compared_and_drawn() {
     measure_payload_study(&machines);
     let end = cloud.stop();
     assert_eq!(end.code(), 0, "{}", end.log);
+    measure_detection(&machines);
     machines.finish();
+}
+
+/// Measures one and two cameras that share a detector, with and without batches.
+fn measure_detection(machines: &DocumentedCommands) {
+    let detector = peernet_tests::root().join("models/defect-detector");
+    let write = |file: &str, replacements: &[(&str, &str)]| {
+        let detector = detector.to_str().expect("is text");
+        let text = Document::read(file).text.replace("models/defect-detector", detector);
+        machines.write(file, &replacements.iter().fold(text, |text, (from, to)| text.replace(from, to)));
+    };
+    write("configs/detection-cloud.toml", &[("tcp://127.0.0.1:5551", "tcp://0.0.0.0:5551")]);
+    let cloud_address = format!("tcp://{}:5551", DocumentedCommands::CLOUD);
+    write(
+        "configs/experiments/detection-line.toml",
+        &[
+            ("tcp://127.0.0.1:5551", &cloud_address),
+            ("duration_s = 20", "duration_s = 2"),
+            ("[1, 4, 16]", "[1, 2]"),
+        ],
+    );
+    let cloud = machines.on_cloud(DETECTION_CLOUD, &[]);
+    cloud.wait_for("ready");
+    let end = wait_for_runs(machines.on_edge(DETECTION, &[]), 4);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let results = Results::of(machines.folder().join("results/detection-line"));
+    assert_eq!(results.stages(), ["finished"; 4]);
+    assert_eq!(column(&results.folder.join("compare.csv"), "edges"), ["1", "2", "1", "2"]);
+    for folder in results.folders().iter().filter(|folder| folder.contains("-on-1-")) {
+        let sizes = column(&results.file(folder, "data.csv"), "inference_batch-size");
+        assert!(!sizes.is_empty() && sizes.iter().all(|size| size.starts_with('1')), "{sizes:?}");
+    }
+    assert!(results.folder.join("users.svg").is_file(), "{}", end.log);
+    let end = cloud.stop();
+    assert_eq!(end.code(), 0, "{}", end.log);
 }
 
 /// Measures three models locally and on the server.
@@ -140,12 +183,13 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
     // The document shows this output.
     let document = Document::read("docs/experiments/teleoperation.md").text;
     assert!(document.contains(check.log.trim()), "{}", check.log);
-    let end = wait_for_runs(machines.on_edge(ALL_NETWORKS, &[("--only Network=LAN ", "")]), 9);
+    let end =
+        wait_for_runs(machines.on_edge(ALL_NETWORKS, &[("peernet run --only Network=LAN", PYTHON_RUN)]), 9);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
     assert_eq!(results.stages(), ["finished"; 9]);
     assert_eq!(column(&results.folder.join("compare.csv"), "success-rate"), ["1"; 9]);
-    let end = machines.on_edge(NO_NETWORK, &[]).wait_for_end();
+    let end = machines.on_edge(NO_NETWORK, &[("peernet run", PYTHON_RUN)]).wait_for_end();
     assert_eq!(end.code(), 0, "its run is finished: {}", end.log);
     std::os::unix::fs::symlink(&results.folder, machines.folder().join("teleoperation")).expect("writable");
 

@@ -102,5 +102,5 @@ fn daemon_linked_as_peernet_measures_experiment() {
     let end =
         Process::start(&link, &[Path::new("run"), Path::new("e.toml")], folder.path(), &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    assert!(end.log.contains("1 of 1 runs finished"), "{}", end.log);
+    assert!(end.log.contains("1 of 1 run finished"), "{}", end.log);
 }

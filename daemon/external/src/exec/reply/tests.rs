@@ -29,6 +29,7 @@ fn feed(role: Role, output_bytes: &[u8]) -> Result<Option<(Reply, usize)>, Frami
                 }
                 assembler.push_bytes(bytes.into())
             }
+            ReplyInput::LineAfter(_) => ReplyInput::Line,
             ReplyInput::Reply(reply) => return Ok(Some((reply, output.position() as usize))),
         }
     }

@@ -168,7 +168,11 @@ impl Accuracy {
             [accuracy, median].into_iter().chain(has_p95.then_some(p95)).collect::<Vec<_>>()
         };
         let symbol = &self.unit.symbol;
-        let titles = cells([self.quantity.titles().1.to_owned(), format!("median, {symbol}"), format!("p95, {symbol}")]);
+        let titles = cells([
+            self.quantity.titles().1.to_owned(),
+            format!("median, {symbol}"),
+            format!("p95, {symbol}"),
+        ]);
         let lines = self.shown_scores().map(|(score, [_, share, _])| {
             let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
             (score.label.clone(), cells([fixed(share, 1), show(score.median), p95]))

@@ -73,7 +73,7 @@ impl OnnxWorker {
         let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
         let batch = recorders.len();
         let outputs = {
-            let mut stages = time_all(recorders, stage::INFERENCE);
+            let mut stages = time_all(recorders, &stage::INFERENCE);
             if plan.batching.is_on() {
                 for recorder in &mut stages {
                     recorder.value(BATCH_SIZE, batch as f64, Unit::NONE);
@@ -85,7 +85,7 @@ impl OnnxWorker {
             let values = inputs.values(batch).map_err(|error| failed(error.to_string()))?;
             session.run(values).map_err(|error| failed(error.to_string()))?
         };
-        let _stages = time_all(recorders, stage::POSTPROCESSING);
+        let _stages = time_all(recorders, &stage::POSTPROCESSING);
         let answer = |index: usize| {
             let outputs = Outputs::new(&outputs, Row { index, batch });
             answer::answer(&plan.card, &outputs, inputs.transform(index))
@@ -96,7 +96,7 @@ impl OnnxWorker {
 }
 
 /// Starts a stage in all recorders.
-fn time_all<'a>(recorders: &'a mut [&mut Recorder], stage: Name) -> Vec<TimerGuard<'a>> {
+fn time_all<'a>(recorders: &'a mut [&mut Recorder], stage: &Name) -> Vec<TimerGuard<'a>> {
     recorders.iter_mut().map(|recorder| recorder.time(stage.clone())).collect()
 }
 
@@ -116,7 +116,7 @@ impl Worker for OnnxWorker {
         let mut recorders: Vec<&mut Recorder> =
             requests.iter_mut().map(|request| &mut *request.recorder).collect();
         let prepared = {
-            let _stages = time_all(&mut recorders, stage::PREPROCESSING);
+            let _stages = time_all(&mut recorders, &stage::PREPROCESSING);
             self.preprocess(&samples)
         };
         let mut ready: Vec<&mut Recorder> = recorders

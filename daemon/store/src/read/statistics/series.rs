@@ -47,21 +47,18 @@ pub(super) struct StoredWidths([Width; WIDTHS_S.len()]);
 
 impl StoredWidths {
     pub(super) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
-        let trimmed: Vec<(i64, i64)> = sqlx::query_as(sql::TRIMMED)
+        // One statement for all widths: a page of a hundred runs reads them hundreds of times.
+        let extents: Vec<(i64, Option<i64>, Option<i64>, bool)> = sqlx::query_as(sql::EXTENTS)
             .bind(run)
+            .bind(serde_json::to_string(&WIDTHS_S).map_err(|error| corrupt_data(WHAT, error))?)
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
         let mut widths = WIDTHS_S.map(|width_s| Width { width_s, extent: None, is_complete: true });
-        for width in &mut widths {
-            let (first, last): (Option<i64>, Option<i64>) = sqlx::query_as(sql::EXTENT)
-                .bind(run)
-                .bind(width.width_s)
-                .fetch_one(&readers.pool())
-                .await
-                .map_err(readers.failed(WHAT))?;
-            width.extent = first.zip(last);
-            width.is_complete = !trimmed.iter().any(|(kind, _)| *kind == width.width_s);
+        for (width_s, first, last, is_trimmed) in extents {
+            if let Some(width) = widths.iter_mut().find(|width| width.width_s == width_s) {
+                (width.extent, width.is_complete) = (first.zip(last), !is_trimmed);
+            }
         }
         Ok(Self(widths))
     }
