@@ -68,7 +68,7 @@ impl Joint<'_> {
         }
         if let Some((intercept, slope)) = self.line {
             let ends = [self.x.1.moments.min, self.x.1.moments.max.min(x.end())];
-            let line = Path::line(ends.map(|x| self.position((x, intercept + slope * x))).into_iter());
+            let line = Path::line(ends.map(|x| self.position((x, intercept + slope * x))));
             // The line needs a halo only over cells.
             let styles = [Style::halo(), Style::line("fit", INK.light, LINE_WIDTH)];
             let shown = styles.into_iter().skip(usize::from(!self.has_cells()));
