@@ -129,7 +129,9 @@ fn measure_detection(machines: &DocumentedCommands) {
     assert_eq!(column(&results.folder.join("compare.csv"), "edges"), ["1", "2", "1", "2"]);
     for folder in results.folders().iter().filter(|folder| folder.contains("-on-1-")) {
         let sizes = column(&results.file(folder, "data.csv"), "inference_batch-size");
-        assert!(!sizes.is_empty() && sizes.iter().all(|size| size.starts_with('1')), "{sizes:?}");
+        // One camera has at most four pictures in flight.
+        let is_possible = |size: &String| size.parse().is_ok_and(|size: f64| (1.0..=4.0).contains(&size));
+        assert!(!sizes.is_empty() && sizes.iter().all(is_possible), "{sizes:?}");
     }
     assert!(results.folder.join("users.svg").is_file(), "{}", end.log);
     let end = cloud.stop();
