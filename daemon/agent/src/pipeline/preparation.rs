@@ -8,7 +8,7 @@ use peernet_sensors::SensorError;
 use super::actuator_executor::{ActError, ActuatorExecutor};
 use super::sensing::PreparationRequest;
 
-/// What has to be done before the next sample.
+/// Preparation before the next sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Preparation {
     /// Resets sensor and actuator for an episode.

@@ -100,7 +100,7 @@ pub enum CommandError {
 /// Reason that a program did not reply to a request.
 #[derive(Debug, thiserror::Error)]
 pub enum ProgramCallError {
-    /// Nobody waits for the answer any more; the program was killed.
+    /// The request was cancelled; the program was killed.
     #[error("nobody waits for the answer any more; the program was killed")]
     Cancelled,
     /// The command cannot be run.

@@ -97,7 +97,7 @@ impl Program {
     /// returns whether somebody still waits for the answer; if not, the program is killed. The timeout begins again with each part.
     ///
     /// # Errors
-    /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if nobody waits any more.
+    /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if `on_part` returns `false`.
     pub fn call_in_parts(
         &mut self,
         request: Request<'_>,

@@ -43,7 +43,7 @@ pub(super) enum Request<'a> {
     Reset {},
     /// Continues the call after a part of its answer.
     Proceed {},
-    /// Ends the call after a part of its answer: nobody waits for it any more.
+    /// Ends the call after a part of its answer, because the request was cancelled.
     Cancel {},
     /// Calls `advance(seconds)` of the object.
     Advance { seconds: f64 },

@@ -38,7 +38,7 @@ fn batching_bank(name: &str, batch: &str) -> Bank {
     bank(&[&format!("{}\nbatch = {batch}", table(name, &models().join(name)))])
 }
 
-/// Submits requests and returns what became of them, in their order.
+/// Submits requests and returns their results, in their order.
 fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>)>) -> Vec<FinishedJob> {
     let pool = loaded(bank, name);
     let clock = clock();
