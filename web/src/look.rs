@@ -7,12 +7,23 @@ use peernet_logger::{Name, stage};
 
 static STAGES: [Name; stage::COUNT] = stage::ORDER;
 
-/// The stages and `unattributed`, in the order of every stack, key and table. Pages pass it to the scripts.
+/// The stages and `unattributed`, in the order of every stack, key and table.
 pub(crate) static STACK: LazyLock<Vec<&'static str>> =
     LazyLock::new(|| STAGES.iter().map(Name::as_str).chain(["unattributed"]).collect());
 
 /// Name of both directions of the network together, for delays that the clocks cannot split.
 pub(crate) const NETWORK: &str = peernet_analysis::slowness::BOTH_DIRECTIONS;
+
+/// Returns the parts of a total in their order: [`STACK`] with both directions together before `upload`.
+pub(crate) fn parts() -> impl Iterator<Item = &'static str> {
+    let both_directions = |name: &str| (name == stage::UPLOAD.as_str()).then_some(NETWORK);
+    STACK.iter().flat_map(move |name| both_directions(name).into_iter().chain([*name]))
+}
+
+/// Returns the names of all parts of a total, separated by commas, for the scripts of pages.
+pub(crate) fn part_names() -> String {
+    parts().collect::<Vec<_>>().join(",")
+}
 
 /// Name of the rest of an iteration, if neither the directions nor the unattributed time are known.
 pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";

@@ -256,6 +256,8 @@ pub struct LiveSecond {
     pub counts: OutcomeCounts,
     /// Means by node name in SI units, in the order of [`Window::values`].
     pub means: Vec<(Name, f64)>,
+    /// Parts that add up to the mean of the total, seconds: see [`StageSplit`](peernet_analysis::stage_split::StageSplit).
+    pub parts: Vec<(Name, f64)>,
     /// 95th percentile of the total latency in this second, seconds; `None` if fewer than 60 iterations succeeded.
     pub total_p95: Option<f64>,
     /// Amounts of data and transfer times of both directions.

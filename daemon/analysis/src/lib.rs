@@ -38,6 +38,8 @@ pub mod run_selection;
 mod run_trust_input;
 pub mod sensor_study;
 pub mod slowness;
+pub mod stage_split;
+pub mod standstill;
 pub mod summary;
 pub mod table;
 #[cfg(test)]

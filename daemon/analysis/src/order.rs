@@ -1,9 +1,6 @@
 //! Order statistics. They describe delays better than means, because the distribution of delays has a long tail.
 
-/// Minimum number of values for p5 and p95, everywhere in PEERNet.
-pub const MIN_VALUES_FOR_P95: usize = 60;
-/// Minimum number of values for p99.
-pub const MIN_VALUES_FOR_P99: usize = 300;
+use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 
 /// Quantile of the standard normal distribution for a 95 % interval.
 pub(crate) const Z95: f64 = 1.959_963_984_540_054;
@@ -58,12 +55,20 @@ impl SortedValues {
 
     /// Returns the 95th percentile; `None` with fewer than 60 values.
     pub fn p95(&self) -> Option<f64> {
-        self.quantile(0.95).filter(|_| self.0.len() >= MIN_VALUES_FOR_P95)
+        self.quantile(0.95).filter(|_| self.0.len() as u64 >= MIN_VALUES_FOR_P95)
     }
 
     /// Returns the 99th percentile; `None` with fewer than 300 values.
     pub fn p99(&self) -> Option<f64> {
-        self.quantile(0.99).filter(|_| self.0.len() >= MIN_VALUES_FOR_P99)
+        self.quantile(0.99).filter(|_| self.0.len() as u64 >= MIN_VALUES_FOR_P99)
+    }
+
+    /// Returns the end of a scale for these values: the largest, but at most `factor` times the quantile at `p`. A quantile of 0 does not
+    /// limit the scale. `None` without finite values.
+    pub fn scale_end(&self, p: f64, factor: f64) -> Option<f64> {
+        let finite: Self = self.0.iter().copied().filter(|value| value.is_finite()).collect();
+        let (largest, limit) = (finite.0.last().copied()?, finite.quantile(p)? * factor);
+        Some(if limit > 0.0 { largest.min(limit) } else { largest })
     }
 
     /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean and Schrader 1984).

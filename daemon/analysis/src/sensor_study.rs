@@ -1,9 +1,9 @@
 //! Study of a sensor alone: its rate, its jitter, and its dropped samples.
 
-use peernet_statistics::Moments;
 use peernet_statistics::number::{counted, fixed, milliseconds, significant};
+use peernet_statistics::{MIN_VALUES_FOR_P95, Moments};
 
-use crate::order::{MIN_VALUES_FOR_P95, SortedValues};
+use crate::order::SortedValues;
 use crate::rows::{Outcome, RowRef, Rows};
 use crate::table::Table;
 

@@ -1,5 +1,7 @@
 //! Causes of slow iterations, by comparison with the medians of their run.
 
+use std::ops::Range;
+
 use peernet_logger::{Name, stage};
 use serde::Serialize;
 
@@ -8,6 +10,8 @@ use crate::rows::LATENESS;
 /// Name of both directions of the network, for runs in which only their sum is known.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
+/// Ratios of a total to the median of its run that are the usual variation.
+pub const USUAL_RATIOS: Range<f64> = 0.95..1.05;
 /// Minimum share of an iteration's excess that the causes explain together.
 const MIN_EXPLAINED_SHARE: f64 = 0.8;
 
@@ -31,8 +35,11 @@ impl Cause {
 
 /// Returns the causes of a slow iteration, which took `total` seconds in a run with the median `median`. They are the parts with the largest
 /// excess over their medians, the largest first, until they explain 80 % of the excess of the total. Parts must not overlap. Empty if the
-/// iteration was not slower than the median.
+/// iteration took less than 1.05 times the median.
 pub fn causes(total: f64, median: f64, parts: impl IntoIterator<Item = Cause>) -> Vec<Cause> {
+    if total < USUAL_RATIOS.end * median {
+        return Vec::new();
+    }
     let excess_to_explain = MIN_EXPLAINED_SHARE * (total - median);
     let mut slow_parts: Vec<Cause> = parts.into_iter().filter(|part| part.excess() > 0.0).collect();
     slow_parts.sort_by(|a, b| b.excess().total_cmp(&a.excess()));
@@ -72,13 +79,14 @@ pub struct IterationTimes<'a> {
 pub struct Medians(pub Vec<(Name, f64)>);
 
 impl Medians {
-    fn median(&self, name: &str) -> Option<f64> {
+    /// Returns the median of a node; `None` if the run has no values of it.
+    pub fn median(&self, name: &str) -> Option<f64> {
         self.0.iter().find(|(node, _)| node == name).map(|(_, median)| *median)
     }
 
     /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because its delays are never known, the time of
     /// both is computed from the medians of the total and the other stages.
-    fn both_ways(&self) -> Option<f64> {
+    pub fn both_ways(&self) -> Option<f64> {
         let medians = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let medians: Vec<f64> = medians.collect();
         if !medians.is_empty() {
@@ -159,6 +167,8 @@ mod tests {
         let parts = || [part("upload", 0.010, 0.005), part("inference", 0.005, 0.015)];
         assert_eq!(causes(0.015, 0.020, parts()), []);
         assert_eq!(causes(0.020, 0.020, parts()), []);
+        assert_eq!(causes(0.0209, 0.020, parts()), [], "the usual variation");
+        assert_eq!(names(&causes(0.0211, 0.020, parts())), ["upload"]);
     }
 
     #[test]

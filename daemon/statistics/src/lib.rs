@@ -21,7 +21,7 @@ pub use moments::Moments;
 pub use recent_seconds::RecentSeconds;
 pub use sketch::{PackedError, Sketch};
 pub use splitmix::SplitMix64;
-pub use summary::Summary;
+pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary};
 
 /// Largest count that is accepted from other hosts.
 // Every integer up to it is exact as `f64`, and thousands of such counts can be added in 64 bits.

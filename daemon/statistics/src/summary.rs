@@ -4,6 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::{MAX_MAGNITUDE, Merge, Moments, Sketch};
 
+/// Minimum number of values for p5 and p95, everywhere in PEERNet.
+pub const MIN_VALUES_FOR_P95: u64 = 60;
+/// Minimum number of values for p99, everywhere in PEERNet.
+pub const MIN_VALUES_FOR_P99: u64 = 300;
+
 /// Summary of a quantity, in bounded memory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
@@ -45,6 +50,21 @@ impl Summary {
     /// `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
+    }
+
+    /// Returns the 5th and the 95th percentile; `None` with fewer than [`MIN_VALUES_FOR_P95`] numbers.
+    pub fn tails(&self) -> Option<(f64, f64)> {
+        Some((self.quantile(0.05)?, self.p95()?))
+    }
+
+    /// Returns the 95th percentile; `None` with fewer than [`MIN_VALUES_FOR_P95`] numbers.
+    pub fn p95(&self) -> Option<f64> {
+        self.quantile(0.95).filter(|_| self.count() >= MIN_VALUES_FOR_P95)
+    }
+
+    /// Returns the 99th percentile; `None` with fewer than [`MIN_VALUES_FOR_P99`] numbers.
+    pub fn p99(&self) -> Option<f64> {
+        self.quantile(0.99).filter(|_| self.count() >= MIN_VALUES_FOR_P99)
     }
 
     /// Returns the end of an axis for these numbers, which starts at `start`. It is the largest number, or a little above the
@@ -97,6 +117,20 @@ mod tests {
         summary.record(0.0101);
         assert_eq!((summary.quantile(0.0), summary.quantile(1.0)), (Some(0.0101), Some(0.0101)));
         assert_eq!((summary.fraction_below(0.0101), summary.fraction_below(0.0102)), (Some(0.0), Some(1.0)));
+    }
+
+    #[test]
+    fn tail_percentiles_need_enough_numbers() {
+        let mut summary = Summary::default();
+        let mut known_after = |count: u64| {
+            (summary.count()..count).for_each(|_| summary.record(0.1));
+            (summary.tails(), summary.p95(), summary.p99())
+        };
+        assert_eq!(known_after(59), (None, None, None));
+        // All numbers are equal: a quantile from only the sketch could differ by up to 1 %.
+        assert_eq!(known_after(60), (Some((0.1, 0.1)), Some(0.1), None));
+        assert_eq!(known_after(299).2, None);
+        assert_eq!(known_after(300).2, Some(0.1));
     }
 
     #[test]

@@ -1,16 +1,11 @@
 //! Statistics of a summary, without quantiles for which it has too few values.
 
-use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
+use peernet_analysis::slowness::Medians;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::Summary;
 use serde::Serialize;
 use utoipa::ToSchema;
-
-/// Minimum number of values for a 95th percentile.
-pub const MIN_P95_SAMPLES: u64 = MIN_VALUES_FOR_P95 as u64;
-/// Minimum number of values for a 99th percentile.
-pub const MIN_P99_SAMPLES: u64 = MIN_VALUES_FOR_P99 as u64;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
 // The REST API sends this type as it is: these comments are its documentation, where an absent number is null.
@@ -37,18 +32,22 @@ impl QuantityStatistics {
     /// Returns the statistics of a summary; `None` if it has no values.
     pub fn from_summary(summary: &Summary) -> Option<Self> {
         let moments = &summary.moments;
-        let quantile = |min_count, q| (moments.count >= min_count).then(|| summary.quantile(q)).flatten();
         Some(Self {
             count: moments.count,
             mean: moments.mean,
             std: moments.std(),
             min: moments.min,
-            p50: quantile(1, 0.5)?,
-            p95: quantile(MIN_P95_SAMPLES, 0.95),
-            p99: quantile(MIN_P99_SAMPLES, 0.99),
+            p50: summary.quantile(0.5)?,
+            p95: summary.p95(),
+            p99: summary.p99(),
             max: moments.max,
         })
     }
+}
+
+/// Returns the medians of a run's statistics.
+pub(crate) fn medians(statistics: &[(Name, QuantityStatistics)]) -> Medians {
+    Medians(statistics.iter().map(|(name, statistics)| (name.clone(), statistics.p50)).collect())
 }
 
 /// Accuracy of the delays of one direction.

@@ -43,7 +43,7 @@ use readers::Readers;
 
 pub use database_error::DatabaseError;
 pub use error::{OpenError, StoreError};
-pub use figures::{DelayAccuracy, MIN_P95_SAMPLES, MIN_P99_SAMPLES, QuantityStatistics, rank};
+pub use figures::{DelayAccuracy, QuantityStatistics, rank};
 pub use lock::{DatabaseLock, LockError};
 pub use retention_config::RetentionConfig;
 pub use stored::{ClockPoint, StoredCounts};

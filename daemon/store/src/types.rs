@@ -13,7 +13,7 @@ pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};
 
 use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::deadline::Misses;
-use peernet_analysis::slowness::Cause;
+use peernet_analysis::slowness::{Cause, Medians};
 use peernet_clock::{DelaySource, RelatedClocks, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId, Slug, Tree};
 use peernet_stream::{
@@ -22,7 +22,7 @@ use peernet_stream::{
 };
 use serde::Serialize;
 
-use crate::figures::QuantityStatistics;
+use crate::figures::{QuantityStatistics, medians};
 use crate::stored::{ClockPoint, StoredCounts};
 
 /// Selection of the runs to list, newest first.
@@ -317,6 +317,13 @@ pub struct IterationDetail {
     pub faster: Option<u64>,
     /// Figures of the run per node name, for comparison; in the order of tables.
     pub run_figures: Vec<(Name, QuantityStatistics)>,
+}
+
+impl IterationDetail {
+    /// Returns the medians of the run's nodes.
+    pub fn medians(&self) -> Medians {
+        medians(&self.run_figures)
+    }
 }
 
 /// Selection of the incidents to list, newest first.

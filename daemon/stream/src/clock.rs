@@ -1,5 +1,7 @@
 //! Messages about clocks: the relation between two hosts' clocks, and the claims of each host's time daemon.
 
+use std::iter::Sum;
+
 use peernet_clock::{
     ClockFaults, Discipline, Exchange, ExchangeCounts, Interval, Offset, RelatedClocks, Span, Verdict,
     WallTime,
@@ -129,6 +131,30 @@ pub struct ProbeCounts {
     /// event stream.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub refused: u32,
+}
+
+impl ProbeCounts {
+    /// Returns the number of probes that were answered or lost. Newer probes are still on their way.
+    pub const fn ended(&self) -> u32 {
+        self.answered.saturating_add(self.lost)
+    }
+
+    /// Returns the share of lost probes among those that were answered or lost, 0 to 1; `None` without such probes.
+    pub fn lost_share(&self) -> Option<f64> {
+        (self.ended() > 0).then(|| f64::from(self.lost) / f64::from(self.ended()))
+    }
+}
+
+impl Sum for ProbeCounts {
+    /// Adds the counts up. A sum that is too large stays at the largest count.
+    fn sum<I: Iterator<Item = Self>>(counts: I) -> Self {
+        counts.fold(Self::default(), |sum, one| Self {
+            sent: sum.sent.saturating_add(one.sent),
+            answered: sum.answered.saturating_add(one.answered),
+            lost: sum.lost.saturating_add(one.lost),
+            refused: sum.refused.saturating_add(one.refused),
+        })
+    }
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]

@@ -1,7 +1,7 @@
 // Parts that all charts share: colours of app.css, axes, tooltips, gaps and marks. Charts are redrawn when the theme changes.
 const PEER = (() => {
-  // Stages in the order of every stack, key and table. The server sets the attribute.
-  const STAGES = document.documentElement.dataset.stages.split(" ");
+  // Parts of a total in the order of every stack: stages, both directions together, the unattributed time. The server sets the attribute.
+  const PARTS = document.documentElement.dataset.parts.split(",");
   const PALE = new Set(["encode", "queue", "preprocessing", "unattributed"]);
   const drawn = new Set();
   let probe = null;
@@ -23,7 +23,7 @@ const PEER = (() => {
     return getComputedStyle(probe).color;
   });
   const px = (rem) => rem * cached("rem", () => parseFloat(getComputedStyle(document.documentElement).fontSize));
-  const look = (stage) => ({ "send-queue": "queue", "batch-wait": "queue", ipc: "encode" })[stage] ?? stage;
+  const look = (stage) => ({ "send-queue": "queue", "batch-wait": "queue", ipc: "encode", "upload + download": "network" })[stage] ?? stage;
 
   function hatch(ground, line, angle) {
     const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1, size = 6;
@@ -54,11 +54,11 @@ const PEER = (() => {
   }
   const fill = (stage) => cached(`fill ${stage}`, () => {
     if (look(stage) === "queue") return hatch(css("--s-queue"), css("--e-queue"), 1);
-    if (stage === "network") return both(css("--s-upload"), css("--s-download"));
+    if (look(stage) === "network") return both(css("--s-upload"), css("--s-download"));
     if (stage === "unattributed") return hatch(css("--s-unattributed"), css("--e-unattributed"), -1);
     return css(`--s-${stage}`);
   });
-  const edge = (stage) => (stage === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
+  const edge = (stage) => (look(stage) === "network" ? css("--s-upload") : css((PALE.has(look(stage)) ? "--e-" : "--s-") + look(stage)));
 
   const offset = () => Number(document.documentElement.dataset.offset) * 1000;
   const clock = (time, seconds) => new Date(time + offset()).toISOString().slice(11, seconds ? 19 : 16);
@@ -260,5 +260,5 @@ const PEER = (() => {
   document.addEventListener("peer-theme", ({ detail }) => drawn.forEach((one) => redraw(one, detail === "print")));
   document.addEventListener("visibilitychange", () => { if (!document.hidden) drawn.forEach((one) => { if (one.stale) redraw(one); }); });
 
-  return { STAGES, look, name: (stage) => (stage === "network" ? "upload + download" : stage), css, px, fill, edge, clock, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
+  return { PARTS, look, css, px, fill, edge, clock, text, sides, timeAxis, valueAxis, tooltip, tip, marks, parts, bucket, steps, ticks, draw, redraw, forget, isHovered: (node) => hovered === node };
 })();

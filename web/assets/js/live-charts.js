@@ -1,5 +1,6 @@
 // Live charts of pipelines: stages stacked over the last minutes, the 95th percentile above, throughputs below.
-// Means are combined here. The aggregator computes percentiles, because a mean of percentiles is not a percentile.
+// Means of seconds are combined to means of buckets here. The aggregator splits totals into parts and computes percentiles, because a mean of
+// percentiles is not a percentile.
 (() => {
   const MAX_SECONDS = 600, RETRY_MS = 2000;
   // Longest time between two reports of a connected host, which reports every five seconds.
@@ -35,14 +36,13 @@
     const length = at + 1;
     grow(card.n, length);
     card.n[at] = second.counts.ok;
-    for (const name of PEER.STAGES.concat(["total"])) {
-      const value = second.means[name];
-      if (value == null && !card.means[name]) continue;
+    for (const [name, value] of Object.entries({ ...second.parts, total: second.means.total })) {
+      if (value == null) continue;
       const list = (card.means[name] ||= []);
       grow(list, length);
-      list[at] = value == null ? null : value * 1e3;
+      list[at] = value * 1e3;
     }
-    for (const list of Object.values(card.means)) grow(list, length);
+    for (const list of Object.values(card.means)) { grow(list, length); list[at] ??= null; }
     for (const [way, sent] of [["up", second.transfers.upload], ["down", second.transfers.download]]) {
       grow(card.transfers[way], length);
       card.transfers[way][at] = sent?.seconds > 0 ? [sent.timed_bytes, sent.seconds * 1e6] : null;
@@ -81,11 +81,7 @@
     const end = Math.max(...cards.map((other) => other.last)) + 1, start = end - range;
     const known = card.n.filter((count) => count != null), rate = known.reduce((sum, count) => sum + count, 0) / Math.max(1, known.length);
     const size = PEER.bucket(range, rate);
-    const stages = PEER.STAGES.filter((stage) => stage !== "unattributed" && card.means[stage]);
-    // With unrelated clocks neither direction is known, but their sum is.
-    const both = card.remote && !card.means.upload && !card.means.download && card.means.unattributed;
-    const place = (stage) => PEER.STAGES.indexOf(stage);
-    if (both) stages.splice(stages.filter((stage) => place(stage) < place("upload")).length, 0, "network");
+    const stages = PEER.PARTS.filter((part) => card.means[part]);
     const rows = [];
     for (let from = Math.floor(start / size) * size; from < end; from += size) {
       const row = { at: (from + size / 2) * 1e3, n: 0, reported: false, means: {}, total: null };
@@ -109,16 +105,13 @@
       };
       if (row.n > 0) {
         row.total = mean(card.means.total);
-        let left = row.total;
-        for (const stage of stages) { if (stage === "network") continue; row.means[stage] = mean(card.means[stage]) ?? 0; left -= row.means[stage]; }
-        if (both) { row.means.network = Math.max(0, left - (mean(card.means.unattributed) ?? 0)); left -= row.means.network; }
-        row.means.unattributed = Math.max(0, left ?? 0);
+        for (const stage of stages) row.means[stage] = mean(card.means[stage]) ?? 0;
         row.up = speed(card.transfers.up);
         row.down = speed(card.transfers.down);
       }
       rows.push(row);
     }
-    return { rows, size, p95: percentiles(card, start, end), stages: stages.concat(["unattributed"]), start: start * 1e3, end: end * 1e3 };
+    return { rows, size, p95: percentiles(card, start, end), stages, start: start * 1e3, end: end * 1e3 };
   }
 
   // Seconds without a report, between seconds with one.
@@ -139,7 +132,7 @@
     for (const card of cards) {
       const { rows, p95 } = bucketed(card);
       for (const row of rows) {
-        const value = isolatedStage ? PEER.STAGES.filter((stage) => PEER.look(stage) === isolatedStage).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : row.total || 0;
+        const value = isolatedStage ? PEER.PARTS.filter((stage) => PEER.look(stage) === isolatedStage).reduce((sum, stage) => sum + (row.means[stage] || 0), 0) : row.total || 0;
         highest = Math.max(highest, value);
       }
       if (!isolatedStage) for (const [, , value] of p95) highest = Math.max(highest, value);
@@ -220,7 +213,7 @@
       tooltip: PEER.tooltip((params) => {
         if (!PEER.isHovered(node) || !params.length) return "";
         const row = rows.reduce((best, other) => (Math.abs(other.at - params[0].axisValue) < Math.abs(best.at - params[0].axisValue) ? other : best), rows[0]);
-        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: PEER.name(stage), value: NUMBERS.figure(row.means[stage]) }));
+        const lines = shown.slice().reverse().filter((stage) => row.n > 0).map((stage) => ({ stage, name: stage, value: NUMBERS.figure(row.means[stage]) }));
         const level = p95.find(([from, to]) => row.at >= from && row.at < to);
         lines.push({ name: "total, mean", value: NUMBERS.figure(row.total), sum: true }, { name: card.p95.size ? `p95 of ${card.p95.size} s` : "p95", value: NUMBERS.figure(level?.[2]) });
         if (card.remote) lines.push({ name: "up while sending, MB/s", value: NUMBERS.significant(row.up), sum: true }, { name: "down while sending, MB/s", value: NUMBERS.significant(row.down) });

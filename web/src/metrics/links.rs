@@ -2,7 +2,7 @@
 
 use peernet_aggregator::LinkSnapshot;
 use peernet_clock::Span;
-use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics};
+use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics, ProbeCounts};
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
@@ -34,11 +34,7 @@ pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
 pub(super) fn loss(link: &LinkSnapshot) -> Option<Sample> {
     let newest = link.history.last()?.at;
     let recent = link.history.iter().filter(|point| newest - point.at < WINDOW);
-    let (lost, all) = recent.fold((0, 0), |(lost, all), point| {
-        let probes = point.probes;
-        (lost + u64::from(probes.lost), all + u64::from(probes.lost) + u64::from(probes.answered))
-    });
-    (all > 0).then(|| Sample::Value(lost as f64 / all as f64))
+    recent.map(|point| point.probes).sum::<ProbeCounts>().lost_share().map(Sample::Value)
 }
 
 /// Returns the number of packets that were refused as answers to probes.

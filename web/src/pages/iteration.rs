@@ -5,6 +5,7 @@ use axum::Router;
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
+use peernet_analysis::slowness::USUAL_RATIOS;
 use peernet_figures::scale::Scale;
 use peernet_statistics::number::{NONE, count, duration, times};
 use peernet_store::{IterationDetail, IterationRow, RunDetail, RunSummary};
@@ -85,7 +86,7 @@ fn title(row: &IterationRow) -> String {
     };
     let total_text = duration(total);
     let Some(factor) = row.factor else { return format!("{total_text}") };
-    if (0.95..1.05).contains(&factor) {
+    if USUAL_RATIOS.contains(&factor) {
         return format!("{total_text}, close to the run's median");
     }
     let causes = row

@@ -178,6 +178,7 @@ async fn show(
         slowest: &slowest,
         unanswered: &unanswered,
         episodes: &episodes,
+        starts: trust.starts,
     };
     let report = Report::new(&trust);
     page(&assemble(&app, &stored, distribution, &report)?)
@@ -323,7 +324,7 @@ fn assemble(
                 .map_or_else(|| NONE.to_owned(), |share| format!("{}{SPACE}%", percent(share))),
         ),
         missed: missed(summary),
-        skipped: skipped(&Starts::from(summary)),
+        skipped: skipped(&stored.starts),
         clock: ClockCell::of(summary.placement.kind, bounds),
         directions: directions(bounds),
         bar: stack.full_width_bar("stages big"),

@@ -135,13 +135,17 @@ pub(crate) fn pipeline(name: &str, hz: f64, scale: f64, verdict: Verdict, gaps: 
     let last = NOW.unix_seconds();
     let series = (last - 120..=last).filter(|at| !gaps.contains(&(last - at)));
     let series = series.map(|at| {
-        let means = MEANS.iter().map(|(name, mean)| (Name::from(*name), mean * scale)).collect();
+        let means: Vec<(Name, f64)> =
+            MEANS.iter().map(|(name, mean)| (Name::from(*name), mean * scale)).collect();
+        let is_part = |(name, _): &&(Name, f64)| stage::ORDER.contains(name) || *name == stage::UNATTRIBUTED;
+        let parts = means.iter().filter(is_part).cloned().collect();
         let counts = OutcomeCounts { ok: hz as u64, ..OutcomeCounts::default() };
         let verdicts = [stage::UPLOAD, stage::DOWNLOAD].map(|stage| (stage, verdict, counts.ok));
         Arc::new(LiveSecond {
             at,
             counts,
             means,
+            parts,
             total_p95: (counts.ok >= 60).then_some(0.018 * scale),
             transfers: transfers(counts.ok, Some(0.0063 * scale)),
             verdicts: verdicts.to_vec(),

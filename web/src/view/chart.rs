@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
 use peernet_analysis::transfer::Transfer;
 use peernet_clock::WallTime;
-use peernet_logger::stage;
+use peernet_logger::{Name, stage};
 use peernet_statistics::number::{NONE, count, stage_ms};
 use peernet_store::IncidentRow;
 use peernet_stream::PlacementKind;
@@ -86,8 +86,8 @@ struct ChartData {
     from: i64,
     /// Successful iterations.
     n: Vec<Option<u64>>,
-    /// Means by node name: stages and `total` in ms.
-    means: BTreeMap<&'static str, Vec<RoundedNumber>>,
+    /// Means of the parts of the total by their names, and of `total`, ms.
+    means: BTreeMap<String, Vec<RoundedNumber>>,
     transfers: TransferData,
     p95: PercentileData,
     /// Reasons why a direction has no line.
@@ -126,19 +126,15 @@ struct PageData<'a> {
     marks: &'a [Mark],
 }
 
-/// Returns the node names whose means a chart draws.
-fn drawn_names() -> impl Iterator<Item = &'static str> {
-    look::STACK.iter().copied().chain(["total"])
-}
-
 /// Returns bytes and sum of delays (µs) of one direction; `None` if no delay is known.
 fn timed_transfer(transfer: Option<Transfer>) -> Option<(RoundedNumber, RoundedNumber)> {
     let transfer = transfer.filter(|transfer| transfer.speed().is_some())?;
     Some((RoundedNumber(Some(transfer.timed_bytes)), RoundedNumber(Some(transfer.seconds * 1e6))))
 }
 
-fn mean(second: &LiveSecond, name: &str) -> Option<f64> {
-    second.means.iter().find(|(node, _)| node == name).map(|(_, mean)| *mean)
+/// Returns the means that a chart draws: the parts of the total, and the total.
+fn drawn_means(second: &LiveSecond) -> impl Iterator<Item = &(Name, f64)> {
+    second.parts.iter().chain(second.means.iter().filter(|(name, _)| *name == stage::TOTAL))
 }
 
 impl ChartCard {
@@ -146,12 +142,11 @@ impl ChartCard {
         let host = pipeline.host_name.to_string();
         let name = pipeline.pipeline.to_string();
         let stack = pipeline.window(10).map(Stack::of_window).unwrap_or_default();
-        let columns: Vec<&'static str> = look::STACK
-            .iter()
-            .copied()
-            .filter(|stage| pipeline.series.iter().any(|second| mean(second, stage).is_some()))
-            .filter(|stage| *stage != "unattributed")
-            .collect();
+        let has_part = |name: &&str| {
+            pipeline.series.iter().flat_map(|second| &second.parts).any(|(part, _)| part == *name)
+        };
+        let columns: Vec<&'static str> =
+            look::parts().filter(has_part).filter(|name| *name != "unattributed").collect();
         Self {
             key: format!("{host}/{name}"),
             href: place::pipeline_href(&host, &name),
@@ -202,11 +197,10 @@ impl ChartData {
             data.n[index] = Some(second.counts.ok);
             data.transfers.up[index] = timed_transfer(second.transfers.up);
             data.transfers.down[index] = timed_transfer(second.transfers.down);
-            for name in drawn_names() {
-                if let Some(value) = mean(second, name) {
-                    data.means.entry(name).or_insert_with(|| vec![RoundedNumber(None); length])[index] =
-                        RoundedNumber(Some(value * 1e3));
-                }
+            for (name, seconds) in drawn_means(second) {
+                let means = data.means.entry(name.to_string());
+                means.or_insert_with(|| vec![RoundedNumber(None); length])[index] =
+                    RoundedNumber(Some(seconds * 1e3));
             }
         }
         if !data.remote
@@ -237,12 +231,15 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
         by_minute.entry(second.at.div_euclid(60)).or_default().push(second);
     }
     let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
+        // A second without a part counts as zero, as in the chart.
+        let iterations: u64 = seconds.iter().map(|second| second.counts.ok).sum();
         let average = |name: &str| {
-            let weighted_means =
-                seconds.iter().filter_map(|second| Some((mean(second, name)?, second.counts.ok as f64)));
-            let (sum, weight) = weighted_means
-                .fold((0.0, 0.0), |(sum, all), (mean, weight)| (sum + mean * weight, all + weight));
-            if weight > 0.0 { stage_ms(sum / weight) } else { NONE.to_owned() }
+            let sums = seconds.iter().filter_map(|second| {
+                let (_, mean) = drawn_means(second).find(|(node, _)| node == name)?;
+                Some(mean * second.counts.ok as f64)
+            });
+            let sum = sums.reduce(|sum, one| sum + one).filter(|_| iterations > 0);
+            sum.map_or_else(|| NONE.to_owned(), |sum| stage_ms(sum / iterations as f64))
         };
         Minute {
             at: zone.moment(WallTime::from_unix_nanos(minute.saturating_mul(60_000_000_000))),

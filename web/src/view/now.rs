@@ -4,6 +4,7 @@ use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, count, percent, rate, stage_ms, total_ms};
+use peernet_statistics::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99};
 use peernet_store::QuantityStatistics;
 use peernet_stream::PipelineState;
 
@@ -166,8 +167,8 @@ impl NowRow {
     ) -> Self {
         let host = pipeline.host_name.as_str();
         let total = window.value(&stage::TOTAL);
-        let (p95, p95_cell) = quantile(total, peernet_store::MIN_P95_SAMPLES, |total| total.p95);
-        let (p99, p99_cell) = quantile(total, peernet_store::MIN_P99_SAMPLES, |total| total.p99);
+        let (p95, p95_cell) = quantile(total, MIN_VALUES_FOR_P95, |total| total.p95);
+        let (p99, p99_cell) = quantile(total, MIN_VALUES_FOR_P99, |total| total.p99);
         let part = |name: &str| stack.parts.iter().find(|part| part.name == name);
         let mean =
             |name: &&'static str| part(name).map_or_else(|| NONE.to_owned(), |part| stage_ms(part.seconds));

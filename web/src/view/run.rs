@@ -4,7 +4,9 @@ use peernet_analysis::accuracy::{ACCURACIES, UNKNOWN_LABEL};
 use peernet_analysis::actuator_results::{ACTION_REPORTS, EPISODE_VALUES, SUPERSEDED};
 use peernet_analysis::deadline::DEADLINE_MISSED;
 use peernet_analysis::rows::SKIPPED_STARTS;
+use peernet_analysis::standstill::{RunExtent, standstill};
 use peernet_analysis::transfer::Transfer;
+use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_figures::drawing::StageBar;
 use peernet_figures::scale::Scale;
@@ -27,12 +29,6 @@ use crate::zone::{Zone, ZonedTime};
 
 /// Maximum number of rows of the table of the slowest iterations.
 const MAX_SLOWEST: usize = 8;
-/// Minimum number of iterations for a standstill. In a run with fewer iterations, a gap of more than half of its time may be one slow
-/// iteration.
-const MIN_ITERATIONS_FOR_STANDSTILL: u64 = 100;
-/// Time that is longer than any wait for an answer or a model, seconds.
-const MAX_WAIT_S: f64 = 600.0;
-
 /// Stored data of a run.
 pub(crate) struct Stored<'a> {
     pub run: &'a RunDetail,
@@ -42,6 +38,7 @@ pub(crate) struct Stored<'a> {
     /// The first iterations without an answer.
     pub unanswered: &'a [IterationRow],
     pub episodes: &'a Episodes,
+    pub starts: Starts,
 }
 
 /// Statistics of a quantity that is not a duration.
@@ -120,41 +117,28 @@ impl Stored<'_> {
         [episodes::summary(self.episodes), unanswered, standstill].into_iter().flatten().collect()
     }
 
-    /// Returns the longest time without an iteration after the warm-up, seconds, if it is a standstill: more than half of the run, longer
-    /// than [`MAX_WAIT_S`] and than any iteration, while no events of the run are missing. In a standstill the host's clock was set or the
-    /// host was suspended. In both cases no rate follows from the length of the run.
+    /// Returns the length of a standstill, seconds. `None` without one, and if events of the run are missing.
     pub(crate) fn standstill(&self) -> Option<f64> {
         let summary = &self.run.summary;
-        let end = runs::end(summary)?;
         let points = &self.series.stages.first()?.points;
-        if points.is_empty()
-            || summary.counts.total() < MIN_ITERATIONS_FOR_STANDSTILL
-            || !self.run.gaps.is_empty()
-        {
+        if points.is_empty() || !self.run.gaps.is_empty() {
             return None;
         }
+        let run = RunExtent {
+            started: summary.started,
+            end: runs::end(summary)?,
+            iterations: summary.counts.total(),
+            slowest_s: summary.total.as_ref().map_or(0.0, |total| total.max),
+        };
         let bucket = Span::from_seconds(self.series.bucket_s.into());
         // The warm-up has no points, so all the time before the first point may be warm-up.
-        let single_times = self.episodes.unanswered.iter().chain([&end]).map(|at| (*at, *at));
-        let mut busy: Vec<_> =
-            points.iter().map(|point| (point.at, point.at + bucket)).chain(single_times).collect();
-        busy.sort();
-        let (mut longest, mut busy_until) = (0.0_f64, busy.first()?.1);
-        for (from, to) in busy {
-            longest = longest.max((from - busy_until).seconds());
-            busy_until = busy_until.max(to);
-        }
-        let half = (end - summary.started).seconds() / 2.0;
-        let slowest = summary.total.as_ref().map_or(0.0, |total| total.max);
-        (longest > half.max(slowest).max(MAX_WAIT_S)).then_some(longest)
+        let buckets = points.iter().map(|point| (point.at, point.at + bucket));
+        standstill(&run, buckets.chain(self.episodes.unanswered.iter().map(|at| (*at, *at))))
     }
 
-    /// Returns iterations per second, the warm-up included; `None` where the length of the run is unknown.
+    /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
     pub(crate) fn rate(&self) -> Option<f64> {
-        let summary = &self.run.summary;
-        let length_s = (runs::end(summary)? - summary.started).seconds();
-        let is_known = length_s > 0.0 && self.standstill().is_none();
-        is_known.then(|| (summary.counts.total() + summary.warm_up) as f64 / length_s)
+        self.starts.actual_hz.filter(|_| self.standstill().is_none())
     }
 
     /// Returns a scale that holds the slowest iteration.
@@ -306,53 +290,42 @@ mod tests {
     use super::*;
     use crate::view::compare::tests::run;
 
-    /// Returns the standstill of a run of `iterations` iterations with points at `points` seconds after its start and a length of
-    /// `seconds`.
-    fn standstill(iterations: u64, bucket_s: u32, points: &[i64], seconds: i64, lost: &[i64]) -> Option<f64> {
+    /// Returns a run of 895 iterations in an hour, with points at its first and last second.
+    fn run_with_pause() -> (RunDetail, Series) {
         let mut summary = run(1, PlacementKind::Remote);
         let after = |seconds: i64| summary.started + Span::from_seconds(seconds);
-        let point = |at: &i64| SeriesPoint { at: after(*at), count: 1, mean: 0.1, p50: 0.1, p95: None };
-        let points = points.iter().map(point).collect();
-        let series = Series {
-            bucket_s,
-            stages: vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }],
-            gaps: Vec::new(),
-        };
-        let unanswered = lost.iter().copied().map(after).collect();
-        let episodes = Episodes { unanswered, ..Episodes::default() };
-        (summary.ended, summary.last_iteration) = (Some(after(seconds)), Some(after(seconds)));
+        let point =
+            |seconds: i64| SeriesPoint { at: after(seconds), count: 1, mean: 0.1, p50: 0.1, p95: None };
+        let points = [0, 3_600].map(point).to_vec();
+        let stages = vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }];
+        (summary.ended, summary.last_iteration) = (Some(after(3_601)), Some(after(3_601)));
         (summary.counts, summary.warm_up) = (Default::default(), 0);
-        summary.counts.ok = iterations;
-        let run = RunDetail::from(summary);
-        let statistics = RunStatistics::default();
-        let stored = Stored {
-            run: &run,
-            statistics: &statistics,
-            series: &series,
-            slowest: &[],
-            unanswered: &[],
-            episodes: &episodes,
-        };
-        assert_eq!(
-            stored.time_remarks().iter().any(|text| text.starts_with("nothing for ")),
-            stored.standstill().is_some()
-        );
-        let rate = iterations as f64 / seconds as f64;
-        assert_eq!(stored.rate(), stored.standstill().is_none().then_some(rate));
-        stored.standstill()
+        summary.counts.ok = 895;
+        (RunDetail::from(summary), Series { bucket_s: 1, stages, gaps: Vec::new() })
     }
 
     #[test]
-    fn clock_set_by_months_causes_standstill() {
-        let days = 115 * 86_400;
-        let found = standstill(895, 3_600, &[-1_800, days], days + 4, &[]).expect("a standstill");
-        assert!((found - f64::from(days as i32 - 1_800)).abs() < 1e-6, "{found}");
-        assert_eq!(standstill(895, 1, &[0, 1, 2, 3], 4, &[]), None);
-        assert_eq!(standstill(3, 1, &[0, 3_600], 3_601, &[]), None, "that is how slow it is");
-        assert!(standstill(895, 1, &[0, 3_600], 3_601, &[]).is_some());
-        assert_eq!(standstill(895, 1, &[3_600], 3_601, &[]), None, "that was the warm-up");
-        assert_eq!(standstill(895, 1, &[0, 60], 61, &[]), None, "one may have waited for a model");
-        let lost: Vec<i64> = (0..60).map(|minute| minute * 60).collect();
-        assert_eq!(standstill(895, 1, &[0, 3_600], 3_601, &lost), None, "nobody answered meanwhile");
+    fn run_with_standstill_has_no_rate() {
+        let (run, series) = run_with_pause();
+        let starts = Starts { actual_hz: Some(0.25), ..Starts::default() };
+        let statistics = RunStatistics::default();
+        let of = |episodes: &Episodes| {
+            let stored = Stored {
+                run: &run,
+                statistics: &statistics,
+                series: &series,
+                slowest: &[],
+                unanswered: &[],
+                episodes,
+                starts,
+            };
+            let has_remark = stored.time_remarks().iter().any(|text| text.starts_with("nothing for "));
+            assert_eq!(has_remark, stored.standstill().is_some());
+            stored.rate()
+        };
+        assert_eq!(of(&Episodes::default()), None);
+        let every_minute = (0..60).map(|minute| run.summary.started + Span::from_seconds(minute * 60));
+        let unanswered = Episodes { unanswered: every_minute.collect(), ..Episodes::default() };
+        assert_eq!(of(&unanswered), Some(0.25), "nobody answered meanwhile");
     }
 }

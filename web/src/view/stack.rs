@@ -1,7 +1,7 @@
 //! Means of stages that add up to the mean of the total.
 
 use peernet_aggregator::Window;
-use peernet_analysis::slowness;
+use peernet_analysis::stage_split::{StageSplit, index_of_network};
 use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
 use peernet_logger::{Name, stage};
@@ -23,14 +23,13 @@ pub(crate) struct Stack {
 impl Stack {
     /// Returns the stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
-        let was_sent = window.bounds.iter().any(|bound| bound.verdicts.iter().any(|(_, count)| *count > 0));
-        Self::new(was_sent, |name| window.value(name).copied()).with_bounds(&window.bounds)
+        Self::new(sent(&window.bounds), |name| window.value(name).copied()).with_bounds(&window.bounds)
     }
 
     /// Returns the stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        Self::new(!bounds.is_empty(), find).with_bounds(bounds)
+        Self::new(sent(bounds), find).with_bounds(bounds)
     }
 
     /// Adds the error bars of the one-way delays.
@@ -43,36 +42,26 @@ impl Stack {
         self
     }
 
-    fn new(was_sent: bool, statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
-        let parts = parts(was_sent, |name| statistics_of(name).map(|figures| (figures.count, figures.mean)));
-        Self { parts, total: statistics_of("total") }
+    fn new(sent: [u64; 2], statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
+        let mean_of = |name: &str| statistics_of(name).map(|figures| (figures.count, figures.mean));
+        Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
     }
 
     /// Returns the stack of one iteration. If a direction of the network is unknown, the stack has the sum of both directions instead.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
-        let part = |(name, seconds): &(Name, f64)| StagePart {
-            name: name.to_string(),
-            seconds: *seconds,
-            bound: None,
-        };
         // The sum of both directions contains a direction that is known by itself, so that direction is left out.
         let is_separate =
             |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
-        let mut parts: Vec<StagePart> = row.stages.iter().filter(is_separate).map(part).collect();
+        let mut parts: Vec<(Name, f64)> = row.stages.iter().filter(is_separate).cloned().collect();
         if let Some(seconds) = row.both_ways {
-            let index = look::STACK
-                .iter()
-                .take_while(|name| stage::UPLOAD != **name)
-                .filter(|name| parts.iter().any(|part| part.name == **name))
-                .count();
-            parts.insert(index, StagePart { name: look::NETWORK.to_owned(), seconds, bound: None });
+            parts.insert(index_of_network(&parts), (Name::from_static(look::NETWORK), seconds));
         }
         let unattributed =
-            row.total.map_or(0.0, |total| total - parts.iter().map(|part| part.seconds).sum::<f64>());
+            row.total.map_or(0.0, |total| total - parts.iter().map(|(_, seconds)| seconds).sum::<f64>());
         if unattributed > 0.0 {
-            parts.push(StagePart { name: "unattributed".to_owned(), seconds: unattributed, bound: None });
+            parts.push((stage::UNATTRIBUTED, unattributed));
         }
-        Self { parts, total: None }
+        Self { parts: bar_parts(parts), total: None }
     }
 
     /// Returns the position of the end of the bar, ms.
@@ -115,56 +104,18 @@ impl Stack {
     }
 }
 
-/// Returns the parts of the mean of the total, in the order of [`look::STACK`]; empty without a total. `mean_of` returns the number of
-/// samples of a node and their mean in seconds. `was_sent` is `true` if anything was sent to another host.
-pub(crate) fn parts(was_sent: bool, mean_of: impl Fn(&str) -> Option<(u64, f64)>) -> Vec<StagePart> {
-    let Some((count, total)) = mean_of("total") else { return Vec::new() };
-    let mut unattributed = total;
-    // Without a relation between the clocks neither direction has a value. The sum of both directions needs no clock relation.
-    let network = both_ways(&mean_of, was_sent);
-    let mut parts = Vec::with_capacity(look::STACK.len());
-    let mut network_index = 0;
-    for name in stage::ORDER.iter().map(|name| name.as_str()) {
-        if let Some(seconds) = mean_of(name).map(|count_and_mean| mean_per_iteration(count_and_mean, count)) {
-            unattributed -= seconds;
-            parts.push(StagePart { name: name.to_owned(), seconds, bound: None });
-        }
-        if name == "send-queue" {
-            network_index = parts.len();
-        }
-    }
-    if let Some(network) = network {
-        parts.insert(
-            network_index,
-            StagePart { name: look::NETWORK.to_owned(), seconds: network, bound: None },
-        );
-        unattributed -= network;
-    }
-    if unattributed > 0.0 {
-        parts.push(StagePart { name: "unattributed".to_owned(), seconds: unattributed, bound: None });
-    }
-    parts
+/// Returns the numbers of messages to the other host and back, whose delays may be unknown.
+pub(super) fn sent(bounds: &[DelayAccuracy]) -> [u64; 2] {
+    [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
+        let bound = bounds.iter().find(|bound| bound.stage == direction);
+        bound.map_or(0, |bound| bound.verdicts.iter().map(|(_, count)| count).sum())
+    })
 }
 
-/// Returns the mean time of a stage per iteration, from the count and the mean of the stage and the number of iterations. Iterations
-/// without the stage count as zero, so that the sum of all stages stays exact.
-pub(super) fn mean_per_iteration((count, mean): (u64, f64), iterations: u64) -> f64 {
-    mean * count as f64 / iterations.max(1) as f64
-}
-
-/// Returns the mean of the sum of both directions, seconds, if neither direction is known by itself. `None` if a direction is known or
-/// nothing was sent.
-fn both_ways(mean_of: impl Fn(&str) -> Option<(u64, f64)>, was_sent: bool) -> Option<f64> {
-    let (count, total) = mean_of(&stage::TOTAL)?;
-    if !was_sent || mean_of(&stage::UPLOAD).is_some() || mean_of(&stage::DOWNLOAD).is_some() {
-        return None;
-    }
-    let stage_means = stage::ORDER
-        .into_iter()
-        .filter_map(|name| mean_of(&name))
-        .map(|count_and_mean| mean_per_iteration(count_and_mean, count));
-    let network = slowness::both_ways(total, stage_means, mean_of(&stage::UNATTRIBUTED)?.1);
-    Some(network).filter(|network| *network > 0.0)
+/// Converts parts of a total to parts of a bar without clock bounds.
+pub(super) fn bar_parts(parts: Vec<(Name, f64)>) -> Vec<StagePart> {
+    let part = |(name, seconds): (Name, f64)| StagePart { name: name.to_string(), seconds, bound: None };
+    parts.into_iter().map(part).collect()
 }
 
 #[cfg(test)]
@@ -178,21 +129,8 @@ mod tests {
     }
 
     #[test]
-    fn rest_of_total_is_shown_as_unattributed() {
-        let stack = Stack::new(false, |name| match name {
-            "total" => Some(figures(0.020, 50)),
-            "sensing" => Some(figures(0.005, 50)),
-            "upload" => Some(figures(0.010, 50)),
-            _ => None,
-        });
-        let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
-        assert_eq!(names, ["sensing", "upload", "unattributed"]);
-        assert!((stack.end_ms() - 20.0).abs() < 1e-9);
-    }
-
-    #[test]
     fn unknown_directions_are_shown_as_their_sum() {
-        let stack = Stack::new(true, |name| match name {
+        let stack = Stack::new([50; 2], |name| match name {
             "total" => Some(figures(0.020, 50)),
             "sensing" => Some(figures(0.004, 50)),
             "inference" => Some(figures(0.003, 50)),
@@ -217,20 +155,6 @@ mod tests {
         assert!((stack.end_ms() - 1_200.0).abs() < 1e-6 && (stack.parts[3].seconds - 0.0118).abs() < 1e-9);
     }
 
-    #[test]
-    fn known_direction_needs_no_sum() {
-        let with_upload =
-            |name: &str| matches!(name, "total" | "upload" | "unattributed").then_some((9, 0.01));
-        assert_eq!(both_ways(with_upload, true), None);
-        let without_directions = |name: &str| matches!(name, "total" | "unattributed").then_some((9, 0.01));
-        assert_eq!(both_ways(without_directions, false), None);
-    }
-
-    #[test]
-    fn stack_without_total_is_empty() {
-        assert_eq!(Stack::new(true, |name| (name != "total").then(|| figures(1.0, 1))), Stack::default());
-    }
-
     proptest! {
         #[test]
         fn parts_add_up_to_total(
@@ -238,7 +162,7 @@ mod tests {
             rest in 0.0f64..0.01,
         ) {
             let sum: f64 = means.iter().map(|(mean, count)| mean * *count as f64 / 100.0).sum();
-            let stack = Stack::new(false, |name| {
+            let stack = Stack::new([0; 2], |name| {
                 if name == "total" {
                     return Some(figures(sum + rest, 100));
                 }

@@ -2,14 +2,15 @@
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
+use peernet_analysis::stage_split::StageSplit;
+use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, count, duration, percent, times};
 
 use super::chip::{Chip, Tone};
-use super::stack::mean_per_iteration;
+use super::stack;
 use crate::config::WarnConfig;
-use crate::look::LATENESS;
 
 /// Minimum time for which the processors must have been busy.
 const MIN_BUSY_TIME: Span = Span::from_seconds(10);
@@ -71,14 +72,14 @@ fn share(minute: &Window, seconds: f64) -> Option<f64> {
     (seconds > MIN_WARNED_S && total.mean > 0.0).then(|| seconds / total.mean)
 }
 
-/// Returns the mean of a node per successful iteration. Iterations without the node count as zero.
-fn mean(minute: &Window, name: &str) -> f64 {
-    let Some(total) = minute.value(&stage::TOTAL) else { return 0.0 };
-    minute.value(name).map_or(0.0, |figures| mean_per_iteration((figures.count, figures.mean), total.count))
+/// Returns the split of the mean total of the minute.
+fn split(minute: &Window) -> StageSplit {
+    let mean_of = |name: &str| minute.value(name).map(|figures| (figures.count, figures.mean));
+    StageSplit::new(stack::sent(&minute.bounds), mean_of)
 }
 
 fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let seconds = mean(minute, &stage::UNATTRIBUTED) - mean(minute, LATENESS);
+    let seconds = split(minute).unattributed_without_late_start();
     let share = share(minute, seconds).filter(|share| *share > warn.unattributed_percent / 100.0)?;
     let text = format!(
         "has {} per iteration in no stage, {}{SPACE}% of its total in the last minute.",
@@ -89,21 +90,20 @@ fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, Str
 }
 
 fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let skipped =
-        minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64).round();
-    let due = skipped + minute.counts.total() as f64;
-    let share =
-        (skipped > 0.0).then(|| skipped / due).filter(|share| *share > warn.skipped_percent / 100.0)?;
+    let skipped = minute.value(SKIPPED_STARTS).map_or(0.0, |starts| starts.mean * starts.count as f64);
+    let started = minute.counts.total();
+    let starts = Starts { started, skipped: skipped.round() as u64, ..Starts::default() };
     let text = format!(
         "skipped {} starts in the last minute, {}{SPACE}% of those that came due: it does not keep its rate.",
-        count(skipped as u64),
-        percent(share)
+        count(starts.skipped),
+        percent(starts.skipped_share())
     );
-    Some((Chip::new(Tone::Warn, "gap", "skipped"), text))
+    (starts.skipped_share() > warn.skipped_percent / 100.0)
+        .then_some((Chip::new(Tone::Warn, "gap", "skipped"), text))
 }
 
 fn late_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let seconds = mean(minute, LATENESS);
+    let seconds = split(minute).late_start;
     let share = share(minute, seconds).filter(|share| *share > warn.late_percent / 100.0)?;
     let text = format!(
         "starts {} late on average, {}{SPACE}% of its total in the last minute.",
@@ -117,6 +117,7 @@ fn late_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
 mod tests {
     use std::sync::Arc;
 
+    use peernet_analysis::rows::LATENESS;
     use peernet_clock::Verdict;
     use peernet_logger::Name;
 
@@ -155,11 +156,16 @@ mod tests {
 
     #[test]
     fn unattributed_time_without_lateness_causes_warning() {
-        assert_eq!(words(|minute| set(minute, "unattributed", 0.0018)), ["unattributed"]);
-        assert_eq!(words(|minute| set(minute, "unattributed", 0.0014)), [] as [&str; 0]);
+        let set_unattributed = |minute: &mut Window, seconds| {
+            let stages = stage::ORDER;
+            let sum: f64 = stages.iter().filter_map(|name| minute.value(name)).map(|stage| stage.mean).sum();
+            (total(minute).mean, total(minute).p99) = (sum + seconds, None);
+        };
+        assert_eq!(words(|minute| set_unattributed(minute, 0.0020)), ["unattributed"]);
+        assert_eq!(words(|minute| set_unattributed(minute, 0.0014)), [] as [&str; 0]);
         let late = |minute: &mut Window| {
-            set(minute, "unattributed", 0.0018);
-            set(minute, LATENESS, 0.0017);
+            set_unattributed(minute, 0.0025);
+            set(minute, LATENESS, 0.0024);
         };
         assert_eq!(words(late), ["late"]);
     }

@@ -3,6 +3,7 @@
 mod bars;
 
 use peernet_figures::scale::Scale;
+use peernet_logger::stage;
 use peernet_statistics::number::{
     EXACT, NONE, SPACE, difference_ms, ends_ms, fixed, interval_ms, shift_ms, signed_within_ms, stage_ms,
     within_ms,
@@ -67,9 +68,7 @@ pub(crate) fn rows(
     hosts: &[String],
     scale: &Scale,
 ) -> Vec<Row> {
-    // If an iteration took about as long as usual, no part of it is marked as a cause.
-    let unusual = detail.row.factor.is_some_and(|factor| factor >= 1.05);
-    let is_cause = |name: &str| unusual && detail.row.causes.iter().any(|cause| cause.name == *name);
+    let is_cause = |name: &str| detail.row.causes.iter().any(|cause| cause.name == *name);
     let row = |node: &PlacedNode| {
         let strong = is_cause(node.name.as_str());
         Row::of(node, hosts, strong, bars::row(node, timeline, scale, strong))
@@ -79,27 +78,26 @@ pub(crate) fn rows(
     // Lateness is a part of the unattributed time, so its row is indented. Otherwise the column would seem to add up to more than the total.
     let late = timeline.nodes.iter().find(is_late).map(|node| Row { depth: 1, ..row(node) });
 
-    let figures =
-        |name: &str| detail.run_figures.iter().find(|(node, _)| node == name).map(|(_, figures)| figures.p50);
+    let medians = detail.medians();
     let edge = hosts.first().cloned().unwrap_or_default();
     if let Some(total) = detail.row.total {
         let unaccounted = UnaccountedTime::of(detail, timeline, total);
         if let Some((name, seconds)) = unaccounted.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
-            let usual = figures("upload").zip(figures("download")).map(|(up, down)| up + down);
-            let usual = usual.filter(|_| name == look::NETWORK);
+            let usual = medians.both_ways().filter(|_| name == look::NETWORK);
             let mut row = Row::sum(name, "network".to_owned(), seconds, usual, bars::blank(scale));
             row.strong = is_cause(name);
             rows.insert(after, row);
         }
         if let Some(rest) = unaccounted.unattributed {
-            let median = figures("unattributed");
+            let median = medians.median(&stage::UNATTRIBUTED);
             let mut row = Row::sum("unattributed", edge.clone(), rest, median, bars::blank(scale));
             row.strong = is_cause("unattributed");
             rows.push(row);
         }
         rows.extend(late);
-        let mut total_row = Row::sum("total", edge, total, figures("total"), bars::total(total, scale));
+        let mut total_row =
+            Row::sum("total", edge, total, medians.median(&stage::TOTAL), bars::total(total, scale));
         total_row.class = "total";
         rows.push(total_row);
     }

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use peernet_statistics::{Moments, Sketch, Summary};
-use peernet_store::{MIN_P95_SAMPLES, QuantityStatistics};
+use peernet_statistics::{MIN_VALUES_FOR_P95, Moments, Sketch, Summary};
+use peernet_store::QuantityStatistics;
 
 use crate::live_state::{PercentilePoint, PercentileSeries};
 
@@ -124,6 +124,6 @@ impl Percentiles {
 
 /// Returns the length of the shortest bucket with enough iterations for a 95th percentile at this rate, seconds.
 fn bucket_length(rate_hz: f64) -> Option<u32> {
-    let min_iterations = MIN_P95_SAMPLES as f64 * COUNT_MARGIN;
+    let min_iterations = MIN_VALUES_FOR_P95 as f64 * COUNT_MARGIN;
     BUCKETS_S.into_iter().find(|seconds| rate_hz * f64::from(*seconds) >= min_iterations)
 }

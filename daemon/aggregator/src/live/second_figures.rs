@@ -2,6 +2,7 @@
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_analysis::outcomes::unanswered_share;
+use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -57,10 +58,19 @@ impl SecondFigures {
             .map(|(name, summary)| (name.clone(), summary.moments.mean))
             .collect();
         means.sort_by(|(a, _), (b, _)| rank(a).cmp(&rank(b)));
+        let mean_of = |name: &str| {
+            let (_, summary) = self.values.iter().find(|(other, _)| other == name)?;
+            (summary.count() > 0).then_some((summary.count(), summary.moments.mean))
+        };
+        let sent = [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
+            let counts = self.verdicts.iter().filter(|(stage, ..)| *stage == direction);
+            counts.map(|(.., count)| count).sum()
+        });
+        let StageSplit { parts, .. } = StageSplit::new(sent, mean_of);
         let total_p95 =
             self.total().and_then(QuantityStatistics::from_summary).and_then(|statistics| statistics.p95);
         let (transfers, verdicts) = (self.transfers(), self.verdicts.clone());
-        LiveSecond { at, counts: self.counts, means, total_p95, transfers, verdicts }
+        LiveSecond { at, counts: self.counts, means, parts, total_p95, transfers, verdicts }
     }
 
     /// Returns the data rates of both directions.

@@ -35,7 +35,7 @@ impl Starts {
             hz: None,
             started: started().count() as u64,
             skipped: skipped.sum::<f64>() as u64,
-            actual_hz: actual_hz(started().map(|row| row.at()).filter(|at| *at > 0.0)),
+            actual_hz: rate_of_starts(started().map(|row| row.at()).filter(|at| *at > 0.0)),
         }
     }
 
@@ -58,22 +58,27 @@ impl Starts {
     }
 }
 
+/// Returns the starts per second of `count` iterations; their first and last start are `seconds` apart. `None` with fewer than two starts.
+pub fn start_rate(count: u64, seconds: f64) -> Option<f64> {
+    (count > 1 && seconds > 0.0).then(|| (count - 1) as f64 / seconds)
+}
+
 /// Returns the starts per second. The starts are in the order in which their iterations ended, so an earlier start can follow a later one.
-fn actual_hz(starts: impl Iterator<Item = f64>) -> Option<f64> {
+fn rate_of_starts(starts: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, first, last) = starts
-        .fold((0_u64, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {
+        .fold((0, f64::INFINITY, 0.0), |(count, first, last): (u64, f64, f64), at| {
             (count + 1, first.min(at), last.max(at))
         });
-    (last > first).then(|| (count - 1) as f64 / (last - first))
+    start_rate(count, last - first)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::actual_hz;
+    use super::rate_of_starts;
 
     #[test]
     fn start_rate_spans_first_to_last_start() {
-        assert_eq!(actual_hz([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
-        assert_eq!([actual_hz([10.0].into_iter()), actual_hz(std::iter::empty())], [None, None]);
+        assert_eq!(rate_of_starts([10.5, 10.0, 11.5, 12.0].into_iter()), Some(1.5));
+        assert_eq!([rate_of_starts([10.0].into_iter()), rate_of_starts(std::iter::empty())], [None, None]);
     }
 }

@@ -13,7 +13,7 @@ use peernet_statistics::Summary;
 use peernet_stream::{Event, HostClock, HostDescription, IncidentKind, PipelineState, RunDescription};
 
 use super::{Phase, ProgressDisplay, ProgressReport};
-use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver, p99};
+use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
 /// Observer of the agent.
 pub(super) struct RunRecorder<'a> {
@@ -80,7 +80,7 @@ impl RunProgress {
             iterations,
             rate,
             p50: self.totals.quantile(0.5),
-            p99: p99(&self.totals),
+            p99: self.totals.p99(),
             left_s: by_count.into_iter().chain(by_time).reduce(f64::min),
             trouble,
         }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
 use crate::output::print_to_stdout;
-use peernet_analysis::order::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, SortedValues};
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::table::text;
 use peernet_logger::Tree;
 use peernet_statistics::number::{bytes, counted, milliseconds};
@@ -18,9 +18,9 @@ use crate::foreground::Progress;
 
 /// Stages of a model, in their order.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
-/// Reported quantiles, with the minimum number of samples of each.
-const QUANTILES: [(&str, f64, usize); 3] =
-    [("p50", 0.5, 1), ("p95", 0.95, MIN_VALUES_FOR_P95), ("p99", 0.99, MIN_VALUES_FOR_P99)];
+/// Reported quantiles.
+const QUANTILES: [(&str, fn(&SortedValues) -> Option<f64>); 3] =
+    [("p50", SortedValues::median), ("p95", SortedValues::p95), ("p99", SortedValues::p99)];
 
 /// Arguments of `peernet models bench`.
 #[derive(Debug, clap::Args)]
@@ -115,10 +115,6 @@ fn seconds(tree: &Tree, stage: &str) -> Option<f64> {
     tree.find(&[stage]).and_then(|(_, node)| node.measure.value())
 }
 
-fn quantile(values: &SortedValues, (_, p, min_samples): (&str, f64, usize)) -> Option<f64> {
-    values.quantile(p).filter(|_| values.len() >= min_samples)
-}
-
 fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     let threads = arguments.options.intra_threads;
     print_to_stdout(format_args!(
@@ -132,7 +128,8 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     ));
     print_to_stdout("");
     let row = |(stage, values): &(&str, SortedValues)| {
-        let cells = QUANTILES.map(|one| quantile(values, one).map_or_else(|| "–".to_owned(), milliseconds));
+        let cells =
+            QUANTILES.map(|(_, quantile)| quantile(values).map_or_else(|| "–".to_owned(), milliseconds));
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
@@ -150,7 +147,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
 
 fn object(name: &str, measured: &Measured) -> Value {
     let stage = |(stage, values): &(&str, SortedValues)| {
-        let quantiles = QUANTILES.map(|one| (one.0.to_owned(), json!(quantile(values, one))));
+        let quantiles = QUANTILES.map(|(name, quantile)| (name.to_owned(), json!(quantile(values))));
         let mut figures = serde_json::Map::from_iter(quantiles);
         figures.insert("count".to_owned(), values.len().into());
         ((*stage).to_owned(), Value::Object(figures))
@@ -182,6 +179,6 @@ mod tests {
     fn memory_is_read_and_tail_needs_samples() {
         assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
         let few: SortedValues = (0..100).map(f64::from).collect();
-        assert_eq!(QUANTILES.map(|one| quantile(&few, one).is_some()), [true, true, false]);
+        assert_eq!(QUANTILES.map(|(_, quantile)| quantile(&few).is_some()), [true, true, false]);
     }
 }

@@ -10,7 +10,7 @@ use peernet_stream::Event;
 use tokio::task::JoinHandle;
 
 use super::Arguments;
-use crate::foreground::{AgentEnd, Progress, RunObserver, describe_quantiles, p99};
+use crate::foreground::{AgentEnd, Progress, RunObserver, describe_quantiles};
 
 /// Observer of the agent.
 pub(super) struct Serving {
@@ -196,7 +196,7 @@ impl RunObserver for Serving {
         }
         let served = running.served_counts().borrow().clone();
         let inference =
-            served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, p99(&served.inference)));
+            served.inference.quantile(0.5).map(|p50| describe_quantiles(p50, served.inference.p99()));
         self.inference = inference.map_or_else(String::new, |quantiles| format!(", inference {quantiles}"));
         self.sessions = served.sessions;
         let now = self.clock.mono();

@@ -1,6 +1,7 @@
 //! Execution of the runs, one after the other.
 
 use crate::exit::{Exit, Failure};
+use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
 use peernet_results::{Overwrite, ResultFolder};
@@ -162,7 +163,7 @@ impl Execution<'_> {
     }
 }
 
-/// Combines the progress of several users: the sums of their counts, the median of the user in the middle, and the highest 99th
+/// Combines the progress of several users: the sums of their counts, the median of the medians, and the highest 99th
 /// percentile.
 fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     let all: Vec<&ProgressReport> = reports.iter().flatten().collect();
@@ -170,14 +171,13 @@ fn combine(reports: &[Option<ProgressReport>]) -> Option<ProgressReport> {
     if rest.is_empty() {
         return Some((*first).clone());
     }
-    let mut medians: Vec<f64> = all.iter().filter_map(|report| report.p50).collect();
-    medians.sort_unstable_by(f64::total_cmp);
+    let medians: SortedValues = all.iter().filter_map(|report| report.p50).collect();
     Some(ProgressReport {
         phase: first.phase,
         done: all.iter().map(|report| report.done).sum(),
         iterations: all.iter().map(|report| report.iterations).sum(),
         rate: all.iter().map(|report| report.rate).sum(),
-        p50: medians.get(medians.len() / 2).copied(),
+        p50: medians.median(),
         p99: all.iter().filter_map(|report| report.p99).reduce(f64::max),
         left_s: all.iter().filter_map(|report| report.left_s).reduce(f64::max),
         trouble: all.iter().find_map(|report| report.trouble.clone()),

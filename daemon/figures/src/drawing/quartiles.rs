@@ -1,6 +1,5 @@
 //! Horizontal box plot of a distribution; several box plots share one scale. Only pages have this kind.
 
-use peernet_analysis::order::MIN_VALUES_FOR_P95;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{SPACE, count, milliseconds};
 
@@ -30,9 +29,9 @@ pub struct Quartiles {
 impl Quartiles {
     /// Returns the numbers of a distribution; `None` without samples. Quantiles are within 1 % of the true quantiles.
     pub fn of(summary: &Summary) -> Option<Self> {
-        let [p5, p25, p50, p75, p95] = [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| summary.quantile(q));
-        let tails = p5.zip(p95).filter(|_| summary.count() >= MIN_VALUES_FOR_P95 as u64);
-        Some(Self { count: summary.count(), mean: summary.moments.mean, middle: [p25?, p50?, p75?], tails })
+        let [p25, p50, p75] = [0.25, 0.5, 0.75].map(|q| summary.quantile(q));
+        let (count, mean) = (summary.count(), summary.moments.mean);
+        Some(Self { count, mean, middle: [p25?, p50?, p75?], tails: summary.tails() })
     }
 
     /// Returns the largest value that is drawn.

@@ -3,6 +3,8 @@
 
 use std::collections::HashMap;
 
+use peernet_clock::WallTime;
+
 use super::iterations::Row;
 use super::{corrupt_data, sql, wall};
 use crate::error::StoreError;
@@ -14,13 +16,7 @@ const WHAT: &str = "episodes";
 const MAX_WARM_UP: i64 = 10_000;
 
 pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, StoreError> {
-    let first: Option<Row> = sqlx::query_as(sql::ITERATIONS)
-        .bind(run)
-        .bind(0)
-        .bind(1)
-        .fetch_optional(&readers.pool())
-        .await
-        .map_err(readers.failed(WHAT))?;
+    let first = first_row(readers, run).await?;
     let last: Option<Row> = sqlx::query_as(sql::LAST_ITERATION)
         .bind(run)
         .fetch_optional(&readers.pool())
@@ -53,6 +49,24 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         unanswered: start_times(unanswered),
         without_answer,
     })
+}
+
+/// Returns the start of the first iteration after the warm-up; `None` if the beginning of the run is not stored.
+pub(super) async fn first_measured_start(
+    readers: &Readers,
+    run: i64,
+) -> Result<Option<WallTime>, StoreError> {
+    let Some(first) = first_row(readers, run).await?.filter(|first| first.number == 1) else {
+        return Ok(None);
+    };
+    let first_measured = if first.warm_up { warm_up(readers, run, &first).await? } else { Some(first) };
+    Ok(first_measured.map(|row| wall(row.started_ns)))
+}
+
+/// Returns the first stored iteration.
+async fn first_row(readers: &Readers, run: i64) -> Result<Option<Row>, StoreError> {
+    let first = sqlx::query_as(sql::ITERATIONS).bind(run).bind(0).bind(1);
+    first.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
 }
 
 /// Returns the number of the first iteration of an iteration's episode.

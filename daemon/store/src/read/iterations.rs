@@ -12,6 +12,7 @@ use super::clocks::AssumedWindows;
 use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
+use crate::figures::medians;
 use crate::readers::Readers;
 use crate::types::{DelayRow, IterationDetail, IterationFilter, IterationRow};
 
@@ -117,7 +118,7 @@ pub(crate) async fn iteration(
     let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
     let run_figures = statistics::statistics_by_name(readers, run).await?;
-    let medians = statistics::medians(&run_figures);
+    let medians = medians(&run_figures);
     let rank = match row.total {
         Some(total) if row.outcome == 0 && !row.warm_up => rank(readers, run, (total, number)).await?,
         _ => Rank::default(),
@@ -168,7 +169,7 @@ async fn with_stages_and_causes(
     run: i64,
     rows: Vec<Row>,
 ) -> Result<Vec<IterationRow>, StoreError> {
-    let medians = statistics::medians(&statistics::statistics_by_name(readers, run).await?);
+    let medians = medians(&statistics::statistics_by_name(readers, run).await?);
     complete_rows(readers, run, rows, &medians).await
 }
 

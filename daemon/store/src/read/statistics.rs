@@ -6,7 +6,6 @@ mod series;
 
 use std::collections::HashMap;
 
-use peernet_analysis::slowness::Medians;
 use peernet_logger::Name;
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
@@ -105,11 +104,6 @@ pub(crate) async fn histogram(
     let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
     Ok(Some(Histogram { stage: stage.into(), unit: samples.unit, edges, counts, beyond, figures }))
-}
-
-/// Returns the medians of a run's statistics.
-pub(super) fn medians(statistics: &[(Name, QuantityStatistics)]) -> Medians {
-    Medians(statistics.iter().map(|(name, statistics)| (name.clone(), statistics.p50)).collect())
 }
 
 /// Returns the statistics of all names of a run, in the order of tables.

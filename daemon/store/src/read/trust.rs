@@ -4,12 +4,14 @@ use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLab
 use peernet_analysis::rows::LATENESS;
 use peernet_analysis::trust::{
     Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, Starts, TimeSeries,
-    TrustInput,
+    TrustInput, start_rate,
 };
+use peernet_clock::WallTime;
 use peernet_logger::stage;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
+use super::episodes::first_measured_start;
 use super::statistics::{stage_buckets, statistics};
 use crate::error::StoreError;
 use crate::readers::Readers;
@@ -21,9 +23,13 @@ const BUCKETS: usize = 120;
 pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<TrustInput, StoreError> {
     let number = run.summary.number;
     let numbers = [number];
-    let (run_statistics, stages_over_time) =
-        tokio::try_join!(statistics(readers, &numbers), stages_over_time(readers, number))?;
-    Ok(collect(run, &run_statistics.into_iter().next().unwrap_or_default(), &stages_over_time))
+    let (run_statistics, stages_over_time, first_start) = tokio::try_join!(
+        statistics(readers, &numbers),
+        stages_over_time(readers, number),
+        first_measured_start(readers, number)
+    )?;
+    let run_statistics = run_statistics.into_iter().next().unwrap_or_default();
+    Ok(collect(run, first_start, &run_statistics, &stages_over_time))
 }
 
 /// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time series of
@@ -43,9 +49,18 @@ async fn stages_over_time(readers: &Readers, run: i64) -> Result<Vec<StageBucket
     Ok(stages)
 }
 
-/// Collects the values from which the trust findings of a run are computed. `stages_over_time` is the result of the function of that
-/// name.
-fn collect(run: &RunDetail, run_statistics: &RunStatistics, stages_over_time: &[StageBuckets]) -> TrustInput {
+/// Collects the values from which the trust findings of a run are computed. `first_start` is the start of the first iteration after the
+/// warm-up, `stages_over_time` the result of the function of that name.
+fn collect(
+    run: &RunDetail,
+    first_start: Option<WallTime>,
+    run_statistics: &RunStatistics,
+    stages_over_time: &[StageBuckets],
+) -> TrustInput {
+    // `None` if the number of missing events is unknown. Then the progress of the run is unknown, too.
+    let missing_events: Option<u64> = run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum();
+    let measured_s =
+        first_start.zip(run.summary.last_iteration).map(|(first, last)| (last - first).seconds());
     let RunStatistics { stages: statistics, bounds, .. } = run_statistics;
     let counts = Counts {
         ok: run.summary.counts.ok,
@@ -70,10 +85,14 @@ fn collect(run: &RunDetail, run_statistics: &RunStatistics, stages_over_time: &[
         conditions: run.conditions.clone(),
         counts,
         open: run.summary.ended.is_none(),
-        ended_early: configured.and_then(|configured| ended_early(run, &counts, configured.limit)),
+        ended_early: configured
+            .and_then(|configured| ended_early(run, &counts, measured_s, missing_events?, configured.limit)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
-            actual_hz: actual_hz(run, &counts),
+            // Missing iterations were started, too. If their number is not known, the rate is not known either.
+            actual_hz: measured_s.zip(missing_events).and_then(|(seconds, missing_events)| {
+                start_rate(counts.measured() + missing_events, seconds)
+            }),
             ..Starts::from(&run.summary)
         },
         missing: run
@@ -133,26 +152,24 @@ impl From<&RunSummary> for Starts {
     }
 }
 
-/// Returns the starts per second over the whole run. The warm-up is included, because the store does not keep when it ended.
-fn actual_hz(run: &RunDetail, counts: &Counts) -> Option<f64> {
-    let seconds = (run.summary.last_iteration? - run.summary.started).seconds();
-    // Missing iterations were started, too, so the rate of an incomplete run is unknown.
-    let is_complete = run.gaps.is_empty() && seconds > 0.0;
-    is_complete.then(|| (counts.measured() + counts.warm_up) as f64 / seconds)
-}
-
-/// Compares a run that has ended with the limits in its configuration.
-fn ended_early(run: &RunDetail, counts: &Counts, limit: Limits) -> Option<EndedEarly> {
+/// Compares a run that has ended with the limits in its configuration. `measured_s` is the time from the first start after the warm-up to the
+/// last start, seconds; `None` if the beginning of the run is not stored.
+fn ended_early(
+    run: &RunDetail,
+    counts: &Counts,
+    measured_s: Option<f64>,
+    missing_events: u64,
+    limit: Limits,
+) -> Option<EndedEarly> {
     let summary = &run.summary;
     summary.ended?;
-    // If the number of missing events is unknown, the progress of the run is unknown, too.
-    let missing_events =
-        run.gaps.iter().map(|gap| (gap.count > 0).then_some(gap.count)).sum::<Option<u64>>()?;
     let progress = Progress {
         measured: counts.measured() + missing_events,
         warm_up: counts.warm_up,
-        // Includes the warm-up, because the store does not keep when it ended.
-        seconds: summary.last_iteration.map_or(0.0, |last| (last - summary.started).seconds()),
+        // A run whose beginning was deleted has lasted at least since its start.
+        seconds: measured_s
+            .or_else(|| Some((summary.last_iteration? - summary.started).seconds()))
+            .unwrap_or(0.0),
     };
     EndedEarly::from_progress(&limit, &progress, summary.reason.as_ref().unwrap_or(&EndReason::Unknown))
 }

@@ -164,6 +164,8 @@ pub(crate) struct Second {
     pub counts: Counts,
     /// Means by node name, over single iterations; use `transfers` for speeds.
     pub means: BTreeMap<String, f64>,
+    /// Parts of the mean of `total`, seconds: stages, `unattributed`, and `upload + download` where the clocks cannot split them.
+    pub parts: BTreeMap<String, f64>,
     /// 95th percentile of `total` within the second, seconds; null below 60 successful iterations. Percentiles cannot be averaged; use
     /// `total_over_time` for a line over time.
     pub total_p95: Option<f64>,
@@ -176,6 +178,7 @@ impl From<&LiveSecond> for Second {
             at: second.at,
             counts: second.counts.into(),
             means: second.means.iter().map(|(name, mean)| (name.to_string(), *mean)).collect(),
+            parts: second.parts.iter().map(|(name, mean)| (name.to_string(), *mean)).collect(),
             total_p95: second.total_p95,
             transfers: Transfers::from(&second.transfers),
         }

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
+use peernet_analysis::stage_split::StageSplit;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
@@ -174,9 +175,11 @@ fn data(
         buckets.binary_search_by_key(&at, |bucket| bucket.at).ok().and_then(|index| buckets.get(index))
     };
     let bucket = |point: &SeriesPoint| {
-        let parts = stack::parts(!one.bounds.is_empty(), |name| {
-            mean(name, point.at).map(|bucket| (bucket.count, bucket.mean))
-        });
+        // The number of unknown delays is not stored by time, so only the known ones count.
+        let sent = stack::sent(&one.bounds).map(|count| count.min(1));
+        let split =
+            StageSplit::new(sent, |name| mean(name, point.at).map(|bucket| (bucket.count, bucket.mean)));
+        let parts = stack::bar_parts(split.parts);
         let single_part = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
         StageBucket {
             begin: since(point.at),

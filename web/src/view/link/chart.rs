@@ -1,5 +1,6 @@
 //! The chart of a link over time.
 
+use peernet_analysis::order::SortedValues;
 use peernet_clock::{Span, Verdict, WallTime};
 use peernet_figures::look::{Style, TextStyle};
 use peernet_figures::plot::{At, Item, Label, Path};
@@ -101,11 +102,7 @@ impl Plan<'_> {
 
 /// Returns the largest value, but at most [`TAIL`] times the 95th percentile.
 pub(super) fn reach(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.filter(|value| value.is_finite()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let Some(largest) = sorted.last().copied() else { return 0.0 };
-    let p95 = sorted[(sorted.len() - 1) * 19 / 20];
-    if p95 > 0.0 { largest.min(p95 * TAIL) } else { largest }
+    values.collect::<SortedValues>().scale_end(0.95, TAIL).unwrap_or(0.0)
 }
 
 /// Returns the number of values beyond the end of a scale, in words.
@@ -266,9 +263,9 @@ fn round_trips(plan: &Plan<'_>) -> Track {
     };
     track.draw("faint", line(|trip| trip.median));
     track.draw("strong", line(|trip| trip.min));
-    let lost = points.iter().filter(|point| point.probes.lost > 0).map(|point| {
-        let share = f64::from(point.probes.lost) / f64::from(point.probes.sent.max(1));
-        (plan.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0))
+    let lost = points.iter().filter_map(|point| {
+        let share = point.probes.lost_share().filter(|share| *share > 0.0)?;
+        Some((plan.x(point.at), 0.03, 0.05 + 0.15 * (share * 5.0).min(1.0)))
     });
     track.draw("lost", Path::ticks(lost));
     track
@@ -331,7 +328,7 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     text.push_str(&format!(
         " {} of {} probes were lost.",
         count(probes.lost.into()),
-        count(probes.sent.into())
+        count(probes.ended().into())
     ));
     if !plan.gaps.is_empty() {
         text.push_str(&format!(

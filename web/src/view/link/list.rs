@@ -4,12 +4,13 @@ use peernet_aggregator::{LinkSnapshot, LiveState};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{bound_ms, offset_ms, percent, trip_ms};
 use peernet_store::LinkRow;
+use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::clock_fault::{self, FaultyClocks};
 use super::super::now::Cell;
 use super::stats::ppm;
-use super::{CONTRADICTION, Subject, estimate_and_half_width, is_live, is_young, panels, time_series};
+use super::{CONTRADICTION, Subject, estimate_and_half_width, is_live, is_young, panels};
 use crate::zone::{Zone, ZonedTime};
 
 /// Current state of a link.
@@ -58,7 +59,7 @@ impl LinkLine {
         let verdict = subject.verdict();
         let offset = subject.offset();
         let is_same_clock = subject.same_clock();
-        let probes = time_series::sum(link.history.iter().map(|point| point.probes));
+        let probes: ProbeCounts = link.history.iter().map(|point| point.probes).sum();
         let newest_trip = link.history.iter().rev().find_map(|point| point.round_trip);
         let faulty = faulty.concerns(&[&subject.edge, &subject.cloud]);
         let why = no_offset(&subject);
@@ -95,10 +96,7 @@ impl LinkLine {
                 newest_trip.map(|trip| trip_ms(trip.median.seconds())),
                 "no probe came back in ten minutes",
             ),
-            lost: cell(
-                (probes.sent > 0).then(|| percent(f64::from(probes.lost) / f64::from(probes.sent))),
-                "no probes in ten minutes",
-            ),
+            lost: cell(probes.lost_share().map(percent), "no probes in ten minutes"),
             probing: panels::probing(&link.live.probing),
             pipelines: subject.pipelines(),
         }

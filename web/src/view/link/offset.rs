@@ -1,5 +1,6 @@
 //! The clock offset of a link over time: the band of its bounds, the estimate in the band, and the intervals of other sources.
 
+use peernet_analysis::order::SortedValues;
 use peernet_clock::{DelaySource, Interval, RelatedClocks, Span};
 use peernet_figures::plot::Path;
 use peernet_figures::scale::Scale;
@@ -24,12 +25,7 @@ fn larger_end((lo, hi): Ends) -> f64 {
 
 /// Returns the end of a scale for most bands. Bands right after a clock step are wide, and may exceed the scale.
 fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = sizes.filter(|size| size.is_finite()).collect();
-    sorted.sort_by(f64::total_cmp);
-    let p90_index = sorted.len().saturating_sub(1) * 9 / 10;
-    sorted
-        .get(p90_index)
-        .map_or(0.0, |p90| sorted.last().map_or(*p90, |largest| largest.min(p90 * MAX_OUTLIER_RATIO)))
+    sizes.collect::<SortedValues>().scale_end(0.9, MAX_OUTLIER_RATIO).unwrap_or(0.0)
 }
 
 /// Returns the track of the offset of `cloud`.

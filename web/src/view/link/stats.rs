@@ -4,7 +4,6 @@ use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{
     NONE, SPACE, bound, count, figure, fixed, length, offset_ms, percent, trip_ms,
 };
-use peernet_stream::ProbeCounts;
 
 use super::super::chip::Chip;
 use super::super::speed::NetworkDirection;
@@ -126,12 +125,12 @@ fn round_trip(time_series: &LinkTimeSeries) -> Stat {
 }
 
 fn lost(time_series: &LinkTimeSeries) -> Stat {
-    let ProbeCounts { sent, lost, .. } = time_series.probes();
-    let share = (sent > 0).then(|| percent(f64::from(lost) / f64::from(sent)));
-    let line = if sent > 0 {
-        format!("{} of {} in {}", count(lost.into()), count(sent.into()), length(time_series.seconds()))
-    } else {
-        "no probes".to_owned()
+    let probes = time_series.probes();
+    let (lost, ended) = (count(probes.lost.into()), count(probes.ended().into()));
+    let share = probes.lost_share().map(percent);
+    let line = match share {
+        Some(_) => format!("{lost} of {ended} in {}", length(time_series.seconds())),
+        None => "no probes".to_owned(),
     };
     Stat::new("Probes lost", share, "%", line)
 }

@@ -79,7 +79,7 @@ impl LinkTimeSeries {
 
     /// Returns the counts of probes of all points together.
     pub(crate) fn probes(&self) -> ProbeCounts {
-        sum(self.points.iter().map(|point| point.probes))
+        self.points.iter().map(|point| point.probes).sum()
     }
 
     /// Returns the smallest and the median round trip of probes, seconds.
@@ -87,16 +87,6 @@ impl LinkTimeSeries {
         let trip = merged_round_trip(self.points.iter().filter_map(|point| point.round_trip))?;
         Some((trip.min.seconds(), trip.median.seconds()))
     }
-}
-
-/// Adds up counts of probes.
-pub(super) fn sum(counts: impl Iterator<Item = ProbeCounts>) -> ProbeCounts {
-    counts.fold(ProbeCounts::default(), |sum, one| ProbeCounts {
-        sent: sum.sent.saturating_add(one.sent),
-        answered: sum.answered.saturating_add(one.answered),
-        lost: sum.lost.saturating_add(one.lost),
-        refused: sum.refused.saturating_add(one.refused),
-    })
 }
 
 /// Returns the offset with the widest bounds, and among equal widths the newest. The store's buckets follow the same rule.
@@ -123,7 +113,7 @@ fn merge_points(points: &[ClockPoint]) -> Option<ClockPoint> {
         at: last.at,
         window: last.window,
         offset: widest_offset(&points[begin..]),
-        probes: sum(points.iter().map(|point| point.probes)),
+        probes: points.iter().map(|point| point.probes).sum(),
         round_trip: merged_round_trip(points.iter().filter_map(|point| point.round_trip)),
         up: delays(points, NetworkDirection::Up),
         down: delays(points, NetworkDirection::Down),

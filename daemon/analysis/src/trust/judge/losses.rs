@@ -1,13 +1,12 @@
 //! Judgement of missing measurements: unanswered iterations, skipped starts, missing events and an early end.
 
+use peernet_statistics::MIN_VALUES_FOR_P95;
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
 
-/// Minimum number of values for a 95th percentile, everywhere in PEERNet.
-const MIN_ANSWERS: u64 = 60;
 /// Share of iterations without an answer, and of skipped starts, above which the finding is doubtful.
 const NOTABLE_SHARE: f64 = 0.001;
 /// Share of iterations without an answer, and of skipped starts, above which the latency of the answered iterations is misleading.
@@ -80,7 +79,7 @@ fn judge_amount(counts: &Counts) -> Finding {
             let finding = finding(about, Grade::Bad, format!("No iteration was answered; {warm_up}."));
             with_advice(finding, "find the reasons on the run's page or in the column `reason` of `data.csv`")
         }
-        few @ ..MIN_ANSWERS => {
+        few @ ..MIN_VALUES_FOR_P95 => {
             let verb = if few == 1 { "was" } else { "were" };
             let text = format!(
                 "Only {} {verb} answered: too few for a 95th percentile; {warm_up}.",
@@ -88,7 +87,7 @@ fn judge_amount(counts: &Counts) -> Finding {
             );
             with_advice(
                 finding(about, Grade::Doubtful, text),
-                format!("measure at least {MIN_ANSWERS} iterations, better 1,000"),
+                format!("measure at least {MIN_VALUES_FOR_P95} iterations, better 1,000"),
             )
         }
         ok => finding(about, Grade::Good, format!("{} were answered; {warm_up}.", iterations(ok))),

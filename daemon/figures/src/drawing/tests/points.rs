@@ -56,6 +56,17 @@ fn level_line_is_drawn_at_height_or_omitted() {
 }
 
 #[test]
+fn falling_line_ends_at_edge_of_plot() {
+    let svg = scaling(Some((-2e6, 1e3)), None).svg();
+    let discs = Elements::of(&svg, "circle").numbers("cy");
+    let decade = discs[2] - discs[3];
+    // The axis begins below the smallest value by this power of its range of two decades.
+    let bottom = discs[1] + 0.06 * 2.0 * decade;
+    let lowest = levels(&svg).into_iter().fold(0.0, f64::max);
+    assert!((lowest - bottom).abs() < 0.1, "{lowest} {bottom}");
+}
+
+#[test]
 fn legend_omits_whisker_without_clock_bounds() {
     let has_whisker = |share: f64| scaling(None, Some(share)).words().contains("whisker: by clock bounds");
     assert!(has_whisker(0.2) && !has_whisker(0.0), "one clock has no bounds");

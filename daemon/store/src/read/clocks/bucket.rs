@@ -58,10 +58,7 @@ impl Bucket {
         {
             self.widest = Some(offset);
         }
-        self.probes.sent = self.probes.sent.saturating_add(row.probes_sent);
-        self.probes.answered = self.probes.answered.saturating_add(row.probes_answered);
-        self.probes.lost = self.probes.lost.saturating_add(row.probes_lost);
-        self.probes.refused = self.probes.refused.saturating_add(row.probes_refused);
+        self.probes = [self.probes, row.probes()].into_iter().sum();
         self.round_trips.extend(row.round_trip());
         row.up()?.iter().for_each(|second| self.up.add(second));
         row.down()?.iter().for_each(|second| self.down.add(second));

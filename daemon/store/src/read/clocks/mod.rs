@@ -8,7 +8,7 @@ use std::iter::successors;
 
 use futures::TryStreamExt;
 use peernet_clock::{DelaySource, Interval, Offset, RelatedClocks, Span, Verdict, WallTime};
-use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
+use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
 
@@ -216,6 +216,15 @@ impl Row {
 
     fn bounds(&self) -> Option<Interval> {
         interval(self.offset_lo_ns, self.offset_hi_ns)
+    }
+
+    const fn probes(&self) -> ProbeCounts {
+        ProbeCounts {
+            sent: self.probes_sent,
+            answered: self.probes_answered,
+            lost: self.probes_lost,
+            refused: self.probes_refused,
+        }
     }
 
     fn round_trip(&self) -> Option<RoundTrip> {

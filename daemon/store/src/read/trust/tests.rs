@@ -53,7 +53,7 @@ fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
 }
 
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {
-    Report::new(&collect(run, &RunStatistics { stages, ..RunStatistics::default() }, &[]))
+    Report::new(&collect(run, Some(NOW), &RunStatistics { stages, ..RunStatistics::default() }, &[]))
 }
 
 /// A run of 300 iterations in 59 s.
@@ -117,7 +117,7 @@ fn replayed_latencies_and_overrun_are_collected() {
     let mut run = detail("", "finished");
     run.facts.push(("Replayed".to_owned(), "inference is drawn from x".to_owned()));
     let statistics = RunStatistics { stages: vec![node("overrun", 300, 0.002)], ..RunStatistics::default() };
-    let input = collect(&run, &statistics, &[]);
+    let input = collect(&run, None, &statistics, &[]);
     assert_eq!((input.replayed.as_deref(), input.overrun), (Some("inference is drawn from x"), Some(0.002)));
 }
 
@@ -140,7 +140,7 @@ fn skipped_starts_are_reported_with_ordered_rate() {
         found.map(|sentence| (sentence.grade, sentence.text)).expect("said")
     };
     let (grade, text) = said(300);
-    let rates = "40.0\u{202f}Hz were configured, 5.17\u{202f}Hz achieved";
+    let rates = "40.0\u{202f}Hz were configured, 5.07\u{202f}Hz achieved";
     assert!(grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates), "{text}");
     assert_eq!(said(0).0, Grade::Good);
 }

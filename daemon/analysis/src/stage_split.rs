@@ -1,0 +1,156 @@
+//! Split of the mean total latency into the means of its stages.
+
+use peernet_logger::{Name, stage};
+
+use crate::rows::LATENESS;
+use crate::slowness::{self, BOTH_DIRECTIONS};
+
+/// Share of the total below which the rest beyond the stages is a rounding error.
+const MIN_REST_SHARE: f64 = 1e-9;
+
+/// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StageSplit {
+    /// Mean of each part per iteration, seconds, in the order of the stages. The last is `unattributed`: the time in no stage.
+    pub parts: Vec<(Name, f64)>,
+    /// Part of `unattributed` before the real start of the iteration, seconds.
+    pub late_start: f64,
+}
+
+/// Number of values of a node, and their mean in seconds.
+pub type CountAndMean = (u64, f64);
+
+impl StageSplit {
+    /// Splits the mean of the total. `mean_of` returns the values of a node, `None` if it has none. `sent` is the number of iterations that
+    /// sent a message to the other host, and the number that received one: some of their delays may be unknown. Empty without a total.
+    ///
+    /// A stage that an iteration does not have took no time. An unknown delay counts as the mean of the known ones. If neither direction is
+    /// known, because the clocks are not related, their sum replaces both; it needs no clock relation.
+    pub fn new(sent: [u64; 2], mean_of: impl Fn(&str) -> Option<CountAndMean>) -> Self {
+        let Some((iterations, total)) = mean_of(&stage::TOTAL) else { return Self::default() };
+        let mean = |name: &Name| {
+            let (count, mean) = mean_of(name)?;
+            let sent_count = match name {
+                name if *name == stage::UPLOAD => sent[0],
+                name if *name == stage::DOWNLOAD => sent[1],
+                _ => 0,
+            };
+            Some(mean_per_iteration((count.max(sent_count), mean), iterations))
+        };
+        let mut parts: Vec<(Name, f64)> =
+            stage::ORDER.iter().filter_map(|name| Some((name.clone(), mean(name)?))).collect();
+        let was_sent = sent.iter().any(|count| *count > 0);
+        let is_direction = |(name, _): &(Name, f64)| [stage::UPLOAD, stage::DOWNLOAD].contains(name);
+        if was_sent && !parts.iter().any(is_direction) {
+            let others = parts.iter().map(|(_, seconds)| *seconds);
+            let unattributed = mean_of(&stage::UNATTRIBUTED).map(|(_, mean)| mean);
+            let sum = unattributed.map(|rest| slowness::both_ways(total, others, rest));
+            let index = index_of_network(&parts);
+            parts.splice(
+                index..index,
+                sum.filter(|sum| *sum > 0.0).map(|sum| (Name::from_static(BOTH_DIRECTIONS), sum)),
+            );
+        }
+        let unattributed = total - parts.iter().map(|(_, seconds)| seconds).sum::<f64>();
+        if unattributed > MIN_REST_SHARE * total {
+            parts.push((stage::UNATTRIBUTED, unattributed));
+        }
+        let late_start = mean_of(LATENESS).map_or(0.0, |lateness| mean_per_iteration(lateness, iterations));
+        Self { parts, late_start: late_start.clamp(0.0, unattributed.max(0.0)) }
+    }
+
+    /// Returns the time in no stage without the late start, seconds.
+    pub fn unattributed_without_late_start(&self) -> f64 {
+        let unattributed = self.parts.last().filter(|(name, _)| *name == stage::UNATTRIBUTED);
+        unattributed.map_or(0.0, |(_, seconds)| seconds - self.late_start)
+    }
+}
+
+/// Returns the position at which the time of both directions stands among parts: where `upload` would stand.
+pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
+    let stages_before: Vec<Name> =
+        stage::ORDER.into_iter().take_while(|name| *name != stage::UPLOAD).collect();
+    parts.iter().filter(|(name, _)| stages_before.contains(name)).count()
+}
+
+/// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node count as zero.
+pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
+    mean * count as f64 / iterations.max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Splits a total of 20 ms over 50 iterations with these nodes.
+    fn split(sent: u64, nodes: &[(&str, u64, f64)]) -> Vec<(String, f64)> {
+        let mean_of = |name: &str| {
+            let node = [("total", 50, 0.020)].into_iter().chain(nodes.iter().copied());
+            node.into_iter().find(|(node, ..)| *node == name).map(|(_, count, mean)| (count, mean))
+        };
+        let StageSplit { parts, .. } = StageSplit::new([sent; 2], mean_of);
+        let milliseconds = |seconds: f64| (seconds * 1e6).round() / 1e3;
+        parts.into_iter().map(|(name, seconds)| (name.to_string(), milliseconds(seconds))).collect()
+    }
+
+    fn part(name: &str, milliseconds: f64) -> (String, f64) {
+        (name.to_owned(), milliseconds)
+    }
+
+    #[test]
+    fn rest_of_total_is_unattributed() {
+        let parts = split(0, &[("sensing", 50, 0.005), ("upload", 50, 0.010)]);
+        assert_eq!(parts, [part("sensing", 5.0), part("upload", 10.0), part("unattributed", 5.0)]);
+        assert_eq!(split(0, &[("sensing", 50, 0.020)]), [part("sensing", 20.0)]);
+    }
+
+    #[test]
+    fn stage_of_few_iterations_is_spread_over_all() {
+        let parts = split(0, &[("sensing", 50, 0.005), ("ipc", 10, 0.010)]);
+        assert_eq!(parts, [part("sensing", 5.0), part("ipc", 2.0), part("unattributed", 13.0)]);
+    }
+
+    #[test]
+    fn unknown_delays_count_as_mean_of_known_ones() {
+        let nodes = [("upload", 25, 0.010), ("download", 50, 0.004)];
+        assert_eq!(
+            split(50, &nodes),
+            [part("upload", 10.0), part("download", 4.0), part("unattributed", 6.0)]
+        );
+    }
+
+    #[test]
+    fn unknown_directions_are_shown_as_their_sum() {
+        let nodes = [("sensing", 50, 0.004), ("inference", 50, 0.003), ("unattributed", 50, 0.001)];
+        let expected = [
+            part("sensing", 4.0),
+            part(BOTH_DIRECTIONS, 12.0),
+            part("inference", 3.0),
+            part("unattributed", 1.0),
+        ];
+        assert_eq!(split(50, &nodes), expected);
+        let local = split(0, &nodes);
+        assert_eq!(local, [part("sensing", 4.0), part("inference", 3.0), part("unattributed", 13.0)]);
+    }
+
+    #[test]
+    fn late_start_is_part_of_unattributed_time() {
+        let split = |lateness: f64| {
+            StageSplit::new([0; 2], |name| match name {
+                "total" => Some((50, 0.020)),
+                "sensing" => Some((50, 0.015)),
+                "lateness" => Some((50, lateness)),
+                _ => None,
+            })
+        };
+        let with_late_start = split(0.003);
+        assert!((with_late_start.unattributed_without_late_start() - 0.002).abs() < 1e-12);
+        assert!(split(0.009).unattributed_without_late_start().abs() < 1e-12, "clocks may disagree");
+    }
+
+    #[test]
+    fn nothing_is_split_without_total() {
+        let without_total = StageSplit::new([1; 2], |name| (name != "total").then_some((1, 1.0)));
+        assert_eq!(without_total, StageSplit::default());
+    }
+}
