@@ -61,6 +61,13 @@ pub struct DelayAccuracy {
     pub verdicts: Vec<(Verdict, u64)>,
 }
 
+impl DelayAccuracy {
+    /// Returns the median of half the widths of the intervals, seconds; `None` when no delay had an interval.
+    pub fn median_half_width(&self) -> Option<f64> {
+        self.half_width.map(|width| width.p50)
+    }
+}
+
 /// Returns the sort key of a name in tables: the stages in their order, then `total`, `stages-total`, `unattributed`,
 /// throughputs, sizes, and users' names in alphabetical order.
 pub fn rank(name: &str) -> (usize, &str) {

@@ -14,7 +14,9 @@ use peernet_logger::stage;
 use peernet_statistics::number::{
     NONE, SPACE, count, difference_ms, figure, length, stage_ms, throughput, times, total_ms,
 };
-use peernet_store::{Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics};
+use peernet_store::{
+    DelayAccuracy, Episodes, IterationRow, RunDetail, RunStatistics, Series, StageStatistics,
+};
 use serde::Serialize;
 
 use super::clocks;
@@ -212,7 +214,7 @@ impl Stored<'_> {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
                 let delay = self.statistics.stages.iter().find(|stage| stage.stage == *way.delay());
-                let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
+                let half = bound.and_then(DelayAccuracy::median_half_width);
                 speed::interval(speed, delay.map(|stage| stage.figures.mean), half)
             }
             Some(_) => None,

@@ -8,6 +8,7 @@ use peernet_aggregator::{LiveSecond, Window};
 use peernet_analysis::transfer::{Transfer, Transfers, speed_between};
 use peernet_clock::Verdict;
 use peernet_statistics::number::{NONE, throughput, throughput_between};
+use peernet_store::DelayAccuracy;
 use peernet_stream::PlacementKind;
 
 use super::clocks;
@@ -84,7 +85,7 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
         (None, None) => Cell::none("the sizes or the delays are not known"),
         (Some(why), speed) => {
             let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
-            let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50);
+            let half = bound.and_then(DelayAccuracy::median_half_width);
             let delay = window.value(direction.delay()).map(|figures| figures.mean);
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
             match speed.filter(|_| limited).and_then(|speed| interval(speed, delay, half)) {

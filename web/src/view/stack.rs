@@ -36,7 +36,7 @@ impl Stack {
     fn with_bounds(mut self, bounds: &[DelayAccuracy]) -> Self {
         for bound in bounds {
             if let Some(part) = self.parts.iter_mut().find(|part| part.name == bound.stage.as_str()) {
-                part.bound = bound.half_width.map(|width| width.p50).filter(|width| *width > 0.0);
+                part.bound = bound.median_half_width().filter(|width| *width > 0.0);
             }
         }
         self

@@ -161,7 +161,7 @@ impl BoundCell {
         };
         let verdict = clocks::verdict(bound);
         Self {
-            text: bound.half_width.map_or_else(|| NONE.to_owned(), |width| bound_ms(width.p50)),
+            text: bound.median_half_width().map_or_else(|| NONE.to_owned(), bound_ms),
             sign: verdict.map(|verdict| Chip::verdict(verdict).into()),
             title: verdict.map_or("no delays in this time", clocks::meaning),
         }

@@ -3,7 +3,7 @@
 use super::{Fit, Point, Weighted, least_squares};
 
 /// Sizes within this factor are one size.
-pub(crate) const SAME_SIZE_RATIO: f64 = 1.1;
+const SAME_SIZE_RATIO: f64 = 1.1;
 /// Minimum number of sizes for a line.
 pub const MIN_SIZES: usize = 3;
 
@@ -20,11 +20,16 @@ pub struct MeanAtSize {
     pub std: Option<f64>,
 }
 
+/// Returns whether two sizes differ by less than a tenth, so that they count as one size.
+pub fn is_same_size(a: f64, b: f64) -> bool {
+    a.max(b) <= a.min(b) * SAME_SIZE_RATIO
+}
+
 /// Returns the number of sizes that differ by a tenth or more.
 pub fn distinct_sizes(sizes: impl Iterator<Item = f64>) -> usize {
     let mut distinct: Vec<f64> = Vec::new();
     for size in sizes {
-        if distinct.iter().all(|other| *other > size * SAME_SIZE_RATIO || size > other * SAME_SIZE_RATIO) {
+        if !distinct.iter().any(|other| is_same_size(*other, size)) {
             distinct.push(size);
         }
     }

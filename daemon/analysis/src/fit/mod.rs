@@ -16,7 +16,7 @@ mod means;
 mod theil_sen;
 
 pub use least_squares::{Weighted, least_squares};
-pub use means::{MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
+pub use means::{MIN_SIZES, MeanAtSize, distinct_sizes, is_same_size, line_through_means};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 

@@ -42,5 +42,13 @@ pub use stage_bar::{StageBar, StagePart};
 pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};
 pub use time_series::{Line, TimeSeries};
 
+/// Largest magnitude that can have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
+const MAX_MAGNITUDE: f64 = 1e18;
+
+/// Returns whether a number can be drawn in a figure.
+pub(crate) fn is_drawable(value: f64) -> bool {
+    value.abs() <= MAX_MAGNITUDE
+}
+
 #[cfg(test)]
 mod tests;

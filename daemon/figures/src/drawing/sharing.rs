@@ -1,7 +1,9 @@
 //! Figure of latency against the number of edges that share one cloud, with the fairness among these edges.
 
+use peernet_analysis::users::{Curve, UsersLine};
 use peernet_statistics::number::fixed;
 
+use super::is_drawable;
 use crate::look::{Style, series};
 use crate::plot::{Axis, Figure, Height, Item, Key, Marks, Path, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
@@ -60,6 +62,23 @@ pub struct SharingPoint {
     pub each: Vec<f64>,
     /// Jain's index of their rates, from 0 to 1.
     pub fairness: Option<f64>,
+}
+
+impl SharingCurve {
+    /// Returns the curve of a configuration, without numbers that cannot be drawn.
+    pub fn new(curve: &Curve<'_>) -> Self {
+        let drawable = |value: Option<f64>| value.filter(|value| is_drawable(*value));
+        let point = |line: &&UsersLine| {
+            Some(SharingPoint {
+                edges: line.edges,
+                median: drawable(line.totals.median)?,
+                p95: drawable(line.totals.p95),
+                each: line.shares.iter().filter_map(|share| drawable(share.median)).collect(),
+                fairness: line.fairness,
+            })
+        };
+        Self { name: curve.name.clone(), points: curve.points.iter().filter_map(point).collect() }
+    }
 }
 
 impl Sharing {

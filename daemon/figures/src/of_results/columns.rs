@@ -3,17 +3,10 @@
 use peernet_statistics::number::fixed;
 
 use crate::drawing::Unit;
+pub(super) use crate::drawing::is_drawable;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::{RowRef, Rows, Units};
 use peernet_analysis::summary::Scale;
-
-/// Largest magnitude that can have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
-const MAX_MAGNITUDE: f64 = 1e18;
-
-/// Returns whether a number can be drawn in a figure.
-pub(super) fn is_drawable(value: f64) -> bool {
-    value.abs() <= MAX_MAGNITUDE
-}
 
 /// Returns a note on the count of numbers in these columns that are too large to be drawn; `None` if there are none.
 pub(super) fn too_large_note<'a>(rows: impl Iterator<Item = RowRef<'a>>, columns: &[&str]) -> Option<String> {

@@ -5,7 +5,7 @@ use peernet_statistics::number::counted;
 use super::columns::{excluded_note, is_drawable};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint, Unit};
+use crate::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::users::{Curve, Users, UsersLine};
 
@@ -33,7 +33,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let sharing = Sharing {
             title: "Latency against edges at once".to_owned(),
             unit: Unit::milliseconds("Total"),
-            curves: curves.iter().map(curve).collect(),
+            curves: curves.iter().map(SharingCurve::new).collect(),
             notes: notes.iter().chain(&missing).cloned().collect(),
         };
         Drawing::new(format!("users{suffix}"), AnyFigure::Sharing(sharing)).with_left_out(missing)
@@ -63,22 +63,4 @@ fn missing_points_note(curves: &[Curve<'_>]) -> Option<String> {
 /// Returns whether a line has a total that can be drawn.
 fn has_total(line: &UsersLine) -> bool {
     line.totals.median.is_some_and(is_drawable)
-}
-
-fn curve(curve: &Curve<'_>) -> SharingCurve {
-    let point = |line: &&UsersLine| {
-        Some(SharingPoint {
-            edges: line.edges,
-            median: line.totals.median.filter(|median| is_drawable(*median))?,
-            p95: line.totals.p95.filter(|p95| is_drawable(*p95)),
-            each: line
-                .shares
-                .iter()
-                .filter_map(|share| share.median)
-                .filter(|median| is_drawable(*median))
-                .collect(),
-            fairness: line.fairness,
-        })
-    };
-    SharingCurve { name: curve.name.clone(), points: curve.points.iter().filter_map(point).collect() }
 }

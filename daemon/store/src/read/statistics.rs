@@ -85,23 +85,21 @@ pub(crate) async fn histogram(
     // If all samples are equal, the bin gets a width that can be drawn.
     let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
     let edges: Vec<f64> = (0..=bins).map(|index| low + (high - low) * index as f64 / bins as f64).collect();
-    // The minimum and the maximum are exact, but the sketch's bins are not. Samples that the sketch has before the first edge belong
-    // to the first bin.
-    let mut counts_below: Vec<f64> =
-        edges.iter().map(|edge| samples.summary.sketch.count_below(*edge)).collect();
-    if let Some(first) = counts_below.first_mut() {
-        *first = 0.0;
-    }
+    let mut limits = edges.clone();
     // If the axis ends at the maximum, no sample is beyond the axis.
-    if let Some(last) = counts_below.last_mut()
+    if let Some(last) = limits.last_mut()
         && high >= figures.max
     {
-        *last = figures.count as f64;
+        *last = f64::INFINITY;
     }
     // The cumulative counts are rounded instead of the bins, so that the bins add up to the number of samples.
-    let rounded: Vec<u64> =
-        counts_below.iter().map(|count| (count.round() as u64).min(figures.count)).collect();
-    let counts: Vec<u64> = rounded.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    let (mut below, mut rounded_below) = (0.0, 0);
+    let counts = samples.summary.histogram(&limits).into_iter().map(|count| {
+        below += count;
+        let rounded = (f64::round(below) as u64).min(figures.count);
+        rounded - std::mem::replace(&mut rounded_below, rounded)
+    });
+    let counts: Vec<u64> = counts.collect();
     let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
     Ok(Some(Histogram { stage: stage.into(), unit: samples.unit, edges, counts, beyond, figures }))
 }

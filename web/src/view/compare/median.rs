@@ -38,7 +38,7 @@ impl Median {
         let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
         let bound = delay.and_then(|delay| kept.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
-        let half = bound.and_then(|bound| bound.half_width).map(|width| width.p50).filter(|half| *half > 0.0);
+        let half = bound.and_then(|bound| bound.median_half_width()).filter(|half| *half > 0.0);
         let ends = half.zip(delay).and_then(|(half, delay)| {
             if delay == name {
                 return Some(((value - half).max(0.0), Some(value + half)));

@@ -1,6 +1,6 @@
 //! Latency against payload, and accuracy against latency.
 
-use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, line_through_means};
+use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, is_same_size, line_through_means};
 use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use peernet_figures::plot::Axis;
 use peernet_figures::scale::Scale;
@@ -14,8 +14,6 @@ use crate::look;
 use crate::picture::Picture;
 use crate::view::accuracy;
 
-/// Sizes whose ratio is below this factor count as one size.
-const MAX_SIZE_RATIO: f64 = 1.1;
 /// Maximum number of groups with separate lines; more lines would be hard to distinguish.
 const MAX_GROUPS: usize = 3;
 /// Name of the values of top-1 accuracy.
@@ -82,9 +80,7 @@ pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64
         let label = |one: &Configuration| one.values.get(*axis).cloned();
         all.iter().all(|(one, size)| {
             let with_same_label = all.iter().filter(|(other, _)| label(other) == label(one));
-            with_same_label
-                .into_iter()
-                .all(|(_, other)| *other < size * MAX_SIZE_RATIO && *size < other * MAX_SIZE_RATIO)
+            with_same_label.into_iter().all(|(_, other)| is_same_size(*size, *other))
         })
     };
     let Some(axis) = (0..comparison.axes.len()).find(sets_the_size) else { return vec![all.to_vec()] };

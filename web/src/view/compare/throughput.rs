@@ -1,7 +1,8 @@
 //! Throughput against payload: bytes over delay, and the throughput by the slope of the delays.
 
 use peernet_analysis::fit::{MIN_SIZES, distinct_sizes, rate};
-use peernet_analysis::transfer::speed_between;
+use peernet_analysis::transfer::{Transfer, speed_between};
+use peernet_clock::Direction;
 use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use peernet_figures::look;
 use peernet_figures::plot::Axis;
@@ -10,6 +11,7 @@ use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
     SPACE, bytes, stage_ms, throughput as megabytes, throughput_between, throughput_with,
 };
+use peernet_store::DelayAccuracy;
 
 use super::payload::{Group, group_name, groups, line, name_in};
 use super::{Comparison, Configuration};
@@ -17,11 +19,9 @@ use crate::picture::Picture;
 
 /// Factor from bit/s to MB/s.
 const MEGABYTES_PER_BIT: f64 = 1.0 / 8e6;
-/// Directions, each with the sizes that make up the bytes sent in it.
-static DIRECTIONS: [(Name, [Name; 2]); 2] = [
-    (stage::UPLOAD, [stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES]),
-    (stage::DOWNLOAD, [stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES]),
-];
+/// Directions, each with the name of its delay.
+static DIRECTIONS: [(Direction, Name); 2] =
+    [(Direction::Up, stage::UPLOAD), (Direction::Down, stage::DOWNLOAD)];
 
 /// Plot of the throughput, its numbers, and the results of lines through the delays.
 pub(crate) struct Throughput {
@@ -54,14 +54,14 @@ struct ThroughputPoint<'a> {
 }
 
 impl<'a> ThroughputPoint<'a> {
-    fn of(one: &'a Configuration, way: &Name, sizes: &[Name; 2]) -> Option<Self> {
-        let size = one.figures(&sizes[0])?.mean;
-        let bytes = size + one.figures(&sizes[1]).map_or(0.0, |figures| figures.mean);
-        let delay = one.figures(way).map(|figures| figures.mean).filter(|delay| *delay > 0.0)?;
-        let half = one.bounds.iter().find(|bound| bound.stage == *way).and_then(|bound| bound.half_width);
-        let value = 8.0 * bytes / delay;
-        let ends = half.map(|half| speed_between(value, delay, half.mean));
-        (bytes > 0.0).then_some(Self { one, bytes, delay, value, ends })
+    fn of(one: &'a Configuration, direction: Direction, way: &Name) -> Option<Self> {
+        let mean_of = |name: &Name| one.figures(name).map(|figures| (figures.count, figures.mean));
+        let value = Transfer::from_statistics(direction, mean_of)?.speed()?;
+        let delay = one.figures(way)?.mean;
+        let bound = one.bounds.iter().find(|bound| bound.stage == *way);
+        let half_width = bound.and_then(DelayAccuracy::median_half_width);
+        let ends = half_width.map(|half_width| speed_between(value, delay, half_width));
+        Some(Self { one, bytes: value * delay / 8.0, delay, value, ends })
     }
 
     fn row(&self, way: &Name) -> ThroughputRow {
@@ -89,9 +89,10 @@ impl<'a> ThroughputPoint<'a> {
 
 /// Returns the throughput of each direction whose payloads have at least three sizes.
 pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
-    let measured = DIRECTIONS.iter().filter_map(|(way, sizes)| {
+    let measured = DIRECTIONS.iter().filter_map(|(direction, way)| {
+        let points = comparison.configurations.iter();
         let points: Vec<ThroughputPoint<'_>> =
-            comparison.configurations.iter().filter_map(|one| ThroughputPoint::of(one, way, sizes)).collect();
+            points.filter_map(|one| ThroughputPoint::of(one, *direction, way)).collect();
         let sizes = distinct_sizes(points.iter().map(|point| point.bytes));
         (sizes >= MIN_SIZES).then_some((way, points))
     });

@@ -1,10 +1,7 @@
 //! Latency against the number of users that measure at the same time, and the fairness between these users.
 
 use peernet_analysis::users::{Curve, EdgeShare, Totals, Users, UsersLine};
-use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
-use peernet_figures::look;
-use peernet_figures::plot::Axis;
-use peernet_figures::scale::Scale;
+use peernet_figures::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
 use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
 use peernet_store::RunSummary;
 
@@ -40,12 +37,12 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)>
     // Within an experiment the values identify a configuration.
     let configuration_of =
         |line: &UsersLine| comparison.configurations.iter().find(|one| one.values == line.labels);
-    let curves: Vec<Vec<(&UsersLine, &Configuration)>> = curves
+    let points: Vec<Vec<(&UsersLine, &Configuration)>> = curves
         .iter()
         .map(|curve| curve.points.iter().filter_map(|line| Some((*line, configuration_of(line)?))).collect())
         .collect();
-    let rows = curves.iter().flatten().map(|(line, one)| row(line, one));
-    Some((plot(&curves), rows.collect()))
+    let rows = points.iter().flatten().map(|(line, one)| row(line, one));
+    Some((plot(&curves, &points), rows.collect()))
 }
 
 /// Returns the answers per second of each user of a configuration, and its totals.
@@ -67,57 +64,34 @@ fn share(run: &RunSummary) -> Option<EdgeShare> {
     EdgeShare::from_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
 }
 
-fn plot(curves: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
-    // Users of one cloud wait for each other in its queue, so the time in the queue is drawn as well.
-    let series = ["total", "queue"].map(|name| {
-        let point = |(line, one): &(&UsersLine, &Configuration)| {
-            let figures = one.figures(name)?;
-            Some(ScatterPoint {
-                x: line.edges as f64,
-                y: figures.mean * 1e3,
-                ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
-                name: if curves.len() > 1 { one.name.clone() } else { String::new() },
-            })
-        };
-        let points: Vec<Vec<ScatterPoint>> =
-            curves.iter().map(|curve| curve.iter().filter_map(point).collect()).collect();
-        let lines =
-            points.iter().flat_map(|curve| curve.windows(2)).filter_map(|pair| between(&pair[0], &pair[1]));
-        ScatterSeries {
-            stage: look::stage(name),
-            name: name.to_owned(),
-            lines: lines.collect(),
-            points: points.concat(),
-        }
-    });
-    let series: Vec<ScatterSeries> = series.into_iter().filter(|one| !one.points.is_empty()).collect();
-    let points = || series.iter().flat_map(|one| &one.points);
-    let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
-    let x = Axis::new(whole_number_scale(points().map(|point| point.x)), "", "users at once");
-    let sentences = curves.iter().flatten().filter_map(|(line, one)| {
-        let total = one.total()?;
-        Some(format!("{}: {} at {}", one.name, duration(total.mean), users_of(line)))
+/// Draws latency and fairness against the number of users, at most [`MOST_CURVES`] curves in a picture.
+fn plot(curves: &[Curve<'_>], points: &[Vec<(&UsersLine, &Configuration)>]) -> Picture {
+    let sentences = points.iter().flatten().filter_map(|(line, one)| {
+        let median = line.totals.median?;
+        Some(format!("{}: {} at {}", one.name, duration(median), users_of(line)))
     });
     let label =
-        format!("Mean latency against the number of users. {}", sentences.collect::<Vec<_>>().join(", "));
-    Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "ms"), series }, &label)
-}
-
-/// Returns a scale of whole numbers that extends beyond the largest value.
-fn whole_number_scale(values: impl Iterator<Item = f64> + Clone) -> Scale {
-    let most = values.clone().fold(0.0, f64::max);
-    let scale = Scale::of_sizes(values);
-    if scale.is_logarithmic() { scale } else { Scale::up_to(most + 0.5, (most as usize + 1).min(6)) }
+        format!("Median latency against the number of users. {}", sentences.collect::<Vec<_>>().join(", "));
+    let pictures = curves.chunks(MOST_CURVES).map(|curves| {
+        let sharing = Sharing {
+            title: String::new(),
+            unit: Unit::milliseconds("Total"),
+            curves: curves.iter().map(SharingCurve::new).collect(),
+            notes: Vec::new(),
+        };
+        let figure = sharing.figure();
+        let legend = Picture::of_legend(&figure.legend, "key plain points");
+        // The first plot has the label of both.
+        let plots = figure.plots.iter().zip([("histogram", label.as_str()), ("histogram low", "")]);
+        plots.fold(legend, |picture, (plot, (class, label))| {
+            picture.followed_by(&Picture::of_plot(plot, class, label))
+        })
+    });
+    pictures.fold(Picture::default(), |all, one| all.followed_by(&one))
 }
 
 fn users_of(line: &UsersLine) -> String {
     crate::view::counted(line.edges, "user", "users")
-}
-
-/// Returns the line from one number of users to the next.
-fn between(a: &ScatterPoint, b: &ScatterPoint) -> Option<ScatterLine> {
-    let slope = (b.y - a.y) / (b.x - a.x);
-    slope.is_finite().then_some(ScatterLine { intercept: a.y - slope * a.x, slope, from: a.x, to: b.x })
 }
 
 fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
