@@ -81,7 +81,7 @@ pub struct SpoolState {
     /// Number of the oldest batch in the spool; if the spool contains none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
-    pub before: Chain,
+    pub previous_chain: Chain,
     /// Number and chain of the newest batch that was ever written.
     pub newest: (u64, Chain),
     /// Time of the first event of the oldest batch.
@@ -109,7 +109,7 @@ impl SpoolState {
             first: 1,
             events_before_first: Some(0),
             oldest: 1,
-            before: Chain::START,
+            previous_chain: Chain::START,
             newest: (0, Chain::START),
             since: None,
             waiting_usage: Usage::default(),

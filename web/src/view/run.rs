@@ -135,7 +135,7 @@ impl Stored<'_> {
         }
         let bucket = Span::from_seconds(self.series.bucket_s.into());
         // The warm-up has no points, so all the time before the first point may be warm-up.
-        let single_times = self.episodes.unanswered.iter().chain([&end]).map(|at| (*at, *at));
+        let single_times = self.episodes.unanswered_starts.iter().chain([&end]).map(|at| (*at, *at));
         let mut busy: Vec<_> =
             points.iter().map(|point| (point.at, point.at + bucket)).chain(single_times).collect();
         busy.sort();
@@ -293,7 +293,7 @@ impl Stored<'_> {
             gaps: gaps.collect(),
             borders: all(&episodes.borders),
             warm_up: warm_up.map(|(from, until)| (milliseconds(from), milliseconds(until))),
-            unanswered: all(&episodes.unanswered),
+            unanswered: all(&episodes.unanswered_starts),
         })
     }
 }
@@ -318,8 +318,8 @@ mod tests {
             stages: vec![StageSeries { stage: stage::TOTAL, unit: "s".to_owned(), points }],
             gaps: Vec::new(),
         };
-        let unanswered = lost.iter().copied().map(after).collect();
-        let episodes = Episodes { unanswered, ..Episodes::default() };
+        let unanswered_starts = lost.iter().copied().map(after).collect();
+        let episodes = Episodes { unanswered_starts, ..Episodes::default() };
         (summary.ended, summary.last_iteration) = (Some(after(seconds)), Some(after(seconds)));
         (summary.counts, summary.warm_up) = (Default::default(), 0);
         summary.counts.ok = iterations;

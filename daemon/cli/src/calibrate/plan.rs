@@ -47,13 +47,13 @@ impl Plan {
     /// Makes the plan.
     ///
     /// # Errors
-    /// When there are fewer than three sizes, too few for a line, or the peer's address does not belong to the network of `--network`.
+    /// When there are fewer than three sizes, too few to fit a line, or the peer's address does not belong to the network of `--network`.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();
         sizes.dedup();
         if sizes.len() < 3 {
-            bail!("--sizes needs at least three different sizes for a line");
+            bail!("--sizes needs at least three different sizes to fit a line");
         }
         let peer = arguments.peer_address()?;
         let mut random = StdRng::seed_from_u64(SEED);

@@ -9,7 +9,7 @@ use super::plan::Plan;
 use crate::foreground::Progress;
 
 /// Display of the sweep's progress.
-pub(super) struct Sweep {
+pub(super) struct SweepDisplay {
     progress: Progress,
     extent: Extent,
     started_at: MonoTime,
@@ -23,7 +23,7 @@ struct Extent {
     extremes: (u64, u64),
 }
 
-impl Sweep {
+impl SweepDisplay {
     pub(super) fn new(plan: &Plan, quiet: bool, now: MonoTime) -> Self {
         let sizes = plan.sizes();
         let extremes =

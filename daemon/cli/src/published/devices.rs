@@ -65,7 +65,7 @@ impl File {
         let address = address(text, self.start_port.unwrap_or(DEFAULT_PORT), network);
         let invalid = |source| DeviceError::Address { text: text.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
-        if address.port() == 0 && address.domain().is_none() {
+        if address.port() == 0 && address.ros_domain().is_none() {
             return Err(DeviceError::PortZero(name.to_owned()));
         }
         Ok(address)
@@ -132,10 +132,9 @@ impl Devices {
     fn parse(text: &str, file: &str, network: Option<NetworkKind>) -> anyhow::Result<Self> {
         let parsed = File::read(text, file)?;
         let device_names: Vec<String> = parsed.devices.keys().cloned().collect();
-        let server = parsed
-            .server
-            .clone()
-            .ok_or_else(|| anyhow!("{file} names no server; add a line server: with the name of a device"))?;
+        let server = parsed.server.clone().ok_or_else(|| {
+            anyhow!("{file} names no server; add the line `server: DEVICE` with the name of a device")
+        })?;
         let address_text = parsed.devices.get(&server).ok_or_else(|| {
             anyhow!("{file}: the server {server} is not one of its devices: {}", list(&device_names))
         })?;
@@ -233,7 +232,7 @@ server: cluster
         let text =
             format!("{PUBLISHED}ros_version: 2\nros2:\n  reliability: best-effort\n  interfaces: [lo]\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
-        assert!(devices.address.domain().is_some());
+        assert!(devices.address.ros_domain().is_some());
         assert_eq!(devices.ros2.interfaces, ["lo"]);
         let text = text.replace("cluster.lab.example", "ros2://7/gpu");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");

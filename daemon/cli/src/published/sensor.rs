@@ -78,8 +78,8 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     config.check(&clock).map_err(|error| {
-        let is_typed = error.is_misnamed() || matches!(error, SensorError::Config(_));
-        let exit = if is_typed { Exit::Usage } else { Exit::NoInput };
+        let is_usage_error = error.is_misnamed() || matches!(error, SensorError::Config(_));
+        let exit = if is_usage_error { Exit::Usage } else { Exit::NoInput };
         Failure::new(exit, error)
     })?;
     Ok(config)
@@ -109,7 +109,7 @@ mod tests {
             let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
-            let line = Cli::try_parse_from(words).expect("a published command line");
+            let line = Cli::try_parse_from(words).expect("a command line of the paper's program");
             let failure = from_arguments(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };

@@ -26,7 +26,7 @@ use super::bind_error::BindError;
 use super::incoming::{ArrivalStamp, Incoming};
 use crate::message::SessionId;
 use crate::statistics::{ConnectionStatistics, TransportStatistics};
-use crate::transport::{Arrival, BindFailure, CloudReceiver};
+use crate::transport::{BindFailure, CloudReceiver, ListenerEvent};
 use crate::{Address, SessionSettings};
 
 /// A port on which edges open sessions.
@@ -126,7 +126,7 @@ impl Listener {
                 return Some(Incoming::Closed { session, said_goodbye: false, planned_iterations: None });
             }
             match self.receiver.receive().await? {
-                Arrival::Message(peer, frames) => {
+                ListenerEvent::Message(peer, frames) => {
                     // This epoch is read before the arrival is stamped, and the epoch of the answer after its departure
                     // is stamped. If both are equal, no step of the clock lies between the two stamps.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
@@ -138,31 +138,31 @@ impl Listener {
                         return Some(incoming);
                     }
                 }
-                Arrival::Incomplete(connection, loss) => {
+                ListenerEvent::Incomplete(connection, loss) => {
                     tracing::debug!(?connection, %loss, "a message of an edge was lost on the way");
                 }
-                Arrival::Lost(connection, loss) => {
+                ListenerEvent::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     self.shared.output.counters.count_lost(1);
                     if let Some(counters) = self.shared.server().connection_counters(connection) {
                         counters.count_lost(1);
                     }
                 }
-                Arrival::Moved(connection, address) => {
+                ListenerEvent::Moved(connection, address) => {
                     tracing::debug!(?connection, %address, "an edge has another address");
                     self.shared.server().update_address(connection, address);
                 }
-                Arrival::Gone(connection, reason) => {
+                ListenerEvent::Gone(connection, reason) => {
                     let sessions = self.shared.server().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
-                Arrival::Remark(connection, text) => {
+                ListenerEvent::Remark(connection, text) => {
                     let session = self.shared.server().first_session(connection);
                     return Some(Incoming::Remark { session, text });
                 }
-                Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
-                Arrival::InvalidData(address, problem) => {
+                ListenerEvent::Refused(host, text) => return Some(Incoming::Refused { host, text }),
+                ListenerEvent::InvalidData(address, problem) => {
                     // The transport has already logged it with its reason.
                     tracing::debug!(?address, problem, "dropped invalid data from a peer");
                     self.shared.output.counters.count_malformed();

@@ -179,8 +179,8 @@ impl Address {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
-    /// Returns the domain of the listener, if the address has one.
-    pub const fn domain(&self) -> Option<u16> {
+    /// Returns the ROS 2 domain of the listener; `None` if the address has a host and a port instead.
+    pub const fn ros_domain(&self) -> Option<u16> {
         match &self.host {
             Host::Domain(domain) => Some(*domain),
             Host::Ip(_) | Host::Name(_) => None,

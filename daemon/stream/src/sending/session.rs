@@ -37,7 +37,9 @@ pub(super) enum ScanPurpose {
 #[derive(Clone, Debug)]
 pub(super) struct Welcome {
     pub(super) aggregator: Slug,
-    pub(super) stored: u64,
+    /// Number of the last stored batch.
+    pub(super) last_stored: u64,
+    /// Chain of the last stored batch, if the aggregator knows it.
     pub(super) chain: Option<Chain>,
     /// Process that sent the last stored batch.
     pub(super) process: Option<u64>,

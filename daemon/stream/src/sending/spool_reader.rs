@@ -174,12 +174,12 @@ impl SpoolReader {
     /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the aggregator
     /// has stored everything before the gap. The gap is then forgotten.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
-        let Some(SpoolGap::Closed(resume, before)) = self.gap else { return None };
+        let Some(SpoolGap::Closed(resume, previous_chain)) = self.gap else { return None };
         // Batches before the gap are still in memory and will be stored first.
         if backlog.first_unloaded() != backlog.oldest() {
             return None;
         }
         self.gap = None;
-        Some((resume, before))
+        Some((resume, previous_chain))
     }
 }

@@ -261,8 +261,8 @@ impl EventSpooler {
 
     /// Continues with batch `resume`, because the batches before it are missing from the file; `before` is the chain of the
     /// last missing batch.
-    pub(super) fn skip_to(&mut self, resume: u64, before: Chain, now: MonoTime) {
-        self.backlog.skip_to(resume, before);
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain, now: MonoTime) {
+        self.backlog.skip_to(resume, previous_chain);
         self.deletions.add(0, now);
     }
 

@@ -105,7 +105,7 @@ pub(crate) struct Configuration {
 }
 
 impl Configuration {
-    /// Returns the figures of a node by its name.
+    /// Returns the statistics of a stage or another measured quantity by its name.
     pub(crate) fn figures(&self, name: &str) -> Option<&QuantityStatistics> {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
@@ -115,7 +115,7 @@ impl Configuration {
         self.kept.known(name)
     }
 
-    /// Returns the figures of `total`, seconds, or of `sensing` for a pipeline that only senses.
+    /// Returns the statistics of `total`, seconds, or of `sensing` for a pipeline that only senses.
     pub(crate) fn total(&self) -> Option<&QuantityStatistics> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
@@ -152,7 +152,8 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the index of the baseline: the configuration of the run with the number `run`, or the first configuration without a number.
+    /// Returns the index of the baseline: the configuration of the run with the number `run`. If no number is given, it is the first
+    /// configuration.
     ///
     /// # Errors
     /// When the run is not compared.

@@ -134,8 +134,8 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
             warm_up_until: Some(moment(15)),
-            without_answer: unanswered.len() as u64,
-            unanswered: unanswered.into_iter().map(moment).collect(),
+            unanswered_count: unanswered.len() as u64,
+            unanswered_starts: unanswered.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
         Some((run.number, RunTimeSeries { series, means: means.collect(), episodes }))

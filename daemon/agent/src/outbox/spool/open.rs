@@ -321,7 +321,7 @@ impl StreamRow {
             first: self.first.cast_unsigned(),
             events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
-            before: acknowledged_chain,
+            previous_chain: acknowledged_chain,
             newest,
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
             waiting_usage: Usage {

@@ -56,13 +56,8 @@ impl<I, O> Pairing<I, O> {
         Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
     }
 
-    /// Adds an input message that was received at `at`.
-    pub(super) fn take_input(
-        &mut self,
-        key: Option<i64>,
-        at: MonoTime,
-        input: I,
-    ) -> Option<Resolution<I, O>> {
+    /// Adds an input message that was received at `at`. Returns the pair that it completes, or the message that it displaces.
+    pub(super) fn add_input(&mut self, key: Option<i64>, at: MonoTime, input: I) -> Option<Resolution<I, O>> {
         // Only output messages with a key wait: one without a key would be paired with a later input message.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
@@ -72,8 +67,9 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
     }
 
-    /// Adds an output message that was received at `at`.
-    pub(super) fn take_output(
+    /// Adds an output message that was received at `at`. Returns the pair that it completes, or an output message that
+    /// remains without a pair.
+    pub(super) fn add_output(
         &mut self,
         key: Option<i64>,
         at: MonoTime,

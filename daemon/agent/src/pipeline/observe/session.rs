@@ -50,7 +50,7 @@ pub(super) struct Observation<'a> {
     /// Start of the observation. Messages received earlier belong to no run and are ignored.
     since: MonoTime,
     /// `true` once output messages without a key have been reported.
-    has_reported_output: bool,
+    has_warned_of_unpairable_output: bool,
     stamps: MessageStamps,
     /// The agent that observes the same messages on its host, if there is one.
     peer: Option<PeerStamps>,
@@ -71,7 +71,7 @@ impl<'a> Observation<'a> {
             output: Arrivals::default(),
             unpaired_counts: UnpairedCounts::default(),
             since: host.clock.mono(),
-            has_reported_output: false,
+            has_warned_of_unpairable_output: false,
             stamps,
             peer,
         }
@@ -194,12 +194,12 @@ impl<'a> Observation<'a> {
         // The position is assigned to the input message, so that an input without an output is an iteration, too.
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
-        let at_host = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
-        let received = Received { message, arrival, at: at_host };
+        let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
+        let received = Received { message, arrival, at: host_stamp };
         match key {
             Ok(key) => {
                 let input = Input { position, received };
-                if let Some(resolution) = self.pairing.take_input(key, at, input) {
+                if let Some(resolution) = self.pairing.add_input(key, at, input) {
                     self.settle(resolution, run, runner);
                 }
             }
@@ -223,15 +223,15 @@ impl<'a> Observation<'a> {
         self.unpaired_counts.output_missing += message.missing;
         match message.key(self.config.pair_by) {
             Ok(key) => {
-                let at_host = self.stamps.stamp(Side::Output, &message, key);
-                let output = Received { message, arrival, at: at_host };
-                if let Some(resolution) = self.pairing.take_output(key, at, output) {
+                let host_stamp = self.stamps.stamp(Side::Output, &message, key);
+                let output = Received { message, arrival, at: host_stamp };
+                if let Some(resolution) = self.pairing.add_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
             }
             Err(reason) => {
                 self.unpaired_counts.output_unmatched += 1;
-                if !std::mem::replace(&mut self.has_reported_output, true) {
+                if !std::mem::replace(&mut self.has_warned_of_unpairable_output, true) {
                     let topic = &self.config.output;
                     tracing::warn!(
                         topic,

@@ -14,7 +14,7 @@ mod set;
 pub(super) use axis::Axis;
 pub(super) use configuration::Configuration;
 pub(super) use experiment::{Experiment, Order};
-pub(super) use set::Set;
+pub(super) use set::FieldOverride;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ impl File {
     ///
     /// # Errors
     /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
-    pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
+    pub(super) fn read(path: &Path, sets: &[FieldOverride]) -> Result<Self, Failure> {
         let text = small_file::read(path, small_file::MAX_BYTES)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;

@@ -4,8 +4,8 @@
 //! the new address is used when the response arrives from there (as in RFC 9000, section 9).
 
 mod answers;
-mod arrival_queue;
 mod connection_table;
+mod delivery_queue;
 mod entry;
 mod reassembly_budgets;
 mod timers;
@@ -16,9 +16,9 @@ use std::net::{IpAddr, SocketAddr};
 use peernet_clock::{MonoTime, Span};
 
 use self::answers::AnswerQueue;
-use self::arrival_queue::ArrivalQueue;
-pub(crate) use self::arrival_queue::Delivery;
 use self::connection_table::{Capacity, ConnectionTable};
+pub(crate) use self::delivery_queue::Delivery;
+use self::delivery_queue::DeliveryQueue;
 use self::entry::{Admission, Entry, reply_address};
 use self::reassembly_budgets::ReassemblyBudgets;
 use self::timers::Timers;
@@ -30,7 +30,7 @@ use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
 use crate::statistics::TransportStatistics;
-use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
+use crate::transport::{AddressGroup, ConnectionId, Frames, ListenerEvent, Peer, SendFailure};
 
 /// Shortest interval between two path challenges to new addresses of a connection.
 const PATH_CHALLENGE_INTERVAL: Span = Span::from_millis(100);
@@ -76,7 +76,7 @@ pub(crate) struct Endpoint {
     /// Connections that may have something to send.
     ready: VecDeque<u64>,
     timers: Timers,
-    arrivals: ArrivalQueue,
+    deliveries: DeliveryQueue,
 }
 
 impl Endpoint {
@@ -91,7 +91,7 @@ impl Endpoint {
             answers: AnswerQueue::new(prefix),
             ready: VecDeque::new(),
             timers: Timers::default(),
-            arrivals: ArrivalQueue::default(),
+            deliveries: DeliveryQueue::default(),
         }
     }
 
@@ -218,7 +218,7 @@ impl Endpoint {
             // The token may have been made in the previous period.
             if is_token_of(now) || is_token_of(now - Span::from_seconds(10)) {
                 self.table.relocate(id, reply_route.to, reply_route.from);
-                self.arrivals.push(Arrival::Moved(ConnectionId(id), reply_route.to), None);
+                self.deliveries.push(ListenerEvent::Moved(ConnectionId(id), reply_route.to), None);
             }
         } else if bytes >= PATH_CHALLENGE_BYTES
             && entry
@@ -238,7 +238,7 @@ impl Endpoint {
     }
 
     fn report_invalid(&mut self, source: SocketAddr, problem: String) {
-        self.arrivals.push(Arrival::InvalidData(Some(source), problem), None);
+        self.deliveries.push(ListenerEvent::InvalidData(Some(source), problem), None);
     }
 
     /// Collects the events of a connection, and notes that it may have something to send.
@@ -246,20 +246,22 @@ impl Endpoint {
         let Some(entry) = self.table.get_mut(id) else { return };
         let connection = ConnectionId(id);
         while let Some(event) = entry.connection.next_event() {
-            let (arrival, reserved) = match event {
+            let (listener_event, reserved) = match event {
                 Event::Message(frames, reserved) => {
                     entry.has_delivered = true;
                     let peer = Peer { connection, address: Some(entry.source) };
-                    (Arrival::Message(peer, frames), Some(reserved))
+                    (ListenerEvent::Message(peer, frames), Some(reserved))
                 }
-                Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
-                Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
-                Event::InvalidData(problem) => (Arrival::InvalidData(Some(entry.source), problem), None),
+                Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), None),
+                Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), None),
+                Event::InvalidData(problem) => {
+                    (ListenerEvent::InvalidData(Some(entry.source), problem), None)
+                }
                 // The layer above does not know a connection that has not delivered a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
-                Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
+                Event::Gone(reason) => (ListenerEvent::Gone(connection, reason), None),
             };
-            self.arrivals.push(arrival, reserved);
+            self.deliveries.push(listener_event, reserved);
         }
         if !entry.is_ready {
             entry.is_ready = true;
@@ -267,9 +269,9 @@ impl Endpoint {
         }
     }
 
-    /// Removes and returns the next arrival.
-    pub(crate) fn next_arrival(&mut self) -> Option<Delivery> {
-        self.arrivals.pop()
+    /// Removes and returns the next delivery.
+    pub(crate) fn next_delivery(&mut self) -> Option<Delivery> {
+        self.deliveries.pop()
     }
 
     /// Queues a message for a connection.

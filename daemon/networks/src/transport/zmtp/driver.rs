@@ -21,7 +21,7 @@ use super::limits::ListenerLimits;
 use super::listener::Delivery;
 use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
-use crate::transport::{Arrival, Frames, Peer};
+use crate::transport::{Frames, ListenerEvent, Peer};
 
 /// Largest number of bytes of one read while no long frame is expected.
 // They are read into the stack and copied into frames, so that an idle connection has no buffer.
@@ -49,7 +49,7 @@ pub(super) struct Driver {
     pub(super) connection: Arc<ZmtpConnection>,
     input: Input,
     deadlines: Deadlines,
-    arrivals: mpsc::Sender<Delivery>,
+    deliveries: mpsc::Sender<Delivery>,
     /// Complete messages that were not handed to the listener yet.
     messages: VecDeque<(Message, Reservation)>,
     /// `true` if a message was handed to the listener.
@@ -85,7 +85,7 @@ impl Driver {
         reader: OwnedReadHalf,
         limits: &ListenerLimits,
         budgets: &Budgets,
-        arrivals: mpsc::Sender<Delivery>,
+        deliveries: mpsc::Sender<Delivery>,
     ) -> Self {
         let allowance = Allowance {
             stage: Stage::Handshake,
@@ -97,7 +97,7 @@ impl Driver {
             connection,
             input: Input { reader, framer: Framer::new(&allowance), allowance, pieces: Vec::new() },
             deadlines: Deadlines::new(limits, Instant::now()),
-            arrivals,
+            deliveries,
             messages: VecDeque::new(),
             has_delivered: false,
             is_ready: false,
@@ -227,8 +227,9 @@ impl Driver {
         while let Some((message, reserved)) = self.messages.pop_front() {
             let frames: Frames = message.iter().collect();
             let peer = Peer { connection: self.connection.id, address: Some(self.connection.address) };
-            let delivery = Delivery { arrival: Arrival::Message(peer, frames), _reserved: Some(reserved) };
-            if self.arrivals.send(delivery).await.is_err() {
+            let delivery =
+                Delivery { event: ListenerEvent::Message(peer, frames), _reserved: Some(reserved) };
+            if self.deliveries.send(delivery).await.is_err() {
                 return false;
             }
             self.has_delivered = true;

@@ -51,7 +51,7 @@ pub(super) struct Backlog {
 struct OldestBatch {
     number: u64,
     /// Chain of the batch before the oldest.
-    before: Chain,
+    previous_chain: Chain,
     /// Time of the first event of the oldest batch, if it is in the file only.
     since: Option<WallTime>,
 }
@@ -69,13 +69,13 @@ pub(super) struct FreedBatches {
 impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
-        let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
+        let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.previous_chain) };
         // Without batches nothing is waiting, even if the stored counts state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
             origin: StreamOrigin::new(spool),
-            oldest: OldestBatch { number: oldest, before: spool.before, since: spool.since },
+            oldest: OldestBatch { number: oldest, previous_chain: spool.previous_chain, since: spool.since },
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
@@ -103,7 +103,7 @@ impl Backlog {
 
     /// Returns the number before the oldest batch, and its chain.
     pub(super) const fn acknowledged(&self) -> (u64, Chain) {
-        (self.oldest.number - 1, self.oldest.before)
+        (self.oldest.number - 1, self.oldest.previous_chain)
     }
 
     pub(super) const fn newest(&self) -> u64 {
@@ -247,7 +247,7 @@ impl Backlog {
     /// Returns the chain of a batch if it is known without reading the file.
     pub(super) fn chain(&self, number: u64) -> Option<Chain> {
         match number {
-            _ if number == self.oldest.number - 1 => Some(self.oldest.before),
+            _ if number == self.oldest.number - 1 => Some(self.oldest.previous_chain),
             _ if number == self.spooled.0 && number >= self.oldest.number => Some(self.spooled.1),
             _ => self.get(number, true).map(|batch| batch.chain),
         }
@@ -260,7 +260,7 @@ impl Backlog {
         include_unspooled: bool,
         (host, process): (HostId, u64),
     ) -> Option<(BatchHead, Bytes)> {
-        let before = self.chain(number.checked_sub(1)?)?;
+        let previous_chain = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, include_unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
@@ -274,7 +274,7 @@ impl Backlog {
             stream: self.origin.stream,
             process,
             number,
-            before,
+            previous_chain,
             chain,
             events,
             events_before: self.stored_events + self.events_before(number),
@@ -303,7 +303,8 @@ impl Backlog {
             self.waiting_usage = self.waiting_usage - usage;
             freed.events += usage.events;
             freed.spooled_bytes += usage.bytes;
-            self.oldest = OldestBatch { number: through.min(self.spooled.0) + 1, before: chain, since: None };
+            self.oldest =
+                OldestBatch { number: through.min(self.spooled.0) + 1, previous_chain: chain, since: None };
         }
         while let Some(pending) = self.pending.pop_through(through) {
             self.waiting_usage = self.waiting_usage - pending.batch.usage();
@@ -321,7 +322,7 @@ impl Backlog {
     fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
-        (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
+        (self.oldest.number, self.oldest.previous_chain) = (batch.number + 1, batch.chain);
     }
 
     /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if the
@@ -343,8 +344,8 @@ impl Backlog {
 
     /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `before` is the chain of
     /// the last skipped batch.
-    pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
-        self.oldest = OldestBatch { number: resume, before, since: None };
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain) {
+        self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }
 
     /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns their

@@ -1,4 +1,4 @@
-//! Timers of heartbeats and of the end by silence.
+//! Timers of heartbeats, and of the timeout after which a silent connection ends.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -44,10 +44,10 @@ impl HeartbeatTimer {
     /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is then
     /// sent sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
-        let idle_time = self.received_at.max(self.pinged_at) + self.interval;
+        let idle_ping_at = self.received_at.max(self.pinged_at) + self.interval;
         let after_message =
             sent_at.map(|sent| (sent.max(self.pinged_at) + PING_DELAY).min(self.pinged_at + PING_INTERVAL));
-        after_message.map_or(idle_time, |time| idle_time.min(time))
+        after_message.map_or(idle_ping_at, |time| idle_ping_at.min(time))
     }
 
     /// Returns the time at which the other end counts as gone if nothing arrives until then.
