@@ -149,8 +149,9 @@ fn describe_clocks(clocks: &[String]) -> String {
 
 /// Returns whether all delays are exact.
 fn is_exact(stages: &[Stage]) -> bool {
-    let exact = |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
-    stages.iter().all(exact)
+    let has_exact_delays =
+        |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
+    stages.iter().all(has_exact_delays)
 }
 
 fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<String> {

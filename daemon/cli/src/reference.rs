@@ -23,13 +23,14 @@ fn command_line_is_well_formed() {
 fn reference_matches_help_of_program() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
     let text = std::fs::read_to_string(&file).expect("the checkout has the document");
-    let (above, committed) = text.split_once(MARK).expect("the document has the mark");
+    let (text_before_mark, committed_reference) = text.split_once(MARK).expect("the document has the mark");
     let generated = reference();
     if std::env::var_os("PEERNET_WRITE_DOCS").is_some() {
-        std::fs::write(&file, format!("{above}{MARK}{generated}")).expect("the checkout can be written to");
+        std::fs::write(&file, format!("{text_before_mark}{MARK}{generated}"))
+            .expect("the checkout can be written to");
     } else {
         assert!(
-            committed == generated,
+            committed_reference == generated,
             "{FILE} is out of date: run PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference"
         );
     }
@@ -48,15 +49,17 @@ fn section(text: &mut String, command: &Command, path: &str) {
     let level = "#".repeat(1 + path.split(' ').count());
     let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
     let _ = write!(text, "\n{level} `{path}`\n\n{}.\n", about.unwrap_or_default().trim_end_matches('.'));
-    let shown = |arg: &&Arg| !arg.is_hide_set() && !IMPLICIT_OPTIONS.contains(&arg.get_id().as_str());
-    let arguments: Vec<&Arg> = command.get_arguments().filter(shown).collect();
+    let is_shown = |arg: &&Arg| !arg.is_hide_set() && !IMPLICIT_OPTIONS.contains(&arg.get_id().as_str());
+    let arguments: Vec<&Arg> = command.get_arguments().filter(is_shown).collect();
     if !arguments.is_empty() {
         text.push_str("\n| argument | what | default |\n| --- | --- | --- |\n");
         arguments.into_iter().for_each(|argument| row(text, argument));
     }
     let commands = command.get_subcommands();
-    for inner in commands.filter(|inner| !inner.is_hide_set() && inner.get_name() != "help") {
-        section(text, inner, &format!("{path} {}", inner.get_name()));
+    for subcommand in
+        commands.filter(|subcommand| !subcommand.is_hide_set() && subcommand.get_name() != "help")
+    {
+        section(text, subcommand, &format!("{path} {}", subcommand.get_name()));
     }
 }
 

@@ -126,7 +126,7 @@ impl CloudLink {
         [up, first_part]: [NodeId; 2],
         observation: Option<&ExchangeObservation>,
     ) {
-        let epochs = observation.map(|found| (Some(found.edge_epoch), found.cloud_epoch));
+        let epochs = observation.map(|observation| (Some(observation.edge_epoch), observation.cloud_epoch));
         let (edge, cloud) = epochs.unwrap_or_default();
         let crossings = Crossing::in_tree(tree, up, (edge, cloud)).zip(Crossing::in_tree(
             tree,

@@ -61,13 +61,14 @@ impl Ring {
 
     /// Returns the seconds that changed since they were last sent, newest first.
     pub(super) fn changed_seconds(&self) -> (Vec<Second>, SentSeconds) {
-        let changed = self
+        let changed_seconds = self
             .seconds
             .iter()
             .rev()
             .filter(|second| second.version > second.sent_version)
             .take(MAX_SENT_SECONDS);
-        let (seconds, sent) = changed.map(|second| (second.second(), (second.at, second.version))).unzip();
+        let (seconds, sent) =
+            changed_seconds.map(|second| (second.second(), (second.at, second.version))).unzip();
         (seconds, SentSeconds(sent))
     }
 

@@ -67,13 +67,13 @@ pub(crate) fn collect(
     let unreadable = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
     for note in unreadable.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
-        notes.push(sentence(&note));
+        notes.push(to_sentence(&note));
     }
-    let is_kept = |index: usize| !exclusions.contains(index);
-    let kept = runs.iter().enumerate().filter(|(index, _)| is_kept(*index));
-    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
+    let is_compared = |index: usize| !exclusions.contains(index);
+    let compared_runs = runs.iter().enumerate().filter(|(index, _)| is_compared(*index));
+    compared_runs.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
     let order: Vec<usize> =
-        declared_order(&runs, &experiments).into_iter().filter(|index| is_kept(*index)).collect();
+        declared_order(&runs, &experiments).into_iter().filter(|index| is_compared(*index)).collect();
     let baseline_runs =
         (0..order.len()).filter(|index| baseline_indexes.contains(&order[*index])).collect::<Vec<_>>();
     if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {
@@ -89,7 +89,7 @@ pub(crate) fn collect(
 }
 
 /// Turns a note into a sentence for the text below a table.
-fn sentence(note: &str) -> String {
+fn to_sentence(note: &str) -> String {
     let mut letters = note.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
@@ -101,10 +101,10 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     if let Some(damage) = run.damage() {
         return Some(format!("{folder} is incomplete: {damage}"));
     }
-    if let Some(kept) = previous_results_folder(&run.folder) {
+    if let Some(previous_results) = previous_results_folder(&run.folder) {
         return Some(format!(
             "{folder} is incomplete: a run is in progress there or was killed; the previous results are in {}, and the next run in this folder restores them if the run was killed",
-            kept.display()
+            previous_results.display()
         ));
     }
     match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {

@@ -37,12 +37,12 @@ pub(crate) enum LogDestination {
 /// # Errors
 /// When the variable does not contain a valid level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
-    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let invalid_level = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
         format!("off,{}=info,{}=info,{REMARK_LOG_TARGET}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
     });
     let filter = EnvFilter::try_new(&level).map_err(|error| {
-        wrong(anyhow::anyhow!(
+        invalid_level(anyhow::anyhow!(
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
         ))
     })?;

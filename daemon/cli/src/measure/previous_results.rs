@@ -44,13 +44,14 @@ impl PreviousResultsGuard {
         if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
             return Ok(guard);
         }
-        let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
-        let kept =
-            kept.with_context(|| format!("cannot write to {}", results_dir.display())).map_err(unwritten)?;
-        let kept = guard.moved_results.insert(kept).path().to_owned();
+        let previous_results = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
+        let previous_results = previous_results
+            .with_context(|| format!("cannot write to {}", results_dir.display()))
+            .map_err(unwritten)?;
+        let previous_results = guard.moved_results.insert(previous_results).path().to_owned();
         for name in replaced_file_names(results_dir) {
             let from = results_dir.join(&name);
-            rename_if_exists(&from, &kept.join(&name))
+            rename_if_exists(&from, &previous_results.join(&name))
                 .with_context(|| format!("cannot replace {}", from.display()))
                 .map_err(unwritten)?;
         }
@@ -70,28 +71,30 @@ impl PreviousResultsGuard {
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
         let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
-        let Some(kept) = folders.first() else { return Ok(()) };
+        let Some(previous_results) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {
             print_to_stderr(format_args!("other previous results are in {}", other.display()));
         }
         let failed = |error: std::io::Error| {
-            let text = format!("cannot restore the results of {}", kept.display());
+            let text = format!("cannot restore the results of {}", previous_results.display());
             unwritten(anyhow::Error::new(error).context(text))
         };
         if results_dir.join(RECORD).is_file() {
-            std::fs::remove_dir_all(kept).map_err(failed)?;
+            std::fs::remove_dir_all(previous_results).map_err(failed)?;
             print_to_stderr(format_args!(
                 "a killed run had replaced the results in {}; the rest of the previous results was removed",
                 results_dir.display()
             ));
             return Ok(());
         }
-        let renamed_rows = if kept.join(DATA).is_file() {
+        let renamed_rows = if previous_results.join(DATA).is_file() {
             keep_measured(results_dir, KILLED_ROWS).map_err(failed)?
         } else {
             None
         };
-        move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
+        move_back(previous_results, results_dir)
+            .and_then(|()| std::fs::remove_dir_all(previous_results))
+            .map_err(failed)?;
         let rows_note = renamed_rows.map_or_else(String::new, |name| format!("; its rows are in {name}"));
         print_to_stderr(format_args!(
             "a run that was to replace the results in {} was killed: the previous results are restored{rows_note}",
@@ -113,16 +116,18 @@ impl PreviousResultsGuard {
     /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
     /// if there were no earlier results.
     pub(super) fn restore(mut self) -> String {
-        let Some(kept) = self.moved_results.take() else { return String::new() };
+        let Some(previous_results) = self.moved_results.take() else { return String::new() };
         let removed = replaced_file_names(&self.results_dir).iter().try_for_each(|name| {
             match remove_file(self.results_dir.join(name)) {
                 Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
                 _ => Ok(()),
             }
         });
-        match removed.and_then(|()| move_back(kept.path(), &self.results_dir)) {
+        match removed.and_then(|()| move_back(previous_results.path(), &self.results_dir)) {
             Ok(()) => "; the previous results are restored".to_owned(),
-            Err(error) => format!("; the previous results are in {}: {error}", kept.keep().display()),
+            Err(error) => {
+                format!("; the previous results are in {}: {error}", previous_results.keep().display())
+            }
         }
     }
 
@@ -138,14 +143,14 @@ impl PreviousResultsGuard {
 
 impl Drop for PreviousResultsGuard {
     fn drop(&mut self) {
-        let Some(kept) = self.moved_results.take() else { return };
+        let Some(previous_results) = self.moved_results.take() else { return };
         if std::thread::panicking() {
             // After a panic new rows may have the names of the moved files, so nothing is moved back.
-            let folder = kept.keep();
+            let folder = previous_results.keep();
             return print_to_stderr(format_args!("the previous results are in {}", folder.display()));
         }
-        if let Err(error) = move_back(kept.path(), &self.results_dir) {
-            let folder = kept.keep();
+        if let Err(error) = move_back(previous_results.path(), &self.results_dir) {
+            let folder = previous_results.keep();
             print_to_stderr(format_args!("the previous results are in {}: {error}", folder.display()));
         }
     }
@@ -157,8 +162,9 @@ fn unwritten(error: anyhow::Error) -> Failure {
 
 /// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
 pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
-    leftover_folders(results_dir)
-        .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
+    leftover_folders(results_dir).find(|previous_results| {
+        previous_results.join(RECORD).is_file() && !results_dir.join(RECORD).is_file()
+    })
 }
 
 /// Returns the files with rows of runs without results.

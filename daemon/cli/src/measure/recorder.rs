@@ -57,9 +57,9 @@ impl RunProgress {
 
     /// Returns the number of iterations, if it limits the run.
     fn iterations(&self) -> Option<u64> {
-        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
+        let limit_with_warm_up = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
         let total = self.limit.total.map(std::num::NonZero::get);
-        counted.into_iter().chain(total).min()
+        limit_with_warm_up.into_iter().chain(total).min()
     }
 
     fn is_complete(&self) -> bool {
@@ -234,7 +234,7 @@ impl RunObserver for RunRecorder<'_> {
         }
         let pipelines = running.live_update().pipelines;
         // The pipeline's last events were queued before its state changed, unless the queue was full.
-        match pipelines.into_iter().next().map(|one| one.state) {
+        match pipelines.into_iter().next().map(|pipeline| pipeline.state) {
             Some(PipelineState::Failed(reason)) => return Some(AgentEnd::Failed(reason)),
             Some(PipelineState::Finished) => return Some(AgentEnd::Finished),
             _ => {}

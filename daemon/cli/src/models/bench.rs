@@ -26,7 +26,7 @@ const QUANTILES: [(&str, f64, usize); 3] =
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: WantedModel,
+    model: WantedModel,
     #[command(flatten)]
     options: Options,
     /// Number of measured samples; p99 needs 300, p95 60.
@@ -58,7 +58,7 @@ struct Measured {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let model = arguments.wanted.find()?;
+    let model = arguments.model.find()?;
     let memory_before = memory("VmRSS:");
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
@@ -132,7 +132,9 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
     ));
     print_to_stdout("");
     let row = |(stage, values): &(&str, SortedValues)| {
-        let cells = QUANTILES.map(|one| quantile(values, one).map_or_else(|| "–".to_owned(), milliseconds));
+        let cells = QUANTILES.map(|quantile_spec| {
+            quantile(values, quantile_spec).map_or_else(|| "–".to_owned(), milliseconds)
+        });
         [vec![(*stage).to_owned()], cells.into()].concat()
     };
     let header = ["stage", "p50 ms", "p95 ms", "p99 ms"];
@@ -150,7 +152,8 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
 
 fn object(name: &str, measured: &Measured) -> Value {
     let stage = |(stage, values): &(&str, SortedValues)| {
-        let quantiles = QUANTILES.map(|one| (one.0.to_owned(), json!(quantile(values, one))));
+        let quantiles = QUANTILES
+            .map(|quantile_spec| (quantile_spec.0.to_owned(), json!(quantile(values, quantile_spec))));
         let mut figures = serde_json::Map::from_iter(quantiles);
         figures.insert("count".to_owned(), values.len().into());
         ((*stage).to_owned(), Value::Object(figures))

@@ -90,11 +90,11 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct_paths(&arguments.runs);
-    let CollectedResults { runs, .. } = collect(&named, None, &|_| true)?;
-    let folders = FigureFolders::choose(&named, &runs, arguments.out.as_deref());
+    let named_paths = distinct_paths(&arguments.runs);
+    let CollectedResults { runs, .. } = collect(&named_paths, None, &|_| true)?;
+    let folders = FigureFolders::choose(&named_paths, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
-    let mut lacking = Vec::new();
+    let mut missing_data = Vec::new();
     let mut files = Vec::new();
     let mut draw_kind = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
         match figures::draw(kind, runs, &columns, folder) {
@@ -102,7 +102,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 written.missing.iter().for_each(print_to_stderr);
                 files.extend(written.files);
             }
-            Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
+            Err(error @ PlotError::Lacking(..)) => missing_data.push((folder.to_owned(), error)),
             Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
         }
         Ok(())
@@ -118,21 +118,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.kind == Kind::All {
         // Without --kind, only figures that every result can show are reported as missing.
-        lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
-    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
+        missing_data.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
+    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&missing_data)) {
         // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
-    lacking.iter().for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
+    missing_data
+        .iter()
+        .for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
     files.iter().for_each(|file| print_to_stdout(file.display()));
     Ok(())
 }
 
 /// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number. `None` if there is no
 /// reason.
-fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
+fn reasons(missing_data: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
-    for (_, error) in lacking {
+    for (_, error) in missing_data {
         let reason = error.to_string();
         match reasons.iter_mut().find(|(other, _)| *other == reason) {
             Some((_, count)) => *count += 1,

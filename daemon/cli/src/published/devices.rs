@@ -89,12 +89,12 @@ pub(crate) struct DeviceAddresses {
 /// When the file cannot be read (66) or is incomplete or invalid (78).
 pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
     let (path_text, text) = (path.display().to_string(), read_text(path)?);
-    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let file = File::read(&text, &path_text).map_err(wrong)?;
+    let invalid = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let file = File::read(&text, &path_text).map_err(invalid)?;
     let addresses =
         file.devices.iter().map(|(name, text)| Ok((name.clone(), file.address(name, text, network)?)));
     let addresses = addresses.collect::<Result<_, DeviceError>>();
-    let addresses = addresses.map_err(|problem| wrong(anyhow!("{path_text}: {problem}")))?;
+    let addresses = addresses.map_err(|problem| invalid(anyhow!("{path_text}: {problem}")))?;
     Ok(DeviceAddresses { addresses, ros2: file.ros2, config: NetworkConfig { file: path_text, text } })
 }
 
@@ -152,21 +152,21 @@ impl Devices {
     /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
         let (file, server) = (&self.config.file, &self.server);
-        let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
+        let invalid = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.device_names.iter().any(|device| device == name.as_str()) {
-            return wrong(format!(
+            return invalid(format!(
                 "{file} has no device {name}, only {}: use one of them as --name, or add it",
                 list(&self.device_names)
             ));
         }
         if let Err(problem) = self.address.check_host() {
-            return wrong(format!("{file}: the address of the server {server} cannot be used: {problem}"));
+            return invalid(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }
         match (serves, server == name.as_str()) {
-            (true, false) => wrong(format!(
+            (true, false) => invalid(format!(
                 "{file} says that {server} serves, not {name}: clients would connect there; change its line server:, or start this device with --client"
             )),
-            (false, true) => wrong(format!(
+            (false, true) => invalid(format!(
                 "{file} says that {name} serves: start it with --server, or change the line server:"
             )),
             _ => Ok(()),

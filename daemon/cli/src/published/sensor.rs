@@ -43,7 +43,7 @@ impl SensorType {
 /// # Errors
 /// When an option is missing (64), or the data set does not exist (66).
 pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
-    let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
+    let missing_option = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
     // `--sensor-object` implies the type `external`, because `image` is the default.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
         (Some(_), SensorType::Image) => SensorType::External,
@@ -53,11 +53,11 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
     let (config, transforms) = match kind {
         SensorType::Image => {
             let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
-                missing("the sensor image needs --dataset-loc: a picture or a folder of pictures")
+                missing_option("the sensor image needs --dataset-loc: a picture or a folder of pictures")
             })?;
             let path = path.to_str().ok_or_else(|| {
                 let path = path.display();
-                missing(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
+                missing_option(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
             })?;
             (SensorConfig::pictures(path.into()), arguments.encoding.transforms())
         }
@@ -65,7 +65,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
         SensorType::Text => (SensorConfig::random_text(size), Vec::new()),
         SensorType::External => {
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
-                missing("the sensor external needs --sensor-object: module::object or exec:COMMAND")
+                missing_option("the sensor external needs --sensor-object: module::object or exec:COMMAND")
             })?;
             (external_sensor(object, arguments.pickle)?, Vec::new())
         }

@@ -59,7 +59,7 @@ impl Execution<'_> {
             self.record.plan.runs.len(),
             self.record.plan.describe(run)
         );
-        let later = self.remaining_s(&runs[done + 1..]);
+        let later_runs_s = self.remaining_s(&runs[done + 1..]);
         let (share_before, run_share) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
             progress.print_line(format_args!("{name}: begins"));

@@ -178,7 +178,7 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 /// When it cannot be read (65).
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
-    let damaged = |reason: String| {
+    let unreadable = |reason: String| {
         let text = format!("cannot read {}: {reason}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
@@ -187,17 +187,17 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
-        Err(error) => return Err(damaged(error.to_string())),
+        Err(error) => return Err(unreadable(error.to_string())),
     };
-    let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+    let record: Record = serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
     if record.format != FORMAT {
-        return Err(damaged(format!(
+        return Err(unreadable(format!(
             "its format is {}, but this program reads format {FORMAT}",
             record.format
         )));
     }
     if !record.is_sound() {
-        return Err(damaged("it names runs or configurations that it does not have".to_owned()));
+        return Err(unreadable("it names runs or configurations that it does not have".to_owned()));
     }
     Ok(Some(record))
 }

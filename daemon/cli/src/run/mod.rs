@@ -252,8 +252,11 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
             .chain(affected.map(|(_, configuration)| format!("    {configuration}")))
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
-    let tried = table::count(trial_results.tried, "configuration");
-    Some(Failure::new(exit, anyhow!("{count} of {tried} cannot be measured, nothing was started:\n{lines}")))
+    let tried_count = table::count(trial_results.tried, "configuration");
+    Some(Failure::new(
+        exit,
+        anyhow!("{count} of {tried_count} cannot be measured, nothing was started:\n{lines}"),
+    ))
 }
 
 /// Asks for confirmation if standard input is a terminal.
@@ -266,8 +269,8 @@ async fn is_confirmed(signals: &mut Signals) -> bool {
         let mut errors = std::io::stderr();
         let _ = write!(errors, "start? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
-        let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
-        read > 0 && !answer.trim().to_lowercase().starts_with('n')
+        let read_bytes = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
+        read_bytes > 0 && !answer.trim().to_lowercase().starts_with('n')
     });
     tokio::select! {
         answer = answer => answer.unwrap_or(false),
@@ -294,12 +297,13 @@ fn aggregators(plan: &Plan) -> Vec<&Address> {
 }
 
 fn summary(record: &Record) -> String {
-    let others = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
-    let others = others.map(|stage| (record.count(stage), stage));
-    let others = others.iter().filter(|(count, _)| *count > 0);
-    let others: Vec<String> = others.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
+    let unfinished_stages = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
+    let unfinished_stages = unfinished_stages.map(|stage| (record.count(stage), stage));
+    let unfinished_stages = unfinished_stages.iter().filter(|(count, _)| *count > 0);
+    let unfinished_stages: Vec<String> =
+        unfinished_stages.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
     let runs = table::count(record.plan.runs.len(), "run");
-    format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
+    format!("{} of {runs} finished{}", record.count(Stage::Finished), unfinished_stages.concat())
 }
 
 /// Returns the failure for the selected runs, if any.

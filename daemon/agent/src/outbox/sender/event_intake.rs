@@ -73,10 +73,11 @@ impl EventIntake {
 
     /// Adds the events that have not reached the state machine to the counts of the state machine.
     pub(super) fn add_to(&self, account: &mut Accounting) {
-        let (queued, dropped) = (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
-        account.produced += queued + dropped;
-        account.waiting += queued;
-        account.dropped += dropped;
+        let (queued_events, dropped_events) =
+            (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
+        account.produced += queued_events + dropped_events;
+        account.waiting += queued_events;
+        account.dropped += dropped_events;
     }
 
     /// Records, in the counter's file, a batch that is sent without being in the spool.

@@ -74,12 +74,12 @@ pub enum SpoolError {
         own: HostId,
     },
     /// The data in the spool is inconsistent.
-    #[error("the spool {} is damaged: {what}", .path.display())]
+    #[error("the spool {} is damaged: {defect}", .path.display())]
     Damaged {
         /// Path of the spool.
         path: PathBuf,
         /// Inconsistency that was found.
-        what: SpoolDefect,
+        defect: SpoolDefect,
     },
 }
 

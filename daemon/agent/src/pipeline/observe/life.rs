@@ -132,11 +132,11 @@ async fn connect(
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
     let mut reconnect_backoff = ReconnectBackoff::new(host.id);
-    let mut reported = String::new();
+    let mut reported_error = String::new();
     loop {
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
-        let Some(opened) = opening.await else { return Ok(None) };
-        let error = match opened {
+        let Some(opening_result) = opening.await else { return Ok(None) };
+        let error = match opening_result {
             Ok(mut source) => match await_publishers(runner, config, &mut source, run).await {
                 Ok(true) => return Ok(Some(source)),
                 Ok(false) => {
@@ -154,9 +154,9 @@ async fn connect(
             return Err(error);
         }
         let text = error.to_string();
-        if reported != text {
+        if reported_error != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (retrying)"));
-            reported.clone_from(&text);
+            reported_error.clone_from(&text);
         }
         runner.live_state.set_state(PipelineState::Waiting(text));
         if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.next_pause())).await.is_none()

@@ -115,13 +115,13 @@ impl<I, O> Pairing<I, O> {
 
     /// Removes and returns all input messages that wait, the oldest first.
     pub(super) fn take_unpaired_inputs(&mut self) -> impl Iterator<Item = I> + use<I, O> {
-        std::mem::take(&mut self.inputs).into_iter().map(|waiting| waiting.message)
+        std::mem::take(&mut self.inputs).into_iter().map(|unpaired| unpaired.message)
     }
 }
 
 /// Removes the oldest message with this key.
-fn remove<T>(waiting: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
-    let wanted = key?;
-    let index = waiting.iter().position(|message| message.key == Some(wanted))?;
-    waiting.remove(index).map(|waiting| waiting.message)
+fn remove<T>(unpaired: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
+    let wanted_key = key?;
+    let index = unpaired.iter().position(|message| message.key == Some(wanted_key))?;
+    unpaired.remove(index).map(|unpaired| unpaired.message)
 }

@@ -100,8 +100,8 @@ impl<'a> Observation<'a> {
                 next_check_at = now + CHECK_INTERVAL;
                 let current = source.problem();
                 if current != problem {
-                    let reported = current.as_ref().map(|problem| source.with_advice(problem));
-                    super::life::report_problem(runner, run.id(), reported.as_deref());
+                    let problem_with_advice = current.as_ref().map(|problem| source.with_advice(problem));
+                    super::life::report_problem(runner, run.id(), problem_with_advice.as_deref());
                     problem = current;
                 }
                 report_dropped(source, &mut dropped);
@@ -163,7 +163,7 @@ impl<'a> Observation<'a> {
             record_lost(&input, reason.to_owned(), run, runner);
         }
         if let Some(peer) = &mut self.peer {
-            peer.abandon().await.into_iter().for_each(|settled| record(settled, run, runner));
+            peer.abandon().await.into_iter().for_each(|settled_pair| record(settled_pair, run, runner));
         }
     }
 
@@ -251,11 +251,11 @@ impl<'a> Observation<'a> {
                 if let Some(peer) = &mut self.peer {
                     let key = input.received.message.key(self.config.pair_by).ok().flatten();
                     let pair = Pair { input, output, unpaired_counts };
-                    let refused = match key {
+                    let unqueried_pair = match key {
                         Some(key) => peer.query(key, pair).err(),
                         None => Some(Box::new(pair)),
                     };
-                    if let Some(pair) = refused {
+                    if let Some(pair) = unqueried_pair {
                         record(record_without_peer(host, &pair), run, runner);
                     }
                     return;

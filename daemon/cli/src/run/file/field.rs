@@ -93,27 +93,27 @@ impl Field {
             document.insert(first.clone(), value);
             return Ok(());
         }
-        let mut place = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
+        let mut current_value = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
         for (index, step) in rest.iter().enumerate() {
-            let walked = || Self(self.0[..=index].to_vec());
-            place = match (step, place) {
+            let path_so_far = || Self(self.0[..=index].to_vec());
+            current_value = match (step, current_value) {
                 (Step::Key(key), Value::Table(table)) => {
                     table.entry(key.clone()).or_insert_with(|| Value::Table(Table::new()))
                 }
                 (Step::Index(index), Value::Array(list)) => {
                     let count = list.len();
-                    let none = || FieldError::NoEntry { field: self.clone(), list: walked(), count };
-                    list.get_mut(*index).ok_or_else(none)?
+                    let no_entry = || FieldError::NoEntry { field: self.clone(), list: path_so_far(), count };
+                    list.get_mut(*index).ok_or_else(no_entry)?
                 }
                 (Step::Key(_), _) => {
-                    return Err(FieldError::NoTable { field: self.clone(), place: walked() });
+                    return Err(FieldError::NoTable { field: self.clone(), place: path_so_far() });
                 }
                 (Step::Index(_), _) => {
-                    return Err(FieldError::NoList { field: self.clone(), place: walked() });
+                    return Err(FieldError::NoList { field: self.clone(), place: path_so_far() });
                 }
             };
         }
-        *place = value;
+        *current_value = value;
         Ok(())
     }
 }

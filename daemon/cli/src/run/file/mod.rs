@@ -112,8 +112,8 @@ impl File {
         &self,
         models: &[PathBuf],
     ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
-        let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
-        let with_path = |error| wrong(format!("{}: {error}", self.path.display()));
+        let invalid = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
+        let with_path = |error| invalid(format!("{}: {error}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(with_path)?;
         self.check_run_count(combinations.len()).map_err(with_path)?;
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
@@ -137,7 +137,9 @@ impl File {
             return Ok((configurations, networks));
         }
         let file = self.path.display();
-        Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))
+        Err(invalid(
+            problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n"),
+        ))
     }
 
     /// Checks the number of runs before any is planned.

@@ -97,11 +97,11 @@ fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
         step: cloud.row_step,
     };
     let fields: Vec<_> = cloud.fields.iter().map(field).collect();
-    let about = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
+    let layout = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
     let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::U8) };
     Ok(vec![
         Part { description, bytes: rows.without_padding(&cloud.data)? },
-        Part { description: Description::unshaped(MediaType::Json), bytes: about.to_string().into() },
+        Part { description: Description::unshaped(MediaType::Json), bytes: layout.to_string().into() },
     ])
 }
 

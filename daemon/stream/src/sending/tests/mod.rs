@@ -146,7 +146,7 @@ struct Agent {
     sending: Sending,
     millis: i64,
     /// `true` while the spool fails.
-    broken: bool,
+    spool_is_broken: bool,
     /// `true` while the spool accepts no batches.
     full: bool,
     sent: Vec<BatchHead>,
@@ -183,7 +183,7 @@ impl Agent {
             file,
             sending,
             millis: 0,
-            broken: false,
+            spool_is_broken: false,
             full: false,
             sent,
             parts,
