@@ -75,7 +75,7 @@ fn row(text: &mut String, argument: &Arg) {
     };
     let short = argument.get_short().map(|short| format!("`-{short}`, ")).unwrap_or_default();
     let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
-    let help = format!("{help}{}", if takes_value { choice(argument) } else { String::new() });
+    let help = format!("{help}{}", if takes_value { possible_values(argument) } else { String::new() });
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
     let default: Vec<_> = argument.get_default_values().iter().map(|value| value.to_string_lossy()).collect();
     let variable = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
@@ -89,7 +89,7 @@ fn row(text: &mut String, argument: &Arg) {
 }
 
 /// Returns the possible values of an argument, if it has a list of them.
-fn choice(argument: &Arg) -> String {
+fn possible_values(argument: &Arg) -> String {
     let values = argument.get_possible_values();
     let values = values.iter().filter(|value| !value.is_hide_set()).map(|value| match value.get_help() {
         Some(help) => format!("`{}` ({help})", value.get_name()),

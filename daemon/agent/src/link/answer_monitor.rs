@@ -82,6 +82,7 @@ impl AnswerMonitor {
                 }
             }
             ProbeResult::Refused(reason) => {
+                // The probe stays in flight until it is answered or lost: a refused packet may be forged.
                 self.refusals = self.refusals.saturating_add(1);
                 self.refusal_reason = Some(reason);
                 if let Some(times) = self.log.times_to_log(reason, None, now) {

@@ -176,7 +176,7 @@ async fn serve_sessions(
                     loading.spawn_blocking(move || prepare(request, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {
-                    server.closed(session, said_goodbye, planned_iterations);
+                    server.handle_session_end(session, said_goodbye, planned_iterations);
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
@@ -346,7 +346,7 @@ impl Server {
     }
 
     /// Handles the end of a session. Only an end without a goodbye is an incident.
-    fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
+    fn handle_session_end(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
         self.update_reflectors(None);

@@ -74,7 +74,7 @@ impl Execution<'_> {
             };
             let Some(report) = report else { return };
             let done_part = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
-            let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
+            let left = report.left_s.zip(later_runs_s).map(|(run_s, later_s)| duration(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {

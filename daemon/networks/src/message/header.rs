@@ -170,7 +170,7 @@ pub(crate) struct Reply {
 
 /// A part of an answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
 ///
-/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost one only arrives later.
+/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost partial reply only arrives later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PartialReply {
     pub(crate) session: SessionId,

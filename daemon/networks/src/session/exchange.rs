@@ -37,7 +37,7 @@ pub struct Exchange {
 }
 
 /// Error bound of an exchange's stamps. A stamp may be wrong to the unsafe side by the resolution of its clock: up to
-/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and they travel as whole
+/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and both are sent in whole
 /// nanoseconds.
 const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 

@@ -149,7 +149,7 @@ pub(crate) async fn handshake(
             Err(_) => format!("no answer arrived within {waited_ms} ms"),
         };
         let address = address.clone();
-        return Err(match connection.is_cloud {
+        return Err(match connection.peer_is_cloud {
             true => OpenError::Unanswered { address, reason },
             false => OpenError::TimedOut { address, waited_ms },
         });

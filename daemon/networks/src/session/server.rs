@@ -99,9 +99,9 @@ pub(crate) struct Route {
 /// Result of ending a request: whether its answer is sent.
 #[derive(Debug)]
 pub(crate) enum FinishedRequest {
-    /// It is sent to the edge.
+    /// The answer is sent to the edge.
     Send(Route),
-    /// The edge does not wait for it any more.
+    /// The edge does not wait for the answer any more.
     Cancelled,
     /// The session is gone, or the request had its answer already.
     Unknown,
@@ -204,7 +204,7 @@ impl Server {
     /// may be opened.
     ///
     /// One host may have half of the sessions that other hosts leave free, so that one host cannot take all. Several
-    /// hosts may share an address, which may have three quarters.
+    /// hosts may share an address, so an address may have three quarters of these sessions.
     fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (open_sessions, max) = (self.sessions.len(), self.max_sessions);
         if open_sessions >= max {

@@ -198,6 +198,7 @@ impl Retention {
         match &result {
             Ok(()) => storage_clock.record_commit(now.mono),
             Err(_) => {
+                // Their record is rolled back together with the deleted data.
                 self.deletions.forget();
                 raw_transaction::roll_back(connection).await?;
             }
@@ -235,6 +236,7 @@ impl Retention {
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
         let since_s = now_s - self.periods.finest_resolution_s();
+        // Arrivals are converted first, because only rows of the table `arrival` become due.
         if arriving::has_arrivals(connection, since_s).await? {
             return Ok(Some(Work::Arriving { since_s }));
         }
@@ -245,6 +247,7 @@ impl Retention {
                 return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
         }
+        // The size comes last: deleting data that is due may free enough pages.
         Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 

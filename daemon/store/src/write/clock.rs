@@ -133,6 +133,7 @@ impl Links {
     ) -> Result<i64, Refusal> {
         let key = (edge, sample.peer, sample.network.clone());
         if let Some((link, name)) = self.rows.get(&key)
+            // A cloud that was renamed is stored again.
             && *name == sample.peer_name
         {
             return Ok(*link);
@@ -164,6 +165,7 @@ async fn free_time(
     basis: Option<&EstimateBasis>,
 ) -> Result<i64, sqlx::Error> {
     let at = sample.at.unix_nanos();
+    // Without this reading, a time that repeats cannot be distinguished from a second report of the same second.
     let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
     sqlx::query_scalar(FREE_TIME)
         .bind(link)

@@ -57,6 +57,7 @@ impl EventIntake {
         for event in self.runs.start_events() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
+            // The state machine gets this event a second time, so it is counted a second time.
             self.receiver.counter.count(pipeline, event.run(), now.wall);
             machine.offer(&event, now);
         }

@@ -129,7 +129,7 @@ impl Connection {
         if self.shutdown.is_closed() {
             return;
         }
-        self.timer.receive(now);
+        self.timer.record_arrival(now);
         let connection = self.writer.connection();
         match packet {
             Packet::Data { number, fragment, .. } => {
@@ -303,14 +303,14 @@ impl Connection {
             return;
         }
         if self.ping_at() <= now {
-            self.timer.ping(now);
+            self.timer.record_ping(now);
             self.measurement.record_ping(now);
             let time = u64::try_from(now.nanos()).unwrap_or(0);
             let heartbeat = self.make_heartbeat(time, now);
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|bye_time| bye_time <= now) {
-            self.shutdown.send_bye(now);
+            self.shutdown.record_bye(now);
             self.send_bye();
         }
     }

@@ -162,7 +162,7 @@ impl Endpoint {
             let refusal = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refusal);
         }
-        let id = existing.unwrap_or_else(|| self.key.connection(self.table.opened_count() + 1));
+        let id = existing.unwrap_or_else(|| self.key.connection_number(self.table.opened_count() + 1));
         let connect = || {
             let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
             let terms = Terms { datagram, ..terms };

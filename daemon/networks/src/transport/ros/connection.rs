@@ -138,6 +138,7 @@ impl Connection {
         match info.kind {
             MessageInfo::DATA => self.assembly.receive_data(info, now, &mut self.events),
             MessageInfo::HELLO => {
+                // A hello and a welcome have no frames. The length in this place is the size of the receive buffer.
                 self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
                 self.events.push(Event::Hello);
             }

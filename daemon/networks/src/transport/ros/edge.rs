@@ -103,7 +103,7 @@ pub(crate) async fn dial(
     Ok(EdgeConnection {
         sender: Box::new(RosEdgeSender(channel)),
         receiver: Box::new(receiver),
-        is_cloud: true,
+        peer_is_cloud: true,
     })
 }
 

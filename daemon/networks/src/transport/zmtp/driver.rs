@@ -239,7 +239,7 @@ impl Driver {
 
     /// Sends a PING or ends the connection if that is due.
     fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
-        match self.deadlines.check(Instant::now()) {
+        match self.deadlines.due_action(Instant::now()) {
             DueAction::Nothing => None,
             DueAction::Ping => {
                 self.ping();

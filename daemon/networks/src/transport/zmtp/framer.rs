@@ -210,7 +210,8 @@ impl Framer {
         self.finish_body_if_complete(allowance, out)
     }
 
-    /// Returns the flags and the length of a frame. At least its header must have arrived.
+    /// Checks that the connection may send this frame at present. Returns the flags and the length of the frame. At least its
+    /// header must have arrived.
     ///
     /// # Errors
     /// If the connection may not send such a frame at present.

@@ -84,6 +84,7 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
         sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
+        // A link whose samples are all deleted has no range of times.
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
         links.push(LinkRow {
             edge: parse(WHAT, &row.edge)?,
@@ -211,6 +212,7 @@ fn index(at_ns: i64, width: u32) -> i64 {
 impl Row {
     fn clocks(&self) -> Result<RelatedClocks, StoreError> {
         self.clocks
+            // Samples of agents before 0.3.0 have no number; they relate wall clocks.
             .map_or(Ok(RelatedClocks::Wall), |number| value_of_number(WHAT, RelatedClocks::ALL, number))
     }
 
@@ -240,6 +242,7 @@ impl Row {
             return Ok(None);
         };
         let source = value_of_number(WHAT, DelaySource::ALL, source)?;
+        // The column is NULL if the only source has the interval of the offset.
         let sources = match &self.offset_sources {
             Some(json) => sources(json)?,
             None => vec![(source, bounds)],

@@ -342,8 +342,8 @@ impl Backlog {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `before` is the chain of
-    /// the last skipped batch.
+    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `previous_chain` is
+    /// the chain of the last skipped batch.
     pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain) {
         self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }

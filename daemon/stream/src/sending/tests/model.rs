@@ -243,7 +243,7 @@ proptest! {
         for step in steps {
             match step {
                 Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
-                Step::Pass(millis) => simulation.pass(millis.into()),
+                Step::Pass(millis) => simulation.advance_ms(millis.into()),
                 Step::Work(count) => (0..count).for_each(|_| simulation.work()),
                 Step::Deliver(count) => (0..count).for_each(|_| simulation.deliver()),
                 Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),

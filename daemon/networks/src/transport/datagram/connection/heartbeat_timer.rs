@@ -30,12 +30,12 @@ impl HeartbeatTimer {
     }
 
     /// Notes that a packet arrived.
-    pub(super) fn receive(&mut self, now: MonoTime) {
+    pub(super) fn record_arrival(&mut self, now: MonoTime) {
         self.received_at = now;
     }
 
     /// Notes that the other end is asked for a heartbeat.
-    pub(super) fn ping(&mut self, now: MonoTime) {
+    pub(super) fn record_ping(&mut self, now: MonoTime) {
         self.pinged_at = now;
     }
 
