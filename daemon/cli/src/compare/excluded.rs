@@ -17,7 +17,7 @@ pub(super) struct ExclusionReasons(Vec<Option<Exclusion>>);
 impl ExclusionReasons {
     /// Finds the excluded results. `named_paths` are the paths on the command line.
     ///
-    /// Of several results of one run only one is compared. It is the first of these that exists: the baseline, a result whose path is on the
+    /// If a run has several results, only one is compared: the first of these that exists, in this order: the baseline, a result whose path is on the
     /// command line, the result in the run's folder of the experiment, the first result.
     pub(super) fn new(
         runs: &[Loaded],

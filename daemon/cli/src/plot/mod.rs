@@ -43,25 +43,25 @@ pub(crate) struct Arguments {
 enum Kind {
     /// All for which there is data.
     All,
-    /// Of each run: the six histograms of the published program, sensing-time to download-throughput.
+    /// For each run: the six histograms of the published program, sensing-time to download-throughput.
     Histograms,
-    /// Of each run: the share of iterations up to each latency, of the total and its longest stages.
+    /// For each run: the share of iterations up to each latency, of the total and its longest stages.
     Cumulative,
-    /// Of all runs: a bar of stacked stages for each configuration.
+    /// For all runs: a bar of stacked stages for each configuration.
     Stacked,
-    /// Of all runs: the share of iterations up to each total, a curve for each configuration.
+    /// For all runs: the share of iterations up to each total, a curve for each configuration.
     Totals,
-    /// Of all runs: top-1 accuracy, and success of episodes, of each configuration against its latency.
+    /// For all runs: top-1 accuracy, and success of episodes, of each configuration against its latency.
     Accuracy,
-    /// Of all runs: inference of each model on board and in the cloud.
+    /// For all runs: inference of each model on board and in the cloud.
     Paired,
-    /// Of all runs: latency and throughput against payload, with fit and intercept.
+    /// For all runs: latency and throughput against payload, with fit and intercept.
     Payload,
-    /// Of all runs: latency and fairness against the number of edges that share one cloud.
+    /// For all runs: latency and fairness against the number of edges that share one cloud.
     Users,
-    /// Of each run: response length against latency.
+    /// For each run: response length against latency.
     Length,
-    /// Of each run: total and stages over time.
+    /// For each run: total and stages over time.
     Series,
 }
 
