@@ -117,12 +117,14 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         .flat_map(|Stage { stage, before, after }| {
             let bounds =
                 [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
+            // Both rows of a delay get the same number of decimals, so that they can be compared digit by digit.
             let decimals = bounds.into_iter().map(column_decimals).max().unwrap_or_default();
             [row(stage, "before", before, decimals), row("", "after", after, decimals)]
         })
         .collect();
     let table = text(&header, &rows);
     let basis = match samples {
+        // Checked first: delays by one clock need no exchanges, so their number says nothing.
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
         0 => "no usable exchanges of the two clocks are stored".to_owned(),
         samples => format!(

@@ -152,12 +152,14 @@ fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
     let total = statistics_of("total");
     let Placement { kind, peer, address, model } = &pipeline.placement;
+    // A peer has no name before the first session; until then its address identifies it.
     let placement_text = match peer.as_ref().or(address.as_ref()) {
         Some(peer_name) => format!("{model} on {peer_name}"),
         None if kind == PlacementKind::None.name() => "sensor alone".to_owned(),
         None if kind == PlacementKind::Local.name() => format!("{model} on board"),
         None => model.clone(),
     };
+    // A wrong clock at either end affects the delays of the pipeline.
     let ends = [Some(&pipeline.host), peer.as_ref()];
     let is_faulty = ends.into_iter().flatten().any(|host| faulty.contains_key(host));
     vec![

@@ -56,6 +56,7 @@ impl Plan {
             bail!("--sizes needs at least three different sizes to fit a line");
         }
         let peer = arguments.peer_address()?;
+        // Shuffled, because with sorted sizes a slow change of the link would look like an effect of the size.
         let mut random = StdRng::seed_from_u64(SEED);
         let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
         let round = |_| {

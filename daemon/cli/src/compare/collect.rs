@@ -40,10 +40,13 @@ pub(crate) fn collect(
     let mut results: Vec<(PathBuf, Vec<PathBuf>)> = results.collect::<Result<_, Failure>>()?;
     let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
     let all = results.iter().flat_map(|(_, results)| results).chain(&baseline_paths).map(PathBuf::as_path);
+    // The experiments are found before the selection, because an experiment says which of its runs are finished.
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
+        // A baseline beside the named paths is added in front. A baseline among them keeps its place.
+        baseline
+            .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {
         results.insert(0, (baseline.to_owned(), baseline_paths.clone()));
         selected = SelectedResults::new(&results, &experiments);
@@ -61,8 +64,10 @@ pub(crate) fn collect(
         );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
+    // The files are read only now: unselected results may be large or damaged.
     let runs = paths.iter().map(|path| open(path, is_wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
+    // Copies of one run can be recognised only by their run ids, which are in the files.
     let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
     let unreadable = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
     for note in unreadable.into_iter().chain(exclusions.notes(&runs)) {
@@ -162,6 +167,7 @@ fn contains_same_path(paths: &[PathBuf], path: &Path) -> bool {
 
 /// Returns whether both paths lead to the same file or folder.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
+    // Equal paths are compared first, because a path that does not exist has no canonical form.
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 

@@ -117,6 +117,7 @@ enum IterationsError {
 }
 
 fn iterations(text: &str) -> Result<NonZeroU64, IterationsError> {
+    // A wider type, so that negative and too large numbers get their own messages.
     let number = text.parse::<i128>().map_err(IterationsError::NotANumber)?;
     if number < 1 {
         return Err(IterationsError::TooFew);

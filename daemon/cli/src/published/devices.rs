@@ -37,7 +37,7 @@ enum DeviceError {
     Address { text: String, name: String, source: AddressError },
     #[error("no address of the device {name}: {source}")]
     Unknown { name: String, source: ListenerLookupError },
-    #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
+    #[error("the device {0} has port 0, to which no client can connect: set start_port to a number above 0")]
     PortZero(String),
 }
 
@@ -47,7 +47,7 @@ impl File {
         if !parsed.other.is_empty() {
             let keys: Vec<&str> = parsed.other.keys().map(String::as_str).collect();
             print_to_stderr(format_args!(
-                "{file}: passing over {}; there is devices, server, start_port, ros_version and ros2",
+                "{file}: ignored unknown keys: {}; known are devices, server, start_port, ros_version and ros2",
                 keys.join(", ")
             ));
         }
@@ -142,6 +142,7 @@ impl Devices {
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
         let is_consistent = address.check_network(network);
         is_consistent.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
+        // The whole text is recorded with the results, because the file may change before a run is repeated.
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
         Ok(Self { server, address, config, ros2: parsed.ros2, device_names })
     }
@@ -151,6 +152,7 @@ impl Devices {
     /// # Errors
     /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
+        // Both mistakes would make the devices wait for each other without an error.
         let (file, server) = (&self.config.file, &self.server);
         let invalid = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.device_names.iter().any(|device| device == name.as_str()) {
@@ -159,6 +161,7 @@ impl Devices {
                 list(&self.device_names)
             ));
         }
+        // Only the server's address is used, so the file may also have addresses of networks that this build lacks.
         if let Err(problem) = self.address.check_host() {
             return invalid(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }

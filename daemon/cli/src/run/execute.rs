@@ -47,6 +47,8 @@ impl Execution<'_> {
         run: &Run,
         signals: &mut Signals,
     ) -> Result<bool, Failure> {
+        // The results of an earlier attempt are removed before the run is recorded as running, so that they cannot be
+        // taken for results of this attempt.
         self.folder.remove(run)?;
         self.record.start_run(run);
         self.folder.save(self.record)?;
@@ -90,6 +92,7 @@ impl Execution<'_> {
         let seconds = (self.clock.mono() - began).seconds();
         let interrupted = process_results.interrupted;
         let result = self.run_result(run, &process_results, seconds);
+        // The duration of a failed run says nothing about later runs of this configuration.
         if result.stage == Stage::Finished {
             self.estimates.record_duration(run.configuration, seconds);
         }

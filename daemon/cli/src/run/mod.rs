@@ -76,6 +76,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // A broken record can be replaced, and is no error of the file.
     let existing_record = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
+    // A continued experiment keeps the seed of `--seed` although the option is not repeated; otherwise its plan would
+    // differ.
     let seed = arguments.seed.or_else(|| existing_record.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
     if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
@@ -114,8 +116,10 @@ async fn execute_experiment(
     external_files: &ExternalFiles,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    // A dry run writes nothing, so it needs no lock.
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
+        // Results may have been truncated or deleted since the last command; such runs are measured again.
         check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
@@ -129,6 +133,7 @@ async fn execute_experiment(
             }
         };
     let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
+    // Only configurations that have runs to do: a continued experiment does not need the other peers.
     let trial_results = match trial::configurations(
         &record.plan,
         &tried_configurations,
@@ -155,6 +160,7 @@ async fn execute_experiment(
     for condition in &trial_results.conditions {
         print_to_stderr(describe_condition(condition));
     }
+    // One unavailable configuration stops everything: an incomplete matrix cannot be compared.
     if let Some(failure) = unavailable_configurations(&trial_results, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
@@ -215,6 +221,7 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
             configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
         });
     let mut estimates = Estimates::new(expected.collect());
+    // Measured durations of finished runs are better than estimates from trials.
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
         state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
     }
@@ -261,6 +268,7 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
 
 /// Asks for confirmation if standard input is a terminal.
 async fn is_confirmed(signals: &mut Signals) -> bool {
+    // Scripts cannot answer.
     if !std::io::stdin().is_terminal() {
         return true;
     }

@@ -181,6 +181,7 @@ impl Entities {
         .bind(run.to_string())
         .fetch_all(connection)
         .await?;
+        // Both columns are searched: the reporter's run is stored under another id if the reported id was taken.
         let is_taken = !rows.is_empty();
         let reporters_run = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
         let reporters_run = reporters_run
@@ -293,6 +294,7 @@ impl Entities {
 
     /// Adds a run to the cache.
     fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
+        // All are discarded, because the few active runs are read again at their next use.
         if self.runs.len() >= MAX_CACHED_RUNS {
             self.runs.clear();
         }

@@ -44,6 +44,7 @@ impl Field {
             if key.is_empty() || key.contains(char::is_control) {
                 return Err(FieldError::Path(text.to_owned()));
             }
+            // Files of earlier releases use the earlier names of tables; only the first key is a table's name.
             let key = if steps.is_empty() { current_name(key) } else { key };
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
@@ -100,6 +101,8 @@ impl Field {
                 (Step::Key(key), Value::Table(table)) => {
                     table.entry(key.clone()).or_insert_with(|| Value::Table(Table::new()))
                 }
+                // Lists are not extended: an index beyond the end is a mistake, because the entries between would be
+                // undefined.
                 (Step::Index(index), Value::Array(list)) => {
                     let count = list.len();
                     let no_entry = || FieldError::NoEntry { field: self.clone(), list: path_so_far(), count };

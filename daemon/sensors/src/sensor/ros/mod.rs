@@ -160,6 +160,7 @@ impl Ros {
 impl Sensor for Ros {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
+        // Logged before the message is decoded, so that the number is not lost with an undecodable message.
         recorder.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),

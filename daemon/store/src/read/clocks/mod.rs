@@ -114,6 +114,7 @@ pub(crate) async fn series(
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(link) = link else { return Ok(empty_series) };
+    // The width follows from the stored times and not from the requested ones, which may be far apart.
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
         .bind(from.unix_nanos())
@@ -126,6 +127,7 @@ pub(crate) async fn series(
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
+    // A bucket of one second is a row, so no ranges are needed.
     if width == 1 {
         let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
         let mut rows = rows.fetch(&pool);
@@ -171,6 +173,7 @@ struct Points {
 impl Points {
     /// Adds the next second.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        // After the wall clock was set back, the same times occur again.
         if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
