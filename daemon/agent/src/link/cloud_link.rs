@@ -201,6 +201,7 @@ impl CloudLink {
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
+        // Only a proof that was given before can be lost.
         let was_proven = *self.same_clock.borrow() == Some(true);
         let mut changes = ClockStateChanges::default();
         match proof {

@@ -42,6 +42,7 @@ impl Ring {
             // Seconds that occur again after the clock was set back replace the earlier seconds.
             self.seconds.retain(|second| second.at < at);
         }
+        // From the end, because almost every iteration ends in the newest second.
         let last_not_later = self.seconds.iter().rposition(|second| second.at <= at);
         let index = match last_not_later {
             Some(index) if self.seconds[index].at == at => index,
@@ -85,6 +86,7 @@ impl Ring {
     /// Marks all seconds as not sent.
     pub(super) fn mark_all_unsent(&mut self) {
         for second in &mut self.seconds {
+            // Versions begin at 1.
             second.sent_version = 0;
         }
     }

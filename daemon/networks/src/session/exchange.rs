@@ -178,9 +178,11 @@ pub(crate) fn absorb(
         return Ok(None);
     };
     let mut delta = decode_tree_delta(delta)?;
+    // The cloud may close only the node of this request's upload.
     if delta.closed.0 != departed.upload {
         return Err(TreeDeltaError::OtherNodeClosed);
     }
+    // Otherwise a cloud could add nodes in the name of another host.
     if delta.anchor.host != cloud {
         return Err(TreeDeltaError::OtherHost);
     }
@@ -234,6 +236,7 @@ fn observation(
     departure: Departure,
     arrived: &ArrivedReply,
 ) -> Option<ExchangeObservation> {
+    // A step between the stamps would look like a part of the offset.
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
     }

@@ -46,6 +46,7 @@ use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
 /// Defines the enum of all networks from lines `Variant = "name" at "scheme" in module`. A network with several schemes
 /// lists them all, as in `at "ros1" | "ros2"`; its module reads the scheme from the address.
+// A macro and not a trait object: the kind is a plain value that is stored, compared and serialised.
 macro_rules! networks {
     ($($(#[$about:meta])* $variant:ident = $name:literal at $($scheme:literal)|+ in $module:ident;)*) => {
         /// The networks over which samples can be sent.

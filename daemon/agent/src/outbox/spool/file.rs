@@ -77,7 +77,7 @@ impl SpoolFile {
         }
         let counter_to_remove = match totals.unreported {
             Some(_) => {
-                tail::uncounter_to_remove(&mut self.connection).await.map_err(self.file_error(ACTION))?
+                tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
             }
             None => None,
         };

@@ -58,6 +58,7 @@ pub(in crate::pipeline) async fn run_to_end(
             match observation.run(&mut source, run, runner).await {
                 SessionEnded::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
+                    // The subscriptions and the observation continue; only the run is a new one.
                     *run = start_run(runner, config, &source, observation.peer(), true).await;
                 }
                 SessionEnded::Limit => break Some(EndReason::Finished),
@@ -150,10 +151,12 @@ async fn connect(
             },
             Err(error) => error,
         };
+        // Retrying cannot correct a wrong configuration or type.
         if !error.is_temporary() {
             return Err(error);
         }
         let text = error.to_string();
+        // A reason is reported once and not with every attempt.
         if reported_error != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (retrying)"));
             reported_error.clone_from(&text);

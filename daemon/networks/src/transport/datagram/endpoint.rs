@@ -111,6 +111,7 @@ impl Endpoint {
                     );
                 }
                 let to = reply_address(source, reply_port);
+                // No state is kept before the cookie comes back, so forged hellos fill no memory.
                 let cookie = self.key.cookie(to, nonce, now);
                 self.answers.push(Route { to, from: local }, &Packet::Cookie { nonce, cookie });
             }
@@ -156,6 +157,7 @@ impl Endpoint {
         let local_terms = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
         let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
+        // The request is repeated until the answer arrives.
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
             tracing::debug!(%source, "refused a connection: the largest number of connections is open");
@@ -176,6 +178,7 @@ impl Endpoint {
             }
             Some(entry) => entry.datagram,
             None => {
+                // Every connection begins without a session and with the small limits of such connections.
                 let admission = Admission::Unadmitted { since: now };
                 let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, admission);
                 self.table.insert(id, entry);
@@ -210,6 +213,7 @@ impl Endpoint {
         now: MonoTime,
     ) {
         let Some(entry) = self.table.get_mut(id) else { return };
+        // The address of this machine may change too, for example after a route has changed.
         if reply_route.to == entry.source {
             entry.local = reply_route.from;
         } else if let Packet::PathResponse { token, .. } = packet {
@@ -263,6 +267,7 @@ impl Endpoint {
             };
             self.deliveries.push(listener_event, reserved);
         }
+        // Each connection is in the queue at most once, so that all get their turn.
         if !entry.is_ready {
             entry.is_ready = true;
             self.ready.push_back(id);

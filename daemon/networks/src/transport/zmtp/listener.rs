@@ -206,6 +206,8 @@ async fn accept_connections(
     state: Arc<ListenerState>,
     deliveries: mpsc::Sender<Delivery>,
 ) {
+    // Sockets of connections that are being closed count, too; otherwise fast reconnections could exhaust the open
+    // files.
     let permits = Arc::new(Semaphore::new(state.limits.max_connections + MAX_CLOSING_SOCKETS));
     while let Some(accepted) = state.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
         let (stream, address, permit) = match accepted {
@@ -213,6 +215,7 @@ async fn accept_connections(
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 state.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
+                // Without open files, accepting fails at once again and again.
                 tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;
             }
@@ -252,6 +255,7 @@ async fn accept_one(
     listener: &TcpListener,
     permits: &Arc<Semaphore>,
 ) -> io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
+    // Before the socket exists, so that connections wait in the kernel's queue.
     let permit = Arc::clone(permits).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, address) = listener.accept().await?;
     Ok((stream, address, permit))

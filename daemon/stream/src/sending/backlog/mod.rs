@@ -69,6 +69,7 @@ pub(super) struct FreedBatches {
 impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
+        // A spool without batches continues the numbers after the last batch that it held.
         let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.previous_chain) };
         // Without batches nothing is waiting, even if the stored counts state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
@@ -220,6 +221,7 @@ impl Backlog {
 
     /// Records that the file advanced to a batch, whether the file contains that batch or not.
     pub(super) fn advance_file(&mut self, through: u64, chain: Chain) {
+        // Results of writes may arrive after an acknowledgement has advanced the file further.
         if through > self.spooled.0 {
             self.spooled = (through, chain);
         }
@@ -230,6 +232,7 @@ impl Backlog {
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let previous_len = self.ready.len();
         for batch in batches {
+            // The read was started earlier; meanwhile batches may have been acknowledged or kept in memory.
             if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
@@ -263,6 +266,8 @@ impl Backlog {
         let previous_chain = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, include_unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
+        // Only for batches that the file lacks: if this process is killed, the next one cannot know otherwise whether
+        // they are stored.
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
             let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
             let (batched, events) = (submitted.batched.total, produced - dropped);

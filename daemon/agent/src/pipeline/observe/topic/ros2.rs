@@ -65,12 +65,12 @@ impl Ros2Topic {
         loop {
             self.follow_publishers()?;
             let Some(subscription) = &mut self.subscription else {
-                changed(&mut self.discovery).await;
+                await_discovery_change(&mut self.discovery).await;
                 continue;
             };
             tokio::select! {
                 sample = subscription.ends.receive() => return Ok(message_from_sample(&sample?, &self.clock)),
-                () = changed(&mut self.discovery) => {}
+                () = await_discovery_change(&mut self.discovery) => {}
             }
         }
     }
