@@ -184,6 +184,7 @@ impl Retention {
         now: Stamp,
         max_cost: u32,
     ) -> Result<Step, sqlx::Error> {
+        // After a step with nothing to do, further calls cost nothing for a while.
         if self.idle_since.is_some_and(|idle_since| now.mono - idle_since < IDLE_PAUSE) {
             return Ok(Step::Done);
         }
@@ -224,6 +225,7 @@ impl Retention {
         let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
         self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
+        // In the same transaction: no data is deleted without a record.
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }

@@ -191,6 +191,7 @@ fn values(
     to.add(sample.max_drift_ppm)?;
     exchange(sample.upper, &mut to)?;
     exchange(sample.lower, &mut to)?;
+    // An agent may report any number; implausible ones must not reach readers.
     offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
     to.add(sample.probes.sent)?;
     to.add(sample.probes.answered)?;
@@ -237,6 +238,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
 
 /// Returns the interval of each source alone; `None` if the only source has the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
+    // The usual case: one source. The list would repeat what other columns have.
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;
     }
