@@ -315,6 +315,7 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
 }
 
 fn parse_domain(text: &str) -> Result<u16, AddressProblem> {
+    // The parser of the standard library accepts a plus sign.
     let number = text.parse().ok().filter(|_| text.bytes().all(|byte| byte.is_ascii_digit()));
     let domain = number.filter(|number| *number <= Ros2Settings::MAX_DOMAIN_ID);
     domain.ok_or_else(|| AddressProblem::InvalidDomain(text.to_owned()))

@@ -41,6 +41,7 @@ impl SpoolScan {
 
     /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
+        // The answer belongs to an earlier read.
         if self.next != from {
             return false;
         }
@@ -99,6 +100,7 @@ impl SpoolReader {
         backlog: &Backlog,
         now: MonoTime,
     ) -> Option<Action> {
+        // One read at a time, and none soon after a failure.
         if !self.job.may_start(now) {
             return None;
         }
@@ -108,6 +110,7 @@ impl SpoolReader {
             // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Closed(..))) => return None,
+            // Without a connection nothing is sent, so nothing is read ahead.
             (ConnectionState::Down, None) => return None,
             _ => {
                 let from = backlog.first_unloaded();

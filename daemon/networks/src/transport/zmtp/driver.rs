@@ -121,6 +121,7 @@ impl Driver {
             let connection = Arc::clone(&self.connection);
             let must_write_first = self.must_write_first();
             let event = tokio::select! {
+                // Reading comes first: a peer that sends without pause must not look silent to the deadlines.
                 biased;
                 read = self.input.read(&connection), if !must_write_first => TaskEvent::Read(read),
                 () = connection.wake.notified() => TaskEvent::Notified,
@@ -129,6 +130,7 @@ impl Driver {
             };
             match event {
                 TaskEvent::Read(ReadOutcome::Bytes) => {
+                    // Any bytes show that the peer is alive, not only answers to a PING.
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return ConnectionEnd::Rejected(reason, text);
@@ -203,6 +205,7 @@ impl Driver {
             codec.zmtp.handle_input(bytes).map_err(|error| classify_violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
+                    // A connection could otherwise claim the routing id of another one.
                     if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
                         let text = "the peer chose its own routing id, which is not allowed".into();
                         return Err((Rejection::Handshake, text));
