@@ -99,7 +99,7 @@ pub(crate) struct Configuration {
     /// Accuracy of the one-way delays.
     pub bounds: Vec<DelayAccuracy>,
     /// All stored statistics of its runs together.
-    pub kept: Arc<MergeableStatistics>,
+    pub mergeable: Arc<MergeableStatistics>,
     /// `false` if its model is an echo model.
     pub computes: bool,
 }
@@ -112,7 +112,7 @@ impl Configuration {
 
     /// Returns the summary of a node's values in all runs together, in the SI unit of the node.
     pub(crate) fn summary(&self, name: &str) -> Option<&Summary> {
-        self.kept.known(name)
+        self.mergeable.summary(name)
     }
 
     /// Returns the statistics of `total`, seconds, or of `sensing` for a pipeline that only senses.
@@ -171,7 +171,7 @@ impl Comparison {
 
     /// Returns the summary of a node's values in the run with the number `run`.
     pub(crate) fn summary(&self, run: i64, name: &str) -> Option<&Summary> {
-        self.statistics_by_run.get(&run)?.known(name)
+        self.statistics_by_run.get(&run)?.summary(name)
     }
 
     /// Returns all runs, configuration by configuration.
