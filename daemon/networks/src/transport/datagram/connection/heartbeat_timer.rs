@@ -65,7 +65,7 @@ mod tests {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), time_at(0));
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_000), time_at(5_000)));
-        heartbeat.receive(time_at(500));
+        heartbeat.record_arrival(time_at(500));
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_500), time_at(5_500)));
         assert_eq!(heartbeat.ping_at(Some(time_at(600))), time_at(650), "after the last message");
         assert_eq!(
@@ -73,7 +73,7 @@ mod tests {
             time_at(1_000),
             "once a second while they follow each other"
         );
-        heartbeat.ping(time_at(1_000));
+        heartbeat.record_ping(time_at(1_000));
         assert_eq!(heartbeat.ping_at(Some(time_at(990))), time_at(1_050));
         assert_eq!(heartbeat.ping_at(None), time_at(3_000));
     }
