@@ -167,7 +167,7 @@ impl InventedHost {
             previous: None,
             first: 1,
             oldest: 1,
-            before: Chain::START,
+            previous_chain: Chain::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: 128 << 10,
@@ -226,12 +226,12 @@ impl InventedHost {
 
     /// Returns the next batch of the stream with an arbitrary body, and a correct head.
     pub fn batch_of(&mut self, events: u32, body: &[u8], compress: bool) -> Vec<u8> {
-        let (newest, before) = self.newest;
-        let (number, chain) = (newest + 1, before.next(events, body));
+        let (newest, previous_chain) = self.newest;
+        let (number, chain) = (newest + 1, previous_chain.next(events, body));
         self.newest = (number, chain);
         let (host, stream, process) = (self.hello.host.id, self.hello.stream, self.hello.process);
         let events_before = self.events;
-        let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
+        let head = BatchHead { host, stream, process, number, previous_chain, chain, events, events_before };
         self.events = head.events_through();
         codec::encode_batch(&head, body, compress)
     }

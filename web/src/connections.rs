@@ -85,14 +85,14 @@ pub(crate) async fn accept(
     limits: Limits,
 ) {
     let slots = FairSlots::new(limits.connections, usize::MAX);
-    let streams = FairSlots::new(limits.streams, limits.streams_per_address);
+    let stream_slots = FairSlots::new(limits.streams, limits.streams_per_address);
     let tasks = TaskTracker::new();
     let close_all = CancellationToken::new();
     let mut acceptor = Acceptor { slots, close_all: close_all.clone(), clock, log: LogThrottle::default() };
     while let Some(accepted) = stop.run_until_cancelled(acceptor.accept(&listener)).await {
-        let AcceptedConnection { stream, address, evict, slot } = accepted;
-        let streams = StreamSlots { slots: streams.clone(), address, evict: evict.clone() };
-        let serve = serve(stream, router.clone(), streams, stop.clone(), limits);
+        let AcceptedConnection { tcp_stream, address, evict, slot } = accepted;
+        let stream_slots = StreamSlots { slots: stream_slots.clone(), address, evict: evict.clone() };
+        let serve = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
         tasks.spawn(async move {
             evict.run_until_cancelled(serve).await;
             drop(slot);
@@ -113,7 +113,7 @@ pub(crate) async fn accept(
 pub(crate) struct StreamSlots {
     slots: FairSlots,
     address: AddressGroup,
-    /// Closes the connection when it is cancelled. A stream ends together with its connection, even while its listener reads nothing.
+    /// Closes the connection when it is cancelled. A stream ends together with its connection, even while its client reads nothing.
     evict: CancellationToken,
 }
 
@@ -138,7 +138,7 @@ impl StreamSlots {
 
 /// An accepted connection.
 struct AcceptedConnection {
-    stream: TcpStream,
+    tcp_stream: TcpStream,
     address: AddressGroup,
     /// Cancelled when another address needs the slot.
     evict: CancellationToken,
@@ -159,16 +159,16 @@ impl Acceptor {
     async fn accept(&mut self, listener: &TcpListener) -> AcceptedConnection {
         loop {
             match listener.accept().await {
-                Ok((stream, peer)) => {
+                Ok((tcp_stream, peer)) => {
                     let (address, evict) = (AddressGroup::from_address(peer), self.close_all.child_token());
                     match self.slots.acquire(address, evict.clone()).await {
-                        Ok(slot) => return AcceptedConnection { stream, address, evict, slot },
+                        Ok(slot) => return AcceptedConnection { tcp_stream, address, evict, slot },
                         Err(_) => self.log_refusal(peer),
                     }
                 }
                 Err(error) if is_closed_by_peer(&error) => {}
                 Err(error) => {
-                    if let Some(times) = self.log.count(&error.to_string(), None, self.clock.mono()) {
+                    if let Some(times) = self.log.times_to_log(&error.to_string(), None, self.clock.mono()) {
                         tracing::error!(times, %error, "cannot accept a connection to the web server; trying again in one second");
                     }
                     tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
@@ -178,8 +178,8 @@ impl Acceptor {
     }
 
     fn log_refusal(&mut self, peer: SocketAddr) {
-        if let Some(times) = self.log.count("full", None, self.clock.mono()) {
-            tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number is open, and no other address has clearly more of them");
+        if let Some(times) = self.log.times_to_log("full", None, self.clock.mono()) {
+            tracing::warn!(times, %peer, "closed a new connection to the web server: the maximum number is open, and no other address has at least two more than this one");
         }
     }
 }
@@ -191,20 +191,20 @@ fn is_closed_by_peer(error: &io::Error) -> bool {
 }
 
 async fn serve(
-    stream: TcpStream,
+    tcp_stream: TcpStream,
     router: Router,
-    streams: StreamSlots,
+    stream_slots: StreamSlots,
     stop: CancellationToken,
     limits: Limits,
 ) {
-    if let Err(error) = SockRef::from(&stream).set_tcp_user_timeout(Some(limits.unread_timeout)) {
+    if let Err(error) = SockRef::from(&tcp_stream).set_tcp_user_timeout(Some(limits.unread_timeout)) {
         // The peer has usually closed the connection already.
         tracing::debug!(%error, "cannot set TCP_USER_TIMEOUT of a connection to the web server; closing it");
         return;
     }
     let has_received_request = AtomicBool::new(false);
     let service = service_fn(|mut request: Request<Incoming>| {
-        request.extensions_mut().insert(streams.clone());
+        request.extensions_mut().insert(stream_slots.clone());
         has_received_request.store(true, Ordering::Relaxed);
         router.clone().oneshot(request)
     });
@@ -213,7 +213,7 @@ async fn serve(
         .header_read_timeout(limits.header_timeout)
         .max_buf_size(MAX_BUFFER_BYTES)
         .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(stream), service);
+        .serve_connection(TokioIo::new(tcp_stream), service);
     let mut connection = pin!(connection);
     let result = tokio::select! {
             result = connection.as_mut() => result,

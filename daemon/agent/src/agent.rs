@@ -255,9 +255,9 @@ fn watch_outbox(tasks: &mut Tasks, outbox: &Outbox) {
 /// `peernet` created.
 fn restrict_permissions(config: &AgentConfig) {
     let folder = &config.agent.state_dir;
-    let mut changed = peernet_permissions::restrict_folder(folder, &["host-id", "lock"]);
-    changed.extend(peernet_permissions::restrict_database(&config.spool.path(folder)));
-    peernet_permissions::log_changes(&changed);
+    let mut restricted_files = peernet_permissions::restrict_folder(folder, &["host-id", "lock"]);
+    restricted_files.extend(peernet_permissions::restrict_database(&config.spool.path(folder)));
+    peernet_permissions::log_changes(&restricted_files);
 }
 
 impl RunningAgent {

@@ -136,6 +136,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
     let mut names = HashSet::new();
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let prefix = format!("pipeline[{index}]");
+        // Runs, live state and topics are identified by the pipeline's name.
         if !names.insert(&pipeline.name) {
             let text = format!("another pipeline is named {}, too; choose another name", pipeline.name);
             report.add(format!("{prefix}.name"), text);
@@ -283,6 +284,7 @@ fn check_pipeline(
 }
 
 fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, observed: &ObserveConfig) {
+    // Reported and not ignored: a user who sets these keys expects an effect.
     let unused_keys = [
         ("sensor", pipeline.sensor.is_some()),
         ("transforms", !pipeline.transforms.is_empty()),

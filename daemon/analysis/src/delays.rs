@@ -3,9 +3,9 @@
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
-/// Sum of the one-way delays of one direction over several seconds.
+/// Summary of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
-pub struct DelaySum {
+pub struct DelaySummary {
     /// Number of judged delays.
     count: u64,
     /// Median of each second, with its weight.
@@ -14,7 +14,7 @@ pub struct DelaySum {
     verdicts: Vec<(Verdict, u64)>,
 }
 
-impl DelaySum {
+impl DelaySummary {
     /// Adds the delays of a second.
     pub fn add(&mut self, second: &DelaySecond) {
         // A judged second has at least the weight 1.
@@ -60,7 +60,7 @@ impl DelaySum {
     }
 }
 
-impl<'a> FromIterator<&'a DelaySecond> for DelaySum {
+impl<'a> FromIterator<&'a DelaySecond> for DelaySummary {
     fn from_iter<I: IntoIterator<Item = &'a DelaySecond>>(seconds: I) -> Self {
         seconds.into_iter().fold(Self::default(), |mut sum, second| {
             sum.add(second);
@@ -102,12 +102,12 @@ mod tests {
             second(10, Some(3), Verdict::Ok),
             second(5, Some(1), Verdict::Ok),
         ];
-        let sum: DelaySum = seconds.iter().collect();
+        let sum: DelaySummary = seconds.iter().collect();
         assert_eq!((sum.count(), sum.median().map(|point| point.value)), (16, Some(Span::from_millis(3))));
-        let negative: DelaySum =
+        let negative: DelaySummary =
             [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
         assert_eq!(negative.second().expect("judged").median, None);
-        assert_eq!(DelaySum::default().second(), None);
+        assert_eq!(DelaySummary::default().second(), None);
     }
 
     #[test]

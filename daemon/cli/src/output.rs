@@ -26,7 +26,7 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
     let error = with_short_values(error);
     let plain = error.render().to_string();
     if error.use_stderr() {
-        match short::lines(&plain) {
+        match short::shorten_lines(&plain) {
             // If standard error cannot be written to, the error cannot be reported.
             Cow::Borrowed(_) => drop(error.print()),
             // The message of the value's check repeats the value, so the text is shortened.
@@ -41,7 +41,7 @@ pub fn report_parser_message(error: clap::Error) -> Exit {
 /// Shortens the typed values in the error.
 fn with_short_values(mut error: clap::Error) -> clap::Error {
     let short = |(kind, value): (ContextKind, &ContextValue)| match value {
-        ContextValue::String(typed) => match short::value(typed) {
+        ContextValue::String(typed) => match short::shorten_value(typed) {
             short if short == *typed => None,
             short => Some((kind, ContextValue::String(short.into_owned()))),
         },
@@ -82,7 +82,7 @@ fn record_write(result: io::Result<()>) {
 /// Prints a line to standard error, also before the log exists. Overlong lines are shortened in the middle.
 pub fn print_to_stderr(text: impl Display) {
     // If standard error cannot be written to, the error cannot be reported.
-    let _ = write(&mut io::stderr().lock(), &short::lines(&text.to_string()));
+    let _ = write(&mut io::stderr().lock(), &short::shorten_lines(&text.to_string()));
 }
 
 /// Writes a line. A pipe that the reader has closed is no error.
@@ -107,7 +107,7 @@ mod tests {
         let command = Command::new("peernet").arg(Arg::new("set").long("set").value_parser(refused));
         let message = |word: &str| {
             let error = command.clone().try_get_matches_from(["peernet", word]).expect_err(word);
-            short::lines(&with_short_values(error).render().to_string()).into_owned()
+            short::shorten_lines(&with_short_values(error).render().to_string()).into_owned()
         };
         let text = format!("a.b=\u{1b}[31m\n{}\nthe end", "x = 1\n".repeat(10_000));
         let value = message(&format!("--set={text}"));

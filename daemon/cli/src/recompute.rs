@@ -117,12 +117,14 @@ fn describe(run: i64, recomputed: &Recomputed) -> String {
         .flat_map(|Stage { stage, before, after }| {
             let bounds =
                 [before, after].map(|judgement| judgement.half_width.as_ref().map(|width| width.p50));
+            // Both rows of a delay get the same number of decimals, so that they can be compared digit by digit.
             let decimals = bounds.into_iter().map(column_decimals).max().unwrap_or_default();
             [row(stage, "before", before, decimals), row("", "after", after, decimals)]
         })
         .collect();
     let table = text(&header, &rows);
     let basis = match samples {
+        // Checked first: delays by one clock need no exchanges, so their number says nothing.
         _ if is_exact(stages) => "both hosts use one clock, so its delays are exact".to_owned(),
         0 => "no usable exchanges of the two clocks are stored".to_owned(),
         samples => format!(
@@ -149,8 +151,9 @@ fn describe_clocks(clocks: &[String]) -> String {
 
 /// Returns whether all delays are exact.
 fn is_exact(stages: &[Stage]) -> bool {
-    let exact = |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
-    stages.iter().all(exact)
+    let has_exact_delays =
+        |stage: &Stage| stage.after.half_width.as_ref().is_some_and(|width| width.max == 0.0);
+    stages.iter().all(has_exact_delays)
 }
 
 fn row(stage: &str, when: &str, judgement: &Judgement, decimals: usize) -> Vec<String> {

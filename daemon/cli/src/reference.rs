@@ -23,13 +23,14 @@ fn command_line_is_well_formed() {
 fn reference_matches_help_of_program() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(FILE);
     let text = std::fs::read_to_string(&file).expect("the checkout has the document");
-    let (above, committed) = text.split_once(MARK).expect("the document has the mark");
+    let (text_before_mark, committed_reference) = text.split_once(MARK).expect("the document has the mark");
     let generated = reference();
     if std::env::var_os("PEERNET_WRITE_DOCS").is_some() {
-        std::fs::write(&file, format!("{above}{MARK}{generated}")).expect("the checkout can be written to");
+        std::fs::write(&file, format!("{text_before_mark}{MARK}{generated}"))
+            .expect("the checkout can be written to");
     } else {
         assert!(
-            committed == generated,
+            committed_reference == generated,
             "{FILE} is out of date: run PEERNET_WRITE_DOCS=1 cargo test -p peernet-cli reference"
         );
     }
@@ -48,15 +49,17 @@ fn section(text: &mut String, command: &Command, path: &str) {
     let level = "#".repeat(1 + path.split(' ').count());
     let about = command.get_long_about().or(command.get_about()).map(ToString::to_string);
     let _ = write!(text, "\n{level} `{path}`\n\n{}.\n", about.unwrap_or_default().trim_end_matches('.'));
-    let shown = |arg: &&Arg| !arg.is_hide_set() && !IMPLICIT_OPTIONS.contains(&arg.get_id().as_str());
-    let arguments: Vec<&Arg> = command.get_arguments().filter(shown).collect();
+    let is_shown = |arg: &&Arg| !arg.is_hide_set() && !IMPLICIT_OPTIONS.contains(&arg.get_id().as_str());
+    let arguments: Vec<&Arg> = command.get_arguments().filter(is_shown).collect();
     if !arguments.is_empty() {
         text.push_str("\n| argument | what | default |\n| --- | --- | --- |\n");
         arguments.into_iter().for_each(|argument| row(text, argument));
     }
     let commands = command.get_subcommands();
-    for inner in commands.filter(|inner| !inner.is_hide_set() && inner.get_name() != "help") {
-        section(text, inner, &format!("{path} {}", inner.get_name()));
+    for subcommand in
+        commands.filter(|subcommand| !subcommand.is_hide_set() && subcommand.get_name() != "help")
+    {
+        section(text, subcommand, &format!("{path} {}", subcommand.get_name()));
     }
 }
 
@@ -72,7 +75,7 @@ fn row(text: &mut String, argument: &Arg) {
     };
     let short = argument.get_short().map(|short| format!("`-{short}`, ")).unwrap_or_default();
     let help = argument.get_long_help().or(argument.get_help()).map(ToString::to_string).unwrap_or_default();
-    let help = format!("{help}{}", if takes_value { choice(argument) } else { String::new() });
+    let help = format!("{help}{}", if takes_value { possible_values(argument) } else { String::new() });
     let help = help.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
     let default: Vec<_> = argument.get_default_values().iter().map(|value| value.to_string_lossy()).collect();
     let variable = argument.get_env().map(|name| format!("`${}`", name.to_string_lossy()));
@@ -86,7 +89,7 @@ fn row(text: &mut String, argument: &Arg) {
 }
 
 /// Returns the possible values of an argument, if it has a list of them.
-fn choice(argument: &Arg) -> String {
+fn possible_values(argument: &Arg) -> String {
     let values = argument.get_possible_values();
     let values = values.iter().filter(|value| !value.is_hide_set()).map(|value| match value.get_help() {
         Some(help) => format!("`{}` ({help})", value.get_name()),

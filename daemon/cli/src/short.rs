@@ -10,7 +10,7 @@ const MAX_LINE_CHARS: usize = 600;
 const MAX_VALUE_CHARS: usize = 200;
 
 /// Shortens the overlong lines of a text in their middle.
-pub fn lines(text: &str) -> Cow<'_, str> {
+pub fn shorten_lines(text: &str) -> Cow<'_, str> {
     if text.lines().all(|line| line.len() <= MAX_LINE_CHARS) {
         return Cow::Borrowed(text);
     }
@@ -19,7 +19,7 @@ pub fn lines(text: &str) -> Cow<'_, str> {
 }
 
 /// Converts a value of a command line to one line, shortened in its middle if it is overlong.
-pub fn value(text: &str) -> Cow<'_, str> {
+pub fn shorten_value(text: &str) -> Cow<'_, str> {
     match printable_line(text) {
         Cow::Borrowed(text) => shorten(text, MAX_VALUE_CHARS),
         Cow::Owned(text) => Cow::Owned(shorten(&text, MAX_VALUE_CHARS).into_owned()),
@@ -44,9 +44,9 @@ mod tests {
 
     #[test]
     fn middle_of_overlong_line_is_left_out() {
-        assert_eq!(lines("one\ntwo\n"), "one\ntwo\n");
+        assert_eq!(shorten_lines("one\ntwo\n"), "one\ntwo\n");
         let text = format!("e.toml: \"{}\", expected u64\nthe second line", "ü".repeat(5000));
-        let long = lines(&text);
+        let long = shorten_lines(&text);
         assert!(
             long.starts_with("e.toml: \"üü") && long.ends_with(", expected u64\nthe second line"),
             "{long}"
@@ -56,10 +56,10 @@ mod tests {
 
     #[test]
     fn value_is_shown_in_one_line() {
-        assert_eq!(value("random string"), "random string");
-        assert_eq!(value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
+        assert_eq!(shorten_value("random string"), "random string");
+        assert_eq!(shorten_value("a = 1\nb\t\u{1b}[31m"), "a = 1 b  [31m");
         let long = "x = 1\n".repeat(1000);
-        let shortened = value(&long);
+        let shortened = shorten_value(&long);
         assert!(shortened.starts_with("x = 1 x = 1") && shortened.ends_with("x = 1 "), "{shortened}");
         assert!(shortened.chars().count() <= MAX_VALUE_CHARS && !shortened.contains('\n'), "{shortened}");
     }

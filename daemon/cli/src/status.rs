@@ -147,21 +147,24 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
 
 fn pipeline_row(pipeline: &Pipeline, faulty: &FaultyClocks) -> Vec<String> {
     let window = pipeline.windows.iter().find(|window| window.seconds == WINDOW_S);
-    let of = |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
-    let mean = |name: &str| milliseconds(of(name).map(|figures| figures.mean));
-    let total = of("total");
+    let statistics_of =
+        |name: &str| window.and_then(|window| window.values.iter().find(|figures| figures.name == name));
+    let mean = |name: &str| milliseconds(statistics_of(name).map(|figures| figures.mean));
+    let total = statistics_of("total");
     let Placement { kind, peer, address, model } = &pipeline.placement;
-    let place = match peer.as_ref().or(address.as_ref()) {
-        Some(there) => format!("{model} on {there}"),
+    // A peer has no name before the first session; until then its address identifies it.
+    let placement_text = match peer.as_ref().or(address.as_ref()) {
+        Some(peer_name) => format!("{model} on {peer_name}"),
         None if kind == PlacementKind::None.name() => "sensor alone".to_owned(),
         None if kind == PlacementKind::Local.name() => format!("{model} on board"),
         None => model.clone(),
     };
+    // A wrong clock at either end affects the delays of the pipeline.
     let ends = [Some(&pipeline.host), peer.as_ref()];
     let is_faulty = ends.into_iter().flatten().any(|host| faulty.contains_key(host));
     vec![
         format!("{}/{}", pipeline.host, pipeline.name),
-        place,
+        placement_text,
         with_clock_fault_mark(&pipeline.state, is_faulty),
         or_dash(window.map(|window| number::rate(window.rate_hz))),
         or_dash(window.and_then(|window| window.lost_fraction).map(number::share)),

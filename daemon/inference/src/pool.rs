@@ -13,7 +13,7 @@ use crate::{FinishedJob, InferenceError, Job, LoadError, Model, RefusedJob};
 
 /// Loaded model with its workers, shared by all its users.
 ///
-/// Dropping the last handle, or [`shutdown`](Self::shutdown), ends the threads: each finishes its current sample;
+/// Dropping the last `Arc`, or [`shutdown`](Self::shutdown), ends the threads: each finishes its current sample;
 /// waiting jobs get [`InferenceError::Stopped`].
 pub struct Pool {
     name: Slug,
@@ -81,8 +81,8 @@ impl Pool {
         self
     }
 
-    /// Submits a job and returns at once. For a model that does not [block](Model::blocks) the reply has been called
-    /// by then, on this thread.
+    /// Submits a job and returns at once. For a model that does not [block](Model::blocks) the callback of the job
+    /// has run by then, on this thread.
     ///
     /// # Errors
     /// Returns the job if the queue is full or the pool is shut down.
@@ -120,7 +120,7 @@ impl Pool {
         }
         let handles = std::mem::take(&mut *handles.lock().unwrap_or_else(PoisonError::into_inner));
         for handle in handles {
-            // A reply may drop the last handle of the pool on one of the pool's own threads, which cannot join
+            // The callback of a job may drop the last `Arc` of the pool on one of the pool's own threads, which cannot join
             // itself.
             if handle.thread().id() != thread::current().id() && handle.join().is_err() {
                 tracing::error!(model = %self.name, "a thread of the model panicked");
@@ -144,7 +144,7 @@ impl Pool {
     }
 
     /// Returns whether jobs run on threads of the pool; otherwise [`submit`](Self::submit) computes at once.
-    pub fn blocks(&self) -> bool {
+    pub fn runs_on_threads(&self) -> bool {
         self.model.blocks()
     }
 
@@ -154,7 +154,7 @@ impl Pool {
     }
 
     /// Returns the growth of this process's resident memory while the model was loaded, bytes; `None` if it is unknown. Memory
-    /// of a GPU and of users' processes does not count, memory that others allocated meanwhile does.
+    /// of a GPU and of child processes is not included. Memory that other threads allocated meanwhile is included.
     pub fn memory_growth(&self) -> Option<u64> {
         self.memory_growth
     }

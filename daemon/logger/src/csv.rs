@@ -215,6 +215,7 @@ impl<W: io::Write> Table<W> {
         for (id, node) in tree.iter().skip(1) {
             let Some((parent, level)) = self.columns.parent_segment(tree, id, &paths) else { continue };
             let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
+            // The columns may have been collected from other trees.
             let Some(index) = self.columns.segment_indices.get(&key) else { continue };
             paths[id.index()] = Some((*index, level));
             if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {

@@ -129,6 +129,7 @@ impl Stages {
         let mut stages_total = Some(exact_transport.unwrap_or(Span::ZERO));
         for (index, stage) in stages.iter().enumerate() {
             if stage.is_present && !(is_transit(index) && exact_transport.is_some()) {
+                // One unknown duration makes the sum unknown: a sum without it would look complete.
                 stages_total = stages_total.and_then(|sum| Some(sum + stage.duration()?));
             }
         }

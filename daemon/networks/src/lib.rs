@@ -26,7 +26,7 @@ pub use session::{
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};
 pub use transport::{
-    Address, AddressGroup, Arrival, BindFailure, ConnectionId, Frames, InvalidAddress,
-    InvalidEventStreamAddress, ListenerLookupError, MessageLoss, NetworkKind, NetworkMismatch, Peer,
-    SendFailure, UnsupportedEventStreamNetwork, UnusableAddress, UnusableSetting, datagram, zmtp,
+    Address, AddressGroup, BindFailure, ConnectionId, Frames, InvalidAddress, InvalidEventStreamAddress,
+    ListenerEvent, ListenerLookupError, MessageLoss, NetworkKind, NetworkMismatch, Peer, SendFailure,
+    UnsupportedEventStreamNetwork, UnusableAddress, UnusableSetting, datagram, zmtp,
 };

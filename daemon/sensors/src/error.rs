@@ -48,12 +48,12 @@ pub enum SensorError {
     #[error(transparent)]
     Topic(#[from] TopicError),
     /// The ROS message cannot be converted to a sample.
-    #[error("cannot convert a message of topic {topic} ({of}): {reason}")]
+    #[error("cannot convert a message of topic {topic} ({type_name}): {reason}")]
     Message {
         /// The topic.
         topic: String,
         /// Type of the message.
-        of: String,
+        type_name: String,
         /// Defect of the message.
         reason: String,
     },

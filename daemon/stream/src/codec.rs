@@ -159,7 +159,7 @@ pub fn encode_batch(head: &BatchHead, body: &[u8], compress: bool) -> Vec<u8> {
     frame.extend(head.stream.as_bytes());
     frame.extend(head.process.to_be_bytes());
     frame.extend(head.number.to_be_bytes());
-    frame.extend(head.before.as_bytes());
+    frame.extend(head.previous_chain.as_bytes());
     frame.extend(head.chain.as_bytes());
     frame.extend(head.events_before.to_be_bytes());
     frame.extend(head.events.to_be_bytes());
@@ -198,7 +198,7 @@ pub fn decode_batch_body(mut frame: Bytes) -> Result<Bytes, CodecError> {
         other => return Err(CodecError::Malformed(format!("unknown form of a body: {other}"))),
     };
     // The chain covers the body and all batches before it, so it also detects a batch of another history.
-    if body.len() != length || batch.before.next(batch.events, &body) != batch.chain {
+    if body.len() != length || batch.previous_chain.next(batch.events, &body) != batch.chain {
         return Err(CodecError::Damaged(batch.number));
     }
     Ok(body)
@@ -247,7 +247,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
     let (&stream, rest) = rest.split_first_chunk()?;
     let (&process, rest) = rest.split_first_chunk()?;
     let (&number, rest) = rest.split_first_chunk()?;
-    let (&before, rest) = rest.split_first_chunk()?;
+    let (&previous_chain, rest) = rest.split_first_chunk()?;
     let (&chain, rest) = rest.split_first_chunk()?;
     let (&events_before, rest) = rest.split_first_chunk()?;
     let (&events, rest) = rest.split_first_chunk()?;
@@ -257,7 +257,7 @@ fn read_head(frame: &[u8]) -> Option<Head> {
         stream: StreamId::from_bytes(stream),
         process: u64::from_be_bytes(process),
         number: u64::from_be_bytes(number),
-        before: Chain::from_bytes(before),
+        previous_chain: Chain::from_bytes(previous_chain),
         chain: Chain::from_bytes(chain),
         events: u32::from_be_bytes(events),
         events_before: u64::from_be_bytes(events_before),

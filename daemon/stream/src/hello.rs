@@ -39,7 +39,8 @@ pub struct Hello {
     /// Number of the oldest batch that the agent still holds; if it holds none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before `oldest`.
-    pub before: Chain,
+    #[serde(rename = "before")]
+    pub previous_chain: Chain,
     /// Number of events in all batches of the spool before `oldest`. The aggregator computes from it how many events it
     /// lacks.
     pub events_before_oldest: u64,

@@ -134,7 +134,7 @@ pub struct BatchHead {
     /// Number of the batch, contiguous from the stream's first.
     pub number: u64,
     /// Chain of the previous batch.
-    pub before: Chain,
+    pub previous_chain: Chain,
     /// Chain of this batch.
     pub chain: Chain,
     /// Number of events in the batch.

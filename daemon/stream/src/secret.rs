@@ -110,6 +110,7 @@ impl FromStr for HostSecret {
 
     /// Reads the format of [`expose_text`](Self::expose_text).
     fn from_str(text: &str) -> Result<Self, InvalidSecret> {
+        // Checked first, because `from_str_radix` also accepts a sign.
         let digits = text.as_bytes();
         if digits.len() != 2 * BYTES || !digits.iter().all(u8::is_ascii_hexdigit) {
             return Err(InvalidSecret);

@@ -81,7 +81,7 @@ pub struct SpoolState {
     /// Number of the oldest batch in the spool; if the spool contains none, the number after the newest batch.
     pub oldest: u64,
     /// Chain of the batch before the oldest.
-    pub before: Chain,
+    pub previous_chain: Chain,
     /// Number and chain of the newest batch that was ever written.
     pub newest: (u64, Chain),
     /// Time of the first event of the oldest batch.
@@ -109,7 +109,7 @@ impl SpoolState {
             first: 1,
             events_before_first: Some(0),
             oldest: 1,
-            before: Chain::START,
+            previous_chain: Chain::START,
             newest: (0, Chain::START),
             since: None,
             waiting_usage: Usage::default(),
@@ -129,6 +129,7 @@ impl SpoolState {
     ///
     /// The total is exact. The losses of a run that was not counted separately are reported in a gap without a run.
     pub fn lose_tail(&mut self, counted: CountedEvents, settled: SettledEvents) -> Option<u64> {
+        // Only one process can be unresolved; the batches of a second one count as lost.
         if self.unresolved.is_none() && counted.may_be_stored(&settled, &self.totals) {
             self.unresolved = Some(UnresolvedBatches::new(counted, settled, &self.totals));
             return None;
@@ -150,6 +151,7 @@ impl SpoolState {
             gap.count += lost.count;
             (gap.from, gap.to) = (gap.from.min(lost.from), gap.to.max(lost.to));
         };
+        // An agent that is killed again and again would otherwise add a gap each time.
         if let Some(gap) = self.unreported.iter_mut().find(is_same) {
             return merge(gap);
         }

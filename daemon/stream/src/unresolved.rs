@@ -57,6 +57,8 @@ impl UnresolvedBatches {
     /// Computes the result. The aggregator has stored everything up to batch `number`, which `process` sent.
     pub(super) fn resolve(&self, number: u64, process: Option<u64>) -> ResolvedBatches {
         let is_last_stored = |sent: &&SentUnspooled| Some(sent.process) == process && sent.number == number;
+        // If another process or a copy of the spool sent the last stored batch, none of these batches counts as
+        // stored.
         let sent = self.counted.sent.iter().find(is_last_stored).copied().unwrap_or_default();
         let batched = sent.batched.saturating_sub(self.settled.batched);
         ResolvedBatches {
@@ -76,6 +78,7 @@ impl UnresolvedBatches {
         earlier_gaps: &mut VecDeque<Gap>,
         earlier_drops: &mut u64,
     ) {
+        // Stored gaps say how many losses they reported, but not which; gaps are reported oldest first.
         let mut reported_drops = resolved.reported_drops;
         while let Some(gap) = earlier_gaps.pop_front_if(|gap| gap.count <= reported_drops) {
             reported_drops -= gap.count;

@@ -338,7 +338,7 @@ fn assemble(
         marks: MarkKinds {
             borders: !episodes.borders.is_empty(),
             warm_up: episodes.warm_up_until.is_some(),
-            unanswered: !episodes.unanswered.is_empty(),
+            unanswered: !episodes.unanswered_starts.is_empty(),
         },
         axis: Picture::milliseconds_axis(&stored.scale(), ""),
         slowest: stored.slow_rows(zone),

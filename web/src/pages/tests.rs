@@ -261,7 +261,7 @@ async fn problems_are_listed_worst_first() {
     let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text} is missing: {html}"));
     assert!(at("stopped: no pictures in /data") < at("has not reported since 12:01:07"));
     assert!(at("lacks 1,050 events") < at("waits: rack-a does not answer"));
-    assert!(html.contains("stores 35\u{202f}s behind measuring"));
+    assert!(html.contains("storing is 35\u{202f}s behind measuring"));
 }
 
 #[tokio::test]

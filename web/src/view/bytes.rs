@@ -14,8 +14,8 @@ pub(crate) struct ByteRow {
     pub payload: String,
     pub metadata: String,
     pub throughput: String,
-    /// Reason why the throughput is an interval or missing.
-    pub title: &'static str,
+    /// Reason why the throughput is an interval or missing; empty for a single value.
+    pub throughput_note: &'static str,
     pub against_median: String,
 }
 
@@ -52,19 +52,19 @@ impl ByteRow {
             let size = |name: &str| {
                 value(detail, name).map_or_else(|| NONE.to_owned(), |size| bytes(size).to_string())
             };
-            let (throughput, title) = speed_of(detail, speed, name);
+            let (throughput, throughput_note) = speed_of(detail, speed, name);
             let run_median = run_statistics(&detail.run_figures, speed)
                 .map(|figures| figures.p50)
                 .filter(|median| *median > 0.0);
-            // `title` is empty if the throughput is a single value. The ratio of an interval to the median would look exact, so it is left out.
-            let ratio = value(detail, speed).zip(run_median).filter(|_| title.is_empty());
+            // The ratio of an interval to the median would look exact, so it is left out.
+            let ratio = value(detail, speed).zip(run_median).filter(|_| throughput_note.is_empty());
             let ratio = ratio.map(|(value, median)| times(value / median));
             Self {
                 name,
                 payload: size(payload),
                 metadata: size(metadata),
                 throughput,
-                title,
+                throughput_note,
                 against_median: ratio.unwrap_or_else(|| NONE.to_owned()),
             }
         });

@@ -19,11 +19,11 @@ pub(crate) fn summary(episodes: &Episodes) -> Option<String> {
 
 /// Returns `3 without an answer`, or `995 without an answer, 300 marked` if not all have a mark. `None` if all iterations were answered.
 pub(crate) fn unanswered(episodes: &Episodes, run: &RunSummary) -> Option<String> {
-    let marked = episodes.unanswered.len() as u64;
+    let marked = episodes.unanswered_starts.len() as u64;
     let counts = &run.counts;
     // The counts of a run do not include the warm-up, and the stored rows lack the iterations that retention deleted.
-    let all = (counts.failed + counts.lost + counts.timeout).max(episodes.without_answer);
-    let number = if episodes.without_answer > Episodes::MAX_COUNTED {
+    let all = (counts.failed + counts.lost + counts.timeout).max(episodes.unanswered_count);
+    let number = if episodes.unanswered_count > Episodes::MAX_COUNTED {
         format!("more than {}", count(Episodes::MAX_COUNTED))
     } else {
         count(all)
@@ -52,9 +52,9 @@ mod tests {
 
     #[test]
     fn unmarked_iterations_without_answer_are_counted() {
-        let text_of = |marked: usize, without_answer, lost| {
+        let text_of = |marked: usize, unanswered_count, lost| {
             let marks = vec![samples::NOW; marked];
-            let episodes = Episodes { unanswered: marks, without_answer, ..Episodes::default() };
+            let episodes = Episodes { unanswered_starts: marks, unanswered_count, ..Episodes::default() };
             let counts = OutcomeCounts { ok: 9, lost, ..OutcomeCounts::default() };
             unanswered(&episodes, &RunSummary { counts, ..run(1, PlacementKind::Remote) })
         };

@@ -112,7 +112,7 @@ fn host_notes(host: &HostSnapshot, now: WallTime, zone: Zone, warn: &WarnConfig)
             format!(", about {} left", roughly(progress.remaining.seconds()))
         });
         let text = format!(
-            "stores {} behind measuring{left}, {} events wait there. Live figures are not affected.",
+            "storing is {} behind measuring{left}, {} events wait on the host. Live figures are not affected.",
             length(behind.seconds()),
             count(host.accounting.waiting)
         );

@@ -135,7 +135,7 @@ impl Stored<'_> {
         let bucket = Span::from_seconds(self.series.bucket_s.into());
         // The warm-up has no points, so all the time before the first point may be warm-up.
         let buckets = points.iter().map(|point| (point.at, point.at + bucket));
-        standstill(&run, buckets.chain(self.episodes.unanswered.iter().map(|at| (*at, *at))))
+        standstill(&run, buckets.chain(self.episodes.unanswered_starts.iter().map(|at| (*at, *at))))
     }
 
     /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
@@ -279,7 +279,7 @@ impl Stored<'_> {
             gaps: gaps.collect(),
             borders: all(&episodes.borders),
             warm_up: warm_up.map(|(from, until)| (milliseconds(from), milliseconds(until))),
-            unanswered: all(&episodes.unanswered),
+            unanswered: all(&episodes.unanswered_starts),
         })
     }
 }
@@ -327,7 +327,7 @@ mod tests {
         };
         assert_eq!(of(&Episodes::default()), None);
         let every_minute = (0..60).map(|minute| run.summary.started + Span::from_seconds(minute * 60));
-        let unanswered = Episodes { unanswered: every_minute.collect(), ..Episodes::default() };
+        let unanswered = Episodes { unanswered_starts: every_minute.collect(), ..Episodes::default() };
         assert_eq!(of(&unanswered), Some(0.25), "nobody answered meanwhile");
     }
 }

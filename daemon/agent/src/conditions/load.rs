@@ -34,14 +34,14 @@ pub(super) fn competing_threads(settings: &InspectionSettings) -> Finding {
         };
         sum += running.saturating_sub(own_threads(settings));
     }
-    let others = f64::from(sum) / f64::from(thread_counts);
+    let other_threads = f64::from(sum) / f64::from(thread_counts);
     let cores = processors(&settings.sys).len().max(1) as f64;
     let pressure = pressure(settings).map_or_else(String::new, |percent| {
         format!("; in the last 10 s threads waited for a processor during {percent:.0} % of the time")
     });
-    let found = format!("{others:.1} other threads are runnable, on {cores:.0} processors{pressure}");
+    let found = format!("{other_threads:.1} other threads are runnable, on {cores:.0} processors{pressure}");
     let advice = "stop the other programs on this host, which `top` lists, and repeat the run";
-    match others / cores {
+    match other_threads / cores {
         share if share >= COMPETING_BAD => Finding::graded(ABOUT, Grade::Bad, found, advice),
         share if share >= COMPETING_DOUBTFUL => Finding::graded(ABOUT, Grade::Doubtful, found, advice),
         _ => Finding::good(ABOUT, found),

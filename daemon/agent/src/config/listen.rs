@@ -40,8 +40,9 @@ impl ListenAddresses {
         if addresses.len() > MAX_ADDRESSES {
             return Err(ListenAddressesError::TooMany(addresses.len()));
         }
+        // The system chooses a free port for each address with port 0. An address in a ROS 2 domain has no port.
         let is_duplicate = |index: &usize| {
-            (addresses[*index].port() != 0 || addresses[*index].domain().is_some())
+            (addresses[*index].port() != 0 || addresses[*index].ros_domain().is_some())
                 && addresses[..*index].contains(&addresses[*index])
         };
         if let Some(index) = (1..addresses.len()).find(is_duplicate) {

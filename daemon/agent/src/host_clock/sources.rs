@@ -83,6 +83,7 @@ impl ClaimSources {
                 if let Some(chronyc) = chronyc {
                     reports.extend(chronyc.query().await);
                 }
+                // Read after chrony has answered, which takes time.
                 let now = self.clock.mono();
                 if *kernel {
                     reports.push(kernel::query(now));

@@ -82,9 +82,10 @@ impl AnswerMonitor {
                 }
             }
             ProbeResult::Refused(reason) => {
+                // The probe stays in flight until it is answered or lost: a refused packet may be forged.
                 self.refusals = self.refusals.saturating_add(1);
                 self.refusal_reason = Some(reason);
-                if let Some(times) = self.log.count(reason, None, now) {
+                if let Some(times) = self.log.times_to_log(reason, None, now) {
                     tracing::warn!(
                         peer = %self.peer, times,
                         "a reply to a probe was refused: {reason} (logged at most once a minute, with the count)"
@@ -124,7 +125,7 @@ fn unanswered_reason(has_key: bool, refusal_reason: Option<&str>) -> Option<Stri
     match (has_key, refusal_reason) {
         // These answers are authentic if there is a key.
         (_, Some(reason @ (WRONG_PROCESS | NOT_PEERNET))) => Some(format!(
-            "{reason}; the address of the data must lead to the same machine over UDP: check forwarded ports and load balancers"
+            "{reason}; probes to the address of the session must reach the same machine over UDP: check forwarded ports and load balancers"
         )),
         (_, Some(reason @ (ALTERED_REPLY_TLVS | ALTERED_PROBE_TLVS | NO_ORIGIN))) => {
             Some(format!("the replies are {reason}"))

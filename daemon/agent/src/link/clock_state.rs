@@ -309,9 +309,10 @@ impl LinkClockState {
         now: Stamp,
         changes: &mut ClockStateChanges,
     ) -> bool {
-        let learned = self.update_relation(epochs_of(observation), |relation| relation.learn(observation));
-        self.handle_learn_result(learned, observation, now, changes);
-        !matches!(learned, LearnResult::Refused(_))
+        let learn_result =
+            self.update_relation(epochs_of(observation), |relation| relation.learn(observation));
+        self.handle_learn_result(learn_result, observation, now, changes);
+        !matches!(learn_result, LearnResult::Refused(_))
     }
 
     /// Updates the relation with information from these epochs of the related clocks of edge and cloud. If the relation
@@ -335,14 +336,14 @@ impl LinkClockState {
 
     fn handle_learn_result(
         &mut self,
-        learned: LearnResult,
+        learn_result: LearnResult,
         observation: &ExchangeObservation,
         now: Stamp,
         changes: &mut ClockStateChanges,
     ) {
         self.start_new_window(now, changes);
         let settings = *self.relation.settings();
-        match learned {
+        match learn_result {
             LearnResult::Refused(_) => return,
             LearnResult::Accepted => {}
             LearnResult::Restarted(movement) => {
@@ -358,8 +359,8 @@ impl LinkClockState {
                 changes.jump = jump.or(changes.jump.take());
             }
         }
-        let proven = self.relation.excess_skew();
-        let excess_skew = proven.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
+        let proven_skew = self.relation.excess_skew();
+        let excess_skew = proven_skew.map(|proven| ExcessSkew { proven, limit_ppm: settings.max_drift_ppm });
         changes.excess_skew = self.reports.report_excess_skew(excess_skew).or(changes.excess_skew.take());
         self.second.add_exchange(&observation.exchange, settings.max_drift_ppm);
     }

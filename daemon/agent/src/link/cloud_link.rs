@@ -126,7 +126,7 @@ impl CloudLink {
         [up, first_part]: [NodeId; 2],
         observation: Option<&ExchangeObservation>,
     ) {
-        let epochs = observation.map(|found| (Some(found.edge_epoch), found.cloud_epoch));
+        let epochs = observation.map(|observation| (Some(observation.edge_epoch), observation.cloud_epoch));
         let (edge, cloud) = epochs.unwrap_or_default();
         let crossings = Crossing::in_tree(tree, up, (edge, cloud)).zip(Crossing::in_tree(
             tree,
@@ -201,6 +201,7 @@ impl CloudLink {
     pub(super) fn set_same_clock(&self, proof: Result<(), NotProven>) {
         let is_proven = proof.is_ok();
         let now = self.shared.host.clock.stamp();
+        // Only a proof that was given before can be lost.
         let was_proven = *self.same_clock.borrow() == Some(true);
         let mut changes = ClockStateChanges::default();
         match proof {

@@ -117,6 +117,7 @@ impl Links {
         };
         let (id, network) = (new_session.id, new_session.network.clone());
         let mut links_by_cloud = self.lock_links();
+        // The lock is held until the session has joined: meanwhile a link without sessions must not be removed.
         let existing_link =
             links_by_cloud.get(&accepted.host).filter(|link| is_same_cloud(link, accepted, clocks));
         let link = match existing_link {

@@ -68,6 +68,7 @@ impl Second {
     /// because a bound widens by the drift since then.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
+        // Both bounds are compared at the same time: the older one has widened by the drift since then.
         let is_lower_than =
             |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
         if self.upper.as_ref().is_none_or(is_lower_than) {
@@ -132,6 +133,7 @@ impl Delays {
             self.verdicts[index] = self.verdicts[index].saturating_add(1);
         }
         if let (Some(value), Some(bounds)) = (delay.value, delay.bounds) {
+            // An estimate of zero or less has no rate.
             let rate = bits.filter(|_| value > Span::ZERO).map(|bits| bits / value.seconds());
             self.points.push(DelayPoint { value, bounds, bits_per_second: rate });
         }

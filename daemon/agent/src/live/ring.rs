@@ -42,6 +42,7 @@ impl Ring {
             // Seconds that occur again after the clock was set back replace the earlier seconds.
             self.seconds.retain(|second| second.at < at);
         }
+        // From the end, because almost every iteration ends in the newest second.
         let last_not_later = self.seconds.iter().rposition(|second| second.at <= at);
         let index = match last_not_later {
             Some(index) if self.seconds[index].at == at => index,
@@ -61,13 +62,14 @@ impl Ring {
 
     /// Returns the seconds that changed since they were last sent, newest first.
     pub(super) fn changed_seconds(&self) -> (Vec<Second>, SentSeconds) {
-        let changed = self
+        let changed_seconds = self
             .seconds
             .iter()
             .rev()
             .filter(|second| second.version > second.sent_version)
             .take(MAX_SENT_SECONDS);
-        let (seconds, sent) = changed.map(|second| (second.second(), (second.at, second.version))).unzip();
+        let (seconds, sent) =
+            changed_seconds.map(|second| (second.second(), (second.at, second.version))).unzip();
         (seconds, SentSeconds(sent))
     }
 
@@ -84,6 +86,7 @@ impl Ring {
     /// Marks all seconds as not sent.
     pub(super) fn mark_all_unsent(&mut self) {
         for second in &mut self.seconds {
+            // Versions begin at 1.
             second.sent_version = 0;
         }
     }

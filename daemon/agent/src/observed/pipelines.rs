@@ -79,6 +79,7 @@ impl ObservedPipelines {
         }
         let ring = pipeline_stamps.ring.lock().unwrap_or_else(PoisonError::into_inner);
         let answer = StampAnswer::new(keys.into_iter().map(|key| ring.find(key)).collect());
+        // Encoding needs no lock, and would keep the pipeline from recording further stamps.
         drop(ring);
         answer.to_sample().map_err(AnswerError::Answer)
     }

@@ -57,6 +57,7 @@ impl Reports {
     /// Reports that the aggregator accepted the agent.
     pub(super) fn report_welcome(&mut self, aggregator: &Slug, welcome: &Welcome) {
         let Welcome { stored, lacks_batches, waiting, unreported_ends } = *welcome;
+        // The next loss of the connection is a new problem, even with the same text.
         self.reported_problem = None;
         let stored_text = match stored {
             0 => String::new(),
@@ -105,6 +106,7 @@ impl Reports {
 
     /// Reports that the connection was lost or cannot be opened.
     pub(super) fn report_unreachable(&mut self, address: &Address, reason: &impl fmt::Display) {
+        // Reported once until the next welcome: the reason may differ from attempt to attempt.
         if self.reported_problem.is_none() {
             let text = format!(
                 "no connection to the aggregator at {address}: {reason}; measuring continues, events wait, \

@@ -45,7 +45,7 @@ pub(super) struct SampleOrigin<'a> {
 /// Runs a pipeline's actuator on one answer at a time, in the order of their samples.
 #[derive(Clone)]
 pub(super) struct ActuatorExecutor {
-    ordered: Arc<Mutex<OrderedActuator>>,
+    ordered_actuator: Arc<Mutex<OrderedActuator>>,
     /// `true` if the actuator may block. It then runs on a thread, because it would delay all iterations in flight.
     blocks: bool,
     resets: bool,
@@ -73,8 +73,8 @@ impl ActuatorExecutor {
         }
         let actuator = config.build(clock)?;
         let (blocks, resets, facts) = (actuator.blocks(), actuator.resets(), actuator.facts().into());
-        let ordered = OrderedActuator { actuator, last_acted: None, ended_episode: None };
-        Ok(Some(Self { ordered: Arc::new(Mutex::new(ordered)), blocks, resets, facts }))
+        let ordered_actuator = OrderedActuator { actuator, last_acted: None, ended_episode: None };
+        Ok(Some(Self { ordered_actuator: Arc::new(Mutex::new(ordered_actuator)), blocks, resets, facts }))
     }
 
     /// Returns facts about the actuator that are known only once it is built.
@@ -95,33 +95,34 @@ impl ActuatorExecutor {
         origin: SampleOrigin<'_>,
         answer: &Sample,
     ) -> (Recorder, Result<Feedback, ActError>) {
-        let mut ordered = Arc::clone(&self.ordered).lock_owned().await;
-        if !ordered.accepts(&origin) {
+        let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
+        if !ordered_actuator.accepts(&origin) {
             log.value(SUPERSEDED, 1.0, Unit::NONE);
             return (log, Ok(Feedback::default()));
         }
         if !self.blocks {
-            let acted = ordered.act(&mut log, origin, answer);
-            return (log, acted.map_err(ActError::from));
+            let feedback = ordered_actuator.act(&mut log, origin, answer);
+            return (log, feedback.map_err(ActError::from));
         }
         // If the thread panics, its recorder is lost; this copy has what was recorded before.
         let log_backup = log.clone();
         let (run, position) = (origin.run, origin.position);
         let (source, answer) = (origin.source.to_owned(), answer.clone());
-        let acting = spawn_blocking(move || {
-            let acted = ordered.act(&mut log, SampleOrigin { run, position, source: &source }, &answer);
-            (log, acted.map_err(ActError::from))
+        let thread_result = spawn_blocking(move || {
+            let feedback =
+                ordered_actuator.act(&mut log, SampleOrigin { run, position, source: &source }, &answer);
+            (log, feedback.map_err(ActError::from))
         });
-        acting.await.unwrap_or_else(|panic| (log_backup, Err(panic.into())))
+        thread_result.await.unwrap_or_else(|panic| (log_backup, Err(panic.into())))
     }
 
     /// Resets the actuator for an episode.
     pub(super) async fn reset(&self) -> Result<(), ActError> {
-        let mut ordered = Arc::clone(&self.ordered).lock_owned().await;
+        let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !self.blocks {
-            return Ok(ordered.actuator.reset()?);
+            return Ok(ordered_actuator.actuator.reset()?);
         }
-        Ok(spawn_blocking(move || ordered.actuator.reset()).await??)
+        Ok(spawn_blocking(move || ordered_actuator.actuator.reset()).await??)
     }
 }
 

@@ -50,8 +50,8 @@ impl FailureLog {
             (&mut self.lost, "lost"),
             (&mut self.timed_out, "without an answer in time"),
         ];
-        let due = kinds.into_iter().filter(|(kind, _)| kind.count > 0 && is_due(kind));
-        due.filter_map(|(kind, what)| kind.take_line(what, now)).collect()
+        let due_kinds = kinds.into_iter().filter(|(kind, _)| kind.count > 0 && is_due(kind));
+        due_kinds.filter_map(|(kind, description)| kind.take_line(description, now)).collect()
     }
 }
 
@@ -65,18 +65,18 @@ impl UnloggedFailures {
         self.logged_at.is_none_or(|logged_at| now - logged_at >= INTERVAL)
     }
 
-    fn take_line(&mut self, what: &str, now: MonoTime) -> Option<String> {
+    fn take_line(&mut self, description: &str, now: MonoTime) -> Option<String> {
         let (number, reason) = self.latest.take()?;
         let count = std::mem::take(&mut self.count);
         let reason = if reason.is_empty() { reason } else { format!(": {reason}") };
-        let before = self.logged_at.replace(now);
-        Some(match before {
-            None => format!("iteration {number}: {what}{reason}"),
-            Some(before) => {
-                let seconds = (now - before).seconds();
+        let previous_logged_at = self.logged_at.replace(now);
+        Some(match previous_logged_at {
+            None => format!("iteration {number}: {description}{reason}"),
+            Some(previous_logged_at) => {
+                let seconds = (now - previous_logged_at).seconds();
                 let iterations = if count == 1 { "iteration" } else { "iterations" };
                 format!(
-                    "{count} more {iterations} {what} in {seconds:.0} s; the latest, iteration {number}{reason}"
+                    "{count} more {iterations} {description} in {seconds:.0} s; the latest, iteration {number}{reason}"
                 )
             }
         })

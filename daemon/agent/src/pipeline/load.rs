@@ -98,6 +98,7 @@ impl Schedule {
         while let Some(at) = self.plan.next_at().filter(|at| *at <= now) {
             self.plan.advance();
             self.due.push_back(at);
+            // The oldest is skipped: its iteration would be the most outdated.
             if self.due.len() > self.max_due {
                 self.due.pop_front();
                 self.skipped += 1;

@@ -107,9 +107,14 @@ impl<'a> PipelineLoop<'a> {
     /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived in the
     /// meantime is recorded as lost.
     fn resume_pending_sample(&mut self) {
-        let arrived = self.resources.sensing.as_mut().and_then(|awaited| awaited.sample.try_recv().ok());
-        let since =
-            self.resources.sensing.as_ref().filter(|_| arrived.is_none()).map(|awaited| awaited.started_at);
+        let arrived =
+            self.resources.sensing.as_mut().and_then(|pending_sample| pending_sample.sample.try_recv().ok());
+        let since = self
+            .resources
+            .sensing
+            .as_ref()
+            .filter(|_| arrived.is_none())
+            .map(|pending_sample| pending_sample.started_at);
         // The wait for the sensor continues over a reconnect, so the live state keeps the time of the request.
         self.resources.live_state.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = arrived else { return };
@@ -130,9 +135,9 @@ impl<'a> PipelineLoop<'a> {
     /// Takes the queued sample if another iteration may be in flight.
     pub(super) fn dequeue_sample(&mut self) -> Option<QueuedSample> {
         let max_in_flight = self.resources.max_in_flight();
-        let ready = self.queued.take_if(|_| self.in_flight.len() < max_in_flight)?;
-        self.in_flight.push(ready.pending);
-        Some(ready)
+        let queued_sample = self.queued.take_if(|_| self.in_flight.len() < max_in_flight)?;
+        self.in_flight.push(queued_sample.pending);
+        Some(queued_sample)
     }
 
     /// Starts an iteration or the preparation for it, or ends the loop, if any of these is due. Returns whether it did.

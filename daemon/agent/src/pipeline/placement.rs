@@ -71,10 +71,10 @@ impl Placement {
                 pool.map(Self::Local).map_err(OpenFailure::Model)
             }
             PlacementConfig::Remote(remote) => {
-                // The pipeline bounds the iterations in flight itself. With a lower bound of the session they would
+                // The pipeline bounds the iterations in flight itself. With a lower bound of the session, iterations would
                 // wait inside the session, where no stage records the wait.
-                let wanted = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
-                let max_in_flight = remote.session.max_in_flight.max(wanted);
+                let pipeline_maximum = u32::try_from(config.max_in_flight.get()).unwrap_or(u32::MAX);
+                let max_in_flight = remote.session.max_in_flight.max(pipeline_maximum);
                 let settings = SessionSettings { max_in_flight, ..remote.session.clone() };
                 Self::open_remote(remote, settings, &config.name, context).await
             }
@@ -90,7 +90,7 @@ impl Placement {
         pipeline: &Slug,
         context: &PipelineContext,
     ) -> Result<Self, OpenFailure> {
-        // Opened before the hello that names it, because a cloud on this machine connects before it accepts the session.
+        // The socket is opened before the hello that names it, because a cloud on this machine connects before it accepts the session.
         let clock_socket = ClockSocket::listen(&*context.host.clock);
         let hello = SessionHello {
             versions: SESSION_VERSIONS,
@@ -260,9 +260,9 @@ pub(super) async fn conditions(
         thread_counts,
         ..InspectionSettings::clone(&context.inspection)
     };
-    let mut found = inspect_host_in_time(settings, context.host.name.to_string()).await;
-    found.extend_from_slice(peer.unwrap_or_default());
-    found
+    let mut conditions = inspect_host_in_time(settings, context.host.name.to_string()).await;
+    conditions.extend_from_slice(peer.unwrap_or_default());
+    conditions
 }
 
 /// Returns the part of the description for the store and the pages that the configuration determines.

@@ -6,7 +6,7 @@ use peernet_clock::Span;
 use peernet_sensors::SensorError;
 
 use super::actuator_executor::{ActError, ActuatorExecutor};
-use super::sensing::PreparationRequest;
+use super::sensing::PreparationSender;
 
 /// Preparation before the next sample.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +41,7 @@ pub(super) enum PreparationError {
 pub(super) fn prepare(
     preparation: Preparation,
     actuator: Option<ActuatorExecutor>,
-    sensor: Option<PreparationRequest>,
+    sensor: Option<PreparationSender>,
 ) -> PendingPreparation {
     async move {
         if let (Preparation::Reset, Some(actuator)) = (preparation, actuator) {

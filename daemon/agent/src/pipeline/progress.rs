@@ -91,6 +91,7 @@ impl Progress {
         };
         if !warm_up {
             self.measured += 1;
+            // The intended start, so that a late first iteration does not prolong the run.
             self.measuring_since.get_or_insert(intended);
         }
         Position { number: self.started, episode, step, warm_up }
@@ -114,6 +115,7 @@ impl Progress {
 
     /// Ends an episode before its last step: the next iteration is the first one of the next episode.
     pub(crate) fn end_episode(&mut self, episode: u32) {
+        // Iterations of the next episode may have started while the end of this one was on its way.
         if self.next.0 == episode {
             self.next = (episode.saturating_add(1), 0);
         }
@@ -123,6 +125,7 @@ impl Progress {
     fn is_run_warm_up(&self, episode: u32) -> bool {
         let is_warm_up = self.started < self.warm_up.iterations
             || self.episode_steps.is_some() && episode < self.warm_up.episodes;
+        // The warm-up of each episode still applies to a continuation.
         is_warm_up && !self.is_continuation
     }
 }

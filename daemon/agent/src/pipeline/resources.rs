@@ -140,7 +140,7 @@ impl PipelineResources {
         // A reset begins a new simulation, so the time of the last iteration does not count.
         self.elapsed = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
-        let request = self.sensor.preparation_request();
+        let request = self.sensor.preparation_sender();
         self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
     }
 

@@ -123,8 +123,8 @@ impl Runner {
             };
             // A peer that returns with another model or device is another configuration. Statistics of two
             // configurations must not be mixed, so a new run starts.
-            if let Some(mut other) = run.take_if(|run| !run.has_placement(&placement.describe())) {
-                self.end_run(Some(&mut other), EndReason::Failed("the peer changed".to_owned()));
+            if let Some(mut outdated_run) = run.take_if(|run| !run.has_placement(&placement.describe())) {
+                self.end_run(Some(&mut outdated_run), EndReason::Failed("the peer changed".to_owned()));
             }
             let current = match &mut run {
                 Some(run) => run,
@@ -239,13 +239,13 @@ impl Runner {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         // A problem is reported when it first occurs and not at every attempt. During a run the loss of the peer has
         // been reported already.
-        let mut reported = run.map(|_| ConnectProblem::Unreachable);
+        let mut reported_problem = run.map(|_| ConnectProblem::Unreachable);
         loop {
             let opening = self.stop.run_until_cancelled(Placement::open(&self.config, &self.context));
-            let Some(opened) = opening.await else { return Ok(None) };
+            let Some(opening_result) = opening.await else { return Ok(None) };
             // The schedule continues without a connection: starts that come due are skipped and counted.
             resources.schedule.catch_up(self.context.host.clock.mono());
-            let (problem, error, pause) = match opened {
+            let (problem, error, pause) = match opening_result {
                 Ok(placement) => {
                     self.report_connected(&placement, run);
                     return Ok(Some(placement));
@@ -261,9 +261,9 @@ impl Runner {
                     (ConnectProblem::Refused(error.clone()), error, reconnect_backoff.refusal_pause())
                 }
             };
-            if reported.as_ref() != Some(&problem) {
+            if reported_problem.as_ref() != Some(&problem) {
                 self.report(problem.kind(), run, format!("{error} ({})", problem.retry_text()));
-                reported = Some(problem);
+                reported_problem = Some(problem);
             }
             self.live_state.set_state(PipelineState::Waiting(error));
             if self.stop.run_until_cancelled(tokio::time::sleep(pause)).await.is_none() {

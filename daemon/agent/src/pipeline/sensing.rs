@@ -48,10 +48,10 @@ pub(super) enum SensorRequest {
     Prepare { preparation: Preparation, reply: oneshot::Sender<Result<(), SensorError>> },
 }
 
-/// A preparation of the sensor that can be requested.
-pub(super) struct PreparationRequest(SyncSender<SensorRequest>);
+/// Sender of one request for a preparation to the thread of the sensor.
+pub(super) struct PreparationSender(SyncSender<SensorRequest>);
 
-impl PreparationRequest {
+impl PreparationSender {
     /// Requests the preparation. The caller has no other pending request. The receiver is closed if the thread has ended.
     pub(super) fn send(self, preparation: Preparation) -> oneshot::Receiver<Result<(), SensorError>> {
         let (reply, output) = oneshot::channel();
@@ -97,11 +97,11 @@ impl SensorExecutor {
         Ok(Self::Thread(requests))
     }
 
-    /// Returns the request for a preparation; `None` for a sensor without a thread, which needs none.
-    pub(super) fn preparation_request(&self) -> Option<PreparationRequest> {
+    /// Returns the sender of a request for a preparation; `None` for a sensor without a thread, which needs none.
+    pub(super) fn preparation_sender(&self) -> Option<PreparationSender> {
         match self {
             Self::Inline(_) => None,
-            Self::Thread(requests) => Some(PreparationRequest(requests.clone())),
+            Self::Thread(requests) => Some(PreparationSender(requests.clone())),
         }
     }
 

@@ -134,10 +134,10 @@ async fn announce_clock(
         }
     };
     let reporting = async {
-        let mut due = tokio::time::interval(REPORT_INTERVAL);
-        due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut report_interval = tokio::time::interval(REPORT_INTERVAL);
+        report_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
-            due.tick().await;
+            report_interval.tick().await;
             let announcers = announcers.clone();
             // On a blocking thread: the report makes a system call for each connection, which must not delay sessions.
             let report = move || announcers.iter().for_each(Announcer::report_statistics);
@@ -176,7 +176,7 @@ async fn serve_sessions(
                     loading.spawn_blocking(move || prepare(request, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {
-                    server.closed(session, said_goodbye, planned_iterations);
+                    server.handle_session_end(session, said_goodbye, planned_iterations);
                 }
                 Some(Incoming::Remark { session, text }) => server.remark(session, &text),
                 Some(Incoming::Refused { host, text }) => {
@@ -201,9 +201,9 @@ fn prepare(request: OpenRequest, listener: usize, context: &ServeContext) -> Pre
 
 /// Inspects this host, and returns the conditions that are sent to the peer when its session opens.
 fn inspect_conditions(context: &ServeContext) -> Vec<Condition> {
-    let mut found = crate::conditions::inspect_host(&context.inspection, context.host.name.as_str());
-    found.truncate(MAX_CONDITIONS);
-    found
+    let mut conditions = crate::conditions::inspect_host(&context.inspection, context.host.name.as_str());
+    conditions.truncate(MAX_CONDITIONS);
+    conditions
 }
 
 /// Facts about this process that its sessions need.
@@ -273,7 +273,7 @@ impl Server {
                 let address = request.address.map(|address| address.ip());
                 // Connected before the session is accepted, because the edge closes its socket after the acceptance.
                 let witness = ClockWitness::connect(hello, session, &self.context.host.clock);
-                let witness = witness.map(|it| AbortOnDropHandle::new(tokio::spawn(it.answer())));
+                let witness = witness.map(|witness| AbortOnDropHandle::new(tokio::spawn(witness.answer())));
                 // Updated before the session is accepted: the acceptance contains the port to which the peer sends probes.
                 self.update_reflectors(address);
                 if request.accept(accepted) {
@@ -346,7 +346,7 @@ impl Server {
     }
 
     /// Handles the end of a session. Only an end without a goodbye is an incident.
-    fn closed(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
+    fn handle_session_end(&mut self, session: SessionId, said_goodbye: bool, ordered: Option<u64>) {
         // A session that was never accepted is not in the map.
         let Some(Peer { host, name, pipeline, counters, .. }) = self.peers.remove(&session) else { return };
         self.update_reflectors(None);

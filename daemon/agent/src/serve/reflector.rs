@@ -30,31 +30,31 @@ pub(super) async fn bind_all(
     clock: &SharedClock,
 ) -> Result<(Vec<Reflector>, Vec<Option<u16>>), ReflectorError> {
     let port = config.port.unwrap_or(ProbesConfig::DEFAULT_PORT);
-    let mut wanted = Vec::with_capacity(listen.len());
+    let mut probe_addresses = Vec::with_capacity(listen.len());
     for address in listen {
         let at = resolve(address, port)
             .await
             .map_err(|error| ReflectorError::Address { listen: address.clone(), source: error })?;
-        wanted.push(at);
+        probe_addresses.push(at);
     }
-    let mut by_reach = wanted.clone();
+    let mut addresses_by_reach = probe_addresses.clone();
     // Addresses of all interfaces come first, because their reflectors also answer for each single address.
-    by_reach.sort_by_key(|at| !at.ip().is_unspecified());
+    addresses_by_reach.sort_by_key(|at| !at.ip().is_unspecified());
     let mut reflectors: Vec<Reflector> = Vec::new();
-    for at in by_reach {
+    for at in addresses_by_reach {
         if find(&reflectors, at.ip()).is_none() {
             reflectors.push(bind(at, config, answering, clock)?);
         }
     }
-    let ports = wanted.iter().map(|at| find(&reflectors, at.ip())).collect();
+    let ports = probe_addresses.iter().map(|at| find(&reflectors, at.ip())).collect();
     Ok((reflectors, ports))
 }
 
 /// Returns the port of the reflector that answers at an IP address.
 fn find(reflectors: &[Reflector], ip: IpAddr) -> Option<u16> {
-    let answers =
+    let is_answered_by =
         |at: &SocketAddr| at.ip() == ip || (at.ip().is_unspecified() && at.ip().is_ipv4() == ip.is_ipv4());
-    reflectors.iter().map(Reflector::address).find(answers).map(|at| at.port())
+    reflectors.iter().map(Reflector::address).find(is_answered_by).map(|at| at.port())
 }
 
 /// Binds to one address. If the default port is taken and no port is configured, any free port is used, because peers
@@ -81,9 +81,9 @@ fn bind(
     };
     let reflector = match bind(at) {
         Err(peernet_probes::BindError::InUse(_)) if config.port.is_none() => {
-            let any = bind(SocketAddr::new(at.ip(), 0))?;
-            tracing::info!(taken = %at, instead = %any.address(), "the default port for probes is in use; probes use another port");
-            any
+            let reflector = bind(SocketAddr::new(at.ip(), 0))?;
+            tracing::info!(taken = %at, instead = %reflector.address(), "the default port for probes is in use; probes use another port");
+            reflector
         }
         other => other?,
     };
@@ -92,10 +92,10 @@ fn bind(
 
 async fn resolve(listen: &Address, port: u16) -> io::Result<SocketAddr> {
     if listen.listener_name().is_some() {
-        // Such an address names a name service; peers connect on any interface.
+        // Such an address names a name service and no interface: peers may connect on any interface.
         return Ok(SocketAddr::new(Ipv4Addr::UNSPECIFIED.into(), port));
     }
     let host = listen.host();
-    let mut found = tokio::net::lookup_host((host.as_str(), port)).await?;
-    found.next().ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, format!("{host} has no address")))
+    let mut addresses = tokio::net::lookup_host((host.as_str(), port)).await?;
+    addresses.next().ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, format!("{host} has no address")))
 }

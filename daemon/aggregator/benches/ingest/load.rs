@@ -82,7 +82,7 @@ impl LoadPlan {
         let (host, stream, run) = (HostId::random(), StreamId::random(), RunId::random());
         let cloud = HostId::random();
         let mut random = generate::Numbers::new(agent);
-        let (mut before, mut events_before) = (Chain::START, 0);
+        let (mut previous_chain, mut events_before) = (Chain::START, 0);
         let mut frames = Vec::new();
         let mut longest = 0;
         for number in 1..=self.batches {
@@ -95,11 +95,19 @@ impl LoadPlan {
             let events: Vec<Event> = run_start.into_iter().chain(iterations).collect();
             let body = generate::body(&events);
             let count = events.len() as u32;
-            let chain = before.next(count, &body);
-            let head =
-                BatchHead { host, stream, process: 1, number, before, chain, events: count, events_before };
+            let chain = previous_chain.next(count, &body);
+            let head = BatchHead {
+                host,
+                stream,
+                process: 1,
+                number,
+                previous_chain,
+                chain,
+                events: count,
+                events_before,
+            };
             events_before = head.events_through();
-            before = chain;
+            previous_chain = chain;
             longest = longest.max(body.len());
             frames.push(Bytes::from(codec::encode_batch(&head, &body, false)));
         }
@@ -111,7 +119,7 @@ impl LoadPlan {
             previous: None,
             first: 1,
             oldest: 1,
-            before: Chain::START,
+            previous_chain: Chain::START,
             events_before_oldest: 0,
             events_before_first: Some(0),
             batch_bytes: BATCH_BYTES as u32,

@@ -22,7 +22,7 @@ const CHECK_INTERVAL: Span = Span::from_seconds(1);
 pub(crate) struct Hosts {
     /// Largest number of stored hosts, and of newcomers.
     max_hosts: usize,
-    stored: HashMap<HostId, StoredHost>,
+    stored_hosts: HashMap<HostId, StoredHost>,
     newcomers: HashMap<HostId, Newcomer>,
     /// Number of newcomers so far.
     arrival_number: u64,
@@ -54,7 +54,7 @@ impl Hosts {
     /// Creates the table of the stored hosts, oldest first. At most `max_hosts` hosts are stored.
     pub(crate) fn new(max_hosts: usize, stored: Vec<(HostId, Option<HostSecret>)>) -> Self {
         let mut hosts =
-            Self { max_hosts, stored: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
+            Self { max_hosts, stored_hosts: HashMap::new(), newcomers: HashMap::new(), arrival_number: 0 };
         hosts.replace_stored(stored);
         hosts
     }
@@ -67,24 +67,24 @@ impl Hosts {
         let stored = stored.map(|(seniority, (host, secret))| {
             (host, StoredHost { seniority, secret, secret_read_at: None })
         });
-        self.stored = stored.collect();
+        self.stored_hosts = stored.collect();
     }
 
     /// Returns the reason for refusing a host that is not stored, if the number of stored hosts has reached its limit.
     pub(super) fn limit_refusal(&self, host: HostId) -> Option<String> {
-        let full = !self.is_stored(host) && self.stored.len() >= self.max_hosts;
+        let full = !self.is_stored(host) && self.stored_hosts.len() >= self.max_hosts;
         full.then(|| {
             format!(
                 "{} hosts are stored, the maximum of [aggregator] max_hosts: raise max_hosts to admit another host. \
                  Until then this agent keeps its events",
-                self.stored.len()
+                self.stored_hosts.len()
             )
         })
     }
 
     /// Returns whether a host is in the database.
     pub(super) fn is_stored(&self, host: HostId) -> bool {
-        self.stored.contains_key(&host)
+        self.stored_hosts.contains_key(&host)
     }
 
     /// Returns whether a host is connected and not stored yet.
@@ -94,12 +94,12 @@ impl Hosts {
 
     /// Returns the host's rank by age, smaller for a host that has been stored longer; `None` if it is not stored.
     pub(super) fn seniority(&self, host: HostId) -> Option<u64> {
-        self.stored.get(&host).map(|host| host.seniority)
+        self.stored_hosts.get(&host).map(|host| host.seniority)
     }
 
     /// Returns the host's secret, if one is known.
     pub(super) fn secret(&self, host: HostId) -> Option<&HostSecret> {
-        match self.stored.get(&host) {
+        match self.stored_hosts.get(&host) {
             Some(stored) => stored.secret.as_ref(),
             None => self.newcomers.get(&host)?.introduction.secret.as_ref(),
         }
@@ -108,7 +108,7 @@ impl Hosts {
     /// Records the secret that a stored host has proven to have, if the host has no secret: an operator cleared it, or
     /// the host was stored by an earlier version.
     pub(super) fn enrol(&mut self, host: HostId, secret: &HostSecret) {
-        if let Some(stored) = self.stored.get_mut(&host) {
+        if let Some(stored) = self.stored_hosts.get_mut(&host) {
             // A known secret is never replaced; only an operator can clear it.
             stored.secret.get_or_insert_with(|| secret.clone());
         }
@@ -117,7 +117,7 @@ impl Hosts {
     /// Returns whether the host's secret has to be read from the database again after a wrong proof: an operator may
     /// have cleared it. Returns `true` at most once per `CHECK_INTERVAL`, and never for a host that is not stored.
     pub(super) fn needs_secret_check(&mut self, host: HostId, now: MonoTime) -> bool {
-        let Some(stored) = self.stored.get_mut(&host) else { return false };
+        let Some(stored) = self.stored_hosts.get_mut(&host) else { return false };
         let is_due = stored.secret_read_at.is_none_or(|at| now - at >= CHECK_INTERVAL);
         if is_due {
             stored.secret_read_at = Some(now);
@@ -127,7 +127,7 @@ impl Hosts {
 
     /// Replaces the host's secret by the one in the database.
     pub(super) fn set_secret(&mut self, host: HostId, secret: Option<HostSecret>) {
-        if let Some(stored) = self.stored.get_mut(&host) {
+        if let Some(stored) = self.stored_hosts.get_mut(&host) {
             stored.secret = secret;
         }
     }
@@ -169,9 +169,9 @@ impl Hosts {
     /// no newcomer.
     pub(super) fn promote_newcomer(&mut self, host: HostId) -> Option<Newcomer> {
         let newcomer = self.newcomers.remove(&host)?;
-        let seniority = self.stored.values().map(|host| host.seniority + 1).max().unwrap_or(0);
+        let seniority = self.stored_hosts.values().map(|host| host.seniority + 1).max().unwrap_or(0);
         let secret = newcomer.introduction.secret.clone();
-        self.stored.insert(host, StoredHost { seniority, secret, secret_read_at: None });
+        self.stored_hosts.insert(host, StoredHost { seniority, secret, secret_read_at: None });
         Some(newcomer)
     }
 
@@ -221,7 +221,7 @@ mod tests {
         let dropped =
             (0..20_000).filter(|_| hosts.add_newcomer(introduction(HostId::random()), None).is_some());
         assert_eq!(dropped.count(), 19_000);
-        assert_eq!((hosts.newcomers.len(), hosts.stored.len()), (1_000, 0));
+        assert_eq!((hosts.newcomers.len(), hosts.stored_hosts.len()), (1_000, 0));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_networks::descriptors::DescriptorShare;
 use peernet_networks::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
-use peernet_networks::{Address, Arrival};
+use peernet_networks::{Address, ListenerEvent};
 use peernet_stream::codec::{self, MAX_MESSAGE_BYTES};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
@@ -80,18 +80,18 @@ pub(crate) async fn run(
         tokio::select! {
             () = context.stop.cancelled() => break,
             received = listener.receive() => match received {
-                Some(Arrival::Message(from, frames)) => if let Some(frame) = frames.first() {
+                Some(ListenerEvent::Message(from, frames)) => if let Some(frame) = frames.first() {
                     session.handle_frame(&from, frame, context.clock.stamp());
                 },
-                Some(Arrival::Gone(connection, _)) => session.handle_connection_closed(connection),
-                // TCP connections do not report these arrivals.
+                Some(ListenerEvent::Gone(connection, _)) => session.handle_connection_closed(connection),
+                // TCP connections do not report these events.
                 Some(
-                    Arrival::InvalidData(..)
-                    | Arrival::Incomplete(..)
-                    | Arrival::Lost(..)
-                    | Arrival::Moved(..)
-                    | Arrival::Remark(..)
-                    | Arrival::Refused(..),
+                    ListenerEvent::InvalidData(..)
+                    | ListenerEvent::Incomplete(..)
+                    | ListenerEvent::Lost(..)
+                    | ListenerEvent::Moved(..)
+                    | ListenerEvent::Remark(..)
+                    | ListenerEvent::Refused(..),
                 ) => {}
                 None => return Err(Failure::Socket { address }),
             },
@@ -118,8 +118,9 @@ pub(crate) async fn run(
     Ok(())
 }
 
-/// Sends the replies and passes on the live events without waiting for the other side: a reply that does not fit into
-/// the queue is sent again when the agent asks again, and the live state's task never waits.
+/// Sends the replies, and passes on the live events. A reply that does not fit into the queue of its connection is dropped
+/// and sent again when the agent asks again. A live event waits for room in the queue of the live state, whose task empties
+/// the queue without waiting for anything else.
 async fn deliver(sender: &ZmtpSender, session: &mut IngestSession, live_events: &mpsc::Sender<LiveEvent>) {
     // Admitted before the replies are sent, because a welcomed agent sends at once.
     for admission in session.take_admissions() {

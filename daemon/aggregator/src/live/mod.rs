@@ -92,11 +92,11 @@ pub(crate) struct LiveTracker {
     /// Silence after which a host is removed from the live state.
     host_timeout: Span,
     hosts: HashMap<HostId, Host>,
-    refused: VecDeque<(Stamp, RefusedHost)>,
+    refused_hosts: VecDeque<(Stamp, RefusedHost)>,
     /// Keyed by the host and the id under which it reports the run.
     numbers: HashMap<(HostId, RunId), i64>,
     /// Stored counts of hosts that are not in the live state.
-    stored: HashMap<HostId, StoredCounts>,
+    stored_counts: HashMap<HostId, StoredCounts>,
     totals: Totals,
 }
 
@@ -108,9 +108,9 @@ impl LiveTracker {
             listening,
             host_timeout,
             hosts: HashMap::new(),
-            refused: VecDeque::new(),
+            refused_hosts: VecDeque::new(),
             numbers: HashMap::new(),
-            stored: HashMap::new(),
+            stored_counts: HashMap::new(),
             totals: Totals::default(),
         }
     }
@@ -177,7 +177,7 @@ impl LiveTracker {
             shown_runs.into_iter().for_each(|run| host.refresh_run(run));
         }
         let stored_hosts: HashSet<HostId> = hosts.iter().map(|(host, _)| *host).collect();
-        self.stored.retain(|host, _| stored_hosts.contains(host));
+        self.stored_counts.retain(|host, _| stored_hosts.contains(host));
         let missing_hosts: Vec<HostId> =
             self.hosts.keys().filter(|host| !stored_hosts.contains(host)).copied().collect();
         for host in missing_hosts {
@@ -190,7 +190,7 @@ impl LiveTracker {
 
     /// Applies the database's counts of a host. Returns whether the host is in the live state.
     fn update_stored(&mut self, id: HostId, stored: StoredCounts, newest: Option<WallTime>) -> bool {
-        let previous = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored.get(&id).copied());
+        let previous = self.hosts.get(&id).map(Host::stored).or_else(|| self.stored_counts.get(&id).copied());
         // Only the increase is added, so that the totals do not change when a host leaves the live state.
         add_increase(&mut self.totals.stored, previous.unwrap_or_default(), stored);
         let is_live = self.update_host(id, |host| host.update_stored(stored, newest));
@@ -202,8 +202,8 @@ impl LiveTracker {
 
     /// Keeps the stored counts of a host that is not in the live state, for the totals.
     fn remember(&mut self, id: HostId, stored: StoredCounts) {
-        if self.stored.len() < MAX_REMEMBERED || self.stored.contains_key(&id) {
-            self.stored.insert(id, stored);
+        if self.stored_counts.len() < MAX_REMEMBERED || self.stored_counts.contains_key(&id) {
+            self.stored_counts.insert(id, stored);
         }
     }
 
@@ -227,7 +227,7 @@ impl LiveTracker {
         }
         let id = description.id;
         let mut host = Host::new(description, process, now);
-        if let Some(stored) = self.stored.remove(&id) {
+        if let Some(stored) = self.stored_counts.remove(&id) {
             host.update_stored(stored, None);
         }
         self.hosts.insert(id, host);
@@ -237,15 +237,15 @@ impl LiveTracker {
     fn refuse(&mut self, mut refused: RefusedHost, now: Stamp) {
         limits::limit_text(&mut refused.reason);
         let is_same = |entry: &RefusedHost| (&entry.name, &entry.reason) == (&refused.name, &refused.reason);
-        self.refused.retain(|(_, entry)| !is_same(entry));
+        self.refused_hosts.retain(|(_, entry)| !is_same(entry));
         // The newest refusals matter most.
-        self.refused.truncate(MAX_REFUSED - 1);
-        self.refused.push_front((now, refused));
+        self.refused_hosts.truncate(MAX_REFUSED - 1);
+        self.refused_hosts.push_front((now, refused));
     }
 
     /// Applies the passing of time. Returns whether anything visible changed.
     pub(crate) fn expire(&mut self, now: Stamp) -> bool {
-        let previous_counts = (self.hosts.len(), self.refused.len());
+        let previous_counts = (self.hosts.len(), self.refused_hosts.len());
         let host_timeout = self.host_timeout;
         let removed_hosts = self.hosts.extract_if(|_, host| {
             let timeout =
@@ -258,8 +258,8 @@ impl LiveTracker {
             .into_iter()
             .filter(|(_, stored)| stored.events > 0)
             .for_each(|(id, stored)| self.remember(id, stored));
-        self.refused.retain(|(at, _)| now.mono - at.mono <= REFUSAL_SHOWN_FOR);
-        let mut changed = previous_counts != (self.hosts.len(), self.refused.len());
+        self.refused_hosts.retain(|(at, _)| now.mono - at.mono <= REFUSAL_SHOWN_FOR);
+        let mut changed = previous_counts != (self.hosts.len(), self.refused_hosts.len());
         for host in self.hosts.values_mut() {
             changed |= host.expire(now, host_timeout);
         }
@@ -286,8 +286,8 @@ impl LiveTracker {
             hosts,
             pipelines,
             links,
-            refused: self.refused.iter().map(|(_, refused)| refused.clone()).collect(),
-            absent: self.stored.len(),
+            refused: self.refused_hosts.iter().map(|(_, refused)| refused.clone()).collect(),
+            absent: self.stored_counts.len(),
             totals: self.totals,
         }
     }

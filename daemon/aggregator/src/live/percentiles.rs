@@ -25,7 +25,7 @@ pub(super) struct Percentiles {
     /// Keyed by the first second of the bucket.
     points: BTreeMap<i64, PercentilePoint>,
     /// Seconds that changed since the last call of [`Self::series`].
-    changed: BTreeSet<i64>,
+    changed_seconds: BTreeSet<i64>,
     /// `true` if a second was added or removed since the last call of [`Self::series`], which changes the rate.
     has_new_rate: bool,
 }
@@ -55,20 +55,20 @@ impl Percentiles {
     pub(super) fn replace(&mut self, second: i64, total: Option<&Summary>) {
         let packed = total.map_or_else(|| PackedSummary::pack(&Summary::default()), PackedSummary::pack);
         self.has_new_rate |= self.seconds.insert(second, packed).is_none();
-        self.changed.insert(second);
+        self.changed_seconds.insert(second);
     }
 
     /// Discards a second and all later seconds, because a clock that was set back repeats them.
     pub(super) fn remove_from(&mut self, second: i64) {
         // The buckets of the discarded seconds have to be computed again.
-        self.changed.extend(self.seconds.split_off(&second).into_keys());
+        self.changed_seconds.extend(self.seconds.split_off(&second).into_keys());
         self.has_new_rate = true;
     }
 
     /// Discards the seconds before `second`. A percentile remains while its bucket overlaps the remaining seconds.
     pub(super) fn forget_before(&mut self, second: i64) {
         self.seconds = self.seconds.split_off(&second);
-        self.changed = self.changed.split_off(&second);
+        self.changed_seconds = self.changed_seconds.split_off(&second);
         let length = i64::from(self.bucket_s.unwrap_or(0));
         self.points.retain(|from, _| from + length > second);
     }
@@ -81,14 +81,15 @@ impl Percentiles {
             if bucket_s != self.bucket_s {
                 self.bucket_s = bucket_s;
                 self.points.clear();
-                self.changed = self.seconds.keys().copied().collect();
+                self.changed_seconds = self.seconds.keys().copied().collect();
             }
         }
-        let changed = std::mem::take(&mut self.changed);
+        let changed_seconds = std::mem::take(&mut self.changed_seconds);
         let Some(bucket_s) = self.bucket_s else { return PercentileSeries::default() };
         let length = i64::from(bucket_s);
         // Only buckets with a changed second are merged, because merging sketches is the main cost of a snapshot.
-        let buckets: BTreeSet<i64> = changed.into_iter().map(|at| at.div_euclid(length) * length).collect();
+        let buckets: BTreeSet<i64> =
+            changed_seconds.into_iter().map(|at| at.div_euclid(length) * length).collect();
         for from in buckets {
             match self.bucket_percentile(from, length) {
                 Some(point) => self.points.insert(from, point),

@@ -22,7 +22,7 @@ const MIN_RATE: f64 = 0.02;
 #[derive(Debug, Default)]
 pub(super) struct StorageLag {
     /// The previous update: its time, the lag, and the number of stored events.
-    last: Option<(MonoTime, Span, u64)>,
+    last_update: Option<(MonoTime, Span, u64)>,
     /// Observed time, seconds.
     observed_s: f64,
     /// Decrease of the lag, seconds.
@@ -39,7 +39,7 @@ impl StorageLag {
             *self = Self::default();
             return;
         };
-        if let Some((previous_time, previous_lag, previous_stored)) = self.last {
+        if let Some((previous_time, previous_lag, previous_stored)) = self.last_update {
             let elapsed = (now - previous_time).seconds();
             // The count of a replaced spool starts at 0.
             if now - previous_time > MAX_UPDATE_GAP || stored < previous_stored {
@@ -52,12 +52,12 @@ impl StorageLag {
                 self.stored_events = self.stored_events * weight + (stored - previous_stored) as f64;
             }
         }
-        self.last = Some((now, lag, stored));
+        self.last_update = Some((now, lag, stored));
     }
 
     /// Returns the estimate; `None` if the lag does not fall or is small.
     pub(super) fn estimate(&self) -> Option<CatchingUp> {
-        let (_, lag, _) = self.last?;
+        let (_, lag, _) = self.last_update?;
         // Extrapolating from little data or a small lag would make the displayed time jump.
         if self.observed_s < MIN_OBSERVED_S || lag < MIN_BACKLOG {
             return None;

@@ -58,7 +58,7 @@ async fn duplicate_missing_and_early_batches_are_distinguished() {
     scripted_agent.socket.send_frame(batches[0].clone()).await;
     scripted_agent.expect(Reply::Unknown).await;
     let hello = scripted_agent.hello("edge");
-    let hello = Hello { oldest: 1, before: Chain::START, ..hello };
+    let hello = Hello { oldest: 1, previous_chain: Chain::START, ..hello };
     assert!(matches!(scripted_agent.socket.greet(&hello).await, ToAgent::Welcome { stored: 0, .. }));
     scripted_agent.socket.send_frame(batches[2].clone()).await;
     scripted_agent.expect(Reply::Resend(1)).await;

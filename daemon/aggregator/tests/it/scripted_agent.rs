@@ -20,7 +20,7 @@ pub(crate) struct ScriptedAgent {
     /// Number of the newest batch.
     pub(crate) number: u64,
     /// Chain of the newest batch.
-    pub(crate) before: Chain,
+    pub(crate) previous_chain: Chain,
     /// Number of events in all batches so far.
     pub(crate) events: u64,
 }
@@ -35,7 +35,7 @@ impl ScriptedAgent {
             run: RunId::random(),
             process: 1,
             number: 0,
-            before: Chain::START,
+            previous_chain: Chain::START,
             events: 0,
         }
     }
@@ -56,7 +56,7 @@ impl ScriptedAgent {
             previous: None,
             first: 1,
             oldest: self.number + 1,
-            before: self.before,
+            previous_chain: self.previous_chain,
             events_before_oldest: self.events,
             events_before_first: Some(0),
             batch_bytes: 128 * 1024,
@@ -81,11 +81,12 @@ impl ScriptedAgent {
     /// Returns the next batch's frame with any body. Its hash matches the body.
     pub(crate) fn next_with(&mut self, events: u32, body: &[u8]) -> Vec<u8> {
         self.number += 1;
-        let (host, stream, number, before) = (self.host, self.stream, self.number, self.before);
-        self.before = before.next(events, body);
-        let (process, chain) = (self.process, self.before);
+        let (host, stream, number, previous_chain) =
+            (self.host, self.stream, self.number, self.previous_chain);
+        self.previous_chain = previous_chain.next(events, body);
+        let (process, chain) = (self.process, self.previous_chain);
         let events_before = self.events;
-        let head = BatchHead { host, stream, process, number, before, chain, events, events_before };
+        let head = BatchHead { host, stream, process, number, previous_chain, chain, events, events_before };
         self.events = head.events_through();
         codec::encode_batch(&head, body, number.is_multiple_of(2))
     }

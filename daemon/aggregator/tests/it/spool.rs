@@ -48,7 +48,7 @@ impl Spool {
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: self.deleted.0 + 1,
-            before: self.deleted.1,
+            previous_chain: self.deleted.1,
             newest: newest.map_or(self.deleted, |(number, batch)| (*number, batch.chain)),
             since: self.batches.first_key_value().map(|(_, batch)| batch.since),
             waiting_usage: usages.fold(Usage::default(), |sum, usage| sum + usage),

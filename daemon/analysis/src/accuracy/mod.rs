@@ -25,7 +25,7 @@ pub struct Accuracy {
     pub interval: (f64, f64),
     /// Number of scored iterations.
     pub count: u64,
-    /// Number of further counted iterations, which have no score of 0 or 1. Either no label was known, the label is [not a class of the
+    /// Number of unscored iterations: they have an answer and are not warm-up, but have no score of 0 or 1. Either no label was known, the label is [not a class of the
     /// model](UnknownLabels), the answer named no class, or the score is not valid.
     pub unscored: u64,
 }

@@ -187,13 +187,13 @@ mod tests {
 
     #[test]
     fn median_of_frequent_values_stays_among_them() {
-        // Every fifth value is one more, every fifth one less; the rest is the median itself.
+        // One fifth of the values is two less than the median and one fifth is one less; the rest is the median itself.
         let often = |add: f64| {
             (0..400).map(|n: i32| add + f64::from((n % 5).min(2) - 1).max(-1.0)).collect::<Vec<_>>()
         };
         let found = difference(&[often(0.0)], &[often(3.0)], 1).expect("values");
         assert_eq!((found.value, found.interval), (3.0, Some((3.0, 3.0))));
-        // A sample of equal values and one of an even count have the same median in every resample.
+        // Samples of equal values have the same median in every resample, whether their count is even or odd.
         let same = difference(&[vec![2.0; 40]], &[vec![3.5; 31]], 1).expect("values");
         assert_eq!((same.value, same.interval, same.is_distinct()), (1.5, Some((1.5, 1.5)), Some(true)));
     }

@@ -106,11 +106,14 @@ fn incomplete_run_is_reported_first() {
     for (ordered, reason, verdict, text) in cases {
         assert_eq!(judged(iterations(ordered), reason), (verdict, text.to_owned()));
     }
-    let minute = serde_json::json!({ "duration_s": 600.0 });
-    let (verdict, text) = judged(minute.clone(), "stopped");
+    let ten_minutes = serde_json::json!({ "duration_s": 600.0 });
+    let (verdict, text) = judged(ten_minutes.clone(), "stopped");
     assert_eq!(
         (verdict, text.as_str()),
         (Publish::No, "The run was interrupted after 199.0 of 600\u{202f}s.")
     );
-    assert!(!judged(minute, "finished").1.starts_with("The run"), "a duration is as long as the run says");
+    assert!(
+        !judged(ten_minutes, "finished").1.starts_with("The run"),
+        "a finished run with a time limit is complete"
+    );
 }

@@ -24,7 +24,7 @@ pub struct Limits {
 /// Part of a run that was measured.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Progress {
-    /// Number of iterations without the warm-up, answered or not. It includes iterations that were measured but not received.
+    /// Number of iterations without the warm-up, answered or not. It includes measured iterations whose events were not received.
     pub measured: u64,
     /// Number of iterations of the warm-up.
     pub warm_up: u64,
@@ -71,8 +71,9 @@ impl EndedEarly {
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
         // such a run is complete.
-        let has_open_number = limits.duration_s.is_some() || limits.episodes.is_some();
-        let is_complete = nearest.share() >= 1.0 || (*reason == EndReason::Finished && has_open_number);
+        let is_iteration_count_variable = limits.duration_s.is_some() || limits.episodes.is_some();
+        let is_complete =
+            nearest.share() >= 1.0 || (*reason == EndReason::Finished && is_iteration_count_variable);
         (!is_complete).then_some(nearest)
     }
 

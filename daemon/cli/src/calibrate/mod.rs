@@ -42,12 +42,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;
 
-    let ready = ReadyAgent::new(config)?;
-    let started = ready.system_clock.wall();
+    let ready_agent = ReadyAgent::new(config)?;
+    let started = ready_agent.system_clock.wall();
     let folder = Folder::make(arguments, &plan.peer, started)?;
 
-    let mut observer = SweepObserver::new(&plan, ready.clock.clone(), arguments.quiet);
-    let AgentResult { ended, name: edge, missed } = ready.watch(&mut observer)?;
+    let mut observer = SweepObserver::new(&plan, ready_agent.clock.clone(), arguments.quiet);
+    let AgentResult { ended, name: edge, missed } = ready_agent.watch(&mut observer)?;
     let measurements = observer.measurements;
     let failure = match &ended {
         AgentEnd::Finished => None,
@@ -89,11 +89,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let study = Study::new(setting, measurements.samples, &measurements.clocks);
     // Printed first: a full disk must not prevent the result from being shown.
     print_to_stdout(study.text());
-    let written = write(&study, folder.path()).map_err(|error| {
+    let written_files = write(&study, folder.path()).map_err(|error| {
         let message = "the result is shown above, but not all of its files were written";
         Failure::new(Exit::Unwritten, anyhow::Error::from(error).context(message))
     })?;
-    let names: Vec<_> = written.iter().filter_map(|path| path.file_name()?.to_str()).collect();
+    let names: Vec<_> = written_files.iter().filter_map(|path| path.file_name()?.to_str()).collect();
     print_to_stdout(format_args!("\n{}: {}", folder.path().display(), names.join(", ")));
     if missed > 0 {
         print_to_stderr(format_args!("{missed} iterations were not recorded: this machine is too busy"));
@@ -111,7 +111,7 @@ fn rfc3339(at: WallTime) -> String {
 
 /// Writes the files of a study and its figures into a folder.
 fn write(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
-    let mut written = study.write(folder)?;
-    written.extend(draw_calibration(study, folder)?);
-    Ok(written)
+    let mut written_files = study.write(folder)?;
+    written_files.extend(draw_calibration(study, folder)?);
+    Ok(written_files)
 }

@@ -10,7 +10,7 @@ use peernet_statistics::number::bytes;
 use peernet_stream::{ClockSample, Event, FaultyHost, HostClock, IncidentKind, Outcome};
 
 use super::plan::Plan;
-use super::sweep::Sweep;
+use super::sweep::SweepDisplay;
 use crate::foreground::{AgentEnd, PeerWait, PipelineActivity, RunObserver};
 
 /// Time to wait for an absent peer after the time for the sweep is over.
@@ -37,7 +37,7 @@ pub(super) struct SweepMeasurements {
 pub(super) struct SweepObserver<'a> {
     plan: &'a Plan,
     clock: SharedClock,
-    progress: Sweep,
+    progress: SweepDisplay,
     pub(super) measurements: SweepMeasurements,
     started_at: MonoTime,
     peer_wait: PeerWait,
@@ -56,7 +56,7 @@ impl<'a> SweepObserver<'a> {
         let now = clock.mono();
         Self {
             plan,
-            progress: Sweep::new(plan, quiet, now),
+            progress: SweepDisplay::new(plan, quiet, now),
             clock,
             measurements: SweepMeasurements::default(),
             started_at: now,

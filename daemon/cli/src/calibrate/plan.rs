@@ -47,15 +47,16 @@ impl Plan {
     /// Makes the plan.
     ///
     /// # Errors
-    /// When there are fewer than three sizes, too few for a line, or the peer's address does not belong to the network of `--network`.
+    /// When there are fewer than three sizes, too few to fit a line, or the peer's address does not belong to the network of `--network`.
     pub(super) fn new(arguments: &Arguments) -> anyhow::Result<Self> {
         let mut sizes = arguments.sizes.clone();
         sizes.sort_unstable();
         sizes.dedup();
         if sizes.len() < 3 {
-            bail!("--sizes needs at least three different sizes for a line");
+            bail!("--sizes needs at least three different sizes to fit a line");
         }
         let peer = arguments.peer_address()?;
+        // Shuffled, because with sorted sizes a slow change of the link would look like an effect of the size.
         let mut random = StdRng::seed_from_u64(SEED);
         let rounds = arguments.repeats.get().saturating_add(arguments.warm_up).min(ROUNDS);
         let round = |_| {

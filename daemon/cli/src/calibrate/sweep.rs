@@ -9,7 +9,7 @@ use super::plan::Plan;
 use crate::foreground::Progress;
 
 /// Display of the sweep's progress.
-pub(super) struct Sweep {
+pub(super) struct SweepDisplay {
     progress: Progress,
     extent: Extent,
     started_at: MonoTime,
@@ -23,7 +23,7 @@ struct Extent {
     extremes: (u64, u64),
 }
 
-impl Sweep {
+impl SweepDisplay {
     pub(super) fn new(plan: &Plan, quiet: bool, now: MonoTime) -> Self {
         let sizes = plan.sizes();
         let extremes =
@@ -54,11 +54,11 @@ impl Extent {
     fn describe(&self, samples: &[Sample], elapsed: f64) -> (String, f64) {
         let done = samples.len() as f64;
         let share = (done / self.iterations as f64).max(elapsed / self.seconds).clamp(0.0, 1.0);
-        let left = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
+        let remaining_s = if share > 0.0 { elapsed * (1.0 - share) / share } else { self.seconds };
         let rate = if elapsed > 0.0 { done / elapsed } else { 0.0 };
         let (smallest, largest) = self.extremes;
         let text = format!(
-            "{done} of {}, {} /s, upload {} at {}, {} at {}, {left:.0} s left",
+            "{done} of {}, {} /s, upload {} at {}, {} at {}, {remaining_s:.0} s left",
             self.iterations,
             fixed(rate, 0),
             median(samples, smallest),

@@ -40,10 +40,13 @@ pub(crate) fn collect(
     let mut results: Vec<(PathBuf, Vec<PathBuf>)> = results.collect::<Result<_, Failure>>()?;
     let baseline_paths = baseline.map_or(Ok(Vec::new()), find)?;
     let all = results.iter().flat_map(|(_, results)| results).chain(&baseline_paths).map(PathBuf::as_path);
+    // The experiments are found before the selection, because an experiment says which of its runs are finished.
     let experiments = Experiments::find(all);
     let mut selected = SelectedResults::new(&results, &experiments);
     if let Some(baseline) =
-        baseline.filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
+        // A baseline beside the named paths is added in front. A baseline among them keeps its place.
+        baseline
+            .filter(|_| baseline_paths.iter().any(|path| !contains_same_path(&selected.paths, path)))
     {
         results.insert(0, (baseline.to_owned(), baseline_paths.clone()));
         selected = SelectedResults::new(&results, &experiments);
@@ -61,19 +64,21 @@ pub(crate) fn collect(
         );
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
+    // The files are read only now: unselected results may be large or damaged.
     let runs = paths.iter().map(|path| open(path, is_wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
     let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
+    // Copies of one run can be recognised only by their run ids, which are in the files.
     let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
     let unreadable = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
     for note in unreadable.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
-        notes.push(sentence(&note));
+        notes.push(to_sentence(&note));
     }
-    let is_kept = |index: usize| !exclusions.contains(index);
-    let kept = runs.iter().enumerate().filter(|(index, _)| is_kept(*index));
-    kept.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
+    let is_compared = |index: usize| !exclusions.contains(index);
+    let compared_runs = runs.iter().enumerate().filter(|(index, _)| is_compared(*index));
+    compared_runs.filter_map(|(_, run)| incompleteness_note(run, &experiments)).for_each(print_to_stderr);
     let order: Vec<usize> =
-        declared_order(&runs, &experiments).into_iter().filter(|index| is_kept(*index)).collect();
+        declared_order(&runs, &experiments).into_iter().filter(|index| is_compared(*index)).collect();
     let baseline_runs =
         (0..order.len()).filter(|index| baseline_indexes.contains(&order[*index])).collect::<Vec<_>>();
     if let Some(baseline) = baseline.filter(|_| baseline_runs.is_empty()) {
@@ -89,7 +94,7 @@ pub(crate) fn collect(
 }
 
 /// Turns a note into a sentence for the text below a table.
-fn sentence(note: &str) -> String {
+fn to_sentence(note: &str) -> String {
     let mut letters = note.chars();
     let first = letters.next().into_iter().flat_map(char::to_uppercase);
     first.chain(letters).chain(['.']).collect()
@@ -101,10 +106,10 @@ fn incompleteness_note(run: &Loaded, experiments: &Experiments) -> Option<String
     if let Some(damage) = run.damage() {
         return Some(format!("{folder} is incomplete: {damage}"));
     }
-    if let Some(kept) = previous_results_folder(&run.folder) {
+    if let Some(previous_results) = previous_results_folder(&run.folder) {
         return Some(format!(
             "{folder} is incomplete: a run is in progress there or was killed; the previous results are in {}, and the next run in this folder restores them if the run was killed",
-            kept.display()
+            previous_results.display()
         ));
     }
     match experiments.run(&run.folder).filter(|run| !run.state().is_finished()) {
@@ -162,6 +167,7 @@ fn contains_same_path(paths: &[PathBuf], path: &Path) -> bool {
 
 /// Returns whether both paths lead to the same file or folder.
 pub(super) fn is_same(a: &Path, b: &Path) -> bool {
+    // Equal paths are compared first, because a path that does not exist has no canonical form.
     a == b || a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 

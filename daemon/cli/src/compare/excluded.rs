@@ -15,21 +15,21 @@ const MAX_NAMED: usize = 8;
 pub(super) struct ExclusionReasons(Vec<Option<Exclusion>>);
 
 impl ExclusionReasons {
-    /// Finds the excluded results. `named` are the paths on the command line.
+    /// Finds the excluded results. `named_paths` are the paths on the command line.
     ///
-    /// Of several results of one run only one is compared. It is the first of these that exists: the baseline, a result whose path is on the
+    /// If a run has several results, only one is compared: the first of these that exists, in this order: the baseline, a result whose path is on the
     /// command line, the result in the run's folder of the experiment, the first result.
     pub(super) fn new(
         runs: &[Loaded],
         baseline: &[usize],
-        named: &[&Path],
+        named_paths: &[&Path],
         experiments: &Experiments,
     ) -> Self {
         let candidate = |(index, run): (usize, &Loaded)| {
             let (candidate, in_experiment) = (Candidate::from_results(run), experiments.run(&run.folder));
             Candidate {
                 state: in_experiment.map(|run| run.state()).or(candidate.state),
-                is_named: named.iter().any(|path| is_named(path, &run.folder, experiments)),
+                is_named: named_paths.iter().any(|path| is_named(path, &run.folder, experiments)),
                 rank: if baseline.contains(&index) { 0 } else { 1 + u8::from(in_experiment.is_none()) },
                 ..candidate
             }
@@ -53,22 +53,23 @@ impl ExclusionReasons {
                 .collect();
             let more = all.len().saturating_sub(MAX_NAMED);
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-            let listed = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
-            (!all.is_empty()).then(|| format!("excluded, {kind}: {listed}{more}"))
+            let first_names = all.iter().take(MAX_NAMED).map(String::as_str).collect::<Vec<_>>().join(", ");
+            (!all.is_empty()).then(|| format!("excluded, {kind}: {first_names}{more}"))
         };
         let unfinished = note("unfinished runs", &|exclusion| match exclusion {
             Exclusion::Unfinished(_) => Some(exclusion.describe(folder)),
             _ => None,
         });
-        let copies = note("copies of other results with the same run id", &|exclusion| match exclusion {
-            Exclusion::CopyOf(original) => Some(format!("of {}", folder(*original))),
-            _ => None,
-        });
-        let repeated = note("repeated runs", &|exclusion| match exclusion {
+        let copied_results =
+            note("copies of other results with the same run id", &|exclusion| match exclusion {
+                Exclusion::CopyOf(original) => Some(format!("of {}", folder(*original))),
+                _ => None,
+            });
+        let repetitions = note("repeated runs", &|exclusion| match exclusion {
             Exclusion::MeasuredAgain(later) => Some(format!("as {}", folder(*later))),
             _ => None,
         });
-        [unfinished, copies, repeated].into_iter().flatten().collect()
+        [unfinished, copied_results, repetitions].into_iter().flatten().collect()
     }
 }
 

@@ -76,7 +76,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let mut comparison = Comparison::with_repeats(&runs, repeats);
     comparison.caveats.extend(notes);
     let baseline_line = if baseline.is_empty() {
-        first_of_two(&comparison)
+        default_baseline(&comparison)
     } else {
         let line = line_of(&comparison, &baseline)?;
         let sentence = baseline_sentence(&comparison.lines[line]);
@@ -145,8 +145,8 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
-/// Returns the line that is the default baseline of a comparison of two lines.
-pub(crate) fn first_of_two(comparison: &Comparison) -> Option<usize> {
+/// Returns the line that is the baseline unless the user names one: the first of two lines. `None` for any other number of lines.
+pub(crate) fn default_baseline(comparison: &Comparison) -> Option<usize> {
     (comparison.lines.len() == 2).then_some(0)
 }
 
@@ -221,7 +221,7 @@ mod tests {
         assert!(reason.expect("nothing is left").contains("all runs belong to it"));
         let apart = Comparison::with_repeats(&runs[..2], Repeats::Separate);
         assert!(line_of(&apart, &[0, 1]).is_err(), "each has a line");
-        let differences = differences(&apart, &runs, first_of_two(&apart), SEED);
+        let differences = differences(&apart, &runs, default_baseline(&apart), SEED);
         assert_eq!(
             (differences.len(), difference_tables(&apart, &differences).len()),
             (1, 0),

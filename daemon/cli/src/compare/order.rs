@@ -14,19 +14,21 @@ pub(super) fn declared_order(runs: &[Loaded], experiments: &Experiments) -> Vec<
     let mut order: Vec<usize> = (0..runs.len()).collect();
     let mut executions: HashMap<&str, Vec<usize>> = HashMap::new();
     for (index, run) in runs.iter().enumerate() {
-        if let Some(place) = &run.record.experiment {
-            executions.entry(&place.id).or_default().push(index);
+        if let Some(experiment_place) = &run.record.experiment {
+            executions.entry(&experiment_place.id).or_default().push(index);
         }
     }
     for (id, indexes) in executions {
         let experiment_of = |index: &usize| experiments.execution(&runs[*index].folder, id);
         let Some(experiment) = indexes.iter().find_map(experiment_of) else { continue };
         let rank = |index: &usize| {
-            let place = runs[*index].record.experiment.as_ref();
-            let declared = &experiment.plan.configurations;
-            place.map(|place| {
-                let configuration = declared.iter().position(|one| one.labels == place.configuration);
-                (configuration.unwrap_or(declared.len()), place.repeat)
+            let experiment_place = runs[*index].record.experiment.as_ref();
+            let configurations = &experiment.plan.configurations;
+            experiment_place.map(|experiment_place| {
+                let index = configurations
+                    .iter()
+                    .position(|configuration| configuration.labels == experiment_place.configuration);
+                (index.unwrap_or(configurations.len()), experiment_place.repeat)
             })
         };
         let mut sorted = indexes.clone();

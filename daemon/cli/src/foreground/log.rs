@@ -37,12 +37,12 @@ pub(crate) enum LogDestination {
 /// # Errors
 /// When the variable does not contain a valid level (78).
 pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
-    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let configuration_failure = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
     let level = std::env::var(VARIABLE).unwrap_or_else(|_| {
         format!("off,{}=info,{}=info,{REMARK_LOG_TARGET}=warn", USER_CODE_TARGETS[0], USER_CODE_TARGETS[1])
     });
     let filter = EnvFilter::try_new(&level).map_err(|error| {
-        wrong(anyhow::anyhow!(
+        configuration_failure(anyhow::anyhow!(
             "{level:?} (from {VARIABLE}) is not a log level: {error}; use error, warn, info, debug or trace"
         ))
     })?;
@@ -52,7 +52,7 @@ pub(crate) fn start_log(destination: LogDestination) -> Result<(), Failure> {
         .with_ansi(false);
     // Internal errors of the log would be printed to standard error without hiding the progress bar.
     let log = log.log_internal_errors(false).event_format(LogFormat { other: Line::default() }).finish();
-    log.try_init().map_err(|error| wrong(error.into()))
+    log.try_init().map_err(|error| configuration_failure(error.into()))
 }
 
 /// Writer of the log, which gets one whole line at a time.

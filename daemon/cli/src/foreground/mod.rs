@@ -159,6 +159,7 @@ async fn watch<O: RunObserver>(
                 Some(event) => observer.handle_event(event, Some(&running)),
                 None => Some(AgentEnd::Failed("the agent ended by itself".to_owned())),
             },
+            // A server with few iterations should end at its last answer and not at the next tick.
             Ok(()) = served.changed() => observer.poll_state(&running),
             _ = poll.tick() => observer.poll_state(&running),
         };
@@ -171,6 +172,7 @@ async fn watch<O: RunObserver>(
         print_to_stderr("stopping; work in progress may take some seconds, press Ctrl-C again to abandon it");
     }
     stop.cancel();
+    // Read before the end, because joining consumes the agent.
     let missed = running.events_missed_by_tap();
     tokio::select! {
         result = running.join() => result.map_err(|error| Failure::new(Exit::Software, error))?,

@@ -102,16 +102,18 @@ impl PeerWait {
         now: MonoTime,
         timeout: Span,
     ) -> Option<String> {
-        let (away, silent) = (now - self.last_present, now - self.last_answer);
-        let (seconds, timeout) = (away.seconds(), timeout.seconds());
+        let (absence, silence) = (now - self.last_present, now - self.last_answer);
+        let (seconds, timeout) = (absence.seconds(), timeout.seconds());
         match wait_reason {
-            Some(reason) if away <= SILENCE => {
+            Some(reason) if absence <= SILENCE => {
                 Some(format!("{name} is away ({reason}); waiting for it to answer"))
             }
             Some(reason) => {
                 Some(format!("{name} is away ({reason}); waiting for {seconds:.0} s, at most {timeout:.0} s"))
             }
-            None if silent > SILENCE => Some(format!("no answer from {name} for {:.0} s", silent.seconds())),
+            None if silence > SILENCE => {
+                Some(format!("no answer from {name} for {:.0} s", silence.seconds()))
+            }
             None => None,
         }
     }
@@ -123,12 +125,12 @@ impl PeerWait {
         now: MonoTime,
         timeout: Span,
     ) -> Option<String> {
-        let away = now - self.last_present;
+        let absence = now - self.last_present;
         // Without a reason the first attempt to connect has not ended yet. It gets at least the time `SILENCE`, even if the timeout is shorter.
         let timeout = if wait_reason.is_none() { timeout.max(SILENCE) } else { timeout };
         let reason = wait_reason.unwrap_or(UNKNOWN);
-        let text = || format!("gave up after {:.0} s without an answer: {reason}", away.seconds());
-        (away > timeout).then(text)
+        let text = || format!("gave up after {:.0} s without an answer: {reason}", absence.seconds());
+        (absence > timeout).then(text)
     }
 }
 

@@ -45,7 +45,7 @@ impl AgentEnd {
             Self::Finished if unseen > 0 => incomplete(format!(
                 "{} measured and {} no row: this machine is too busy to record them",
                 if unseen == 1 { "1 iteration was".to_owned() } else { format!("{unseen} iterations were") },
-                has(unseen)
+                has_or_have(unseen)
             )),
             Self::Finished => {
                 let mut unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).peekable();
@@ -61,7 +61,7 @@ impl AgentEnd {
                     }
                 );
                 let (unanswered, all) = (unanswered.count() as u64, counted(rows.len() as u64, "iteration"));
-                incomplete(format!("{unanswered} of {all} {} no answer; {text}", has(unanswered)))
+                incomplete(format!("{unanswered} of {all} {} no answer; {text}", has_or_have(unanswered)))
             }
             Self::OwnReason(never) => match *never {},
         }
@@ -77,7 +77,7 @@ fn without_repetition(reason: &str) -> &str {
     reason.strip_suffix(exception).map_or(reason, str::trim_end)
 }
 
-const fn has(count: u64) -> &'static str {
+const fn has_or_have(count: u64) -> &'static str {
     if count == 1 { "has" } else { "have" }
 }
 

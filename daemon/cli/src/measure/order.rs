@@ -50,11 +50,11 @@ impl Order {
     /// # Errors
     /// When there is not exactly one pipeline, or the pipeline has no limit (78).
     pub(super) fn pipeline(&self) -> Result<&PipelineConfig, Failure> {
-        let wrong = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
+        let invalid = |text: &str| Failure::new(Exit::Configuration, anyhow!("{text}"));
         match self.agent.pipelines.as_slice() {
             [pipeline] if !pipeline.limit.is_none() => Ok(pipeline),
-            [_] => Err(wrong("the pipeline has no limit: a run in the foreground needs an end")),
-            _ => Err(wrong("a run in the foreground has exactly one pipeline")),
+            [_] => Err(invalid("the pipeline has no limit: a run in the foreground needs an end")),
+            _ => Err(invalid("a run in the foreground has exactly one pipeline")),
         }
     }
 

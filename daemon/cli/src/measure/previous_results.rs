@@ -44,13 +44,17 @@ impl PreviousResultsGuard {
         if !ResultFolder::replaced_files(results_dir).any(|name| results_dir.join(name).is_file()) {
             return Ok(guard);
         }
-        let kept = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
-        let kept =
-            kept.with_context(|| format!("cannot write to {}", results_dir.display())).map_err(unwritten)?;
-        let kept = guard.moved_results.insert(kept).path().to_owned();
+        // The folder is inside the results' folder, so that moving a file is a rename within one file system.
+        let previous_results = tempfile::Builder::new().prefix(PREFIX).tempdir_in(results_dir);
+        let previous_results = previous_results
+            .with_context(|| format!("cannot write to {}", results_dir.display()))
+            .map_err(unwritten)?;
+        // The guard owns the folder before the first file is moved, so that a failure below restores the files that
+        // were moved already.
+        let previous_results = guard.moved_results.insert(previous_results).path().to_owned();
         for name in replaced_file_names(results_dir) {
             let from = results_dir.join(&name);
-            rename_if_exists(&from, &kept.join(&name))
+            rename_if_exists(&from, &previous_results.join(&name))
                 .with_context(|| format!("cannot replace {}", from.display()))
                 .map_err(unwritten)?;
         }
@@ -69,29 +73,35 @@ impl PreviousResultsGuard {
     /// When the results cannot be moved (73).
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
         let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
+        // A folder with a record has all results of a run, so it is restored before folders without one.
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
-        let Some(kept) = folders.first() else { return Ok(()) };
+        let Some(previous_results) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {
             print_to_stderr(format_args!("other previous results are in {}", other.display()));
         }
         let failed = |error: std::io::Error| {
-            let text = format!("cannot restore the results of {}", kept.display());
+            let text = format!("cannot restore the results of {}", previous_results.display());
             unwritten(anyhow::Error::new(error).context(text))
         };
+        // Either the killed run wrote this record, so its results are complete, or the record, which is moved first,
+        // was not moved yet, so nothing was moved.
         if results_dir.join(RECORD).is_file() {
-            std::fs::remove_dir_all(kept).map_err(failed)?;
+            std::fs::remove_dir_all(previous_results).map_err(failed)?;
             print_to_stderr(format_args!(
                 "a killed run had replaced the results in {}; the rest of the previous results was removed",
                 results_dir.display()
             ));
             return Ok(());
         }
-        let renamed_rows = if kept.join(DATA).is_file() {
+        // If the earlier rows were not moved yet, `data.csv` here is still the earlier one and keeps its name.
+        let renamed_rows = if previous_results.join(DATA).is_file() {
             keep_measured(results_dir, KILLED_ROWS).map_err(failed)?
         } else {
             None
         };
-        move_back(kept, results_dir).and_then(|()| std::fs::remove_dir_all(kept)).map_err(failed)?;
+        move_back(previous_results, results_dir)
+            .and_then(|()| std::fs::remove_dir_all(previous_results))
+            .map_err(failed)?;
         let rows_note = renamed_rows.map_or_else(String::new, |name| format!("; its rows are in {name}"));
         print_to_stderr(format_args!(
             "a run that was to replace the results in {} was killed: the previous results are restored{rows_note}",
@@ -113,16 +123,20 @@ impl PreviousResultsGuard {
     /// Removes the incomplete new results and restores the earlier ones. Returns a text to be appended to a message, which is empty
     /// if there were no earlier results.
     pub(super) fn restore(mut self) -> String {
-        let Some(kept) = self.moved_results.take() else { return String::new() };
+        let Some(previous_results) = self.moved_results.take() else { return String::new() };
+        // Files of the new results that have no counterpart would otherwise stay and look like a part of the restored
+        // ones.
         let removed = replaced_file_names(&self.results_dir).iter().try_for_each(|name| {
             match remove_file(self.results_dir.join(name)) {
                 Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
                 _ => Ok(()),
             }
         });
-        match removed.and_then(|()| move_back(kept.path(), &self.results_dir)) {
+        match removed.and_then(|()| move_back(previous_results.path(), &self.results_dir)) {
             Ok(()) => "; the previous results are restored".to_owned(),
-            Err(error) => format!("; the previous results are in {}: {error}", kept.keep().display()),
+            Err(error) => {
+                format!("; the previous results are in {}: {error}", previous_results.keep().display())
+            }
         }
     }
 
@@ -138,14 +152,14 @@ impl PreviousResultsGuard {
 
 impl Drop for PreviousResultsGuard {
     fn drop(&mut self) {
-        let Some(kept) = self.moved_results.take() else { return };
+        let Some(previous_results) = self.moved_results.take() else { return };
         if std::thread::panicking() {
             // After a panic new rows may have the names of the moved files, so nothing is moved back.
-            let folder = kept.keep();
+            let folder = previous_results.keep();
             return print_to_stderr(format_args!("the previous results are in {}", folder.display()));
         }
-        if let Err(error) = move_back(kept.path(), &self.results_dir) {
-            let folder = kept.keep();
+        if let Err(error) = move_back(previous_results.path(), &self.results_dir) {
+            let folder = previous_results.keep();
             print_to_stderr(format_args!("the previous results are in {}: {error}", folder.display()));
         }
     }
@@ -157,14 +171,16 @@ fn unwritten(error: anyhow::Error) -> Failure {
 
 /// Returns the folder with the earlier results while the run that is to replace them is active or was killed.
 pub(crate) fn previous_results_folder(results_dir: &Path) -> Option<PathBuf> {
-    leftover_folders(results_dir)
-        .find(|kept| kept.join(RECORD).is_file() && !results_dir.join(RECORD).is_file())
+    leftover_folders(results_dir).find(|previous_results| {
+        previous_results.join(RECORD).is_file() && !results_dir.join(RECORD).is_file()
+    })
 }
 
 /// Returns the files with rows of runs without results.
 fn rows_without_results(results_dir: &Path) -> Vec<PathBuf> {
     let has_rows_name = |path: &PathBuf| {
         let stem = path.file_name().and_then(|name| name.to_str()?.strip_suffix(".csv"));
+        // The rest of the name is checked, because a file such as `killed-by-me.csv` is the user's.
         let rest = stem.and_then(|stem| ROWS_WITHOUT_RESULTS.iter().find_map(|name| stem.strip_prefix(name)));
         rest.is_some_and(|rest| {
             rest.is_empty() || rest.strip_prefix('-').is_some_and(|number| number.parse::<u32>().is_ok())
@@ -184,6 +200,7 @@ fn leftover_folders(results_dir: &Path) -> impl Iterator<Item = PathBuf> {
 /// Returns the names of the replaced files in a folder, in the order in which they are moved away.
 fn replaced_file_names(dir: &Path) -> Vec<String> {
     let mut names: Vec<String> = ResultFolder::replaced_files(dir).collect();
+    // The record first: without it the results count as incomplete from the first rename on.
     names.sort_by_key(|name| name != RECORD);
     names
 }
@@ -206,6 +223,7 @@ fn rename_if_exists(from: &Path, to: &Path) -> std::io::Result<()> {
 /// Renames the rows of a run without results, `killed.csv` for `killed`, if there are any.
 fn keep_measured(results_dir: &Path, stem: &str) -> std::io::Result<Option<String>> {
     let data = results_dir.join(DATA);
+    // The first line is the header.
     let has_rows = File::open(&data).map(|file| BufReader::new(file).lines().nth(1).is_some());
     if !has_rows.unwrap_or(false) {
         return Ok(None);

@@ -43,7 +43,9 @@ pub(super) fn run_record(
     });
     let conditions = conditions
         .into_iter()
+        // Conditions that belong to no known cloud are the edge's.
         .filter(|condition| cloud.as_ref().is_none_or(|cloud| condition.host != cloud.name));
+    // Values of environment variables may be secret; the record has their names only.
     let config = order.agent.redacted();
     let pipeline = config.pipelines.first();
     RunRecord {
@@ -115,6 +117,7 @@ fn agent(config: &AgentConfig) -> Value {
     if let Value::Object(tables) = &mut tables {
         tables.remove("pipeline");
         if let Some(Value::Object(agent)) = tables.get_mut("agent") {
+            // The folder depends on the user and is no setting of the measurement.
             agent.remove("state_dir");
         }
     }

@@ -50,6 +50,7 @@ impl RunProgress {
 
     fn add(&mut self, row: &Row) {
         self.done += 1;
+        // A pipeline that only senses has no total.
         if let Some(total) = row.value("total").or(row.value("sensing")).filter(|_| row.is_counted()) {
             self.totals.record(total);
         }
@@ -57,9 +58,10 @@ impl RunProgress {
 
     /// Returns the number of iterations, if it limits the run.
     fn iterations(&self) -> Option<u64> {
-        let counted = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
+        let limit_with_warm_up = self.limit.iterations.map(|limit| limit.get().saturating_add(self.warm_up));
         let total = self.limit.total.map(std::num::NonZero::get);
-        counted.into_iter().chain(total).min()
+        // `limit.iterations` counts from the end of the warm-up, `limit.total` from the first iteration.
+        limit_with_warm_up.into_iter().chain(total).min()
     }
 
     fn is_complete(&self) -> bool {
@@ -156,6 +158,7 @@ impl<'a> RunRecorder<'a> {
     /// Records the hosts. It is called again after a reconnection, because the peer may be another program then.
     fn record_hosts(&mut self, running: Option<&RunningAgent>) {
         let cloud = running.and_then(|running| running.serving_cloud(&self.pipeline));
+        // A session that has ended has no cloud any more; the last known one stays in the record.
         self.recorded.cloud = cloud.or(self.recorded.cloud.take());
         let Some(live) = running.map(RunningAgent::live_update) else { return };
         let words = |clock: HostClock| Some(clock.text).filter(|text| !text.is_empty());
@@ -227,6 +230,7 @@ impl RunObserver for RunRecorder<'_> {
     }
 
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd> {
+        // Rows reach the file even if no further row arrives.
         self.writer.flush();
         // The peer may disconnect after the last answer. The run does not wait for it then.
         if self.progress.is_complete() {
@@ -234,7 +238,7 @@ impl RunObserver for RunRecorder<'_> {
         }
         let pipelines = running.live_update().pipelines;
         // The pipeline's last events were queued before its state changed, unless the queue was full.
-        match pipelines.into_iter().next().map(|one| one.state) {
+        match pipelines.into_iter().next().map(|pipeline| pipeline.state) {
             Some(PipelineState::Failed(reason)) => return Some(AgentEnd::Failed(reason)),
             Some(PipelineState::Finished) => return Some(AgentEnd::Finished),
             _ => {}

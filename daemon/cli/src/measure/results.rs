@@ -13,7 +13,7 @@ use super::previous_results::PreviousResultsGuard;
 /// A folder that exists and is known to be writable before anything is measured.
 pub(super) struct Results {
     /// Earlier results to be replaced. They are restored before other programs may use the folder.
-    earlier: Option<PreviousResultsGuard>,
+    previous_results: Option<PreviousResultsGuard>,
     folder: ResultFolder,
     /// `true` if the folder was created for this run.
     is_created: bool,
@@ -42,9 +42,10 @@ impl Results {
         let was_there = order.folder.exists();
         let folder = ResultFolder::acquire(&order.folder, order.overwrite).map_err(failure)?;
         let replaces = was_there && order.overwrite == Overwrite::Replace;
-        let earlier = replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
+        let previous_results =
+            replaces.then(|| PreviousResultsGuard::move_away(folder.path())).transpose()?;
         let is_created = !was_there || folder.path() != order.folder;
-        Ok(Self { folder, is_created, earlier })
+        Ok(Self { folder, is_created, previous_results })
     }
 
     /// Returns the path of the folder.
@@ -67,21 +68,21 @@ impl Results {
         if self.is_created {
             let _ = std::fs::remove_dir(self.path());
         }
-        drop(self.earlier);
+        drop(self.previous_results);
     }
 
     /// Writes all results, to another folder if necessary.
     pub(super) fn finish(&mut self, record: &RunRecord, rows: &Rows) -> WrittenFiles {
-        let mut earlier = self.earlier.take();
+        let mut previous_results = self.previous_results.take();
         match self.folder.finish(record, rows) {
             Ok(WrittenResults { folder, files, write_error: None }) => {
-                if let Some(earlier) = &mut earlier {
-                    earlier.remove();
+                if let Some(previous_results) = &mut previous_results {
+                    previous_results.remove();
                 }
                 WrittenFiles { folder, files, trouble: None }
             }
             Ok(WrittenResults { folder, files, write_error: Some(write_error) }) => {
-                let restored_note = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
+                let restored_note = previous_results.map_or_else(String::new, PreviousResultsGuard::restore);
                 let trouble = format!(
                     "{write_error}; the measurements are in {} instead{restored_note}",
                     folder.display()
@@ -89,8 +90,8 @@ impl Results {
                 WrittenFiles { folder, files, trouble: Some(trouble) }
             }
             Err(error) => {
-                let rows = earlier.as_ref().and_then(PreviousResultsGuard::keep_rows);
-                let restored_note = earlier.map_or_else(String::new, PreviousResultsGuard::restore);
+                let rows = previous_results.as_ref().and_then(PreviousResultsGuard::keep_rows);
+                let restored_note = previous_results.map_or_else(String::new, PreviousResultsGuard::restore);
                 let rows = rows.as_deref().unwrap_or("data.csv");
                 let trouble = format!("{error}; {rows} has the rows that fit{restored_note}");
                 WrittenFiles { folder: self.path().to_owned(), files: Vec::new(), trouble: Some(trouble) }

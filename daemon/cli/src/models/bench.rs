@@ -26,7 +26,7 @@ const QUANTILES: [(&str, fn(&SortedValues) -> Option<f64>); 3] =
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: WantedModel,
+    model: WantedModel,
     #[command(flatten)]
     options: Options,
     /// Number of measured samples; p99 needs 300, p95 60.
@@ -58,10 +58,12 @@ struct Measured {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let model = arguments.wanted.find()?;
+    let model = arguments.model.find()?;
+    // Read before the model is loaded, so that the difference to the later value is the model's.
     let memory_before = memory("VmRSS:");
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
+    // A model without test pictures can be measured, too; accuracy is not measured here.
     let input = match input.filter(|input| !input.samples.is_empty()) {
         Some(input) => input,
         None => Input::generated(&model)?,
@@ -93,6 +95,7 @@ fn measure(
     let mut durations: [Vec<f64>; 4] = Default::default();
     // Samples are used in turn; there is at least one.
     for (done, sample) in (0..all).zip(input.samples.iter().cycle()) {
+        // Measured outside of the model, because the stages do not contain the time to hand over the sample.
         let started_at = loaded_model.clock().mono();
         let (answer, tree) = loaded_model.infer(sample.clone());
         let total = (loaded_model.clock().mono() - started_at).seconds();
@@ -138,7 +141,7 @@ fn show(name: &str, arguments: &Arguments, measured: &Measured) {
         |bytes_of: Option<u64>| bytes_of.map_or_else(|| "?".to_owned(), |count| bytes(count as f64).plain());
     print_to_stdout(format_args!("loaded in {} ms", milliseconds(measured.loaded_in)));
     print_to_stdout(format_args!(
-        "memory of this process: {} before, {} with the model, {} at most; an accelerator's own is not in it",
+        "memory of this process: {} before, {} with the model, {} at most; the memory of an accelerator is not included",
         size_text(measured.memory[0]),
         size_text(measured.memory[1]),
         size_text(measured.peak)

@@ -16,7 +16,7 @@ use super::{WantedModel, describe_hash_mismatch, failure};
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: WantedModel,
+    model: WantedModel,
     #[command(flatten)]
     options: Options,
     /// A picture, or a folder of pictures with or without a labels.csv, instead of the model's own.
@@ -25,7 +25,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let model = arguments.wanted.find()?;
+    let model = arguments.model.find()?;
     if let Ok(card) = &model.card
         && let Some(text) = describe_hash_mismatch(card, &model.hash().map_err(failure)?)
     {

@@ -15,14 +15,14 @@ const MAX_LABELS: usize = 8;
 #[derive(Debug, clap::Args)]
 pub(super) struct Arguments {
     #[command(flatten)]
-    wanted: WantedModel,
+    model: WantedModel,
     /// Print JSON.
     #[arg(long)]
     json: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let model = arguments.wanted.find()?;
+    let model = arguments.model.find()?;
     let hash = model.hash().map_err(failure)?;
     let size = model.size().unwrap_or_default();
     let (name, folder) = (model.name, model.folder);

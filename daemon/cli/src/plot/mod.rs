@@ -43,25 +43,25 @@ pub(crate) struct Arguments {
 enum Kind {
     /// All for which there is data.
     All,
-    /// Of each run: the six histograms of the published program, sensing-time to download-throughput.
+    /// For each run: the six histograms of the published program, sensing-time to download-throughput.
     Histograms,
-    /// Of each run: the share of iterations up to each latency, of the total and its longest stages.
+    /// For each run: the share of iterations up to each latency, of the total and its longest stages.
     Cumulative,
-    /// Of all runs: a bar of stacked stages for each configuration.
+    /// For all runs: a bar of stacked stages for each configuration.
     Stacked,
-    /// Of all runs: the share of iterations up to each total, a curve for each configuration.
+    /// For all runs: the share of iterations up to each total, a curve for each configuration.
     Totals,
-    /// Of all runs: top-1 accuracy, and success of episodes, of each configuration against its latency.
+    /// For all runs: top-1 accuracy, and success of episodes, of each configuration against its latency.
     Accuracy,
-    /// Of all runs: inference of each model on board and in the cloud.
+    /// For all runs: inference of each model on board and in the cloud.
     Paired,
-    /// Of all runs: latency and throughput against payload, with fit and intercept.
+    /// For all runs: latency and throughput against payload, with fit and intercept.
     Payload,
-    /// Of all runs: latency and fairness against the number of edges that share one cloud.
+    /// For all runs: latency and fairness against the number of edges that share one cloud.
     Users,
-    /// Of each run: response length against latency.
+    /// For each run: response length against latency.
     Length,
-    /// Of each run: total and stages over time.
+    /// For each run: total and stages over time.
     Series,
 }
 
@@ -90,11 +90,11 @@ impl Kind {
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
-    let named = distinct_paths(&arguments.runs);
-    let CollectedResults { runs, .. } = collect(&named, None, &|_| true)?;
-    let folders = FigureFolders::choose(&named, &runs, arguments.out.as_deref());
+    let named_paths = distinct_paths(&arguments.runs);
+    let CollectedResults { runs, .. } = collect(&named_paths, None, &|_| true)?;
+    let folders = FigureFolders::choose(&named_paths, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
-    let mut lacking = Vec::new();
+    let mut missing_data = Vec::new();
     let mut files = Vec::new();
     let mut draw_kind = |kind: figures::Kind, runs: &[Loaded], folder: &Path| -> Result<(), Failure> {
         match figures::draw(kind, runs, &columns, folder) {
@@ -102,7 +102,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
                 written.missing.iter().for_each(print_to_stderr);
                 files.extend(written.files);
             }
-            Err(error @ PlotError::Lacking(..)) => lacking.push((folder.to_owned(), error)),
+            Err(error @ PlotError::Lacking(..)) => missing_data.push((folder.to_owned(), error)),
             Err(error) => return Err(Failure::new(Exit::Unwritten, error)),
         }
         Ok(())
@@ -118,21 +118,23 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     }
     if arguments.kind == Kind::All {
         // Without --kind, only figures that every result can show are reported as missing.
-        lacking.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
-    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&lacking)) {
+        missing_data.retain(|(_, error)| matches!(error, PlotError::Lacking(kind, _) if kind.is_expected()));
+    } else if let (true, Some(reasons)) = (files.is_empty(), reasons(&missing_data)) {
         // A single kind that cannot be drawn is a failure.
         return Err(Failure::new(Exit::Data, anyhow!("{reasons}")));
     }
-    lacking.iter().for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
+    missing_data
+        .iter()
+        .for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
     files.iter().for_each(|file| print_to_stdout(file.display()));
     Ok(())
 }
 
 /// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number. `None` if there is no
 /// reason.
-fn reasons(lacking: &[(PathBuf, PlotError)]) -> Option<String> {
+fn reasons(missing_data: &[(PathBuf, PlotError)]) -> Option<String> {
     let mut reasons: Vec<(String, usize)> = Vec::new();
-    for (_, error) in lacking {
+    for (_, error) in missing_data {
         let reason = error.to_string();
         match reasons.iter_mut().find(|(other, _)| *other == reason) {
             Some((_, count)) => *count += 1,

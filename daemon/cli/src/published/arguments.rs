@@ -78,7 +78,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value = "90", value_name = "SECONDS", value_parser = patience, allow_negative_numbers = true)]
     pub(super) patience: f64,
     /// Client: longest wait for an answer. Server: longest time that a Python object or a program may take for one answer.
-    /// Seconds [default: 75 for the client, 60 for an object, 10 for a program, so that a slow model says so itself].
+    /// Seconds [default: 75 for the client, 60 for an object, 10 for a program, so that the server reports a slow model before the client gives up].
     #[arg(long, value_name = "SECONDS", value_parser = timeout, allow_negative_numbers = true)]
     pub(super) timeout: Option<f64>,
     /// Largest message, in bytes; the smaller value of both ends applies. A picture sent as `pixels` has 3 bytes per pixel.
@@ -117,6 +117,7 @@ enum IterationsError {
 }
 
 fn iterations(text: &str) -> Result<NonZeroU64, IterationsError> {
+    // A wider type, so that negative and too large numbers get their own messages.
     let number = text.parse::<i128>().map_err(IterationsError::NotANumber)?;
     if number < 1 {
         return Err(IterationsError::TooFew);

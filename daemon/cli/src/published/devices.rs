@@ -37,7 +37,7 @@ enum DeviceError {
     Address { text: String, name: String, source: AddressError },
     #[error("no address of the device {name}: {source}")]
     Unknown { name: String, source: ListenerLookupError },
-    #[error("the device {0} has port 0, at which nobody could ask it: give start_port a number from 1")]
+    #[error("the device {0} has port 0, to which no client can connect: set start_port to a number above 0")]
     PortZero(String),
 }
 
@@ -47,7 +47,7 @@ impl File {
         if !parsed.other.is_empty() {
             let keys: Vec<&str> = parsed.other.keys().map(String::as_str).collect();
             print_to_stderr(format_args!(
-                "{file}: passing over {}; there is devices, server, start_port, ros_version and ros2",
+                "{file}: ignored unknown keys: {}; known are devices, server, start_port, ros_version and ros2",
                 keys.join(", ")
             ));
         }
@@ -65,7 +65,7 @@ impl File {
         let address = address(text, self.start_port.unwrap_or(DEFAULT_PORT), network);
         let invalid = |source| DeviceError::Address { text: text.to_owned(), name: name.to_owned(), source };
         let address = address.map_err(invalid)?;
-        if address.port() == 0 && address.domain().is_none() {
+        if address.port() == 0 && address.ros_domain().is_none() {
             return Err(DeviceError::PortZero(name.to_owned()));
         }
         Ok(address)
@@ -89,12 +89,12 @@ pub(crate) struct DeviceAddresses {
 /// When the file cannot be read (66) or is incomplete or invalid (78).
 pub(crate) fn addresses(path: &Path, network: NetworkKind) -> Result<DeviceAddresses, Failure> {
     let (path_text, text) = (path.display().to_string(), read_text(path)?);
-    let wrong = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
-    let file = File::read(&text, &path_text).map_err(wrong)?;
+    let invalid = |error: anyhow::Error| Failure::new(Exit::Configuration, error);
+    let file = File::read(&text, &path_text).map_err(invalid)?;
     let addresses =
         file.devices.iter().map(|(name, text)| Ok((name.clone(), file.address(name, text, network)?)));
     let addresses = addresses.collect::<Result<_, DeviceError>>();
-    let addresses = addresses.map_err(|problem| wrong(anyhow!("{path_text}: {problem}")))?;
+    let addresses = addresses.map_err(|problem| invalid(anyhow!("{path_text}: {problem}")))?;
     Ok(DeviceAddresses { addresses, ros2: file.ros2, config: NetworkConfig { file: path_text, text } })
 }
 
@@ -132,10 +132,9 @@ impl Devices {
     fn parse(text: &str, file: &str, network: Option<NetworkKind>) -> anyhow::Result<Self> {
         let parsed = File::read(text, file)?;
         let device_names: Vec<String> = parsed.devices.keys().cloned().collect();
-        let server = parsed
-            .server
-            .clone()
-            .ok_or_else(|| anyhow!("{file} names no server; add a line server: with the name of a device"))?;
+        let server = parsed.server.clone().ok_or_else(|| {
+            anyhow!("{file} names no server; add the line `server: DEVICE` with the name of a device")
+        })?;
         let address_text = parsed.devices.get(&server).ok_or_else(|| {
             anyhow!("{file}: the server {server} is not one of its devices: {}", list(&device_names))
         })?;
@@ -143,6 +142,7 @@ impl Devices {
         let address = address.map_err(|problem| anyhow!("{file}: {problem}"))?;
         let is_consistent = address.check_network(network);
         is_consistent.map_err(|problem| anyhow!("--network does not agree with {file}: {problem}"))?;
+        // The whole text is recorded with the results, because the file may change before a run is repeated.
         let config = NetworkConfig { file: file.to_owned(), text: text.to_owned() };
         Ok(Self { server, address, config, ros2: parsed.ros2, device_names })
     }
@@ -152,22 +152,24 @@ impl Devices {
     /// # Errors
     /// When it is not in the file, the file has the roles reversed, or this build lacks the network (78).
     pub(super) fn check(&self, name: &Slug, serves: bool) -> Result<(), Failure> {
+        // Both mistakes would make the devices wait for each other without an error.
         let (file, server) = (&self.config.file, &self.server);
-        let wrong = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
+        let invalid = |text: String| Err(Failure::new(Exit::Configuration, anyhow!("{text}")));
         if !self.device_names.iter().any(|device| device == name.as_str()) {
-            return wrong(format!(
+            return invalid(format!(
                 "{file} has no device {name}, only {}: use one of them as --name, or add it",
                 list(&self.device_names)
             ));
         }
+        // Only the server's address is used, so the file may also have addresses of networks that this build lacks.
         if let Err(problem) = self.address.check_host() {
-            return wrong(format!("{file}: the address of the server {server} cannot be used: {problem}"));
+            return invalid(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }
         match (serves, server == name.as_str()) {
-            (true, false) => wrong(format!(
+            (true, false) => invalid(format!(
                 "{file} says that {server} serves, not {name}: clients would connect there; change its line server:, or start this device with --client"
             )),
-            (false, true) => wrong(format!(
+            (false, true) => invalid(format!(
                 "{file} says that {name} serves: start it with --server, or change the line server:"
             )),
             _ => Ok(()),
@@ -233,7 +235,7 @@ server: cluster
         let text =
             format!("{PUBLISHED}ros_version: 2\nros2:\n  reliability: best-effort\n  interfaces: [lo]\n");
         let devices = Devices::parse(&text, "net.yaml", network).expect("reads");
-        assert!(devices.address.domain().is_some());
+        assert!(devices.address.ros_domain().is_some());
         assert_eq!(devices.ros2.interfaces, ["lo"]);
         let text = text.replace("cluster.lab.example", "ros2://7/gpu");
         let devices = Devices::parse(&text, "net.yaml", None).expect("reads");

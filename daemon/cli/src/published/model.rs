@@ -42,15 +42,19 @@ fn configuration(arguments: &Arguments) -> Result<ModelConfig, Failure> {
     }
     let device = bank_device(device_option.unwrap_or(DEFAULT_DEVICE));
     // A user's program or object may be run because this command line names it.
-    let shared = |name| {
-        let shared = SharedKeys::new(slug(name));
-        if device_option.is_some() { SharedKeys { device: device.to_owned(), ..shared } } else { shared }
+    let shared_keys = |name| {
+        let shared_keys = SharedKeys::new(slug(name));
+        if device_option.is_some() {
+            SharedKeys { device: device.to_owned(), ..shared_keys }
+        } else {
+            shared_keys
+        }
     };
     let timeout_ms = arguments.timeout_ms().and_then(NonZeroU64::new);
     Ok(match super::program(model_name)? {
-        Some(command) => ModelConfig::program(shared(program_of(command)), command, timeout_ms),
+        Some(command) => ModelConfig::program(shared_keys(program_of(command)), command, timeout_ms),
         None if model_name.contains("::") => {
-            ModelConfig::python_object(shared(model_name), model_name, arguments.pickle, timeout_ms)
+            ModelConfig::python_object(shared_keys(model_name), model_name, arguments.pickle, timeout_ms)
         }
         None => {
             let model = ModelFolders::search(&arguments.models_dir).find(model_name);

@@ -43,7 +43,7 @@ impl SensorType {
 /// # Errors
 /// When an option is missing (64), or the data set does not exist (66).
 pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec<TransformConfig>), Failure> {
-    let missing = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
+    let missing_option = |text: &str| Failure::new(Exit::Usage, anyhow!("{text}"));
     // `--sensor-object` implies the type `external`, because `image` is the default.
     let kind = match (&arguments.sensor_object, arguments.sensor_type) {
         (Some(_), SensorType::Image) => SensorType::External,
@@ -53,11 +53,11 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
     let (config, transforms) = match kind {
         SensorType::Image => {
             let path = arguments.dataset_loc.as_deref().ok_or_else(|| {
-                missing("the sensor image needs --dataset-loc: a picture or a folder of pictures")
+                missing_option("the sensor image needs --dataset-loc: a picture or a folder of pictures")
             })?;
             let path = path.to_str().ok_or_else(|| {
                 let path = path.display();
-                missing(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
+                missing_option(&format!("--dataset-loc {path}: run.json cannot hold a name that is not UTF-8; rename it, or name a link to it"))
             })?;
             (SensorConfig::pictures(path.into()), arguments.encoding.transforms())
         }
@@ -65,7 +65,7 @@ pub(super) fn from_arguments(arguments: &Arguments) -> Result<(SensorConfig, Vec
         SensorType::Text => (SensorConfig::random_text(size), Vec::new()),
         SensorType::External => {
             let object = arguments.sensor_object.as_deref().ok_or_else(|| {
-                missing("the sensor external needs --sensor-object: module::object or exec:COMMAND")
+                missing_option("the sensor external needs --sensor-object: module::object or exec:COMMAND")
             })?;
             (external_sensor(object, arguments.pickle)?, Vec::new())
         }
@@ -78,8 +78,8 @@ fn check(config: SensorConfig) -> Result<SensorConfig, Failure> {
     let clock =
         clock::system(ClockIdentity::SYSTEM).map_err(|error| Failure::new(Exit::Unavailable, error))?;
     config.check(&clock).map_err(|error| {
-        let is_typed = error.is_misnamed() || matches!(error, SensorError::Config(_));
-        let exit = if is_typed { Exit::Usage } else { Exit::NoInput };
+        let is_usage_error = error.is_misnamed() || matches!(error, SensorError::Config(_));
+        let exit = if is_usage_error { Exit::Usage } else { Exit::NoInput };
         Failure::new(exit, error)
     })?;
     Ok(config)
@@ -109,7 +109,7 @@ mod tests {
             let line = "peernet --client --name a --network-config b.yaml --iterations 7 --sensor-type";
             let kind = if words[0] == "--text-size" { "random string" } else { "image" };
             let words = line.split(' ').map(OsString::from).chain([kind.into()]).chain(words);
-            let line = Cli::try_parse_from(words).expect("a published command line");
+            let line = Cli::try_parse_from(words).expect("a command line of the paper's program");
             let failure = from_arguments(&line.published.expect("its options")).expect_err("refused");
             (failure.exit, failure.to_string())
         };

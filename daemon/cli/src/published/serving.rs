@@ -55,12 +55,15 @@ impl AnswerCounts {
         (self.errors, self.missed) = (errors, missed);
         if answers > self.answered {
             self.answered = answers;
+            // The count is kept with the time: several answers may have been given before the first observation, and
+            // their duration is unknown.
             self.first_answer.get_or_insert((now, answers));
             self.last_answer = Some(now);
         }
     }
 
     const fn are_complete(&self) -> bool {
+        // Iterations that never arrive are counted, too; otherwise the server would wait for them forever.
         self.answered.saturating_add(self.missed) >= self.target
     }
 
@@ -191,6 +194,7 @@ impl RunObserver for Serving {
     }
 
     fn poll_state(&mut self, running: &RunningAgent) -> Option<AgentEnd<LoadError>> {
+        // The observer polls the load, so that signals are handled while a large model is loaded.
         if let Some(ended) = self.load(running) {
             return Some(ended);
         }

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::short::value;
+use crate::short::shorten_value;
 
-use super::file::Set;
+use super::file::FieldOverride;
 use super::plan::{Plan, Run};
 
 /// Arguments of `peernet run`.
@@ -15,8 +15,8 @@ pub(crate) struct Arguments {
     #[arg(value_name = "FILE")]
     pub(super) file: PathBuf,
     /// Replace a value of the file, such as experiment.iterations=100; may be given several times. Values of an axis take precedence.
-    #[arg(long, value_name = "FIELD=VALUE", value_parser = Set::read)]
-    pub(super) set: Vec<Set>,
+    #[arg(long, value_name = "FIELD=VALUE", value_parser = FieldOverride::read)]
+    pub(super) set: Vec<FieldOverride>,
     /// Folder for the results. If it has an unfinished experiment, that experiment continues [default: results/NAME].
     #[arg(long, value_name = "DIR")]
     pub(super) result_loc: Option<PathBuf>,
@@ -56,7 +56,7 @@ pub(super) enum RunSelection {
     Number(usize),
 }
 
-/// A text that selects no runs.
+/// A text that is not a valid selection of runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("write AXIS=LABEL or the number of a run")]
 pub(super) struct InvalidRunSelection;
@@ -108,11 +108,13 @@ impl RunSelection {
                     }
                 }
                 match labels.as_slice() {
-                    [] => Some(format!("there is no axis {}", value(axis))),
+                    [] => Some(format!("there is no axis {}", shorten_value(axis))),
                     labels if labels.contains(&label.as_str()) => None,
-                    labels => {
-                        Some(format!("{axis} has no value {}, only {}", value(label), labels.join(", ")))
-                    }
+                    labels => Some(format!(
+                        "{axis} has no value {}, only {}",
+                        shorten_value(label),
+                        labels.join(", ")
+                    )),
                 }
             }
         })

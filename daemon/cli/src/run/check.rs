@@ -28,7 +28,7 @@ pub(super) fn configurations(
     configurations: &[Configuration],
     clock: &SharedClock,
 ) -> Result<Vec<String>, Failure> {
-    let (mut wrong, mut lacking): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
+    let (mut file_problems, mut machine_problems): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
     let folder = std::env::temp_dir();
     for configuration in configurations {
         let mut agent: AgentConfig = configuration.agent.clone();
@@ -40,15 +40,16 @@ pub(super) fn configurations(
             let labels = describe_labels(&configuration.labels);
             let label_note = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
             let text = with_experiment_keys(&problem.to_string());
-            let list = if is_machine_key { &mut lacking } else { &mut wrong };
+            let list = if is_machine_key { &mut machine_problems } else { &mut file_problems };
             if !list.iter().any(|other| other.starts_with(&text)) {
                 list.push(format!("{text}{label_note}"));
             }
         }
     }
-    if wrong.is_empty() {
-        return Ok(lacking);
+    if file_problems.is_empty() {
+        return Ok(machine_problems);
     }
-    let wrong: Vec<String> = wrong.iter().map(|text| format!("{}: {text}", file.display())).collect();
-    Err(Failure::new(Exit::Configuration, anyhow!("{}", wrong.join("\n"))))
+    let file_problems: Vec<String> =
+        file_problems.iter().map(|text| format!("{}: {text}", file.display())).collect();
+    Err(Failure::new(Exit::Configuration, anyhow!("{}", file_problems.join("\n"))))
 }

@@ -48,7 +48,7 @@ impl Ending {
         }
     }
 
-    /// Waits until the deadline; does not return if there is none.
+    /// Waits until the deadline; does not return if there is no deadline.
     pub(super) async fn wait_for_deadline(&self) {
         match self.deadline {
             Some(deadline) => tokio::time::sleep_until(deadline).await,

@@ -19,19 +19,19 @@ pub(super) struct Estimates {
     /// Estimates from the trials.
     expected: Vec<Option<f64>>,
     /// Durations of finished runs: sum and count.
-    measured: Vec<(f64, u32)>,
+    finished_durations: Vec<(f64, u32)>,
 }
 
 impl Estimates {
     /// Makes estimates from the expected duration of each configuration.
     pub(super) fn new(expected: Vec<Option<f64>>) -> Self {
-        let measured = vec![(0.0, 0); expected.len()];
-        Self { expected, measured }
+        let finished_durations = vec![(0.0, 0); expected.len()];
+        Self { expected, finished_durations }
     }
 
     /// Adds the duration of a finished run.
     pub(super) fn record_duration(&mut self, configuration: usize, seconds: f64) {
-        if let Some((sum, count)) = self.measured.get_mut(configuration) {
+        if let Some((sum, count)) = self.finished_durations.get_mut(configuration) {
             *sum += seconds;
             *count += 1;
         }
@@ -40,12 +40,12 @@ impl Estimates {
     /// Returns the estimate for a run of a configuration: the mean of its finished runs or, without any, the expected duration times the
     /// ratio of measured to expected durations so far. `None` if it is not known.
     pub(super) fn duration_s(&self, configuration: usize) -> Option<f64> {
-        let (sum, count) = self.measured.get(configuration).copied().unwrap_or_default();
+        let (sum, count) = self.finished_durations.get(configuration).copied().unwrap_or_default();
         if count > 0 {
             return Some(sum / f64::from(count));
         }
         let pairs = || {
-            let pairs = self.measured.iter().zip(&self.expected);
+            let pairs = self.finished_durations.iter().zip(&self.expected);
             pairs.filter_map(|((sum, count), expected)| Some((*sum, expected.as_ref()? * f64::from(*count))))
         };
         let (measured, expected): (f64, f64) =

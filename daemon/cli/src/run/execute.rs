@@ -48,6 +48,8 @@ impl Execution<'_> {
         run: &Run,
         signals: &mut Signals,
     ) -> Result<bool, Failure> {
+        // The results of an earlier attempt are removed before the run is recorded as running, so that they cannot be
+        // taken for results of this attempt.
         self.folder.remove(run)?;
         self.record.start_run(run);
         self.folder.save(self.record)?;
@@ -60,7 +62,7 @@ impl Execution<'_> {
             self.record.plan.runs.len(),
             self.record.plan.describe(run)
         );
-        let later = self.remaining_s(&runs[done + 1..]);
+        let later_runs_s = self.remaining_s(&runs[done + 1..]);
         let (share_before, run_share) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
         if !self.quiet {
             progress.print_line(format_args!("{name}: begins"));
@@ -75,7 +77,7 @@ impl Execution<'_> {
             };
             let Some(report) = report else { return };
             let done_part = report.iterations.map_or(0.0, |count| report.done as f64 / count.max(1) as f64);
-            let left = report.left_s.zip(later).map(|(now, later)| duration(now + later));
+            let left = report.left_s.zip(later_runs_s).map(|(run_s, later_s)| duration(run_s + later_s));
             let left = left.map_or_else(String::new, |left| format!(", {left} left in total"));
             let trouble = report.trouble.as_ref().map(|trouble| format!("{name}: {trouble}"));
             let state = || {
@@ -91,6 +93,7 @@ impl Execution<'_> {
         let seconds = (self.clock.mono() - began).seconds();
         let interrupted = process_results.interrupted;
         let result = self.run_result(run, &process_results, seconds);
+        // The duration of a failed run says nothing about later runs of this configuration.
         if result.stage == Stage::Finished {
             self.estimates.record_duration(run.configuration, seconds);
         }

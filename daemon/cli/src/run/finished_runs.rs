@@ -16,14 +16,14 @@ use super::plan::Run;
 use super::state::Record;
 use crate::experiment::Stage;
 
-/// Marks finished runs without usable results as not done, and reports changes of the file of devices since they were measured.
+/// Marks finished runs without usable results as not done. Reports external files that changed after a finished run was measured.
 pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external_files: &ExternalFiles) {
     let finished = record.runs().filter(|(_, state)| state.stage == Stage::Finished);
     let finished: Vec<Run> = finished.map(|(run, _)| run.clone()).collect();
-    let mut changed = BTreeSet::new();
+    let mut change_notes = BTreeSet::new();
     for run in finished {
         match load_results(folder, record, &run) {
-            Ok(run_records) => changed.extend(
+            Ok(run_records) => change_notes.extend(
                 run_records.iter().filter_map(|run_record| external_files.changed_since(run_record, &run)),
             ),
             Err(reason) => {
@@ -32,7 +32,7 @@ pub(super) fn check_finished_runs(folder: &Folder, record: &mut Record, external
             }
         }
     }
-    changed.iter().for_each(print_to_stderr);
+    change_notes.iter().for_each(print_to_stderr);
 }
 
 /// Returns a note if an experiment was started by another version and runs remain.
@@ -102,6 +102,6 @@ fn mismatch(run_record: &RunRecord, record: &Record, run: &Run) -> Option<Mismat
     if run_record.counts == Counts::default() {
         return Some(Mismatch::NoIterations);
     }
-    let place = record.plan.experiment_place(run, &record.id);
-    (run_record.experiment.as_ref() != Some(&place)).then_some(Mismatch::OtherRun)
+    let experiment_place = record.plan.experiment_place(run, &record.id);
+    (run_record.experiment.as_ref() != Some(&experiment_place)).then_some(Mismatch::OtherRun)
 }

@@ -47,6 +47,7 @@ impl Folder {
         let entries = fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
         let is_own = |name: &OsStr| name == LOCK || name == RUNS || is_draft(name);
         let has_foreign_files = entries.map(|entry| entry.file_name()).any(|name| !is_own(&name));
+        // Checked before anything is created or removed: a wrong path must not change the user's folder.
         if has_foreign_files && !path.join(RECORD).exists() {
             let text = format!(
                 "{} contains files, but no {RECORD}: it is not the folder of an experiment; name another with --result-loc",
@@ -58,6 +59,7 @@ impl Folder {
         let lock = File::create(path.join(LOCK)).map_err(cannot_create)?;
         match lock.try_lock() {
             Ok(()) => {
+                // Only with the lock: another program may be writing its draft.
                 drafts(path).for_each(|draft| drop(fs::remove_file(draft)));
                 Ok(Self { path: path.to_owned(), _lock: lock })
             }
@@ -98,6 +100,8 @@ impl Folder {
     pub(super) fn save(&self, record: &Record) -> Result<(), Failure> {
         let path = self.path.join(RECORD);
         let write = || {
+            // Written next to the record, synced and then renamed: the record is complete even after a crash or power
+            // failure.
             let mut file = tempfile::Builder::new().prefix(DRAFT_PREFIX).tempfile_in(&self.path)?;
             with_arguments(|| serde_json::to_writer_pretty(&mut file, record))?;
             writeln!(file)?;
@@ -178,7 +182,7 @@ fn drafts(path: &Path) -> impl Iterator<Item = PathBuf> {
 /// When it cannot be read (65).
 pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
     let path = path.join(RECORD);
-    let damaged = |reason: String| {
+    let unreadable = |reason: String| {
         let text = format!("cannot read {}: {reason}; --restart starts again", path.display());
         Failure::new(Exit::Data, anyhow!("{text}"))
     };
@@ -187,17 +191,18 @@ pub(super) fn load(path: &Path) -> Result<Option<Record>, Failure> {
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             return Ok(None);
         }
-        Err(error) => return Err(damaged(error.to_string())),
+        Err(error) => return Err(unreadable(error.to_string())),
     };
-    let record: Record = serde_json::from_str(&text).map_err(|error| damaged(error.to_string()))?;
+    let record: Record = serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
     if record.format != FORMAT {
-        return Err(damaged(format!(
+        return Err(unreadable(format!(
             "its format is {}, but this program reads format {FORMAT}",
             record.format
         )));
     }
+    // The file may have been edited; later code uses its numbers as indexes.
     if !record.is_sound() {
-        return Err(damaged("it names runs or configurations that it does not have".to_owned()));
+        return Err(unreadable("it names runs or configurations that it does not have".to_owned()));
     }
     Ok(Some(record))
 }

@@ -76,6 +76,8 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let path = path.unwrap_or_else(|| PathBuf::from(DEFAULT_PARENT).join(file.experiment.name.as_str()));
     // A broken record can be replaced, and is no error of the file.
     let existing_record = if arguments.restart || arguments.check { None } else { folder::load(&path)? };
+    // A continued experiment keeps the seed of `--seed` although the option is not repeated; otherwise its plan would
+    // differ.
     let seed = arguments.seed.or_else(|| existing_record.as_ref().map(|record| record.plan.seed));
     let plan = Plan::new(&file.experiment, seed, configurations);
     if let Some(unknown) = RunSelection::describe_unknown(&arguments.only, &plan) {
@@ -114,8 +116,10 @@ async fn execute_experiment(
     external_files: &ExternalFiles,
 ) -> Result<(), Failure> {
     let mut signals = Signals::new().map_err(|error| Failure::new(Exit::Unavailable, error))?;
+    // A dry run writes nothing, so it needs no lock.
     let folder = if arguments.dry_run { None } else { Some(Folder::open(&path)?) };
     if let Some(folder) = &folder {
+        // Results may have been truncated or deleted since the last command; such runs are measured again.
         check_finished_runs(folder, &mut record, external_files);
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
@@ -129,6 +133,7 @@ async fn execute_experiment(
             }
         };
     let tried_configurations: BTreeSet<usize> = to_do.iter().map(|run| run.configuration).collect();
+    // Only configurations that have runs to do: a continued experiment does not need the other peers.
     let trial_results = match trial::configurations(
         &record.plan,
         &tried_configurations,
@@ -155,6 +160,7 @@ async fn execute_experiment(
     for condition in &trial_results.conditions {
         print_to_stderr(describe_condition(condition));
     }
+    // One unavailable configuration stops everything: an incomplete matrix cannot be compared.
     if let Some(failure) = unavailable_configurations(&trial_results, &arguments.file) {
         discard(folder, &record);
         return Err(failure);
@@ -215,6 +221,7 @@ fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
             configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
         });
     let mut estimates = Estimates::new(expected.collect());
+    // Measured durations of finished runs are better than estimates from trials.
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
         state.seconds.into_iter().for_each(|seconds| estimates.record_duration(run.configuration, seconds));
     }
@@ -252,12 +259,16 @@ fn unavailable_configurations(trial_results: &TrialResults, file: &Path) -> Opti
             .chain(affected.map(|(_, configuration)| format!("    {configuration}")))
     });
     let (count, lines) = (all.len(), lines.chain(hint).collect::<Vec<_>>().join("\n"));
-    let tried = table::count(trial_results.tried, "configuration");
-    Some(Failure::new(exit, anyhow!("{count} of {tried} cannot be measured, nothing was started:\n{lines}")))
+    let tried_count = table::count(trial_results.tried, "configuration");
+    Some(Failure::new(
+        exit,
+        anyhow!("{count} of {tried_count} cannot be measured, nothing was started:\n{lines}"),
+    ))
 }
 
 /// Asks for confirmation if standard input is a terminal.
 async fn is_confirmed(signals: &mut Signals) -> bool {
+    // Scripts cannot answer.
     if !std::io::stdin().is_terminal() {
         return true;
     }
@@ -266,8 +277,8 @@ async fn is_confirmed(signals: &mut Signals) -> bool {
         let mut errors = std::io::stderr();
         let _ = write!(errors, "start? [Y/n] ").and_then(|()| errors.flush());
         let mut answer = String::new();
-        let read = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
-        read > 0 && !answer.trim().to_lowercase().starts_with('n')
+        let read_bytes = std::io::stdin().lock().read_line(&mut answer).unwrap_or_default();
+        read_bytes > 0 && !answer.trim().to_lowercase().starts_with('n')
     });
     tokio::select! {
         answer = answer => answer.unwrap_or(false),
@@ -294,12 +305,13 @@ fn aggregators(plan: &Plan) -> Vec<&Address> {
 }
 
 fn summary(record: &Record) -> String {
-    let others = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
-    let others = others.map(|stage| (record.count(stage), stage));
-    let others = others.iter().filter(|(count, _)| *count > 0);
-    let others: Vec<String> = others.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
+    let unfinished_stages = [Stage::Failed, Stage::Interrupted, Stage::Running, Stage::Pending];
+    let unfinished_stages = unfinished_stages.map(|stage| (record.count(stage), stage));
+    let unfinished_stages = unfinished_stages.iter().filter(|(count, _)| *count > 0);
+    let unfinished_stages: Vec<String> =
+        unfinished_stages.map(|(count, stage)| format!(", {count} {}", stage.name())).collect();
     let runs = table::count(record.plan.runs.len(), "run");
-    format!("{} of {runs} finished{}", record.count(Stage::Finished), others.concat())
+    format!("{} of {runs} finished{}", record.count(Stage::Finished), unfinished_stages.concat())
 }
 
 /// Returns the failure for the selected runs, if any.

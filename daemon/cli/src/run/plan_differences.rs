@@ -22,9 +22,9 @@ fn compare(path: &str, before: &Value, now: &Value, differences: &mut Vec<String
         (Value::Object(before), Value::Object(now)) => {
             let keys = before.keys().chain(now.keys().filter(|key| !before.contains_key(*key)));
             for key in keys {
-                let inner = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
+                let inner_path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
                 compare(
-                    &inner,
+                    &inner_path,
                     before.get(key).unwrap_or(&Value::Null),
                     now.get(key).unwrap_or(&Value::Null),
                     differences,

@@ -21,7 +21,7 @@ use super::plan::Run;
 use super::sensors::Sensors;
 use super::state::Record;
 use super::table;
-use crate::compare::{difference_tables, differences, first_of_two, join_texts};
+use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
 
 /// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
@@ -46,7 +46,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         .caveats
         .extend(unfinished_runs_note(record.name.as_str(), stages).map(|note| format!("Shown {note}.")));
     // These are the differences that `peernet compare` prints.
-    let differences = differences(&comparison, &all, first_of_two(&comparison), SEED);
+    let differences = differences(&comparison, &all, default_baseline(&comparison), SEED);
     let tables = difference_tables(&comparison, &differences);
     let files = [
         ("txt", join_texts(comparison.text(), tables.iter().map(CaptionedTable::text))),

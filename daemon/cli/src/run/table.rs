@@ -48,9 +48,10 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
 
 /// Describes the number of runs to do and their duration.
 pub(super) fn describe_plan(to_do: &[Run], record: &Record, estimates: &Estimates) -> String {
-    let known: Vec<f64> = to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
-    let sum = duration(known.iter().sum());
-    let time = match to_do.len() - known.len() {
+    let known_durations: Vec<f64> =
+        to_do.iter().filter_map(|run| estimates.duration_s(run.configuration)).collect();
+    let sum = duration(known_durations.iter().sum());
+    let time = match to_do.len() - known_durations.len() {
         0 => format!("about {sum}"),
         1 if to_do.len() == 1 => "how long it takes is not known".to_owned(),
         unknown if unknown == to_do.len() => "how long they take is not known".to_owned(),

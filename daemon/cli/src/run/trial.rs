@@ -109,6 +109,8 @@ pub(super) async fn configurations(
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(exit) => {
+                // A trial that took as long as the timeout failed because it waited for the peer; a shorter one
+                // failed for another reason, which says nothing about the peer.
                 if duration_s >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
                     unreachable.extend(peer.map(|peer| (peer, exit.clone())));
                 }
@@ -116,6 +118,7 @@ pub(super) async fn configurations(
             }
             None => {}
         }
+        // A failed trial may have found conditions of the hosts, too.
         if let Some(loaded) = loaded {
             add_conditions(&loaded.record, &mut results.conditions);
         }
@@ -130,6 +133,8 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
     let configurations = indexes.iter().filter_map(|index| Some((*index, plan.configurations.get(*index)?)));
     for (index, configuration) in configurations {
         let order = order(configuration);
+        // `order` has removed everything from the agent's configuration that a trial does not test, so equal ones are
+        // the same trial.
         match trials.iter_mut().find(|trial| trial.order.agent == order.agent) {
             Some(trial) => trial.configurations.push(index),
             None => trials.push(Trial { order, configurations: vec![index] }),
@@ -166,12 +171,15 @@ fn peer(order: &Order) -> Option<Address> {
 /// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn order(configuration: &Configuration) -> Order {
     let mut agent = configuration.agent.clone();
+    // Dashboards show no trials.
     agent.agent.aggregator = None;
     for pipeline in &mut agent.pipelines {
         pipeline.limit = Limit { total: NonZeroU64::new(ITERATIONS), ..Limit::default() };
         pipeline.warm_up = WarmUp { iterations: 0, episodes: 0, steps: 0 };
         pipeline.episode_steps = None;
+        // A slow rate would only prolong the trial.
         pipeline.load = LoadConfig::Closed {};
+        // No robot moves before the user has confirmed the runs.
         pipeline.actuator = ActuatorConfig::default();
     }
     Order {
@@ -191,6 +199,7 @@ fn order(configuration: &Configuration) -> Order {
 /// Calculates the pace from the starts of the iterations and the duration of the process.
 fn pace(starts: &[f64], duration_s: f64) -> Option<Pace> {
     let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
+    // The shortest interval: the first iterations may include the loading of a model or a new connection.
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
     Some(Pace { iteration_s, overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0) })
 }

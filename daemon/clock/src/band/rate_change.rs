@@ -18,7 +18,7 @@ use super::drift::DriftChangeLimit;
 use super::hull;
 use super::slots::Point;
 
-/// Largest number of points of one side before a time, and after it: 12 s of slots.
+/// Largest number of points of one side that are used before the time of a bound, and as many after that time: 12 s of slots.
 // At the usual κ, older points give no better bound.
 pub(super) const MAX_POINTS_PER_SIDE: usize = 24;
 /// Longest distance in time over which a rate extends bounds: 13 days.
@@ -138,7 +138,8 @@ impl Side {
 
 /// Returns the best bound of a side at `q` by two points.
 fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) -> Option<i64> {
-    let (raised, lowered, others) = (&side.raised.points, &side.lowered.points, &opposite.raised.points);
+    let (raised, lowered, opposite_points) =
+        (&side.raised.points, &side.lowered.points, &opposite.raised.points);
     // Values are relative to an origin, because a large offset loses nanoseconds when it becomes a floating-point number.
     let origin = raised.first()?.bound;
     let half_limit = change.half_limit_per_nano();
@@ -175,10 +176,10 @@ fn best_bound(side: &Side, opposite: &Side, q: i64, change: DriftChangeLimit) ->
         }
     };
     for b in &lowered[..lowered.partition_point(|point| point.x <= q)] {
-        consider_tangent(*b, &mut others.iter().take_while(|a| a.x < b.x));
+        consider_tangent(*b, &mut opposite_points.iter().take_while(|a| a.x < b.x));
     }
     for b in &lowered[lowered.partition_point(|point| point.x < q)..] {
-        consider_tangent(*b, &mut others.iter().rev().take_while(|a| a.x > b.x));
+        consider_tangent(*b, &mut opposite_points.iter().rev().take_while(|a| a.x > b.x));
     }
     match best?.1 {
         BoundPair::Interpolated(a, b) => interpolate(a, b, q, change),

@@ -27,20 +27,20 @@ pub(super) struct Point {
 }
 
 impl Point {
-    /// Returns the bound at another time that follows from this point.
+    /// Returns the bound at another time `q` that follows from this point.
     #[inline]
     pub(super) fn bound_at(self, drift: DriftLimit, q: i64) -> i64 {
         self.bound.saturating_add(drift.max_change_between(self.x, q))
     }
 
-    /// Returns whether the cone at `q` is lower than `bound`. The first comparison is cheap and decides most cases.
+    /// Returns whether the bound at time `q` that follows from this point is lower than `bound`. The first comparison is cheap and decides most cases.
     #[inline]
     pub(super) fn is_below(self, bound: i64, drift: DriftLimit, q: i64) -> bool {
         self.bound < bound && self.bound_at(drift, q) < bound
     }
 }
 
-/// Returns the lowest cone at `q`; `None` without points.
+/// Returns the lowest bound at time `q` that a point gives; `None` without points.
 #[inline]
 pub(super) fn lowest_bound(
     points: impl DoubleEndedIterator<Item = Point>,
@@ -80,7 +80,7 @@ impl Slots {
         Self { drift, length: DEFAULT_SLOT_NANOS.max(retention / MAX_SLOTS), points: VecDeque::new() }
     }
 
-    /// Returns the lowest cone at `q` of the points within `reach` of `q`; `None` without such points.
+    /// Returns the lowest bound at time `q` that the points within `reach` of `q` give; `None` without such points.
     #[inline]
     pub(super) fn bound(&self, q: i64, reach: i64) -> Option<i64> {
         let is_near = |point: &&Point| point.x.abs_diff(q) <= reach.unsigned_abs();
@@ -111,7 +111,7 @@ impl Slots {
         self.points.truncate(self.points.partition_point(|point| point.x <= end));
     }
 
-    /// Returns whether any cone at `q` is lower than `bound`.
+    /// Returns whether the bound at time `q` that follows from any point is lower than `bound`.
     #[inline]
     pub(super) fn is_below(&self, bound: i64, q: i64) -> bool {
         self.points.iter().any(|point| point.is_below(bound, self.drift, q))

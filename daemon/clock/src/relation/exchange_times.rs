@@ -40,7 +40,7 @@ impl ExchangeTimes {
         }
     }
 
-    /// Returns whether an exchange took place from `within` before `from` to `within` after `to`.
+    /// Returns whether an exchange took place between `from - within` and `to + within`.
     pub(super) fn has_exchange_near(&self, from: RawTime, to: RawTime, within: Span) -> bool {
         let (from, to) = (from - within, to + within);
         let index = self.times.partition_point(|time| *time < from);

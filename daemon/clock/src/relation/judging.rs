@@ -114,7 +114,7 @@ impl Relation {
     /// Returns the interval of each source at a time. `estimate`, if given, replaces the band's own estimate.
     pub(super) fn offset_sources(&self, at: RawTime, estimate: Option<Span>) -> OffsetSources {
         let band = self.windows.interval(at);
-        let in_band = band.map(|band| {
+        let band_offset = band.map(|band| {
             let estimate = match estimate {
                 Some(estimate) => estimate.clamp(band.interval.lo, band.interval.hi),
                 None => self.windows.estimate(at, band),
@@ -124,7 +124,7 @@ impl Relation {
         let same_clock = self.same_clock.then_some((DelaySource::SameClock, Interval::exactly(Span::ZERO)));
         let claimed_offset = || self.claims.offset().filter(|_| self.settings.trust_time_daemons);
         OffsetSources {
-            in_band,
+            band_offset,
             is_consistent: band.is_none_or(|band| band.is_consistent),
             other: same_clock.or_else(claimed_offset),
         }

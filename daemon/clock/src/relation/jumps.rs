@@ -56,7 +56,8 @@ struct RoundTripPoint {
 pub(super) struct SuspectedJump {
     /// Movement of the middle.
     pub(super) movement: Span,
-    /// Times at which the last earlier exchange that would have shown the jump was sent and returned.
+    /// Times at which the last exchange before the jump was sent and returned. Only exchanges that could have shown the jump
+    /// are considered.
     pub(super) last_before: (RawTime, RawTime),
 }
 
@@ -89,7 +90,8 @@ impl ShortestRoundTrips {
         let exceeds_explanations = |earlier: &&RoundTripPoint| {
             let movement = movement_from(earlier).abs();
             let by_waiting = extra_round_trip.saturating_add(earlier.round_trip - self.shortest) / 2;
-            // The middle belongs to the bounds at two times, between which the offset drifts.
+            // The two bounds of an exchange hold at different times: when it was sent, and when it returned. The offset may drift
+            // between all of these times.
             let by_drift = drift.max_change_between(
                 earlier.sent.min(point.sent).nanos(),
                 earlier.returned.max(point.returned).nanos(),
@@ -124,7 +126,8 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // By the clock that stamped its departure, the exchange returned later by as much as it seems shorter.
+                // On the clock before the jump, which stamped its departure, the exchange returned later by the amount by
+                // which it seems shorter.
                 let delay = Span::from_nanos(deficit.saturating_add(max_explained));
                 self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short

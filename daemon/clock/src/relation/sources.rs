@@ -22,11 +22,11 @@ impl Claims {
 /// Intervals of the offset at one time, by source.
 #[derive(Clone, Debug)]
 pub(super) struct OffsetSources {
-    /// The band and the estimate within it.
-    pub(super) in_band: Option<(Interval, Span)>,
-    /// `true` if some offset agrees with all exchanges and both assumptions.
+    /// The bounds that the exchanges prove (the band), and the estimate within these bounds.
+    pub(super) band_offset: Option<(Interval, Span)>,
+    /// `true` if some offset agrees with all exchanges, the limit of drift and the limit of the drift's change.
     pub(super) is_consistent: bool,
-    /// A proof of one clock, or the claims of both hosts' time daemons together.
+    /// The proof that both hosts read the same clock, or the claims of both hosts' time daemons together.
     pub(super) other: Option<(DelaySource, Interval)>,
 }
 
@@ -45,7 +45,7 @@ pub(super) struct CombinedOffset {
 impl OffsetSources {
     /// Returns each source with its interval, the band first.
     pub(super) fn sources(&self) -> Vec<(DelaySource, Interval)> {
-        self.in_band.map(|(band, _)| (DelaySource::InBand, band)).into_iter().chain(self.other).collect()
+        self.band_offset.map(|(band, _)| (DelaySource::InBand, band)).into_iter().chain(self.other).collect()
     }
 
     /// Returns the combination of the sources; `None` if there is no source.
@@ -56,7 +56,7 @@ impl OffsetSources {
 
     /// Returns the intersection of the sources, or their hull if they do not overlap.
     fn intersect(&self) -> Option<CombinedOffset> {
-        let ((band, estimate), (source, other)) = match (self.in_band, self.other) {
+        let ((band, estimate), (source, other)) = match (self.band_offset, self.other) {
             (None, None) => return None,
             (Some((bounds, estimate)), None) => {
                 return Some(CombinedOffset {
@@ -74,7 +74,7 @@ impl OffsetSources {
                     is_consistent: true,
                 });
             }
-            (Some(in_band), Some(other)) => (in_band, other),
+            (Some(band_offset), Some(other)) => (band_offset, other),
         };
         let Some(bounds) = band.intersection(other) else {
             // Averaging the sources would hide that one of them is wrong.

@@ -93,7 +93,7 @@ fn join_counts(counts: impl IntoIterator<Item = (usize, &'static str)>) -> Optio
     (!counts.is_empty()).then(|| format!("left out: {}", counts.join(", ")))
 }
 
-/// Returns a title followed by the name of the run, if the run has a name.
-pub(super) fn with_run_name(title: &str, run_name: &str) -> String {
-    if run_name.is_empty() { title.to_owned() } else { format!("{title} · {run_name}") }
+/// Returns a title followed by the name of a run or link, if it has a name.
+pub(super) fn with_name(title: &str, name: &str) -> String {
+    if name.is_empty() { title.to_owned() } else { format!("{title} · {name}") }
 }

@@ -2,7 +2,7 @@
 
 use peernet_logger::stage;
 
-use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
@@ -30,7 +30,7 @@ pub(super) fn drawings(
             return Err(MissingData::Column(column.to_owned()));
         }
         let figure = Cumulative {
-            title: with_run_name(&title, &record.title),
+            title: with_name(&title, &record.title),
             unit: unit(&record.units, column, &title),
             notes: notes(rows, &[column], &curve.values),
             curves: vec![curve],
@@ -56,7 +56,7 @@ pub(super) fn drawings(
         stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
     let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
     let figure = Cumulative {
-        title: with_run_name("Cumulative distributions", &record.title),
+        title: with_name("Cumulative distributions", &record.title),
         unit: Unit::milliseconds("Latency"),
         curves,
         notes,

@@ -3,7 +3,7 @@
 use peernet_statistics::number::{fixed, range_ms, throughput_between};
 use peernet_stream::PlacementKind;
 
-use super::columns::{count_note, heading, too_large_note, unit, values, with_run_name};
+use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::Histogram;
@@ -49,7 +49,7 @@ fn histogram(record: &RunRecord, rows: &Rows, column: &str, title: &str) -> Hist
     notes.extend(clock_bounds_note(rows, column));
     notes.extend(negative_delays_note(column, &values));
     Histogram {
-        title: with_run_name(title, &record.title),
+        title: with_name(title, &record.title),
         unit: unit(&record.units, column, title),
         stage: column.to_owned(),
         values,

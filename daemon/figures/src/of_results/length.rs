@@ -1,7 +1,7 @@
 //! Response length against latency.
 
 use super::Columns;
-use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_run_name};
+use super::columns::{count_note, heading, is_drawable, too_large_note, unit, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Lengths, Unit};
@@ -52,7 +52,7 @@ pub(super) fn drawings(
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };
     let lengths = Lengths {
-        title: with_run_name(
+        title: with_name(
             &format!("{} against {}", heading(&y), x_words.replace(['-', '_'], " ")),
             &record.title,
         ),

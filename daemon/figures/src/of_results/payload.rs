@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
 
-use super::columns::{excluded_note, is_drawable, too_large_note, with_run_name};
+use super::columns::{excluded_note, is_drawable, too_large_note, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Parts, Scaling, Series, Unit, Value};
@@ -95,7 +95,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     // The first figure has the notes on links that have no figure.
     let others = others.into_iter().flat_map(|study| {
         let link_name = study.link_name;
-        study.missing.into_iter().map(move |missing| with_run_name(&missing, &link_name))
+        study.missing.into_iter().map(move |missing| with_name(&missing, &link_name))
     });
     if let Some(first) = studies.first_mut() {
         first.missing.extend(others);
@@ -108,7 +108,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let latency = Drawing::new(format!("payload-latency{suffix}"), AnyFigure::Scaling(latency(study)));
         let throughput =
             Drawing::new(format!("payload-throughput{suffix}"), AnyFigure::Scaling(throughput(study)));
-        // The text files of both figures have these notes. The list of what is left out, which is printed once, gets them from one figure.
+        // The text files of both figures have these notes. Only one figure passes them on to the printed list, so that each is printed once.
         [latency.with_left_out(study.missing.clone()), throughput]
     });
     Ok(drawings.collect())
@@ -318,7 +318,7 @@ fn latency(study: &Study) -> Scaling {
         Series { line, ..direction.series(name, &value) }
     });
     Scaling {
-        title: with_run_name("One-way delay against payload", &study.link_name),
+        title: with_name("One-way delay against payload", &study.link_name),
         unit: Unit::milliseconds("One-way delay"),
         parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
         notes: study.notes(),
@@ -348,7 +348,7 @@ fn throughput(study: &Study) -> Scaling {
         Series { line: direction.rate().map(|(rate, _)| (rate, 0.0)), ..direction.series(name, &value) }
     });
     Scaling {
-        title: with_run_name("Throughput against payload", &study.link_name),
+        title: with_name("Throughput against payload", &study.link_name),
         unit: Unit::megabytes_per_second("Throughput"),
         parts: Parts {
             point: "size ÷ median delay",

@@ -2,7 +2,7 @@
 
 use peernet_logger::{Name, stage};
 
-use super::columns::{count_note, is_drawable, too_large_note, with_run_name};
+use super::columns::{count_note, is_drawable, too_large_note, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
@@ -45,7 +45,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let episode_start =
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
     let time_series = TimeSeries {
-        title: with_run_name("Latency over time", &record.title),
+        title: with_name("Latency over time", &record.title),
         x_is_iteration: x == ITERATION,
         x: x.to_owned(),
         unit: Unit::milliseconds("Latency"),

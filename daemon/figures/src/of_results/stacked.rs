@@ -37,7 +37,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let has_part = |name: &Name| bars.iter().any(|(_, bar)| bar.mean(name).is_some());
     let stages: Vec<Name> = part_order().filter(has_part).collect();
     let mut notes = vec![format!(
-        "configurations: {} · parts: means · whisker and figures: mean ± standard deviation of the {}",
+        "configurations: {} · parts: means · whisker and numbers: mean ± standard deviation of the {}",
         axes.join(", "),
         if total == "total" { "measured total" } else { "sum of stages" }
     )];
@@ -50,7 +50,7 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     notes.extend(too_large_note(all_rows(), &columns));
     if stages.iter().any(|stage| *stage == LATENESS) {
         notes.push(
-            "late start: from the intended start to the actual start · unattributed: without it".to_owned(),
+            "late start: from the intended start to the actual start · unattributed: the rest of the total, without the late start".to_owned(),
         );
     }
     if omitted_groups > 0 {

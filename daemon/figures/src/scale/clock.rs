@@ -2,7 +2,7 @@
 
 /// Distances between two marks, seconds.
 const STEPS: [i64; 9] = [60, 120, 300, 600, 1_800, 3_600, 7_200, 14_400, 86_400];
-/// Maximum number of steps on an axis. An axis longer than this number of the longest steps has more.
+/// Maximum number of steps on an axis. Only an axis longer than this number of days has more steps.
 const MAX_STEPS: i64 = 12;
 /// Minimum distance of a mark from an end, as a share of the axis. The label of a nearer mark would extend beyond the axis.
 const MIN_END_DISTANCE: f64 = 0.015;

@@ -45,7 +45,7 @@ fn model_is_loaded_once_and_shared() {
 fn echo_answers_with_payload_or_configured_size() {
     let bank = bank(&[ECHO, "name = \"short\"\nkind = \"echo\"\nanswer_bytes = 3"]);
     let echo = loaded(&bank, "echo");
-    assert!(!echo.blocks());
+    assert!(!echo.runs_on_threads());
     assert_eq!(run(&echo, bytes(1000)).result, Ok(bytes(1000)));
     let short = run(&loaded(&bank, "short"), bytes(1000)).result.expect("echoes");
     assert_eq!(short.payload_bytes(), 3);

@@ -109,7 +109,7 @@ fn configured_model_has_priority_over_folder_model() {
         .with_folders(config(root.path(), ""));
     assert_eq!(bank.offered_names(), [slug("echo"), slug("plates")]);
     assert_eq!(bank.default_model().expect("the configured one"), slug("echo"));
-    assert!(!bank.load(&slug("echo"), None).expect("is there").blocks(), "the one that echoes");
+    assert!(!bank.load(&slug("echo"), None).expect("is there").runs_on_threads(), "the one that echoes");
     assert!(bank.load(&slug("calibration"), None).is_ok());
 }
 

@@ -31,6 +31,7 @@ impl<'a> Reader<'a> {
         let mut reader = Self { rest: bytes, length: bytes.len() };
         let field_count = reader.array(item)?;
         match reader.uint("a version")? {
+            // The version decides first: another version may have another number of fields.
             VERSION if field_count == fields => Ok(reader),
             VERSION => Err(WireError::Malformed { at: 0, expected: item }),
             other => Err(WireError::Version(other)),
@@ -109,6 +110,7 @@ impl<'a> Reader<'a> {
     fn text(&mut self, expected: &'static str) -> ReadResult<&'a str> {
         let error = self.malformed(expected);
         let length = decode::read_str_len(&mut self.rest).map_err(|_| error)? as usize;
+        // Refused and not truncated: two names could become the same.
         if length > MAX_NAME_BYTES {
             return Err(WireError::Limit { what: "bytes of a name", found: length, limit: MAX_NAME_BYTES });
         }
@@ -120,6 +122,7 @@ impl<'a> Reader<'a> {
     fn name(&mut self) -> ReadResult<Name> {
         let error = self.malformed("a name");
         match self.marker() {
+            // A standard name is written as its number, which takes one or two bytes.
             Some(Marker::FixPos(_) | Marker::U8) => stage::decode(self.uint("a name")?).ok_or(error),
             _ => self.text("a name").map(Name::from),
         }

@@ -170,7 +170,7 @@ pub(crate) struct Reply {
 
 /// A part of an answer. Exists since [`PARTIAL_REPLIES_SINCE`](super::PARTIAL_REPLIES_SINCE).
 ///
-/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost one only arrives later.
+/// The reply repeats the whole answer. An edge can therefore ignore partial replies, and the content of a lost partial reply only arrives later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PartialReply {
     pub(crate) session: SessionId,
@@ -252,6 +252,7 @@ impl Header {
             _ => rmp_serde::encode::write_named(&mut wire, self),
         };
         written.map_err(|error| HeaderError::NotEncodable(error.to_string()))?;
+        // The peer would refuse the header, so the error is reported where the cause is known.
         if wire.len() > MAX_HEADER_BYTES { Err(HeaderError::TooLong(wire.len())) } else { Ok(wire.into()) }
     }
 
@@ -264,6 +265,7 @@ impl Header {
             return Err(HeaderError::Oversize(wire.len()));
         }
         let mut reader = rmp_serde::Deserializer::new(wire);
+        // A deeply nested header could exhaust the stack.
         reader.set_max_depth(MAX_DEPTH);
         // A later version may change everything in a hello except its versions. An unreadable hello is therefore
         // reported as a version mismatch where its versions show one.
@@ -295,6 +297,7 @@ fn version_mismatch(wire: &[u8]) -> Option<VersionMismatch> {
         #[serde(flatten)]
         versions: VersionRange,
     }
+    // Only the names on the way to the versions are read; everything else may have changed.
     let MessageVersions::Open(open) = rmp_serde::from_slice(wire).ok()?;
     SESSION_VERSIONS.highest_common(&open.hello.versions).err()
 }

@@ -222,6 +222,7 @@ fn deserialize_hardware<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Ha
         Hardware::deserialize(deserializer)?;
     let shorten = |text: String| to_printable(&text.chars().take(MAX_TEXT_CHARS).collect::<String>());
     Ok(Hardware {
+        // Shortened and not refused: an unusual text must not prevent a session.
         cpu: shorten(cpu),
         cores,
         memory_bytes,

@@ -8,7 +8,7 @@ use bytes::Bytes;
 use crate::transport::Frames;
 
 /// Counts the bytes of requests from their arrival until their last owner drops them. The last owner is the model, or
-/// the network if it still sends the bytes back.
+/// the network while it sends the bytes back.
 ///
 /// If many large requests arrive at once, some are answered with "overloaded", so that they do not fill the memory.
 #[derive(Debug)]

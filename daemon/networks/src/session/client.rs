@@ -55,6 +55,8 @@ pub(crate) fn classify_answer(header: Header) -> HelloOutcome {
                 Err(mismatch) => HelloOutcome::Incompatible(mismatch),
             }
         }
+        // The versions and not the kind decide: a cloud that calls itself incompatible with a common version has
+        // another reason.
         Header::Refused(Refused { versions, kind: RefusalKind::Incompatible, reason }) => {
             match SESSION_VERSIONS.highest_common(&versions) {
                 Ok(_) => HelloOutcome::Refused(reason),
@@ -109,6 +111,7 @@ impl<W> ClientSession<W> {
         if let Some(reason) = &self.close_reason {
             return Err(reason.clone());
         }
+        // Numbers are not reused, so that a late answer cannot be taken for the answer to another request.
         let request = self.next_request;
         self.next_request += 1;
         self.waiters.insert(request, waiter);
@@ -180,6 +183,7 @@ impl<W> ClientSession<W> {
 
     /// Ends the session; the first reason is kept. Returns the waiters that get no answer.
     pub(crate) fn end(&mut self, reason: CloseReason) -> Vec<W> {
+        // Later reasons are consequences of the first one.
         self.close_reason.get_or_insert(reason);
         self.waiters.drain().map(|(_, waiter)| waiter).collect()
     }

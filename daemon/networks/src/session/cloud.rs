@@ -1,7 +1,7 @@
 //! The cloud's driver of the session protocol: all sessions of a port.
 //!
 //! ```text
-//! cloud                 the port: binds it, returns arrivals, closes it
+//! cloud                 the port: binds it, returns its events, closes it
 //! cloud/listener_state  state that the listener shares with all answers in progress
 //! cloud/requests        effects of an edge's message
 //! cloud/answers         the wire form of an answer, and the number of answers that are being sent
@@ -26,7 +26,7 @@ use super::bind_error::BindError;
 use super::incoming::{ArrivalStamp, Incoming};
 use crate::message::SessionId;
 use crate::statistics::{ConnectionStatistics, TransportStatistics};
-use crate::transport::{Arrival, BindFailure, CloudReceiver};
+use crate::transport::{BindFailure, CloudReceiver, ListenerEvent};
 use crate::{Address, SessionSettings};
 
 /// A port on which edges open sessions.
@@ -118,7 +118,7 @@ impl Listener {
         Announcer::new(Arc::downgrade(&self.shared))
     }
 
-    /// Waits for the next arrival. `None` means that the socket is closed. Cancel safe: dropping the future loses
+    /// Waits for the next event. `None` means that the socket is closed. Cancel safe: dropping the future loses
     /// nothing.
     pub async fn next(&mut self) -> Option<Incoming> {
         loop {
@@ -126,7 +126,7 @@ impl Listener {
                 return Some(Incoming::Closed { session, said_goodbye: false, planned_iterations: None });
             }
             match self.receiver.receive().await? {
-                Arrival::Message(peer, frames) => {
+                ListenerEvent::Message(peer, frames) => {
                     // This epoch is read before the arrival is stamped, and the epoch of the answer after its departure
                     // is stamped. If both are equal, no step of the clock lies between the two stamps.
                     let (epoch, wall_epoch) = (self.shared.clock.epoch(), self.shared.clock.wall_epoch());
@@ -138,31 +138,31 @@ impl Listener {
                         return Some(incoming);
                     }
                 }
-                Arrival::Incomplete(connection, loss) => {
+                ListenerEvent::Incomplete(connection, loss) => {
                     tracing::debug!(?connection, %loss, "a message of an edge was lost on the way");
                 }
-                Arrival::Lost(connection, loss) => {
+                ListenerEvent::Lost(connection, loss) => {
                     tracing::debug!(?connection, %loss, "an answer was lost on the way");
                     self.shared.output.counters.count_lost(1);
-                    if let Some(counters) = self.shared.server().connection_counters(connection) {
+                    if let Some(counters) = self.shared.lock_server().connection_counters(connection) {
                         counters.count_lost(1);
                     }
                 }
-                Arrival::Moved(connection, address) => {
+                ListenerEvent::Moved(connection, address) => {
                     tracing::debug!(?connection, %address, "an edge has another address");
-                    self.shared.server().update_address(connection, address);
+                    self.shared.lock_server().update_address(connection, address);
                 }
-                Arrival::Gone(connection, reason) => {
-                    let sessions = self.shared.server().remove_connection(connection);
+                ListenerEvent::Gone(connection, reason) => {
+                    let sessions = self.shared.lock_server().remove_connection(connection);
                     tracing::debug!(reason, sessions = sessions.len(), "an edge's connection ended");
                     self.closed.extend(sessions);
                 }
-                Arrival::Remark(connection, text) => {
-                    let session = self.shared.server().first_session(connection);
+                ListenerEvent::Remark(connection, text) => {
+                    let session = self.shared.lock_server().first_session(connection);
                     return Some(Incoming::Remark { session, text });
                 }
-                Arrival::Refused(host, text) => return Some(Incoming::Refused { host, text }),
-                Arrival::InvalidData(address, problem) => {
+                ListenerEvent::Refused(host, text) => return Some(Incoming::Refused { host, text }),
+                ListenerEvent::InvalidData(address, problem) => {
                     // The transport has already logged it with its reason.
                     tracing::debug!(?address, problem, "dropped invalid data from a peer");
                     self.shared.output.counters.count_malformed();
@@ -176,13 +176,13 @@ impl Listener {
     pub async fn close(self) {
         let wait = self.settings.close_timeout();
         if tokio::time::timeout(wait, self.shared.wait_until_idle()).await.is_err() {
-            let in_flight = self.shared.server().in_flight();
+            let in_flight = self.shared.lock_server().in_flight();
             tracing::warn!(
                 in_flight,
                 "the close timeout has passed; closing the port while requests are still being computed"
             );
         }
-        let goodbyes = self.shared.server().end_all_sessions("the cloud shuts down");
+        let goodbyes = self.shared.lock_server().end_all_sessions("the cloud shuts down");
         for (peer, header) in goodbyes {
             self.shared.send_message(&peer, &header);
         }

@@ -81,6 +81,7 @@ impl Session {
             terms: SessionTerms {
                 session: accepted.session,
                 version: accepted.protocol,
+                // The cloud would refuse a larger message after it has crossed the network.
                 max_message_bytes: accepted.max_message_bytes.min(settings.max_message_bytes),
             },
             requests: RequestsInFlight::new(accepted.session, slots as usize),
@@ -178,6 +179,7 @@ impl Session {
         };
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + MAX_REQUEST_TIMEOUT);
+        // The slot is held until the function returns, with the answer or without.
         let _slot = match shared.requests.acquire_slot(&mut exchange.recorder, deadline).await {
             Ok(slot) => slot,
             Err(error) => return Exchange { result: Err(error), ..exchange },

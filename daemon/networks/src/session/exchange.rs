@@ -37,7 +37,7 @@ pub struct Exchange {
 }
 
 /// Error bound of an exchange's stamps. A stamp may be wrong to the unsafe side by the resolution of its clock: up to
-/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and they travel as whole
+/// 53 ns for the counters of arm64, which run at 19.2 MHz or more. Two stamps bound an offset, and both are sent in whole
 /// nanoseconds.
 const UNCERTAINTY: Span = Span::from_nanos(2 * 53);
 
@@ -178,9 +178,11 @@ pub(crate) fn absorb(
         return Ok(None);
     };
     let mut delta = decode_tree_delta(delta)?;
+    // The cloud may close only the node of this request's upload.
     if delta.closed.0 != departed.upload {
         return Err(TreeDeltaError::OtherNodeClosed);
     }
+    // Otherwise a cloud could add nodes in the name of another host.
     if delta.anchor.host != cloud {
         return Err(TreeDeltaError::OtherHost);
     }
@@ -234,6 +236,7 @@ fn observation(
     departure: Departure,
     arrived: &ArrivedReply,
 ) -> Option<ExchangeObservation> {
+    // A step between the stamps would look like a part of the offset.
     if departed.epoch != arrived.epoch || arrived.reply.arrival_epoch != departure.epoch {
         return None;
     }

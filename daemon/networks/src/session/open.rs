@@ -8,7 +8,7 @@ use super::client::{HelloOutcome, classify_answer};
 use super::exchange::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
-use crate::transport::{DialContext, DialFailure, EdgeArrival, EdgeConnection, SendOptions};
+use crate::transport::{DialContext, DialFailure, EdgeConnection, EdgeEvent, SendOptions};
 use crate::{Address, SessionSettings};
 
 /// Reason why a session could not be opened.
@@ -118,7 +118,7 @@ pub(crate) async fn handshake(
         let frames = timeout_at(deadline, connection.receiver.receive()).await;
         // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
         let reason = match frames {
-            Ok(Ok(EdgeArrival::Message(frames))) => {
+            Ok(Ok(EdgeEvent::Message(frames))) => {
                 counters.count_received(Sizes::from_frames(&frames).total());
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
                 match classify_answer(header) {
@@ -135,13 +135,13 @@ pub(crate) async fn handshake(
                     HelloOutcome::Unrelated => continue,
                 }
             }
-            Ok(Ok(EdgeArrival::Remark(text))) => {
+            Ok(Ok(EdgeEvent::Remark(text))) => {
                 remarks.push(text);
                 continue;
             }
             // The transport repeats the messages that open a session.
-            Ok(Ok(EdgeArrival::Incomplete(_) | EdgeArrival::Lost(_))) => continue,
-            Ok(Ok(EdgeArrival::InvalidData(_))) => {
+            Ok(Ok(EdgeEvent::Incomplete(_) | EdgeEvent::Lost(_))) => continue,
+            Ok(Ok(EdgeEvent::InvalidData(_))) => {
                 counters.count_malformed();
                 continue;
             }
@@ -149,7 +149,7 @@ pub(crate) async fn handshake(
             Err(_) => format!("no answer arrived within {waited_ms} ms"),
         };
         let address = address.clone();
-        return Err(match connection.is_cloud {
+        return Err(match connection.peer_is_cloud {
             true => OpenError::Unanswered { address, reason },
             false => OpenError::TimedOut { address, waited_ms },
         });

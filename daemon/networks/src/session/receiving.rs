@@ -12,7 +12,7 @@ use super::parts::PartHandler;
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header, PartialReply, PartsRead};
-use crate::transport::{Disconnected, EdgeArrival, EdgeReceiver, Frames, MessageLoss};
+use crate::transport::{Disconnected, EdgeEvent, EdgeReceiver, Frames, MessageLoss};
 
 impl SessionState {
     /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
@@ -118,23 +118,23 @@ impl ReceivingTask {
                     biased;
                     () = &mut stop => break CloseReason::Local,
                     message = receiver.receive() => match message {
-                        Ok(EdgeArrival::Message(frames)) => {
+                        Ok(EdgeEvent::Message(frames)) => {
                             let arrived = self.shared.clock.stamp();
                             if let Some(reason) = self.shared.receive(frames, arrived) {
                                 break reason;
                             }
                         }
-                        Ok(EdgeArrival::Incomplete(loss)) => {
+                        Ok(EdgeEvent::Incomplete(loss)) => {
                             self.shared.lose_request(loss, "the answer was lost on the way");
                         }
-                        Ok(EdgeArrival::Lost(loss)) => {
+                        Ok(EdgeEvent::Lost(loss)) => {
                             self.shared.lose_request(loss, "it was lost on the way to the cloud");
                         }
-                        Ok(EdgeArrival::InvalidData(problem)) => {
+                        Ok(EdgeEvent::InvalidData(problem)) => {
                             tracing::debug!(problem, "dropped invalid data from the cloud's address");
                             self.shared.counters.count_malformed();
                         }
-                        Ok(EdgeArrival::Remark(text)) => self.shared.remarks.add(text),
+                        Ok(EdgeEvent::Remark(text)) => self.shared.remarks.add(text),
                         Err(Disconnected(reason)) => break CloseReason::Broken(reason),
                     },
                 }

@@ -99,9 +99,9 @@ pub(crate) struct Route {
 /// Result of ending a request: whether its answer is sent.
 #[derive(Debug)]
 pub(crate) enum FinishedRequest {
-    /// It is sent to the edge.
+    /// The answer is sent to the edge.
     Send(Route),
-    /// The edge does not wait for it any more.
+    /// The edge does not wait for the answer any more.
     Cancelled,
     /// The session is gone, or the request had its answer already.
     Unknown,
@@ -143,6 +143,7 @@ impl Server {
             }
             Header::Goodbye(goodbye) => {
                 if self.find_own_session(peer, goodbye.session).is_none() {
+                    // A goodbye needs no answer, and another connection must not end the session.
                     return EdgeMessage::Malformed("a goodbye of an unknown session");
                 }
                 self.remove_session(goodbye.session);
@@ -185,6 +186,7 @@ impl Server {
         if let Some(reason) = self.check_session_limits(peer, open.hello.host) {
             return EdgeMessage::Answer(Self::refusal(reason));
         }
+        // Random, so that nobody can guess the session of another edge.
         let session = SessionId::random();
         let entry = SessionEntry {
             peer: peer.clone(),
@@ -204,7 +206,7 @@ impl Server {
     /// may be opened.
     ///
     /// One host may have half of the sessions that other hosts leave free, so that one host cannot take all. Several
-    /// hosts may share an address, which may have three quarters.
+    /// hosts may share an address, so an address may have three quarters of these sessions.
     fn check_session_limits(&self, peer: &Peer, host: HostId) -> Option<String> {
         let (open_sessions, max) = (self.sessions.len(), self.max_sessions);
         if open_sessions >= max {
@@ -212,6 +214,7 @@ impl Server {
                 "the cloud has {open_sessions} sessions already; close some or raise max_sessions there"
             ));
         }
+        // Sessions that are not accepted yet count, too; otherwise many could be opened at once.
         let host_sessions = self.sessions.values().filter(|entry| entry.host == host).count();
         let free = max - (open_sessions - host_sessions);
         // Rounded up, so that the last free session can be opened.
@@ -275,6 +278,7 @@ impl Server {
             }));
         }
         match entry.in_flight.0.entry(number) {
+            // The answers could not be distinguished.
             Entry::Occupied(_) => EdgeMessage::Malformed("a request whose number is in flight already"),
             Entry::Vacant(free) => {
                 free.insert(Arc::default());
@@ -327,6 +331,7 @@ impl Server {
         mut accepted: SessionAccepted,
     ) -> Option<(Peer, Header)> {
         let entry = self.sessions.get_mut(&session)?;
+        // Set before the message is sent: the edge may send a request as soon as it has the message.
         entry.accepted = true;
         if let Some(clock) = &self.clock {
             accepted.host_clock.clone_from(clock);

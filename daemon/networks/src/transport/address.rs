@@ -18,7 +18,7 @@ use super::NetworkKind;
 /// The host is a name, an IPv4 address, or an IPv6 address in brackets. `0.0.0.0` and `[::]` listen on all interfaces.
 /// With port 0 the system chooses a port. In networks where a third program lets peers find each other, as in
 /// `ros1://master:11311/name`, host and port belong to that program and the name identifies the listener. In a
-/// domain, as in `ros2://7/name`, there is no such program.
+/// ROS 2 domain, as in `ros2://7/name`, there is no such program.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Address {
@@ -89,7 +89,7 @@ impl Scheme {
 enum Host {
     Ip(IpAddr),
     Name(String),
-    /// Number of a domain.
+    /// Number of a ROS 2 domain.
     Domain(u16),
 }
 
@@ -144,7 +144,7 @@ pub enum AddressProblem {
     /// The port is above 65,535.
     #[error("port {0} is above 65535")]
     PortTooLarge(String),
-    /// The domain is not the number of a domain.
+    /// The text in place of host and port is not the number of a ROS 2 domain.
     #[error("{0:?} is not a domain; ROS 2 has the domains 0 to {max}", max = Ros2Settings::MAX_DOMAIN_ID)]
     InvalidDomain(String),
     /// The listener's name cannot be part of a topic name.
@@ -179,8 +179,8 @@ impl Address {
         Self { scheme: self.scheme, host: Host::Ip(ip), port, name: self.name.clone() }
     }
 
-    /// Returns the domain of the listener, if the address has one.
-    pub const fn domain(&self) -> Option<u16> {
+    /// Returns the ROS 2 domain of the listener; `None` if the address has a host and a port instead.
+    pub const fn ros_domain(&self) -> Option<u16> {
         match &self.host {
             Host::Domain(domain) => Some(*domain),
             Host::Ip(_) | Host::Name(_) => None,
@@ -315,6 +315,7 @@ fn parse(text: &str) -> Result<Address, AddressProblem> {
 }
 
 fn parse_domain(text: &str) -> Result<u16, AddressProblem> {
+    // The parser of the standard library accepts a plus sign.
     let number = text.parse().ok().filter(|_| text.bytes().all(|byte| byte.is_ascii_digit()));
     let domain = number.filter(|number| *number <= Ros2Settings::MAX_DOMAIN_ID);
     domain.ok_or_else(|| AddressProblem::InvalidDomain(text.to_owned()))

@@ -3,7 +3,7 @@
 //! A new transport is one file here, registered in [`NetworkKind`]. The scheme of an address selects the network.
 //!
 //! A transport delivers whole messages. It also reports messages that are incomplete or lost and bytes that are invalid
-//! ([`EdgeArrival`], [`Arrival`]). The tag of a message is the number of its request, so that a loss ends that request
+//! ([`EdgeEvent`], [`ListenerEvent`]). The tag of a message is the number of its request, so that a loss ends that request
 //! alone.
 
 mod address;
@@ -46,6 +46,7 @@ use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
 /// Defines the enum of all networks from lines `Variant = "name" at "scheme" in module`. A network with several schemes
 /// lists them all, as in `at "ros1" | "ros2"`; its module reads the scheme from the address.
+// A macro and not a trait object: the kind is a plain value that is stored, compared and serialised.
 macro_rules! networks {
     ($($(#[$about:meta])* $variant:ident = $name:literal at $($scheme:literal)|+ in $module:ident;)*) => {
         /// The networks over which samples can be sent.
@@ -222,7 +223,7 @@ pub(crate) struct EdgeConnection {
     /// Receives messages, in one task.
     pub(crate) receiver: Box<dyn EdgeReceiver>,
     /// `true` if the other end has identified itself as a cloud. Otherwise another program may listen there.
-    pub(crate) is_cloud: bool,
+    pub(crate) peer_is_cloud: bool,
 }
 
 /// The sending half of the edge's end.
@@ -248,7 +249,7 @@ pub(crate) trait EdgeSender: Send + Sync + fmt::Debug {
 
 /// Event at the edge's end of a connection.
 #[derive(Debug)]
-pub(crate) enum EdgeArrival {
+pub(crate) enum EdgeEvent {
     /// A whole message arrived.
     Message(Frames),
     /// A message from the cloud did not arrive as a whole.
@@ -270,7 +271,7 @@ pub(crate) struct Disconnected(pub(crate) String);
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {
     /// Waits for the next event. An error means that the connection has ended. Cancel safe: dropping the future loses
     /// nothing.
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>>;
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>>;
 
     /// Closes the connection after all messages have been sent, or after `linger`.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
@@ -310,7 +311,7 @@ pub(crate) trait CloudSender: Send + Sync + fmt::Debug {
 pub(crate) trait CloudReceiver: Send + fmt::Debug {
     /// Waits for the next event. `None` means that the socket is closed. Cancel safe: dropping the future loses
     /// nothing.
-    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>>;
+    fn receive(&mut self) -> BoxFuture<'_, Option<ListenerEvent>>;
 
     /// Closes all connections after all messages have been sent, or after `linger`.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;
@@ -318,7 +319,7 @@ pub(crate) trait CloudReceiver: Send + fmt::Debug {
 
 /// Event at a listening transport.
 #[derive(Debug)]
-pub enum Arrival {
+pub enum ListenerEvent {
     /// A whole message arrived.
     Message(Peer, Frames),
     /// A message from a peer did not arrive as a whole.

@@ -20,8 +20,8 @@ use zeromq::{
 use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
-    AddressForm, Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialContext,
-    DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames, HostChecks,
+    AddressForm, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialContext, DialFailure,
+    Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames, HostChecks, ListenerEvent,
     Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
@@ -132,9 +132,9 @@ pub(crate) async fn dial(
         }
     };
     let receiver = DealerReceiver { socket: socket.clone(), monitor, end_reason: None };
-    // `is_cloud` is `false`, because every ROUTER accepts the connection, also the ROUTER of an aggregator.
+    // `peer_is_cloud` is `false`, because every ROUTER accepts the connection, also the ROUTER of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
-    Ok(EdgeConnection { sender, receiver: Box::new(receiver), is_cloud: false })
+    Ok(EdgeConnection { sender, receiver: Box::new(receiver), peer_is_cloud: false })
 }
 
 /// Returns the addresses of both ends of a connection, as the library reports them.
@@ -196,22 +196,22 @@ struct DealerReceiver {
 }
 
 impl EdgeReceiver for DealerReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
         Box::pin(async {
-            let to_arrival = |message: &Message| Ok(EdgeArrival::Message(to_frames(message)));
+            let to_event = |message: &Message| Ok(EdgeEvent::Message(to_frames(message)));
             loop {
                 // Messages that arrived before the end are still returned.
                 if let Some(reason) = &self.end_reason {
                     return self
                         .socket
                         .try_recv()
-                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| to_arrival(&m));
+                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| to_event(&m));
                 }
                 tokio::select! {
                     // Biased, so that messages are returned before the end that followed them.
                     biased;
                     message = self.socket.recv() => {
-                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| to_arrival(&m));
+                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| to_event(&m));
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.end_reason = Some(reason_text(&reason)),
@@ -288,7 +288,7 @@ impl CloudSender for ZmtpSender {
 }
 
 impl CloudReceiver for ZmtpListener {
-    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
+    fn receive(&mut self) -> BoxFuture<'_, Option<ListenerEvent>> {
         Box::pin(Self::receive(self))
     }
 

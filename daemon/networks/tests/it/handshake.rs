@@ -23,7 +23,7 @@ over_every_network_with_ports!(port_in_use_is_reported_with_advice);
 async fn accepted_session_identifies_both_sides(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (address, expected) = (cloud.address(), hello());
-    assert!(address.port() != 0 || address.domain().is_some());
+    assert!(address.port() != 0 || address.ros_domain().is_some());
     let edge = tokio::spawn({
         let hello = expected.clone();
         async move { open(&address, hello, settings()).await }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_networks::zmtp::{ListenerLimits, Rejection, ZmtpListener};
-use peernet_networks::{Arrival, Frames, Peer, SendFailure};
+use peernet_networks::{Frames, ListenerEvent, Peer, SendFailure};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use zeromq::{Message, Options, Socket, SocketType};
@@ -39,7 +39,8 @@ async fn bind(limits: ListenerLimits) -> ZmtpListener {
 async fn message(listener: &mut ZmtpListener) -> (Peer, Frames) {
     within(async {
         loop {
-            if let Arrival::Message(peer, frames) = listener.receive().await.expect("the port is open") {
+            if let ListenerEvent::Message(peer, frames) = listener.receive().await.expect("the port is open")
+            {
                 return (peer, frames);
             }
         }
@@ -146,7 +147,7 @@ async fn unfinished_messages_share_one_budget() {
     connections.truncate(4);
     within(async {
         while !connections.is_empty() {
-            if let Some(Arrival::Gone(gone, _)) = listener.receive().await {
+            if let Some(ListenerEvent::Gone(gone, _)) = listener.receive().await {
                 connections.retain(|connection| *connection != gone);
             }
         }
@@ -253,7 +254,7 @@ async fn messages_of_all_sizes_arrive_in_order() {
         let mut count = 0;
         while count < 60 {
             match listener.receive().await {
-                Some(Arrival::Message(peer, frames)) => {
+                Some(ListenerEvent::Message(peer, frames)) => {
                     listener.sender().admit(peer.connection);
                     sender.try_send(peer.connection, frames).expect("there is room");
                     count += 1;

@@ -33,7 +33,7 @@ async fn cloud() -> Cloud {
 /// Returns a node of another program in the cloud's domain.
 async fn foreign_node(cloud: &Cloud) -> Ros2Node {
     let settings = Ros2Settings {
-        domain_id: cloud.address().domain(),
+        domain_id: cloud.address().ros_domain(),
         interfaces: vec!["127.0.0.1".into()],
         node_name: "viewer".into(),
         ..Ros2Settings::default()
@@ -105,7 +105,7 @@ async fn other_programs_see_pictures_as_their_own_type() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn error_for_other_domain_names_the_domain() {
     let cloud = cloud().await;
-    let domain = cloud.address().domain().expect("a domain");
+    let domain = cloud.address().ros_domain().expect("a domain");
     let name = cloud.address().listener_name().expect("a name").to_owned();
     let address_in_other_domain = format!("ros2://{}/{name}", 101 + domain);
     let short_timeout = SessionSettings { open_timeout_ms: 2_000, ..settings() };

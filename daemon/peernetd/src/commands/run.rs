@@ -41,7 +41,7 @@ pub(crate) fn run(file: &Path) -> Exit {
     for line in &configuration.deprecated {
         warn!("deprecated: {line}");
     }
-    // The limit must be raised before a port computes its share of it.
+    // The limit must be raised before a listener computes its share of the limit.
     if let Err(error) = raise_limit() {
         warn!(
             "cannot raise the limit of open files of this process: {error}; continuing with the current limit"
@@ -100,7 +100,7 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     if let Some(config) = configuration.agent {
         if let Some(faults) = agent_clock.injected_faults() {
             warn!(
-                "CLOCK FAULT INJECTION: this agent's clocks are made wrong on purpose ({faults}); for a host in earnest use remove the table [clock_fault]"
+                "CLOCK FAULT INJECTION: this agent's clocks are made wrong on purpose ({faults}); on a host in production remove the table [clock_fault]"
             );
         }
         lifecycle

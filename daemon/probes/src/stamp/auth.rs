@@ -44,7 +44,7 @@ pub enum KeyError {
     },
     /// The file does not contain a key.
     #[error(
-        "the probes' key {} is {what}: it takes one line of at least {} hexadecimal digits, such as \
+        "the probes' key {} is {reason}: it takes one line of at least {} hexadecimal digits, such as \
          `openssl rand -hex 32` makes",
         path.display(),
         2 * MIN_KEY_BYTES
@@ -53,7 +53,7 @@ pub enum KeyError {
         /// Path of the file.
         path: PathBuf,
         /// Reason, such as "too short".
-        what: &'static str,
+        reason: &'static str,
     },
 }
 
@@ -76,10 +76,10 @@ impl Key {
         let mut text = String::new();
         file.take(MAX_FILE_BYTES + 1).read_to_string(&mut text).map_err(read_error)?;
         if text.len() as u64 > MAX_FILE_BYTES {
-            return Err(KeyError::Malformed { path: path.to_owned(), what: "too long" });
+            return Err(KeyError::Malformed { path: path.to_owned(), reason: "too long" });
         }
         let bytes =
-            from_hex(text.trim()).map_err(|what| KeyError::Malformed { path: path.to_owned(), what })?;
+            from_hex(text.trim()).map_err(|reason| KeyError::Malformed { path: path.to_owned(), reason })?;
         Ok(Self::from_bytes(&bytes))
     }
 

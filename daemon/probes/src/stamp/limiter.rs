@@ -96,7 +96,7 @@ impl Limiter {
         self.peers.contains_key(&Source::from(address))
     }
 
-    /// Counts a reply to `address`.
+    /// Counts a reply to `address` if the limits allow it.
     ///
     /// # Errors
     /// The limit that forbids the reply, which is then not counted.

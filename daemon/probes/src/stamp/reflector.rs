@@ -266,17 +266,17 @@ impl ReflectorState {
         departure: WallTime,
         departure_raw: RawTime,
     ) {
-        let last = self
+        let last_reply = self
             .sessions
             .as_mut()
             .and_then(|sessions| sessions.table(session).get_mut(session)?.last_reply.as_mut());
-        if let Some(last) = last.filter(|last| last.sequence == sequence) {
+        if let Some(last_reply) = last_reply.filter(|last_reply| last_reply.sequence == sequence) {
             let is_possible = |delay: Span| (Span::ZERO..=MAX_ANSWER_DURATION).contains(&delay);
-            if is_possible(departure - last.wall) {
-                last.wall = departure;
+            if is_possible(departure - last_reply.wall) {
+                last_reply.wall = departure;
             }
-            if is_possible(departure_raw - last.raw) {
-                last.raw = departure_raw;
+            if is_possible(departure_raw - last_reply.raw) {
+                last_reply.raw = departure_raw;
             }
         }
     }

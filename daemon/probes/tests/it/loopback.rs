@@ -231,7 +231,7 @@ async fn source_above_its_rate_is_answered_at_limit() {
     let running = RunningReflector::start(config, system_clock("cloud"));
     let socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let request = [0; 44];
-    // Far more than the requests of five seconds, in far less time; otherwise the limit would allow more.
+    // 200 requests at once. The limit would allow more of them if they were sent over a longer time.
     let clock = system_clock("edge");
     let started_at = clock.mono();
     for _ in 0..200 {

@@ -53,8 +53,8 @@ impl Transform for CropTransform {
         let at = match (x, y) {
             (None, None) => "the centre".to_owned(),
             (x, y) => {
-                let place = |edge: Option<u32>| edge.map_or("centre".to_owned(), |edge| edge.to_string());
-                format!("{}, {}", place(x), place(y))
+                let edge_text = |edge: Option<u32>| edge.map_or("centre".to_owned(), |edge| edge.to_string());
+                format!("{}, {}", edge_text(x), edge_text(y))
             }
         };
         format!("crop {width} × {height} at {at}")

@@ -82,6 +82,7 @@ impl PageFile {
             read => read?,
         }
         let page_bytes = match u16::from_be_bytes([header[16], header[17]]) {
+            // 65,536 does not fit into the two bytes of the field.
             1 => 65_536,
             bytes => usize::from(bytes),
         };
@@ -103,6 +104,7 @@ impl PageFile {
 
     /// Reads at most `count` pages from `first`; the file's first page is 1.
     pub(crate) fn read(&self, first: u32, count: u32) -> io::Result<Vec<u8>> {
+        // The last read of a file is usually shorter.
         let count = count.min((self.pages + 1).saturating_sub(first)) as usize;
         let mut bytes = vec![0; count * self.page_bytes];
         self.file.read_exact_at(&mut bytes, u64::from(first - 1) * self.page_bytes as u64)?;
@@ -157,10 +159,12 @@ impl PageFile {
         while record.len() < cell.record_bytes {
             let Some(page) = next.filter(|page| self.contains(*page)) else { return Ok(None) };
             let bytes = self.read(page, 1)?;
+            // The first four bytes of an overflow page are the number of the next one.
             let part = (cell.record_bytes - record.len()).min(self.usable_bytes - 4);
             record.extend_from_slice(&bytes[4..4 + part]);
             next = Some(be32(&bytes, 0)).filter(|page| *page != 0);
         }
+        // A chain that continues after the record belongs to another record.
         Ok(next.is_none().then_some(record))
     }
 
@@ -179,6 +183,7 @@ impl PageFile {
         let (mut trunk, expected) = (be32(&first, 32), be32(&first, 36) as usize);
         let mut free = Vec::new();
         while trunk != 0 {
+            // A list that refers to itself would never end.
             if free.len() >= expected {
                 return Ok(None);
             }
@@ -240,6 +245,7 @@ impl BtreePage {
         };
         if self.kind == PageKind::TableInterior {
             let (rowid, _) = varint(rest)?;
+            // Interior pages of these tables have keys without records.
             return Some(Cell { child, rowid: Some(rowid), local: &[], record_bytes: 0, overflow: None });
         }
         let (length, after) = varint(rest)?;

@@ -113,6 +113,7 @@ impl Backup {
         if !database.is_file() {
             return Err(BackupError::Missing(database.to_owned()));
         }
+        // Not `exists`: a broken symbolic link would count as missing.
         if target.symlink_metadata().is_ok() {
             return Err(BackupError::Exists(target.to_owned()));
         }
@@ -126,6 +127,7 @@ impl Backup {
         if let Some(what) = kind.other_kind() {
             return Err(BackupError::NotADatabase { path: database.to_owned(), what });
         }
+        // The copy has no free pages.
         let used: i64 = sqlx::query_scalar(
             "SELECT (page_count - freelist_count) * page_size \
              FROM pragma_page_count, pragma_freelist_count, pragma_page_size",
@@ -134,6 +136,7 @@ impl Backup {
         .await
         .map_err(read_error)?;
         let expected_bytes = count(used);
+        // The folder of a relative path without a folder would be empty.
         let target = std::path::absolute(target)
             .map_err(|source| BackupError::Write { path: target.to_owned(), source })?;
         let folder = target.parent().unwrap_or(&target).to_owned();
@@ -171,6 +174,7 @@ impl Backup {
             connection.close().await
         };
         let result = copy.await;
+        // SQLite reports the interruption as an error, so the reason is checked first.
         if stop.is_cancelled() {
             return Err(BackupError::Stopped);
         }
@@ -216,6 +220,7 @@ impl UnfinishedCopy {
     fn publish(&mut self, target: &Path) -> Result<u64, BackupError> {
         let write_error = |source| BackupError::Write { path: target.to_owned(), source };
         assign_new_id(&self.file).map_err(write_error)?;
+        // Synced before it gets its name: a copy with the name is complete.
         self.file.sync_all().map_err(write_error)?;
         let bytes = self.file.metadata().map_err(write_error)?.len();
         rename(&self.path, target).map_err(|error| match error.kind() {

@@ -38,7 +38,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
             borders.retain(|row| row.step == 0);
         }
     }
-    let (unanswered, without_answer) = unanswered(readers, run, last.number).await?;
+    let (unanswered_starts, unanswered_count) = unanswered(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
         first: (first.number == 1).then(|| wall(first.started_ns)),
@@ -46,8 +46,8 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         steps: steps.and_then(|steps| u64::try_from(steps).ok()),
         borders: start_times(borders),
         warm_up_until: warm_up(readers, run, &first).await?.map(|row| wall(row.started_ns)),
-        unanswered: start_times(unanswered),
-        without_answer,
+        unanswered_starts: start_times(unanswered_starts),
+        unanswered_count,
     })
 }
 

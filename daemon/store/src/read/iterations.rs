@@ -200,6 +200,7 @@ async fn complete_rows(
         by_iteration.entry(duration.iteration).or_default().0.push(duration);
     }
     let times = || rows.iter().map(|row| row.started_ns);
+    // Only delays depend on the assumptions of a window.
     let time_range = times().min().zip(times().max()).filter(|_| !delays.is_empty());
     let windows = match time_range {
         Some((from, to)) => Some(AssumedWindows::read(readers, run, (wall(from), wall(to))).await?),
@@ -225,6 +226,7 @@ fn complete_row(
     medians: &Medians,
 ) -> Result<IterationRow, StoreError> {
     let seconds_of = |name: &Name| {
+        // An iteration may have several nodes with the name of a stage.
         let nodes = durations.iter().filter(|duration| name == duration.name.as_str());
         let values: Vec<f64> = nodes.map(|node| node.seconds).collect();
         (!values.is_empty()).then(|| values.iter().sum::<f64>())
@@ -271,6 +273,8 @@ impl Delay {
     fn row(self, windows: Option<&AssumedWindows>) -> Result<DelayRow, StoreError> {
         let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
         let is_upload = stage::UPLOAD == self.stage.as_str();
+        // Windows have times of the edge's clock. The edge stamped the departure of an upload and the arrival of a
+        // download.
         let edge_ns = if is_upload { Some(self.sent_ns) } else { self.received_ns };
         let assumptions = match (windows, self.cloud, edge_ns) {
             (Some(windows), Some(cloud), Some(at)) if source != DelaySource::SameClock => {

@@ -65,6 +65,7 @@ struct ExperimentRow {
 pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
     let before = filter.before.unwrap_or(i64::MAX);
     let limit = filter.limit.clamp(1, 1_000);
+    // Two statements, so that each can use the index that fits it.
     let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
         sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool()).await
     } else {
@@ -117,6 +118,7 @@ pub(crate) async fn experiments(readers: &Readers, limit: u32) -> Result<Vec<Exp
 async fn summaries(readers: &Readers, rows: &[RunRow]) -> Result<Vec<RunSummary>, StoreError> {
     let numbers: Vec<i64> = rows.iter().map(|row| row.number).collect();
     let totals = statistics::whole_runs(readers, &numbers, &stage::TOTAL).await?;
+    // One query for all runs of a list.
     let lateness = late_answers(readers, rows).await?;
     let actuators = actuator_results(readers, rows).await?;
     let summaries = rows.iter().map(|row| {
@@ -164,6 +166,7 @@ async fn late_answers(readers: &Readers, rows: &[RunRow]) -> Result<HashMap<i64,
 /// Reads the deadline in seconds from the pipeline's table of the configuration. The agent writes the table's own keys before its
 /// sub-tables.
 fn deadline_s(configuration: &str) -> Option<f64> {
+    // Only this line is needed, and a list has many runs, so the text is not parsed.
     let keys = configuration.lines().take_while(|line| !line.starts_with('['));
     let milliseconds = keys.filter_map(|line| line.strip_prefix("deadline_ms = ")).next()?;
     milliseconds.parse::<u64>().ok().map(|milliseconds| milliseconds as f64 / 1e3)

@@ -123,6 +123,7 @@ pub(super) async fn trim(
     deletions: &mut Vec<Deletion>,
 ) -> Result<TrimResult, sqlx::Error> {
     let mut cost = 0;
+    // The number of rows is limited as well, because an arrival whose data is gone costs nothing.
     for _ in 0..MAX_ROWS {
         let remaining_cost = max_cost.saturating_sub(cost);
         if remaining_cost == 0 {

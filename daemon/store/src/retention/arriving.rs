@@ -86,6 +86,7 @@ pub(super) async fn close(
                 }
                 _ => numbers,
             };
+            // The periods of a pinned run begin when it is unpinned.
             if !run.pinned {
                 append(connection, periods, kind, run.number, (run.from_s, now_s), extent).await?;
             }

@@ -79,6 +79,7 @@ impl Deletions {
             return Ok(());
         }
         self.finish_if_old(now_s);
+        // Taken out: if a statement fails, the transaction is rolled back and the group must not be used again.
         let mut group = match self.group.take() {
             Some(group) => group,
             None => {
@@ -130,6 +131,7 @@ impl Deletions {
 impl Group {
     fn log(&mut self, config: &RetentionConfig) {
         let text = self.description(config);
+        // Nothing was deleted since the last line.
         if self.logged_text.as_ref() != Some(&text) {
             tracing::info!("retention {text}");
             self.logged_text = Some(text);

@@ -184,6 +184,7 @@ impl Retention {
         now: Stamp,
         max_cost: u32,
     ) -> Result<Step, sqlx::Error> {
+        // After a step with nothing to do, further calls cost nothing for a while.
         if self.idle_since.is_some_and(|idle_since| now.mono - idle_since < IDLE_PAUSE) {
             return Ok(Step::Done);
         }
@@ -198,6 +199,7 @@ impl Retention {
         match &result {
             Ok(()) => storage_clock.record_commit(now.mono),
             Err(_) => {
+                // Their record is rolled back together with the deleted data.
                 self.deletions.forget();
                 raw_transaction::roll_back(connection).await?;
             }
@@ -223,6 +225,7 @@ impl Retention {
         let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
         self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
+        // In the same transaction: no data is deleted without a record.
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }
@@ -235,6 +238,7 @@ impl Retention {
         now: MonoTime,
     ) -> Result<Option<Work>, sqlx::Error> {
         let since_s = now_s - self.periods.finest_resolution_s();
+        // Arrivals are converted first, because only rows of the table `arrival` become due.
         if arriving::has_arrivals(connection, since_s).await? {
             return Ok(Some(Work::Arriving { since_s }));
         }
@@ -245,6 +249,7 @@ impl Retention {
                 return Ok(Some(Work::Aged { kind, before_s: now_s - period_s }));
             }
         }
+        // The size comes last: deleting data that is due may free enough pages.
         Ok(self.size.is_exceeded(connection, now).await?.then_some(Work::TooLarge))
     }
 

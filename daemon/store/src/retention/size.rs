@@ -70,6 +70,7 @@ impl SizeLimit {
                 record_early_deletion(connection, now, cost).await?;
                 return Ok(true);
             }
+            // Only arrivals without data were removed. Further arrivals of this kind may have data.
             if !is_complete {
                 return Ok(true);
             }

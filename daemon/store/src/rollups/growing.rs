@@ -62,6 +62,7 @@ impl GrowingBuckets {
         additions: &[Addition],
         rows: &mut Vec<RollupRow>,
     ) -> Result<(), sqlx::Error> {
+        // The whole run is not among the widths in seconds. It has the last place.
         let index = WIDTHS_S.iter().position(|other| *other == width_s).unwrap_or(WIDTHS_S.len());
         let width = &mut self.widths[index];
         let mut missing_buckets: Vec<i64> = additions

@@ -190,6 +190,7 @@ impl Rollups {
             .collect();
         by_age.sort_unstable();
         for (_, run, bytes) in by_age {
+            // Some room is left, so that not every transaction has to sort the runs.
             if self.bytes <= max_bytes - max_bytes / 10 {
                 break;
             }

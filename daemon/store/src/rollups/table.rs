@@ -89,6 +89,7 @@ impl Default for Upserts {
             rollups: Insert::new(
                 "INSERT INTO rollup (run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch)",
                 11,
+                // Rows are replaced, because moments and sketches are merged in memory.
                 "ON CONFLICT DO UPDATE SET count = excluded.count, mean = excluded.mean, m2 = excluded.m2, \
                  min = excluded.min, max = excluded.max, sketch = excluded.sketch",
             ),

@@ -48,8 +48,8 @@ async fn borders_are_at_starts_of_episodes() {
         steps: Some(30),
         borders: start_times([31, 61, 91]),
         warm_up_until: Some(generate::at(32.0 * 0.2)),
-        unanswered: Vec::new(),
-        without_answer: 0,
+        unanswered_starts: Vec::new(),
+        unanswered_count: 0,
     };
     assert_eq!(episodes, expected);
     assert_eq!(
@@ -101,7 +101,7 @@ async fn deleted_iterations_have_no_border() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!((episodes.unanswered, episodes.without_answer), (start_times([4, 70]), 2));
+    assert_eq!((episodes.unanswered_starts, episodes.unanswered_count), (start_times([4, 70]), 2));
     let mut other = test_store.other().await;
     sqlx::query("DELETE FROM iteration WHERE run = 1 AND number <= 40")
         .execute(&mut other)
@@ -110,7 +110,7 @@ async fn deleted_iterations_have_no_border() {
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!((episodes.count, episodes.steps, episodes.first), (4, Some(30), None));
     assert_eq!(
-        (episodes.borders, episodes.unanswered, episodes.without_answer),
+        (episodes.borders, episodes.unanswered_starts, episodes.unanswered_count),
         (start_times([61, 91]), start_times([70]), 1)
     );
 }
@@ -185,8 +185,8 @@ async fn sample_of_unanswered_iterations_covers_whole_run() {
     })
     .await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.without_answer, 601, "including the warm-up");
-    let shown = episodes.unanswered;
+    assert_eq!(episodes.unanswered_count, 601, "including the warm-up");
+    let shown = episodes.unanswered_starts;
     assert!((150..=Episodes::MAX_UNANSWERED).contains(&shown.len()), "{}", shown.len());
     assert_eq!((shown[0], shown[shown.len() - 1]), (generate::at(0.4), generate::at(398.0)));
     assert!(shown.is_sorted());
@@ -212,6 +212,6 @@ async fn unanswered_iterations_are_counted_up_to_limit() {
     );
     sqlx::query(sqlx::AssertSqlSafe(insert_copies)).execute(&mut other).await.expect("inserts");
     let episodes = test_store.store.episodes(1).await.expect("answers");
-    assert_eq!(episodes.without_answer, Episodes::MAX_COUNTED + 1);
-    assert!(episodes.unanswered.len() <= Episodes::MAX_UNANSWERED);
+    assert_eq!(episodes.unanswered_count, Episodes::MAX_COUNTED + 1);
+    assert!(episodes.unanswered_starts.len() <= Episodes::MAX_UNANSWERED);
 }

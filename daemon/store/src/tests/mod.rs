@@ -107,9 +107,9 @@ impl TestStore {
     }
 
     fn head(&self, number: u64, body: &[u8], events: usize) -> BatchHead {
-        let (host, stream, before, events) = (self.edge, self.stream, Chain::START, events as u32);
-        let (chain, events_before) = (before.next(events, body), 100 * number);
-        BatchHead { host, stream, process: PROCESS, number, before, chain, events, events_before }
+        let (host, stream, previous_chain, events) = (self.edge, self.stream, Chain::START, events as u32);
+        let (chain, events_before) = (previous_chain.next(events, body), 100 * number);
+        BatchHead { host, stream, process: PROCESS, number, previous_chain, chain, events, events_before }
     }
 
     async fn commit(&mut self, work: &[Work]) -> Committed {

@@ -101,7 +101,7 @@ async fn secret_is_stored_once_and_cleared_by_another_connection() {
     assert_eq!(
         known_hosts,
         [(test_store.edge, Some(first.clone()))],
-        "a host without stored events is not known"
+        "only the host with stored events is known, with its first secret"
     );
     assert_eq!(
         test_store.commit(&[Work::Secret(test_store.edge)]).await.secrets,

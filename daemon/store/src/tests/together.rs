@@ -65,12 +65,13 @@ async fn merged_quantiles_are_within_one_percent() {
         let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough together"));
         assert!((quantile - exact).abs() <= 0.0101 * exact, "{q}: {quantile} {exact}");
     }
-    let kept = together.kept.known("range").expect("kept");
-    assert_eq!((kept.count(), kept.moments.max), (390, all_readings[389]));
+    let range = together.mergeable.summary("range").expect("kept");
+    assert_eq!((range.count(), range.moments.max), (390, all_readings[389]));
 
     // Bounds of delays are also merged.
-    let bound = together.kept.bound(&stage::UPLOAD).expect("judged");
-    let bounds_of_runs: Vec<_> = statistics.iter().filter_map(|run| run.kept.bound(&stage::UPLOAD)).collect();
+    let bound = together.mergeable.bound(&stage::UPLOAD).expect("judged");
+    let bounds_of_runs: Vec<_> =
+        statistics.iter().filter_map(|run| run.mergeable.bound(&stage::UPLOAD)).collect();
     assert_eq!(bound.verdicts[0].1, bounds_of_runs.iter().map(|bound| bound.verdicts[0].1).sum::<u64>());
     assert_eq!(bound.half_width.map(|width| width.count), Some(390));
     assert!(together.bounds.contains(&bound));

@@ -341,7 +341,7 @@ fn hello_of(host: HostId, stream: StreamId, previous: Option<StreamId>) -> Hello
         previous,
         first: 5,
         oldest: 5,
-        before: Chain::START,
+        previous_chain: Chain::START,
         events_before_oldest: 0,
         events_before_first: None,
         batch_bytes: 1,

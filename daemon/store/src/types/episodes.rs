@@ -18,9 +18,9 @@ pub struct Episodes {
     pub warm_up_until: Option<WallTime>,
     /// Starts of iterations without an answer, including the warm-up. If there are more than [`Episodes::MAX_UNANSWERED`], the
     /// run is divided into this number of parts, and the list has the first such start of each part.
-    pub unanswered: Vec<WallTime>,
+    pub unanswered_starts: Vec<WallTime>,
     /// Number of stored iterations without an answer. At most one more than [`Episodes::MAX_COUNTED`], which means "more than that".
-    pub without_answer: u64,
+    pub unanswered_count: u64,
 }
 
 impl Episodes {

@@ -38,7 +38,7 @@ pub struct RunStatistics {
     /// contain the name.
     pub bounds: Vec<DelayAccuracy>,
     /// The mergeable sums from which `stages` and `bounds` were made.
-    pub kept: Arc<MergeableStatistics>,
+    pub mergeable: Arc<MergeableStatistics>,
 }
 
 impl RunStatistics {
@@ -48,7 +48,7 @@ impl RunStatistics {
             return only.clone();
         }
         let mut sum = MergeableStatistics::default();
-        runs.iter().for_each(|run| sum.merge(&run.kept));
+        runs.iter().for_each(|run| sum.merge(&run.mergeable));
         Self::from(sum)
     }
 
@@ -62,8 +62,8 @@ impl RunStatistics {
 }
 
 impl From<MergeableStatistics> for RunStatistics {
-    fn from(kept: MergeableStatistics) -> Self {
-        Self { stages: kept.stages(), bounds: kept.bounds(), kept: Arc::new(kept) }
+    fn from(mergeable: MergeableStatistics) -> Self {
+        Self { stages: mergeable.stages(), bounds: mergeable.bounds(), mergeable: Arc::new(mergeable) }
     }
 }
 
@@ -95,7 +95,7 @@ impl NameSummary {
 
 impl MergeableStatistics {
     /// Returns the values of a node name in its SI unit; `None` if there are no values.
-    pub fn known(&self, name: &str) -> Option<&Summary> {
+    pub fn summary(&self, name: &str) -> Option<&Summary> {
         self.values.get(name).map(|entry| &entry.summary)
     }
 
@@ -177,15 +177,15 @@ mod tests {
     use super::*;
 
     fn run(values: impl Iterator<Item = f64>, verdict: Verdict) -> RunStatistics {
-        let (mut kept, mut total) = (MergeableStatistics::default(), Summary::default());
+        let (mut mergeable, mut total) = (MergeableStatistics::default(), Summary::default());
         values.for_each(|value| total.record(value));
         let mut upload = Summary::default();
         (0..total.count()).for_each(|_| upload.record(0.002));
-        kept.add(stage::TOTAL, "s", &total);
-        kept.add(stage::UPLOAD, "s", &upload);
-        kept.add_half_widths(stage::UPLOAD, &upload);
-        kept.add_verdicts(stage::UPLOAD, verdict, total.count());
-        RunStatistics::from(kept)
+        mergeable.add(stage::TOTAL, "s", &total);
+        mergeable.add(stage::UPLOAD, "s", &upload);
+        mergeable.add_half_widths(stage::UPLOAD, &upload);
+        mergeable.add_verdicts(stage::UPLOAD, verdict, total.count());
+        RunStatistics::from(mergeable)
     }
 
     #[test]

@@ -133,6 +133,7 @@ impl Links {
     ) -> Result<i64, Refusal> {
         let key = (edge, sample.peer, sample.network.clone());
         if let Some((link, name)) = self.rows.get(&key)
+            // A cloud that was renamed is stored again.
             && *name == sample.peer_name
         {
             return Ok(*link);
@@ -164,6 +165,7 @@ async fn free_time(
     basis: Option<&EstimateBasis>,
 ) -> Result<i64, sqlx::Error> {
     let at = sample.at.unix_nanos();
+    // Without this reading, a time that repeats cannot be distinguished from a second report of the same second.
     let Some(raw) = basis.and_then(|basis| basis.at_raw) else { return Ok(at) };
     sqlx::query_scalar(FREE_TIME)
         .bind(link)
@@ -189,6 +191,7 @@ fn values(
     to.add(sample.max_drift_ppm)?;
     exchange(sample.upper, &mut to)?;
     exchange(sample.lower, &mut to)?;
+    // An agent may report any number; implausible ones must not reach readers.
     offset(sample.offset.as_ref().and_then(plausible::offset).as_ref(), &mut to)?;
     to.add(sample.probes.sent)?;
     to.add(sample.probes.answered)?;
@@ -235,6 +238,7 @@ fn offset(offset: Option<&Offset>, to: &mut SqliteArguments) -> Result<(), BoxDy
 
 /// Returns the interval of each source alone; `None` if the only source has the offset's own interval.
 fn sources(offset: &Offset) -> Option<Vec<(&'static str, i64, i64)>> {
+    // The usual case: one source. The list would repeat what other columns have.
     if offset.sources == [(offset.source, offset.bounds)] {
         return None;
     }

@@ -73,6 +73,7 @@ fn values(sample: &ConnectionSample) -> Result<SqliteArguments, BoxDynError> {
     }
     round_trip(Some(statistics), &mut to)?;
     let cloud = connection.cloud.as_ref();
+    // The upload comes first at both ends: the edge has sent it, and the cloud has received it.
     direction(cloud.map(|cloud| &cloud.received), &mut to)?;
     direction(cloud.map(|cloud| &cloud.sent), &mut to)?;
     to.add(cloud.map(|cloud| column(cloud.malformed_messages)))?;

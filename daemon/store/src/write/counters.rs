@@ -135,6 +135,7 @@ impl Counters {
             })
             .await?;
         self.runs.clear();
+        // Discarded between two transactions: the totals must not be lost while additions wait for them.
         if self.totals.len() > MAX_CACHED_HOSTS {
             self.totals.clear();
         }

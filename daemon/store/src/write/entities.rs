@@ -181,6 +181,7 @@ impl Entities {
         .bind(run.to_string())
         .fetch_all(connection)
         .await?;
+        // Both columns are searched: the reporter's run is stored under another id if the reported id was taken.
         let is_taken = !rows.is_empty();
         let reporters_run = rows.into_iter().find(|(_, _, host)| *host == reporter.row);
         let reporters_run = reporters_run
@@ -198,6 +199,7 @@ impl Entities {
         run: &RunDescription,
     ) -> Result<(KnownRun, i64), Refusal> {
         let (uuid, reported) = self.look_up(connection, reporter, run.run).await?.ids(run.run);
+        // If the run exists already, because an iteration arrived first, its number stays: stored rows refer to it.
         let pipeline = pipeline(connection, reporter.row, run.pipeline.as_str()).await?;
         let facts = json(&run.facts)?;
         let experiment = run.experiment.as_ref().map(json).transpose()?;
@@ -243,6 +245,7 @@ impl Entities {
     ) -> Result<(), Refusal> {
         let reporter = Reporter { id: name.host, row: self.host(connection, name.host, now).await? };
         let Some(known) = self.find_run(connection, reporter, name.run).await? else { return Ok(()) };
+        // The condition on `version` leaves a run unchanged whose start event has arrived.
         let pipeline = pipeline(connection, reporter.row, name.pipeline.as_str()).await?;
         let placement = &name.placement;
         sqlx::query(
@@ -270,6 +273,7 @@ impl Entities {
         reporter: Reporter,
         end: &RunEnded,
     ) -> Result<(), Refusal> {
+        // The end may be the only event of the run that arrived.
         let run = self.find_or_create_run(connection, reporter, end.run, end.ended).await?;
         sqlx::query("UPDATE run SET ended_ns = ?, end_reason = ? WHERE number = ?")
             .bind(end.ended.unix_nanos())
@@ -290,6 +294,7 @@ impl Entities {
 
     /// Adds a run to the cache.
     fn remember(&mut self, reporter: Reporter, run: RunId, known: KnownRun) -> KnownRun {
+        // All are discarded, because the few active runs are read again at their next use.
         if self.runs.len() >= MAX_CACHED_RUNS {
             self.runs.clear();
         }
@@ -314,6 +319,7 @@ impl Lookup {
     fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
         let uuid = match self.reporters_run {
             Some(reporters_run) => reporters_run.uuid,
+            // Another host has stored a run with this id first.
             None if self.is_taken => RunId::random(),
             None => run,
         };
@@ -322,6 +328,7 @@ impl Lookup {
 }
 
 fn json<T: Serialize>(value: &T) -> Result<String, Refusal> {
+    // A further attempt would fail as well, so the batch is refused and not the database.
     serde_json::to_string(value).map_err(|error| Refusal::Batch(error.to_string()))
 }
 

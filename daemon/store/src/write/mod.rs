@@ -153,6 +153,7 @@ impl Writer {
                 Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
                 Err(Refusal::Batch(_)) if part.len() > 1 => {
                     let (first, second) = part.split_at(part.len() / 2);
+                    // The last element is taken next, so the parts are stored in the order of their batches.
                     parts.extend([second, first]);
                     continue;
                 }
@@ -170,6 +171,7 @@ impl Writer {
     /// # Errors
     /// When the database refuses, or is damaged.
     pub async fn pin(&mut self, run: i64, pinned: bool, integrity: &Integrity) -> Result<bool, StoreError> {
+        // Nothing is written to a damaged database.
         if let Some(refusal) = integrity.refusal() {
             return Err(StoreError::Damaged { what: "the pin of a run", refusal });
         }
@@ -202,6 +204,7 @@ impl Writer {
         let result = self.store_incidents_and_clocks(now, incidents).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.record_commit(now.mono);
+        // Only after the commit: incidents of a failed transaction are stored by the next one.
         incidents.clear();
         self.file.record_log();
         Ok(())

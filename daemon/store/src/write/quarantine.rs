@@ -42,7 +42,7 @@ impl<'a> RejectedBatch<'a> {
     }
 
     /// Stores the frame and records its events as missing. If the events can be decoded, there is a gap for each run. Otherwise there is
-    /// one gap with the number of events in the head, or without a number if the frame is too short for so many events. Returns
+    /// one gap with the number of events in the head, or without a number if the frame is too short for that many events. Returns
     /// the additions to the counters of the host.
     pub(super) async fn store(
         self,

@@ -118,6 +118,7 @@ impl AdvancedStreams {
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
+        // A known stream: its gaps were stored with its first hello.
         if update.rows_affected() > 0 {
             return Ok(StoredCounts::default());
         }

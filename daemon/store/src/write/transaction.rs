@@ -70,9 +70,17 @@ impl Staging {
                         host, stream, through: number, chain, process, events_through, ..
                     } = *missing;
                     // Only the fields that identify the batch and its mark are used.
-                    let (before, events, events_before) = (chain, 0, events_through);
-                    let head =
-                        BatchHead { host, stream, process, number, before, chain, events, events_before };
+                    let (previous_chain, events, events_before) = (chain, 0, events_through);
+                    let head = BatchHead {
+                        host,
+                        stream,
+                        process,
+                        number,
+                        previous_chain,
+                        chain,
+                        events,
+                        events_before,
+                    };
                     (head, None)
                 }
                 // Only batches are quarantined. Other work is stored in another transaction.

@@ -99,10 +99,10 @@ fn body_of(events: &[Event]) -> Vec<u8> {
 }
 
 fn head_of(number: u64, events: u32, body: &[u8]) -> BatchHead {
-    let before = Chain::from_bytes([3; 16]);
+    let previous_chain = Chain::from_bytes([3; 16]);
     let (host, stream) = (HostId::random(), StreamId::random());
-    let (chain, events_before) = (before.next(events, body), 100);
-    BatchHead { host, stream, process: 7, number, before, chain, events, events_before }
+    let (chain, events_before) = (previous_chain.next(events, body), 100);
+    BatchHead { host, stream, process: 7, number, previous_chain, chain, events, events_before }
 }
 
 /// Returns a frame of `count` events, its head, and the events.

@@ -34,7 +34,7 @@ pub fn any_batch(data: &[u8]) {
         stream: StreamId::from_bytes([2; 16]),
         process: 3,
         number: u64::MAX,
-        before: chain_before,
+        previous_chain: chain_before,
         chain: chain_before.next(events, bytes),
         events,
         events_before: u64::MAX,
@@ -53,7 +53,7 @@ fn handle_frame(frame: &[u8]) -> Option<BatchHead> {
     assert!(codec::decode::<ToAggregator>(frame).is_err(), "a batch's frame is no message");
     let body = codec::decode_batch_body(Bytes::copy_from_slice(frame)).ok()?;
     assert!(body.len() <= MAX_MESSAGE_BYTES);
-    assert_eq!(head.before.next(head.events, &body), head.chain, "an intact body matches its chain");
+    assert_eq!(head.previous_chain.next(head.events, &body), head.chain, "an intact body matches its chain");
     if let Ok(events) = codec::decode_events(&body, head.events) {
         assert_eq!(events.len(), head.events as usize);
     }

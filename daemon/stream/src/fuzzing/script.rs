@@ -65,11 +65,20 @@ impl Script<'_> {
 
     pub(super) fn head(&mut self) -> BatchHead {
         let (host, stream, number) = (self.host(), self.stream(), self.number());
-        let (before, chain) = (self.chain(number.wrapping_sub(1)), self.chain(number));
+        let (previous_chain, chain) = (self.chain(number.wrapping_sub(1)), self.chain(number));
         let events = self.byte();
         let process = u64::from(events >> 6);
         let events_before = self.number();
-        BatchHead { host, stream, process, number, before, chain, events: events.into(), events_before }
+        BatchHead {
+            host,
+            stream,
+            process,
+            number,
+            previous_chain,
+            chain,
+            events: events.into(),
+            events_before,
+        }
     }
 
     pub(super) fn hello(&mut self) -> Hello {
@@ -82,7 +91,7 @@ impl Script<'_> {
             previous: (choice & 1 != 0).then(|| self.stream()),
             first: if choice & 2 == 0 { 1 } else { self.number() },
             oldest,
-            before: self.chain(oldest.wrapping_sub(1)),
+            previous_chain: self.chain(oldest.wrapping_sub(1)),
             events_before_oldest: self.number(),
             events_before_first: (choice & 4 == 0).then(|| self.number()),
             batch_bytes: u32::from(choice) << (choice % 25),

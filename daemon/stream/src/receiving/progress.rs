@@ -56,8 +56,8 @@ impl Progress {
     pub(super) fn new(hello: &Hello, mark: Option<Mark>) -> Self {
         let start = Position {
             number: hello.first.saturating_sub(1),
-            // `hello.before` is the chain before the oldest batch, which is the first one only if none was deleted.
-            chain: (hello.oldest == hello.first).then_some(hello.before),
+            // `hello.previous_chain` is the chain before the oldest batch, which is the first one only if none was deleted.
+            chain: (hello.oldest == hello.first).then_some(hello.previous_chain),
             events: hello.events_before_first,
         };
         let stored = mark.map_or(start, Position::from);
@@ -96,7 +96,8 @@ impl Progress {
         let through = hello.oldest.saturating_sub(1);
         (through > self.accepted.number).then(|| {
             let (host, stream, from) = (self.host, hello.stream, self.next());
-            let (chain, process, events_through) = (hello.before, hello.process, hello.events_before_oldest);
+            let (chain, process, events_through) =
+                (hello.previous_chain, hello.process, hello.events_before_oldest);
             let events = self.accepted.events.map(|stored| events_through.saturating_sub(stored));
             // The gap takes the place of the batches; the next batch follows it.
             self.accept(through, chain, events_through);
@@ -175,7 +176,7 @@ impl Progress {
 
     /// Returns whether the batch continues the chain of the accepted batches.
     fn follows(&self, head: &BatchHead) -> bool {
-        self.accepted.chain == Some(head.before)
+        self.accepted.chain == Some(head.previous_chain)
     }
 
     /// Records everything up to a batch as accepted; `events` is the number of events in all batches up to it.

@@ -55,7 +55,7 @@ impl Sending {
                 self.record_answer(now.mono);
                 let (aggregator, chain, process) = (aggregator.clone(), *chain, *process);
                 self.lane.set_window(*window);
-                self.handle_welcome(Welcome { aggregator, stored: *stored, chain, process }, now);
+                self.handle_welcome(Welcome { aggregator, last_stored: *stored, chain, process }, now);
             }
             ToAgent::Ack { through, window, .. } => {
                 self.lane.set_window(*window);
@@ -127,7 +127,7 @@ impl Sending {
     }
 
     fn hello(&self) -> Hello {
-        let (_, before) = self.spooler.backlog.acknowledged();
+        let (_, previous_chain) = self.spooler.backlog.acknowledged();
         Hello {
             protocol: AGENT_STREAM_VERSIONS.oldest(),
             host: self.host.clone(),
@@ -135,7 +135,7 @@ impl Sending {
             previous: self.spooler.backlog.origin.previous,
             first: self.spooler.backlog.origin.first,
             oldest: self.spooler.backlog.oldest(),
-            before,
+            previous_chain,
             events_before_oldest: self.spooler.backlog.stored_events(),
             events_before_first: self.spooler.backlog.origin.events_before_first,
             batch_bytes: u32::try_from(self.config.batch_bytes).unwrap_or(u32::MAX),
@@ -202,34 +202,34 @@ impl Sending {
 
     /// Handles a welcome. The aggregator's last batch is compared with this end's batch of the same number.
     fn handle_welcome(&mut self, mut welcome: Welcome, now: Stamp) {
-        welcome.stored = welcome.stored.max(self.spooler.backlog.origin.first - 1);
+        welcome.last_stored = welcome.last_stored.max(self.spooler.backlog.origin.first - 1);
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         match self.session.state {
             ConnectionState::Handshake { .. } => {}
             // This is the answer to a second hello that was in flight.
-            ConnectionState::Up { .. } if welcome.stored > acknowledged => {
-                return match self.spooler.backlog.chain(welcome.stored) {
-                    own_chain if own_chain == welcome.chain => self.handle_ack(welcome.stored, now),
+            ConnectionState::Up { .. } if welcome.last_stored > acknowledged => {
+                return match self.spooler.backlog.chain(welcome.last_stored) {
+                    own_chain if own_chain == welcome.chain => self.handle_ack(welcome.last_stored, now),
                     _ => self.schedule_hello(now.mono),
                 };
             }
             _ => return,
         }
-        // The welcome states whether the batches of an earlier process are stored, even if the stream is left below.
-        self.spooler.resolve_earlier(welcome.stored, welcome.process);
-        if welcome.stored > self.spooler.backlog.newest() {
+        // The welcome states whether the batches of an earlier process are stored, even if this end leaves the stream afterwards.
+        self.spooler.resolve_earlier(welcome.last_stored, welcome.process);
+        if welcome.last_stored > self.spooler.backlog.newest() {
             return self.leave_stream(&welcome, now);
         }
-        if welcome.stored < acknowledged {
+        if welcome.last_stored < acknowledged {
             return match self.has_sent(&welcome) {
                 true => self.begin_sending(welcome, true, now),
                 false => self.leave_stream(&welcome, now),
             };
         }
-        match self.spooler.backlog.find_in_memory(welcome.stored) {
+        match self.spooler.backlog.find_in_memory(welcome.last_stored) {
             Some((chain, scanned)) => self.compare_chains(welcome, Some(chain), scanned, now),
             None => {
-                let scan = self.spooler.backlog.scan_to(welcome.stored);
+                let scan = self.spooler.backlog.scan_to(welcome.last_stored);
                 self.session.state =
                     ConnectionState::Comparing { scan, purpose: ScanPurpose::Compare(welcome) };
             }
@@ -247,8 +247,8 @@ impl Sending {
         match purpose {
             ScanPurpose::Compare(welcome) => {
                 let chain = match scanned {
-                    Some((_, chain)) if welcome.stored == through => Some(chain),
-                    Some(_) => self.spooler.backlog.chain(welcome.stored),
+                    Some((_, chain)) if welcome.last_stored == through => Some(chain),
+                    Some(_) => self.spooler.backlog.chain(welcome.last_stored),
                     None => None,
                 };
                 self.compare_chains(welcome, chain, scanned, now);
@@ -272,11 +272,11 @@ impl Sending {
     ) {
         let (acknowledged, _) = self.spooler.backlog.acknowledged();
         // The aggregator has no batch of this stream, or does not know the chain of the last acknowledged batch.
-        let nothing_to_compare = welcome.stored < self.spooler.backlog.origin.first
-            || welcome.stored == acknowledged && welcome.chain.is_none();
+        let nothing_to_compare = welcome.last_stored < self.spooler.backlog.origin.first
+            || welcome.last_stored == acknowledged && welcome.chain.is_none();
         if nothing_to_compare || own_chain.is_some() && own_chain == welcome.chain {
-            if welcome.stored > acknowledged {
-                self.free_acknowledged(welcome.stored, scanned, now);
+            if welcome.last_stored > acknowledged {
+                self.free_acknowledged(welcome.last_stored, scanned, now);
             }
             self.begin_sending(welcome, false, now);
         } else {
@@ -289,7 +289,7 @@ impl Sending {
     /// continue.
     fn has_sent(&self, welcome: &Welcome) -> bool {
         let is_sender = |newest_sent: &NewestSentBatch| {
-            Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.stored
+            Some(newest_sent.process) == welcome.process && newest_sent.number >= welcome.last_stored
         };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
@@ -300,8 +300,8 @@ impl Sending {
         self.spooler.record_acceptance();
         self.session.state =
             ConnectionState::Up { next: self.spooler.backlog.oldest(), last_progress: now.mono };
-        let Welcome { aggregator, stored, .. } = welcome;
-        self.notices.push_back(Notice::Welcomed { aggregator, stored, has_lost_batches });
+        let Welcome { aggregator, last_stored, .. } = welcome;
+        self.notices.push_back(Notice::Welcomed { aggregator, stored: last_stored, has_lost_batches });
         self.pass_gap(now);
     }
 
@@ -313,8 +313,8 @@ impl Sending {
     /// a copy of unknown age. All of its batches are sent then, because it is better to store events twice, in two
     /// streams, than not at all.
     fn leave_stream(&mut self, welcome: &Welcome, now: Stamp) {
-        let (stored, newest) = (welcome.stored, self.spooler.backlog.newest());
-        self.notices.push_back(Notice::StreamRenewed { stored, newest });
+        let (last_stored, newest) = (welcome.last_stored, self.spooler.backlog.newest());
+        self.notices.push_back(Notice::StreamRenewed { stored: last_stored, newest });
         let newest_sent = self
             .renewal
             .earlier_newest_sent()
@@ -322,7 +322,7 @@ impl Sending {
             .find(|newest_sent| Some(newest_sent.process) == welcome.process);
         // If the aggregator has a different batch with a number that the process recorded as sent, nothing is certain.
         let last_common = newest_sent
-            .filter(|newest_sent| stored > newest_sent.number)
+            .filter(|newest_sent| last_stored > newest_sent.number)
             .map_or(0, |newest_sent| newest_sent.number.min(newest));
         // No batch that the spool still holds is known to be stored.
         if last_common < self.spooler.backlog.oldest() {
@@ -390,8 +390,8 @@ impl Sending {
         if self.session.is_comparing() {
             return;
         }
-        let Some((resume, before)) = self.reader.pass_gap(&self.spooler.backlog) else { return };
-        self.spooler.skip_to(resume, before, now.mono);
+        let Some((resume, previous_chain)) = self.reader.pass_gap(&self.spooler.backlog) else { return };
+        self.spooler.skip_to(resume, previous_chain, now.mono);
         if self.is_up() {
             self.schedule_hello(now.mono);
         }

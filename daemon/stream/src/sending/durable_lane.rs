@@ -70,6 +70,7 @@ impl DurableLane {
         let (through, include_unspooled) = spooler.sendable();
         let batch = spooler.backlog.get(next, include_unspooled).filter(|_| next <= through);
         let Some(body_bytes) = batch.map(|batch| batch.body.len()) else {
+            // Nothing waits, so the link is faster than the events.
             self.compression.record_idle(self.flow.is_slow(), now);
             self.flow.clear_durable_share();
             return without_batch_start(self.request_echo(host, false, false, now));
@@ -151,6 +152,7 @@ impl DurableLane {
         let (bytes, end) = self.in_flight.remove_through(through);
         self.compression.record_ack(bytes, now);
         self.flow.record_arrival(end, now);
+        // The rest of a stored batch need not be sent.
         self.partial.take_if(|partial| partial.number() <= through);
     }
 

@@ -30,13 +30,13 @@ impl EarlierProcess {
     }
 
     /// Returns the number of submitted events and the number of dropped events, including events of the earlier process.
-    pub(super) const fn add_to(&self, totals: &Totals) -> (u64, u64) {
+    pub(super) const fn submitted_and_dropped(&self, totals: &Totals) -> (u64, u64) {
         let ResolvedBatches { stored, lost, .. } = self.resolved;
         (totals.produced + stored + lost, totals.dropped + lost)
     }
 
     /// Returns the counts of a sent batch, including the events of the earlier process.
-    pub(super) const fn adjust(&self, sent: SentUnspooled) -> SentUnspooled {
+    pub(super) const fn with_earlier_events(&self, sent: SentUnspooled) -> SentUnspooled {
         SentUnspooled {
             reported_drops: sent.reported_drops + self.resolved.reported_drops,
             events: sent.events + self.resolved.stored,

@@ -120,6 +120,7 @@ impl Sending {
     /// Returns the next action; `None` if nothing is to be done.
     pub fn next(&mut self, now: MonoTime) -> Option<Action> {
         self.spooler
+            // Writes come before sends: a batch is safe once it is in the file.
             .next(self.renewal.is_requested(), now)
             .or_else(|| self.renewal.next(&self.spooler, now))
             .or_else(|| self.reader.next(&self.session.state, &self.spooler.backlog, now))

@@ -37,7 +37,9 @@ pub(super) enum ScanPurpose {
 #[derive(Clone, Debug)]
 pub(super) struct Welcome {
     pub(super) aggregator: Slug,
-    pub(super) stored: u64,
+    /// Number of the last stored batch.
+    pub(super) last_stored: u64,
+    /// Chain of the last stored batch, if the aggregator knows it.
     pub(super) chain: Option<Chain>,
     /// Process that sent the last stored batch.
     pub(super) process: Option<u64>,
@@ -110,6 +112,7 @@ impl Session {
         // Hellos without effect become rarer, so that agents which are refused do not load the aggregator.
         let repeated = self.hellos_without_progress.saturating_sub(HELLOS_WITHOUT_PAUSE);
         let pause =
+            // 16 doublings reach any longest pause.
             (0..repeated.min(16)).fold(Span::ZERO, |pause, _| self.next_pause(pause.max(first_pause)));
         self.hellos_without_progress = self.hellos_without_progress.saturating_add(1);
         self.proof = None;
@@ -179,6 +182,7 @@ impl Session {
     /// Records that the aggregator refused this host. Another hello is sent later.
     pub(super) fn record_refusal(&mut self, now: MonoTime) {
         let pause = match self.state {
+            // A refusal is a decision and not a loss, so the next hello may wait for longer.
             ConnectionState::Handshake { pause, .. } => pause.max(self.config.refused_pause),
             _ => self.config.refused_pause,
         };

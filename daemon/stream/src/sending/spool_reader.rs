@@ -41,6 +41,7 @@ impl SpoolScan {
 
     /// Counts batches that were read from number `from` on. Returns whether the scan is complete.
     pub(super) fn count(&mut self, from: u64, batches: &[SpooledBatch]) -> bool {
+        // The answer belongs to an earlier read.
         if self.next != from {
             return false;
         }
@@ -99,6 +100,7 @@ impl SpoolReader {
         backlog: &Backlog,
         now: MonoTime,
     ) -> Option<Action> {
+        // One read at a time, and none soon after a failure.
         if !self.job.may_start(now) {
             return None;
         }
@@ -108,6 +110,7 @@ impl SpoolReader {
             // One byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Closed(..))) => return None,
+            // Without a connection nothing is sent, so nothing is read ahead.
             (ConnectionState::Down, None) => return None,
             _ => {
                 let from = backlog.first_unloaded();
@@ -174,12 +177,12 @@ impl SpoolReader {
     /// Returns the number of the first batch that can be sent after the gap, and the chain before it, when the aggregator
     /// has stored everything before the gap. The gap is then forgotten.
     pub(super) fn pass_gap(&mut self, backlog: &Backlog) -> Option<(u64, Chain)> {
-        let Some(SpoolGap::Closed(resume, before)) = self.gap else { return None };
+        let Some(SpoolGap::Closed(resume, previous_chain)) = self.gap else { return None };
         // Batches before the gap are still in memory and will be stored first.
         if backlog.first_unloaded() != backlog.oldest() {
             return None;
         }
         self.gap = None;
-        Some((resume, before))
+        Some((resume, previous_chain))
     }
 }

@@ -132,12 +132,13 @@ impl EventSpooler {
     pub(super) fn accounting(&self, compressed: bool, trouble: Option<String>) -> Accounting {
         let (intake_usage, waiting_usage, pending) =
             (self.intake.usage(), self.backlog.waiting_usage(), self.backlog.pending_usage());
-        let (produced, dropped) = self.earlier.add_to(self.intake.totals());
+        let (produced, dropped) = self.earlier.submitted_and_dropped(self.intake.totals());
         let gaps = self.intake.totals().gaps;
         let (waiting, stored) = (intake_usage.events + waiting_usage.events, self.backlog.stored_events());
         debug_assert_eq!(produced, stored + waiting + dropped, "an event is not accounted for");
         Accounting {
             produced,
+            // Stored events count as spooled, although the file has deleted them.
             spooled: stored + waiting_usage.events.saturating_sub(pending.events),
             sent: stored + self.backlog.sent_events(),
             stored,
@@ -173,7 +174,7 @@ impl EventSpooler {
     }
 
     pub(super) fn sent_unspooled(&self) -> Option<SentUnspooled> {
-        self.backlog.sent_unspooled().map(|sent| self.earlier.adjust(sent))
+        self.backlog.sent_unspooled().map(|sent| self.earlier.with_earlier_events(sent))
     }
 
     pub(super) fn forget_run(&mut self, run: RunId) {
@@ -259,10 +260,10 @@ impl EventSpooler {
         self.earlier.set_result(resolved, unreported);
     }
 
-    /// Continues with batch `resume`, because the batches before it are missing from the file; `before` is the chain of the
-    /// last missing batch.
-    pub(super) fn skip_to(&mut self, resume: u64, before: Chain, now: MonoTime) {
-        self.backlog.skip_to(resume, before);
+    /// Continues with batch `resume`, because the batches before it are missing from the file; `previous_chain` is
+    /// the chain of the last missing batch.
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain, now: MonoTime) {
+        self.backlog.skip_to(resume, previous_chain);
         self.deletions.add(0, now);
     }
 
@@ -388,6 +389,7 @@ impl EventSpooler {
     fn next_append(&self, now: MonoTime) -> Option<(Vec<SpooledBatch>, Totals)> {
         let (written, spooled) = (self.appends.written(), self.backlog.spooled());
         let has_resolution = self.earlier.unwritten_gaps().is_some();
+        // This record comes first, because no batch may be sent before the file contains it.
         if has_resolution || self.is_accepted && !self.has_sent_record() {
             let newest_sent = self.newest_sent_record(spooled);
             return Some((Vec::new(), Totals { newest_sent, ..written.clone() }));

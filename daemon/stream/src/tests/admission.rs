@@ -10,7 +10,7 @@ pub(crate) fn hello(id: HostId, name: &str, process: u64, stream: StreamId, olde
         previous: None,
         first: 1,
         oldest,
-        before: chain(oldest - 1),
+        previous_chain: chain(oldest - 1),
         events_before_oldest: oldest - 1,
         events_before_first: Some(0),
         batch_bytes: 512 * 1024,

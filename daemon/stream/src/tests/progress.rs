@@ -26,9 +26,18 @@ impl AggregatorEnd {
 
     fn head(&self, number: u64) -> BatchHead {
         let (host, stream) = (self.id, self.stream);
-        let (before, chain) = (chain(number - 1), chain(number));
+        let (previous_chain, chain) = (chain(number - 1), chain(number));
         let events_before = number - 1;
-        BatchHead { host, stream, process: self.process, number, before, chain, events: 1, events_before }
+        BatchHead {
+            host,
+            stream,
+            process: self.process,
+            number,
+            previous_chain,
+            chain,
+            events: 1,
+            events_before,
+        }
     }
 
     fn batch(&mut self, number: u64) -> Arrival {
@@ -129,7 +138,7 @@ fn non_consecutive_batch_causes_request_for_hello() {
     assert_eq!(end.receiving.handle_batch(&other, true, at(1).mono), UNKNOWN);
     let stranger = BatchHead { host: HostId::random(), ..end.head(5) };
     assert_eq!(end.receiving.handle_batch(&stranger, true, at(1).mono), UNKNOWN);
-    let copied = BatchHead { before: chain(9), ..end.head(5) };
+    let copied = BatchHead { previous_chain: chain(9), ..end.head(5) };
     assert_eq!(end.receiving.handle_batch(&copied, true, at(1).mono), UNKNOWN);
     assert_eq!(end.batch(5), Arrival::Accept);
 }
@@ -161,7 +170,7 @@ fn different_batch_of_same_number_causes_request_for_hello() {
     let mut end = AggregatorEnd::with(1);
     (2..=3).for_each(|number| assert_eq!(end.batch(number), Arrival::Accept));
     let other = BatchHead { chain: chain(9), ..end.head(2) };
-    let next = BatchHead { before: chain(9), chain: chain(10), ..end.head(4) };
+    let next = BatchHead { previous_chain: chain(9), chain: chain(10), ..end.head(4) };
     for head in [other, next] {
         assert_eq!(end.receiving.handle_batch(&head, true, at(5_001).mono), UNKNOWN);
     }
@@ -187,7 +196,7 @@ fn damaged_batch_is_requested_twice_then_quarantined() {
 fn batches_with_damaged_chains_cause_request_for_hello() {
     let mut end = AggregatorEnd::with(0);
     let (head, resend) =
-        (BatchHead { before: chain(7), ..end.head(1) }, Arrival::Rejected(Some(end.resend(1))));
+        (BatchHead { previous_chain: chain(7), ..end.head(1) }, Arrival::Rejected(Some(end.resend(1))));
     for expected in [resend.clone(), resend.clone(), UNKNOWN, resend] {
         assert_eq!(end.receiving.handle_batch(&head, false, at(1).mono), expected);
     }
@@ -239,16 +248,25 @@ fn largest_batch_numbers_are_handled() {
     let (mut end, id, stream) = (receiving(), HostId::random(), StreamId::random());
     let stored =
         |number| Mark { host: id, stored: number, chain: Chain::START, process: None, events: Some(number) };
-    let hello = Hello { oldest: last, before: Chain::START, ..hello(id, "edge", 1, stream, 1) };
+    let hello = Hello { oldest: last, previous_chain: Chain::START, ..hello(id, "edge", 1, stream, 1) };
     let greeting = end.handle_hello(&hello, record_with(None), at(0).mono);
     assert!(matches!(greeting, HelloResult::Welcome { missing: Some(MissingBatches { from: 1, .. }), .. }));
     let head = |number| {
-        let (host, before, chain) = (id, Chain::START, chain(1));
-        BatchHead { host, stream, process: 1, number, before, chain, events: 1, events_before: number - 1 }
+        let (host, previous_chain, chain) = (id, Chain::START, chain(1));
+        BatchHead {
+            host,
+            stream,
+            process: 1,
+            number,
+            previous_chain,
+            chain,
+            events: 1,
+            events_before: number - 1,
+        }
     };
     assert_eq!(end.handle_batch(&head(last), true, at(1).mono), Arrival::Accept);
     assert_eq!(
-        end.handle_batch(&BatchHead { before: chain(1), ..head(last + 1) }, true, at(1).mono),
+        end.handle_batch(&BatchHead { previous_chain: chain(1), ..head(last + 1) }, true, at(1).mono),
         Arrival::Rejected(None)
     );
     assert!(end.handle_stored(stream, stored(u64::MAX)).is_some());

@@ -47,7 +47,7 @@ fn unknown_device_key_is_reported_once() {
     let arguments = [Path::new("run"), Path::new("--check"), &file];
     let end = Process::start(&program("peernet"), &arguments, root(), &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    assert_eq!(end.log.matches("passing over colour").count(), 1, "{}", end.log);
+    assert_eq!(end.log.matches("ignored unknown keys: colour;").count(), 1, "{}", end.log);
 }
 
 #[test]

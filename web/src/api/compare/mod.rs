@@ -28,8 +28,8 @@ struct CompareQuery {
     #[allow(dead_code, reason = "describes the parameter")]
     #[param(pattern = "^[0-9]+(,[0-9]+){0,11}$")]
     runs: Option<String>,
-    /// Id of an experiment. Compares all of its runs that were measured to their end, each repeat once, at most 200. Repeats of a
-    /// configuration are combined.
+    /// Id of an experiment. Compares all of its runs that were measured to their end, at most 200. If a repeat was measured more than
+    /// once, one of its runs is compared. Repeats of a configuration are combined.
     #[allow(dead_code, reason = "describes the parameter")]
     experiment: Option<String>,
     /// Number of a compared run, whose configuration is the baseline; the first run unless given.

@@ -78,9 +78,9 @@ impl TotalOverTime {
 /// Statistics of a window that ends now, by the edge's wall clock.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct Window {
-    /// Number of complete seconds: 1, 10 or 60.
+    /// Number of complete seconds: 1, 10 or 60. The current second is included in addition.
     pub seconds: u32,
-    /// Seconds covered, including the current one; fewer if the pipeline started within the window.
+    /// Seconds covered, with the elapsed part of the current second; fewer if the pipeline started within the window.
     pub covered_s: f64,
     pub counts: Counts,
     /// Iterations of any outcome per second.

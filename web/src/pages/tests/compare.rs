@@ -277,7 +277,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     assert_eq!(panel(&alone).matches("<figcaption>").count(), 6);
     two.iter_mut().for_each(|one| {
         one.stages.clear();
-        one.kept = Default::default();
+        one.mergeable = Default::default();
     });
     assert!(!page_of(two, false).await.contains("id=\"distributions\""));
 }
@@ -307,10 +307,10 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
         let mut one = configuration(at, Remote, 1.0, 1e3);
         let mut widths = Summary::default();
         (0..300).for_each(|_| widths.record(half));
-        let mut kept = MergeableStatistics::clone(&one.kept);
-        kept.add_half_widths(stage::UPLOAD, &widths);
-        kept.add_verdicts(stage::UPLOAD, verdict, 300);
-        one.kept = Arc::new(kept);
+        let mut mergeable = MergeableStatistics::clone(&one.mergeable);
+        mergeable.add_half_widths(stage::UPLOAD, &widths);
+        mergeable.add_verdicts(stage::UPLOAD, verdict, 300);
+        one.mergeable = Arc::new(mergeable);
         one
     };
     let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
@@ -322,10 +322,10 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     let html = asked_for(&two, "upload-throughput").await.expect("there");
     assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
     let mut undetermined = configuration(2, Remote, 1.0, 1e3);
-    let mut kept = MergeableStatistics::default();
-    kept.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
-    kept.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
-    undetermined.kept = Arc::new(kept);
+    let mut mergeable = MergeableStatistics::default();
+    mergeable.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
+    mergeable.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
+    undetermined.mergeable = Arc::new(mergeable);
     let html = asked_for(&[two[0].clone(), undetermined], "upload").await.expect("there");
     assert!(panel(&html).contains("The clocks do not determine it for 1 run."), "{html}");
 }

@@ -68,16 +68,16 @@ async fn run_over_time_shows_sensing_without_total() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     one.stages.retain(|known| known.stage == stage::SENSING);
     let known = one.summary(&stage::SENSING).expect("samples").clone();
-    let mut kept = MergeableStatistics::default();
-    kept.add(stage::SENSING, "s", &known);
-    one.kept = Arc::new(kept);
+    let mut mergeable = MergeableStatistics::default();
+    mergeable.add(stage::SENSING, "s", &known);
+    one.mergeable = Arc::new(mergeable);
     let panel = panel_of(vec![one.clone()]).await.expect("a panel");
     assert!(panel.contains("aria-label=\"Run 1, sensing over time: medians from "), "{panel}");
     assert_eq!(panel.matches("<path class=\"f-").count(), 1, "{panel}");
     assert!(panel.contains("<path class=\"f-sensing\""), "{panel}");
 
     one.stages.clear();
-    one.kept = Arc::default();
+    one.mergeable = Arc::default();
     assert_eq!(panel_of(vec![one]).await, None);
 }
 
@@ -86,7 +86,7 @@ async fn runs_without_a_single_answer_are_named() {
     let mut all: Vec<_> = (0..12).map(|at| configuration(at, Remote, 1.0, 1e3)).collect();
     for one in &mut all[2..] {
         one.stages.clear();
-        one.kept = Arc::default();
+        one.mergeable = Arc::default();
         (one.runs[0].counts.lost, one.runs[0].counts.ok) = (one.runs[0].counts.ok, 0);
     }
     let (app, _folder) = samples::app().await;

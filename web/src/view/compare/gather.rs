@@ -113,7 +113,7 @@ pub(crate) async fn load_comparison(
     let statistics_by_run: HashMap<i64, Arc<MergeableStatistics>> = numbers
         .iter()
         .zip(&statistics)
-        .map(|(run, statistics)| (*run, Arc::clone(&statistics.kept)))
+        .map(|(run, statistics)| (*run, Arc::clone(&statistics.mergeable)))
         .collect();
     // Runs that are chosen one by one are separate configurations, even with equal labels.
     let run_groups = match experiment {
@@ -142,9 +142,9 @@ pub(crate) async fn load_comparison(
         groups.iter().map(|group| (group.values.as_slice(), group.runs.as_slice())),
     );
     let configurations = groups.into_iter().zip(names).map(|(group, name)| {
-        let RunStatistics { stages, bounds, kept } = RunStatistics::merged(&group.statistics);
+        let RunStatistics { stages, bounds, mergeable } = RunStatistics::merged(&group.statistics);
         let computes = group.runs.iter().all(|run| computing.computes(run));
-        Configuration { name, values: group.values, runs: group.runs, stages, bounds, kept, computes }
+        Configuration { name, values: group.values, runs: group.runs, stages, bounds, mergeable, computes }
     });
     let configurations = configurations.collect();
     Ok(Comparison {

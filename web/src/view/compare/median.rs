@@ -33,17 +33,17 @@ pub(super) struct Median {
 
 impl Median {
     /// Returns the median of a node's values. `unit` is their SI unit. `None` without values.
-    pub(super) fn of(kept: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
-        let value = kept.known(name)?.quantile(0.5)?;
+    pub(super) fn of(mergeable: &MergeableStatistics, name: &str, unit: &str) -> Option<Self> {
+        let value = mergeable.summary(name)?.quantile(0.5)?;
         let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
-        let bound = delay.and_then(|delay| kept.bound(delay));
+        let bound = delay.and_then(|delay| mergeable.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
         let half = bound.and_then(|bound| bound.median_half_width()).filter(|half| *half > 0.0);
         let ends = half.zip(delay).and_then(|(half, delay)| {
             if delay == name {
                 return Some(((value - half).max(0.0), Some(value + half)));
             }
-            Some(speed_between(value, kept.known(delay)?.quantile(0.5)?, half))
+            Some(speed_between(value, mergeable.summary(delay)?.quantile(0.5)?, half))
         });
         let shown = shown_in(unit);
         let text = match (ends, verdict) {
@@ -94,29 +94,29 @@ mod tests {
 
     use super::*;
 
-    fn kept(half_ms: f64, verdict: Verdict) -> MergeableStatistics {
+    fn mergeable(half_ms: f64, verdict: Verdict) -> MergeableStatistics {
         let of = |value: f64| {
             let mut all = Summary::default();
             (0..100).for_each(|_| all.record(value));
             all
         };
-        let mut kept = MergeableStatistics::default();
-        kept.add(stage::UPLOAD, "s", &of(0.006));
-        kept.add(stage::UPLOAD_THROUGHPUT, "bit/s", &of(2e8));
-        kept.add(stage::SENSING, "s", &of(0.000_126));
-        kept.add_half_widths(stage::UPLOAD, &of(half_ms / 1e3));
-        kept.add_verdicts(stage::UPLOAD, verdict, 100);
-        kept
+        let mut mergeable = MergeableStatistics::default();
+        mergeable.add(stage::UPLOAD, "s", &of(0.006));
+        mergeable.add(stage::UPLOAD_THROUGHPUT, "bit/s", &of(2e8));
+        mergeable.add(stage::SENSING, "s", &of(0.000_126));
+        mergeable.add_half_widths(stage::UPLOAD, &of(half_ms / 1e3));
+        mergeable.add_verdicts(stage::UPLOAD, verdict, 100);
+        mergeable
     }
 
-    fn median_text(kept: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
-        let median = Median::of(kept, name, unit).expect("samples");
+    fn median_text(mergeable: &MergeableStatistics, name: &Name, unit: &str) -> (String, bool) {
+        let median = Median::of(mergeable, name, unit).expect("samples");
         (median.text.replace(SPACE, " ").replace('\u{a0}', " "), median.doubt.is_some())
     }
 
     #[test]
     fn median_delay_has_interval_by_clock_bounds() {
-        let statistics = kept(0.5, Verdict::Ok);
+        let statistics = mergeable(0.5, Verdict::Ok);
         assert_eq!(
             median_text(&statistics, &stage::UPLOAD, "s"),
             ("median 6.00 ms, by the clocks 5.50 – 6.50".to_owned(), false)
@@ -125,13 +125,13 @@ mod tests {
         assert_eq!(text, "median 25.0 MB/s, by the clocks 23.1 – 27.3");
         assert_eq!(median_text(&statistics, &stage::SENSING, "s"), ("median 0.126 ms".to_owned(), false));
         assert_eq!(Median::of(&statistics, "queue", "s"), None);
-        let exact = kept(0.0, Verdict::Ok);
+        let exact = mergeable(0.0, Verdict::Ok);
         assert_eq!(median_text(&exact, &stage::UPLOAD, "s"), ("median 6.00 ms".to_owned(), false));
     }
 
     #[test]
     fn limited_delay_is_interval_with_verdict() {
-        let wide = kept(8.0, Verdict::Limited);
+        let wide = mergeable(8.0, Verdict::Limited);
         assert_eq!(
             median_text(&wide, &stage::UPLOAD, "s"),
             ("median by the clocks 0.0 – 14.0 ms".to_owned(), true)

@@ -99,23 +99,23 @@ pub(crate) struct Configuration {
     /// Accuracy of the one-way delays.
     pub bounds: Vec<DelayAccuracy>,
     /// All stored statistics of its runs together.
-    pub kept: Arc<MergeableStatistics>,
+    pub mergeable: Arc<MergeableStatistics>,
     /// `false` if its model is an echo model.
     pub computes: bool,
 }
 
 impl Configuration {
-    /// Returns the figures of a node by its name.
+    /// Returns the statistics of a stage or another measured quantity by its name.
     pub(crate) fn figures(&self, name: &str) -> Option<&QuantityStatistics> {
         self.stages.iter().find(|stage| stage.stage == *name).map(|stage| &stage.figures)
     }
 
     /// Returns the summary of a node's values in all runs together, in the SI unit of the node.
     pub(crate) fn summary(&self, name: &str) -> Option<&Summary> {
-        self.kept.known(name)
+        self.mergeable.summary(name)
     }
 
-    /// Returns the figures of `total`, seconds, or of `sensing` for a pipeline that only senses.
+    /// Returns the statistics of `total`, seconds, or of `sensing` for a pipeline that only senses.
     pub(crate) fn total(&self) -> Option<&QuantityStatistics> {
         self.figures("total").or_else(|| self.figures("sensing"))
     }
@@ -152,7 +152,8 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the index of the baseline: the configuration of the run with the number `run`, or the first configuration without a number.
+    /// Returns the index of the baseline: the configuration of the run with the number `run`. If no number is given, it is the first
+    /// configuration.
     ///
     /// # Errors
     /// When the run is not compared.
@@ -170,7 +171,7 @@ impl Comparison {
 
     /// Returns the summary of a node's values in the run with the number `run`.
     pub(crate) fn summary(&self, run: i64, name: &str) -> Option<&Summary> {
-        self.statistics_by_run.get(&run)?.known(name)
+        self.statistics_by_run.get(&run)?.summary(name)
     }
 
     /// Returns all runs, configuration by configuration.

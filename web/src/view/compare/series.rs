@@ -206,7 +206,12 @@ fn data(
         buckets,
         borders: episodes.borders.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
         warm_up: episodes.warm_up_until.map(since).filter(|until| *until > 0.0),
-        unanswered: episodes.unanswered.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
+        unanswered: episodes
+            .unanswered_starts
+            .iter()
+            .filter(|at| is_inside(at))
+            .map(|at| since(*at))
+            .collect(),
         p95: run.total.as_ref().and_then(|total| total.p95),
     };
     (label, data)

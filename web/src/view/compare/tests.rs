@@ -59,18 +59,18 @@ pub(crate) fn stages(scale: f64, bytes: f64) -> (Vec<StageStatistics>, Vec<Delay
 pub(crate) fn configuration(at: usize, kind: PlacementKind, scale: f64, bytes: f64) -> Configuration {
     let (stages, bounds) = stages(scale, bytes);
     let values = vec![format!("{} kB", bytes / 1e3), HOSTILE.to_owned()];
-    let (kept, runs) = (kept(&stages), vec![run(at as i64 + 1, kind)]);
+    let (mergeable, runs) = (mergeable(&stages), vec![run(at as i64 + 1, kind)]);
     let name = char::from(b'A' + at as u8).to_string();
-    Configuration { name, values, runs, stages, bounds, kept, computes: true }
+    Configuration { name, values, runs, stages, bounds, mergeable, computes: true }
 }
 
 pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
     let axes = vec!["size".to_owned(), "where".to_owned()];
     let experiment = Some(("sizes".to_owned(), "a".to_owned()));
-    let kept = |one: &Configuration| {
-        one.runs.iter().map(|run| (run.number, Arc::clone(&one.kept))).collect::<Vec<_>>()
+    let mergeable = |one: &Configuration| {
+        one.runs.iter().map(|run| (run.number, Arc::clone(&one.mergeable))).collect::<Vec<_>>()
     };
-    let statistics_by_run = configurations.iter().flat_map(kept).collect();
+    let statistics_by_run = configurations.iter().flat_map(mergeable).collect();
     let (settings, long_settings, left_out) = (Vec::new(), Vec::new(), Vec::new());
     Comparison {
         experiment,
@@ -85,14 +85,14 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
 }
 
 /// Samples with the means that stages have.
-fn kept(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
-    let mut kept = MergeableStatistics::default();
+fn mergeable(stages: &[StageStatistics]) -> Arc<MergeableStatistics> {
+    let mut mergeable = MergeableStatistics::default();
     for stage in stages {
         let mut values = Summary::default();
         (0..300).for_each(|n| values.record(stage.figures.mean * (1.0 + 0.2 * f64::from(n).sin())));
-        kept.add(stage.stage.clone(), &stage.unit, &values);
+        mergeable.add(stage.stage.clone(), &stage.unit, &values);
     }
-    Arc::new(kept)
+    Arc::new(mergeable)
 }
 
 /// Returns a run's total in buckets: a mean with some waves about it.
@@ -134,8 +134,8 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
             warm_up_until: Some(moment(15)),
-            without_answer: unanswered.len() as u64,
-            unanswered: unanswered.into_iter().map(moment).collect(),
+            unanswered_count: unanswered.len() as u64,
+            unanswered_starts: unanswered.into_iter().map(moment).collect(),
         };
         let series = Series { bucket_s: 1, stages: vec![total], gaps: Vec::new() };
         Some((run.number, RunTimeSeries { series, means: means.collect(), episodes }))

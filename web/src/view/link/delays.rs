@@ -1,6 +1,6 @@
 //! The one-way delays of one direction over a few seconds.
 
-use peernet_analysis::delays::DelaySum;
+use peernet_analysis::delays::DelaySummary;
 use peernet_clock::Verdict;
 use peernet_statistics::number::{EXACT, NONE, interval_ms, within_ms};
 use peernet_store::ClockPoint;
@@ -50,7 +50,7 @@ impl Delays {
 
     /// Merges several seconds into one.
     pub(crate) fn merge(way: NetworkDirection, seconds: &[DelaySecond]) -> Self {
-        let sum: DelaySum = seconds.iter().collect();
+        let sum: DelaySummary = seconds.iter().collect();
         Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
 

@@ -150,13 +150,13 @@ fn explain_bound(offset: &Offset, time_series: &LinkTimeSeries) -> Vec<String> {
         let best_words = bound(best);
         why.push(if half > best * 1.3 {
             format!(
-                "{general} {smallest}, so at best the offset is known to half of that, {best_words}; since then the bound grows \
+                "{general} {smallest}, so at best the offset is known to within half of it, {best_words}; since then the bound grows \
                  with the drift that two clocks may have."
             )
         } else if half < best * 0.7 {
             format!("{general} {smallest}, which alone gives {best_words}; {}.", describe_narrowing(offset))
         } else {
-            format!("{general} {smallest}, so the offset is known to half of that, {best_words}.")
+            format!("{general} {smallest}, so the offset is known to within half of it, {best_words}.")
         });
     } else {
         why.push(

@@ -57,6 +57,7 @@ impl EventIntake {
         for event in self.runs.start_events() {
             let pipeline =
                 if let Event::RunStarted(started) = &event { Some(&started.pipeline) } else { None };
+            // The state machine gets this event a second time, so it is counted a second time.
             self.receiver.counter.count(pipeline, event.run(), now.wall);
             machine.offer(&event, now);
         }
@@ -73,10 +74,11 @@ impl EventIntake {
 
     /// Adds the events that have not reached the state machine to the counts of the state machine.
     pub(super) fn add_to(&self, account: &mut Accounting) {
-        let (queued, dropped) = (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
-        account.produced += queued + dropped;
-        account.waiting += queued;
-        account.dropped += dropped;
+        let (queued_events, dropped_events) =
+            (self.receiver.queue.len() as u64, self.receiver.overflow.dropped());
+        account.produced += queued_events + dropped_events;
+        account.waiting += queued_events;
+        account.dropped += dropped_events;
     }
 
     /// Records, in the counter's file, a batch that is sent without being in the spool.

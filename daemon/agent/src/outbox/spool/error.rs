@@ -74,12 +74,12 @@ pub enum SpoolError {
         own: HostId,
     },
     /// The data in the spool is inconsistent.
-    #[error("the spool {} is damaged: {what}", .path.display())]
+    #[error("the spool {} is damaged: {defect}", .path.display())]
     Damaged {
         /// Path of the spool.
         path: PathBuf,
         /// Inconsistency that was found.
-        what: SpoolDefect,
+        defect: SpoolDefect,
     },
 }
 
@@ -136,7 +136,7 @@ impl SpoolError {
 #[derive(Debug, thiserror::Error)]
 pub(in crate::outbox) enum SpoolFileError {
     /// The path refers to another file or to no file. Batches that are written now would be lost when this process ends.
-    #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events in the old spool that are not stored are then lost", .0.display())]
+    #[error("the spool {} was deleted, moved or replaced while it was in use; move it back. A restart of the agent creates a new spool; events of the old spool that the aggregator has not stored yet are then lost", .0.display())]
     Moved(PathBuf),
     /// The disk is full.
     #[error("cannot {action} the spool {}: the disk is full; free some space; the agent retries", .path.display())]

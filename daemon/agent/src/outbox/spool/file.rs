@@ -62,8 +62,8 @@ impl SpoolFile {
     }
 
     /// Writes batches, together with the totals up to the last of these batches, in one transaction. Without batches the totals are
-    /// synced to the disk. If the disk is full, the reserve is then used, because the number of lost events must not be
-    /// lost as well.
+    /// synced to the disk. Only in this case may a full disk lead to the use of the reserve, because the number of lost events
+    /// must not be lost as well.
     pub(in crate::outbox) async fn append(
         &mut self,
         batches: &[SpooledBatch],
@@ -75,7 +75,7 @@ impl SpoolFile {
         if !self.reserve.allocate() && !batches.is_empty() {
             return Err(SpoolFileError::Full { action: ACTION, path: self.path.clone() });
         }
-        let resolved_counter = match totals.unreported {
+        let counter_to_remove = match totals.unreported {
             Some(_) => {
                 tail::unresolved_counter(&mut self.connection).await.map_err(self.file_error(ACTION))?
             }
@@ -89,8 +89,8 @@ impl SpoolFile {
             }
             append_result => append_result?,
         }
-        // The file now contains the losses of the earlier process, so that process's counts are no longer needed.
-        if let Some(counter) = resolved_counter {
+        // The file now contains the losses of the earlier process, so the counts of that process are no longer needed.
+        if let Some(counter) = counter_to_remove {
             counter::remove(&counter);
         }
         if batches.is_empty() {
@@ -182,7 +182,7 @@ impl SpoolFile {
         self.sync(ACTION).await
     }
 
-    /// Returns some of the unused pages to the file system, after a backlog. Returns whether there may be more.
+    /// Gives some of the unused pages back to the file system, after a backlog. Returns whether there may be more.
     pub(in crate::outbox) async fn shrink(&mut self) -> Result<bool, SpoolFileError> {
         let result = vacuum(&mut self.connection).await;
         match result.map_err(self.file_error("shrink")) {

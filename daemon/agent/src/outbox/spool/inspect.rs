@@ -173,6 +173,7 @@ impl Inspection {
         let mut connection = read_only_options(path).connect().await?;
         // All reads are in one transaction, so that concurrent writes of the agent do not look like damage.
         sqlx::query("BEGIN").execute(&mut connection).await?;
+        // Checked within the transaction; the result is returned after the connection is closed.
         let is_spool = check_is_spool(&mut connection).await;
         if is_spool.is_ok() {
             self.check_pages(&mut connection).await?;
@@ -265,6 +266,7 @@ async fn check_is_spool(connection: &mut SqliteConnection) -> Result<(), Inspect
     .fetch_one(connection)
     .await?;
     Err(match (tables, aggregator_tables) {
+        // A new database of any program has no tables and no id yet.
         (0, _) => InspectError::Empty,
         (_, 3) => InspectError::Database,
         _ => InspectError::Other,

@@ -140,7 +140,7 @@ async fn connect_despite_full_disk(
 
 async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Connected, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
-        return Err(SpoolError::Damaged { path: path.to_owned(), what: SpoolDefect::Condemned(reason) });
+        return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Condemned(reason) });
     }
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let mut connection = settings(path).connect().await.map_err(cannot_open)?;
@@ -168,8 +168,8 @@ async fn prepare(
     claim(path, connection).await?;
     MIGRATIONS.run_direct(None, connection, false).await.map_err(|source| match source {
         MigrateError::VersionMissing(found) => {
-            let known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
-            SpoolError::NewerSchema { path: path.to_owned(), found, known }
+            let newest_known = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+            SpoolError::NewerSchema { path: path.to_owned(), found, known: newest_known }
         }
         MigrateError::Execute(source) if is_full(&source) => cannot_open(source),
         source => SpoolError::Migrate { path: path.to_owned(), source },
@@ -182,7 +182,7 @@ async fn prepare(
     let waiting = waiting_totals(connection).await.map_err(cannot_open)?;
     let sent_batches = newest_sent_batches(connection).await.map_err(cannot_open)?;
     let state = row.into_state(waiting, sent_batches);
-    let mut state = state.map_err(|what| SpoolError::Damaged { path: path.to_owned(), what })?;
+    let mut state = state.map_err(|defect| SpoolError::Damaged { path: path.to_owned(), defect })?;
     state.unreported = tail::read_unreported(connection).await.map_err(cannot_open)?;
     let owner = CountOwner::from_path(path).map_err(|source| SpoolError::Io {
         action: "read",
@@ -321,7 +321,7 @@ impl StreamRow {
             first: self.first.cast_unsigned(),
             events_before_first: self.events_before_first.map(i64::cast_unsigned),
             oldest: acknowledged + 1,
-            before: acknowledged_chain,
+            previous_chain: acknowledged_chain,
             newest,
             since: waiting.since_ns.map(WallTime::from_unix_nanos),
             waiting_usage: Usage {

@@ -51,6 +51,7 @@ pub(super) fn encode_counts(counts: &RunCounts) -> Vec<u8> {
 fn decode_counts(bytes: &[u8]) -> Option<RunCounts> {
     let (total, runs) = bytes.split_first_chunk()?;
     let mut counts = RunCounts { total: u64::from_be_bytes(*total), ..RunCounts::default() };
+    // 16 bytes of the run's id and 8 bytes of its number of events.
     for entry in runs.chunks_exact(24) {
         let (run, events) = entry.split_first_chunk::<16>()?;
         counts.runs.insert(RunId::from_bytes(*run), u64::from_be_bytes(*events.first_chunk()?));
@@ -140,6 +141,8 @@ pub(super) async fn start_counter(
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
+    // The name of the new counter is part of the transaction: a process that is killed afterwards is counted by its
+    // successor.
     let result = match write(connection, state, lost_events.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
         error => error,

@@ -5,7 +5,7 @@ use peernet_clock::{MonoTime, Span};
 /// Arrival times of a topic's latest messages.
 #[derive(Debug, Default)]
 pub(super) struct Arrivals {
-    last: Option<MonoTime>,
+    last_arrival: Option<MonoTime>,
     last_period: Option<Span>,
 }
 
@@ -21,7 +21,7 @@ pub(super) struct Arrival {
 impl Arrivals {
     /// Records the arrival of a message.
     pub(super) fn record(&mut self, at: MonoTime) -> Arrival {
-        let period = self.last.replace(at).map(|last| at - last);
+        let period = self.last_arrival.replace(at).map(|last| at - last);
         let last_period = std::mem::replace(&mut self.last_period, period);
         let jitter = period.zip(last_period).map(|(period, last)| (period - last).abs());
         Arrival { period, jitter }

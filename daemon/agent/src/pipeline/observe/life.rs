@@ -58,6 +58,7 @@ pub(in crate::pipeline) async fn run_to_end(
             match observation.run(&mut source, run, runner).await {
                 SessionEnded::Midnight => {
                     run.end(EndReason::Finished, &runner.context);
+                    // The subscriptions and the observation continue; only the run is a new one.
                     *run = start_run(runner, config, &source, observation.peer(), true).await;
                 }
                 SessionEnded::Limit => break Some(EndReason::Finished),
@@ -132,11 +133,11 @@ async fn connect(
     let host = &runner.context.host;
     let name = node_name(&host.name, &runner.config.name);
     let mut reconnect_backoff = ReconnectBackoff::new(host.id);
-    let mut reported = String::new();
+    let mut reported_error = String::new();
     loop {
         let opening = runner.stop.run_until_cancelled(Source::open(config, &name, &host.clock));
-        let Some(opened) = opening.await else { return Ok(None) };
-        let error = match opened {
+        let Some(opening_result) = opening.await else { return Ok(None) };
+        let error = match opening_result {
             Ok(mut source) => match await_publishers(runner, config, &mut source, run).await {
                 Ok(true) => return Ok(Some(source)),
                 Ok(false) => {
@@ -150,13 +151,15 @@ async fn connect(
             },
             Err(error) => error,
         };
+        // Retrying cannot correct a wrong configuration or type.
         if !error.is_temporary() {
             return Err(error);
         }
         let text = error.to_string();
-        if reported != text {
+        // A reason is reported once and not with every attempt.
+        if reported_error != text {
             runner.report(IncidentKind::Disconnected, run, format!("{text} (retrying)"));
-            reported.clone_from(&text);
+            reported_error.clone_from(&text);
         }
         runner.live_state.set_state(PipelineState::Waiting(text));
         if runner.stop.run_until_cancelled(tokio::time::sleep(reconnect_backoff.next_pause())).await.is_none()

@@ -56,13 +56,8 @@ impl<I, O> Pairing<I, O> {
         Self { timeout, capacity, inputs: VecDeque::new(), outputs: VecDeque::new() }
     }
 
-    /// Adds an input message that was received at `at`.
-    pub(super) fn take_input(
-        &mut self,
-        key: Option<i64>,
-        at: MonoTime,
-        input: I,
-    ) -> Option<Resolution<I, O>> {
+    /// Adds an input message that was received at `at`. Returns the pair that it completes, or the message that it displaces.
+    pub(super) fn add_input(&mut self, key: Option<i64>, at: MonoTime, input: I) -> Option<Resolution<I, O>> {
         // Only output messages with a key wait: one without a key would be paired with a later input message.
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
@@ -72,8 +67,9 @@ impl<I, O> Pairing<I, O> {
         Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
     }
 
-    /// Adds an output message that was received at `at`.
-    pub(super) fn take_output(
+    /// Adds an output message that was received at `at`. Returns the pair that it completes, or an output message that
+    /// remains without a pair.
+    pub(super) fn add_output(
         &mut self,
         key: Option<i64>,
         at: MonoTime,
@@ -119,13 +115,13 @@ impl<I, O> Pairing<I, O> {
 
     /// Removes and returns all input messages that wait, the oldest first.
     pub(super) fn take_unpaired_inputs(&mut self) -> impl Iterator<Item = I> + use<I, O> {
-        std::mem::take(&mut self.inputs).into_iter().map(|waiting| waiting.message)
+        std::mem::take(&mut self.inputs).into_iter().map(|unpaired| unpaired.message)
     }
 }
 
 /// Removes the oldest message with this key.
-fn remove<T>(waiting: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
-    let wanted = key?;
-    let index = waiting.iter().position(|message| message.key == Some(wanted))?;
-    waiting.remove(index).map(|waiting| waiting.message)
+fn remove<T>(unpaired: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
+    let wanted_key = key?;
+    let index = unpaired.iter().position(|message| message.key == Some(wanted_key))?;
+    unpaired.remove(index).map(|unpaired| unpaired.message)
 }

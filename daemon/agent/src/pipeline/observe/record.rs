@@ -120,6 +120,7 @@ pub(super) fn unanswered(
 ) -> Tree {
     let started = input.message.received;
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
+    // Missing messages are counted with the next answered iteration.
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
     iteration::close(log, &pending(position, started), ended.mono, true, None)
 }

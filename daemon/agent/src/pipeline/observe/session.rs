@@ -50,7 +50,7 @@ pub(super) struct Observation<'a> {
     /// Start of the observation. Messages received earlier belong to no run and are ignored.
     since: MonoTime,
     /// `true` once output messages without a key have been reported.
-    has_reported_output: bool,
+    has_warned_of_unpairable_output: bool,
     stamps: MessageStamps,
     /// The agent that observes the same messages on its host, if there is one.
     peer: Option<PeerStamps>,
@@ -71,7 +71,7 @@ impl<'a> Observation<'a> {
             output: Arrivals::default(),
             unpaired_counts: UnpairedCounts::default(),
             since: host.clock.mono(),
-            has_reported_output: false,
+            has_warned_of_unpairable_output: false,
             stamps,
             peer,
         }
@@ -100,8 +100,8 @@ impl<'a> Observation<'a> {
                 next_check_at = now + CHECK_INTERVAL;
                 let current = source.problem();
                 if current != problem {
-                    let reported = current.as_ref().map(|problem| source.with_advice(problem));
-                    super::life::report_problem(runner, run.id(), reported.as_deref());
+                    let problem_with_advice = current.as_ref().map(|problem| source.with_advice(problem));
+                    super::life::report_problem(runner, run.id(), problem_with_advice.as_deref());
                     problem = current;
                 }
                 report_dropped(source, &mut dropped);
@@ -163,7 +163,7 @@ impl<'a> Observation<'a> {
             record_lost(&input, reason.to_owned(), run, runner);
         }
         if let Some(peer) = &mut self.peer {
-            peer.abandon().await.into_iter().for_each(|settled| record(settled, run, runner));
+            peer.abandon().await.into_iter().for_each(|settled_pair| record(settled_pair, run, runner));
         }
     }
 
@@ -194,12 +194,12 @@ impl<'a> Observation<'a> {
         // The position is assigned to the input message, so that an input without an output is an iteration, too.
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
-        let at_host = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
-        let received = Received { message, arrival, at: at_host };
+        let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
+        let received = Received { message, arrival, at: host_stamp };
         match key {
             Ok(key) => {
                 let input = Input { position, received };
-                if let Some(resolution) = self.pairing.take_input(key, at, input) {
+                if let Some(resolution) = self.pairing.add_input(key, at, input) {
                     self.settle(resolution, run, runner);
                 }
             }
@@ -223,15 +223,15 @@ impl<'a> Observation<'a> {
         self.unpaired_counts.output_missing += message.missing;
         match message.key(self.config.pair_by) {
             Ok(key) => {
-                let at_host = self.stamps.stamp(Side::Output, &message, key);
-                let output = Received { message, arrival, at: at_host };
-                if let Some(resolution) = self.pairing.take_output(key, at, output) {
+                let host_stamp = self.stamps.stamp(Side::Output, &message, key);
+                let output = Received { message, arrival, at: host_stamp };
+                if let Some(resolution) = self.pairing.add_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
             }
             Err(reason) => {
                 self.unpaired_counts.output_unmatched += 1;
-                if !std::mem::replace(&mut self.has_reported_output, true) {
+                if !std::mem::replace(&mut self.has_warned_of_unpairable_output, true) {
                     let topic = &self.config.output;
                     tracing::warn!(
                         topic,
@@ -251,11 +251,11 @@ impl<'a> Observation<'a> {
                 if let Some(peer) = &mut self.peer {
                     let key = input.received.message.key(self.config.pair_by).ok().flatten();
                     let pair = Pair { input, output, unpaired_counts };
-                    let refused = match key {
+                    let unqueried_pair = match key {
                         Some(key) => peer.query(key, pair).err(),
                         None => Some(Box::new(pair)),
                     };
-                    if let Some(pair) = refused {
+                    if let Some(pair) = unqueried_pair {
                         record(record_without_peer(host, &pair), run, runner);
                     }
                     return;

@@ -153,7 +153,7 @@ impl IngestSession {
     fn refuse(&mut self, from: &Peer, hello: &Hello, reason: String, now: Stamp) {
         let ip = from.address.map(|address| address.ip());
         let address = from.address.map(|address| address.to_string());
-        if let Some(times) = self.refusals.count(&reason, ip, now.mono) {
+        if let Some(times) = self.refusals.times_to_log(&reason, ip, now.mono) {
             let (host, id) = (&hello.host.name, &hello.host.id);
             tracing::warn!(%host, %id, address, %reason, times, "a host was refused");
         }

@@ -14,7 +14,7 @@ const MAX_OVERRUN: f64 = 0.1;
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(replayed) = &input.replayed else { return Vec::new() };
     let text = format!("The latencies of the model are replayed, not measured: {replayed}.");
-    let advice = "mark the figures as replayed where they are published; they plan for a machine, and do not measure it";
+    let advice = "mark the figures as replayed where they are published; they are estimates for a machine, not measurements of it";
     let mut all = vec![with_advice(finding("replayed", Grade::Doubtful, text), advice)];
     all.extend(judge_overrun(input));
     all

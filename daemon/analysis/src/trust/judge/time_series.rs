@@ -116,7 +116,7 @@ fn judge_warm_up(total: &TimeSeries) -> Finding {
     // block is so high by chance.
     if excess > MAX_COLD_EXCESS && beginning.share_as_high < MAX_CHANCE {
         let text = format!(
-            "{comparison}: {} more, and more than nearly all later groups of {}.",
+            "{comparison}: {} more. Nearly all later groups of {} took less.",
             percent(excess),
             counted(beginning.count, "iteration")
         );

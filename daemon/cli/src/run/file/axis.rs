@@ -75,7 +75,7 @@ pub(super) enum AxisError {
     Form,
     #[error("name: {0:?} contains a control character, which would break tables")]
     NameControl(String),
-    #[error("name: compare.csv has a column {0} of its own; choose another name")]
+    #[error("name: compare.csv already has a column named {0}; choose another name")]
     NameColumn(String),
     #[error(
         "the label {0:?} contains a control character, which would break tables; set another label with [[axis.value]]"
@@ -112,6 +112,7 @@ impl Axis {
             (None, true, false) => value.into_iter().map(read_long_form).collect::<Result<_, _>>()?,
             _ => return Err(AxisError::Form),
         };
+        // Names and labels are printed in tables and in lines of the terminal.
         if name.contains(char::is_control) {
             return Err(AxisError::NameControl(name));
         }
@@ -131,6 +132,8 @@ impl Axis {
 
     /// Returns whether this axis overwrites a field that the other, earlier axis sets.
     pub(super) fn overwrites(&self, other: &Self) -> bool {
+        // A later axis may set a part of what an earlier one has set, but not replace the whole, which would make the
+        // earlier axis ineffective.
         self.fields().any(|field| other.fields().any(|earlier| field.covers(earlier)))
     }
 
@@ -178,6 +181,7 @@ fn variable_field(text: &str) -> Result<Field, AxisError> {
     if !VARIABLE_TABLES.contains(&field.table()) {
         return Err(AxisError::UnknownTable(text.to_owned()));
     }
+    // The other tables may change completely; of `[experiment]` most keys are about all runs together.
     let experiment_key = text.strip_prefix("experiment.").map(|rest| rest.split('.').next().unwrap_or(rest));
     if field.table() == "experiment" && !experiment_key.is_some_and(|key| VARIABLE_KEYS.contains(&key)) {
         return Err(AxisError::SameForAll(text.to_owned()));
@@ -193,6 +197,7 @@ pub(super) fn label(value: &Value) -> Option<String> {
         Value::Float(number) => Some(number.to_string()),
         Value::Boolean(true) => Some("yes".to_owned()),
         Value::Boolean(false) => Some("no".to_owned()),
+        // Their text is too long for a column; `[[axis.value]]` gives them a label.
         Value::Datetime(_) | Value::Array(_) | Value::Table(_) => None,
     }
 }

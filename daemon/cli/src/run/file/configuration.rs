@@ -136,9 +136,11 @@ fn read(
     if let Some((key, instead)) = REPLACED_KEYS.into_iter().find(|(key, _)| pipeline.contains_key(*key)) {
         return Err(ConfigurationError::DecidedElsewhere { key, instead });
     }
+    // Names of devices are replaced by addresses here, because an agent's configuration knows addresses only.
     let network = peers::resolve(&mut pipeline, network.as_ref(), files)?;
     let seeds = Seeds { sensor: lacks_seed(&pipeline, "sensor"), load: lacks_seed(&pipeline, "load") };
     pipeline.insert("name".to_owned(), Value::String(experiment.name.to_string()));
+    // Noted before the conversion, which fills in the default folders of a daemon.
     let has_bank = document.contains_key("bank");
     document.retain(|key, _| AGENT_TABLES.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
@@ -147,6 +149,7 @@ fn read(
         agent.bank.folders = ModelFolders::search(models).paths().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);
+    // Two agents cannot write to one spool.
     if experiment.users.get() > 1 && agent.spool.file.is_some() {
         return Err(ConfigurationError::SharedSpool);
     }
@@ -191,6 +194,7 @@ fn covers_run(warm_up: &WarmUp, limit: &Limit, steps: Option<NonZeroU32>) -> boo
 /// Returns whether a table of the pipeline could have a seed and has none.
 fn lacks_seed(pipeline: &Table, key: &str) -> bool {
     let Some(Value::Table(table)) = pipeline.get(key) else { return false };
+    // Only the type of the table knows which kinds have a seed, so a seed is inserted and the table is read.
     let mut seeded = table.clone();
     let has_no_seed = seeded.insert("seed".to_owned(), Value::Integer(1)).is_none();
     has_no_seed
@@ -207,6 +211,7 @@ fn parses_as<T: DeserializeOwned>(table: Table) -> bool {
 /// Adds the axes that may have set the invalid value to an error.
 fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> ConfigurationError {
     let text = problem.to_string();
+    // The text of every error begins with the key.
     let key = text.split(": ").next().unwrap_or_default();
     let Ok(field) = Field::read(key) else { return problem };
     let axes: Vec<String> = combination
@@ -215,6 +220,7 @@ fn name_axes(problem: ConfigurationError, combination: &Combination<'_>) -> Conf
             value
                 .sets
                 .iter()
+                // An unknown field is named in the text only, in backticks as serde writes it.
                 .any(|(set, _)| set.touches(&field) || text.contains(&format!("`{}`", set.key())))
         })
         .map(|(axis, value)| format!("{} = {}", axis.name, value.label))

@@ -44,6 +44,7 @@ impl Field {
             if key.is_empty() || key.contains(char::is_control) {
                 return Err(FieldError::Path(text.to_owned()));
             }
+            // Files of earlier releases use the earlier names of tables; only the first key is a table's name.
             let key = if steps.is_empty() { current_name(key) } else { key };
             steps.push(Step::Key(key.to_owned()));
             for index in indices.split_terminator(']') {
@@ -78,7 +79,7 @@ impl Field {
         self.0.iter().zip(&other.0).all(|(a, b)| a == b)
     }
 
-    /// Returns whether setting this field overwrites the other one or a part that contains it.
+    /// Returns whether setting this field overwrites the other field, either directly or because this field contains it.
     pub(super) fn covers(&self, other: &Self) -> bool {
         self.0.len() <= other.0.len() && self.touches(other)
     }
@@ -93,27 +94,29 @@ impl Field {
             document.insert(first.clone(), value);
             return Ok(());
         }
-        let mut place = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
+        let mut current_value = document.entry(first.clone()).or_insert_with(|| Value::Table(Table::new()));
         for (index, step) in rest.iter().enumerate() {
-            let walked = || Self(self.0[..=index].to_vec());
-            place = match (step, place) {
+            let path_so_far = || Self(self.0[..=index].to_vec());
+            current_value = match (step, current_value) {
                 (Step::Key(key), Value::Table(table)) => {
                     table.entry(key.clone()).or_insert_with(|| Value::Table(Table::new()))
                 }
+                // Lists are not extended: an index beyond the end is a mistake, because the entries between would be
+                // undefined.
                 (Step::Index(index), Value::Array(list)) => {
                     let count = list.len();
-                    let none = || FieldError::NoEntry { field: self.clone(), list: walked(), count };
-                    list.get_mut(*index).ok_or_else(none)?
+                    let no_entry = || FieldError::NoEntry { field: self.clone(), list: path_so_far(), count };
+                    list.get_mut(*index).ok_or_else(no_entry)?
                 }
                 (Step::Key(_), _) => {
-                    return Err(FieldError::NoTable { field: self.clone(), place: walked() });
+                    return Err(FieldError::NoTable { field: self.clone(), place: path_so_far() });
                 }
                 (Step::Index(_), _) => {
-                    return Err(FieldError::NoList { field: self.clone(), place: walked() });
+                    return Err(FieldError::NoList { field: self.clone(), place: path_so_far() });
                 }
             };
         }
-        *place = value;
+        *current_value = value;
         Ok(())
     }
 }

@@ -56,10 +56,10 @@ pub(super) fn combinations<'a>(
         })
         .collect::<Result<_, _>>()?;
     let all = axes.iter().fold(vec![Vec::new()], |combinations: Vec<Combination<'a>>, axis| {
-        let extended = |combination: &Combination<'a>| -> Vec<Combination<'a>> {
+        let extend = |combination: &Combination<'a>| -> Vec<Combination<'a>> {
             axis.values.iter().map(|value| [combination.as_slice(), &[(axis, value)]].concat()).collect()
         };
-        combinations.iter().flat_map(extended).collect()
+        combinations.iter().flat_map(extend).collect()
     });
     let remaining: Vec<Combination<'_>> = all
         .into_iter()

@@ -14,7 +14,7 @@ mod set;
 pub(super) use axis::Axis;
 pub(super) use configuration::Configuration;
 pub(super) use experiment::{Experiment, Order};
-pub(super) use set::Set;
+pub(super) use set::FieldOverride;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -87,7 +87,7 @@ impl File {
     ///
     /// # Errors
     /// When it does not exist (66), something in it is wrong (78), or a replaced value has no effect (64).
-    pub(super) fn read(path: &Path, sets: &[Set]) -> Result<Self, Failure> {
+    pub(super) fn read(path: &Path, sets: &[FieldOverride]) -> Result<Self, Failure> {
         let text = small_file::read(path, small_file::MAX_BYTES)
             .with_context(|| format!("cannot read the experiment {}", path.display()))
             .map_err(|error| Failure::new(Exit::NoInput, error))?;
@@ -112,8 +112,8 @@ impl File {
         &self,
         models: &[PathBuf],
     ) -> Result<(Vec<Configuration>, Vec<Option<NetworkConfig>>), Failure> {
-        let wrong = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
-        let with_path = |error| wrong(format!("{}: {error}", self.path.display()));
+        let invalid = |text: String| Failure::new(Exit::Configuration, anyhow!("{text}"));
+        let with_path = |error| invalid(format!("{}: {error}", self.path.display()));
         let combinations = matrix::combinations(&self.axes, &self.experiment.exclude).map_err(with_path)?;
         self.check_run_count(combinations.len()).map_err(with_path)?;
         let (mut configurations, mut networks) = (Vec::new(), Vec::new());
@@ -137,7 +137,9 @@ impl File {
             return Ok((configurations, networks));
         }
         let file = self.path.display();
-        Err(wrong(problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n")))
+        Err(invalid(
+            problems.iter().map(|problem| format!("{file}: {problem}")).collect::<Vec<_>>().join("\n"),
+        ))
     }
 
     /// Checks the number of runs before any is planned.

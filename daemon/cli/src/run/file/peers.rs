@@ -78,7 +78,7 @@ pub(super) fn resolve(
         known: addresses.keys().cloned().collect(),
     })?;
     *peer = address.to_string();
-    if address.domain().is_some() {
+    if address.ros_domain().is_some() {
         add_ros2(placement, ros2).map_err(PeerError::Ros2)?;
     }
     Ok(Some(config.clone()))

@@ -9,7 +9,7 @@ use super::field::{Field, FieldError};
 
 /// A field with its new value.
 #[derive(Clone, Debug, PartialEq)]
-pub(in crate::run) struct Set {
+pub(in crate::run) struct FieldOverride {
     field: Field,
     value: Value,
 }
@@ -30,7 +30,7 @@ pub(in crate::run) enum SetError {
     Ineffective { field: Field, axis: String },
 }
 
-impl Set {
+impl FieldOverride {
     /// Reads `FIELD=VALUE`. A value that is not TOML is a text, so that shells need no second pair of quotes.
     ///
     /// # Errors
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn value_that_is_no_toml_is_text() {
-        let value = |text: &str| Set::read(text).expect("reads").value;
+        let value = |text: &str| FieldOverride::read(text).expect("reads").value;
         assert_eq!(value("experiment.iterations=100"), Value::Integer(100));
         assert_eq!(value("a.b = true"), Value::Boolean(true));
         assert_eq!(value("a.b=tcp://10.0.0.2:5551"), Value::String("tcp://10.0.0.2:5551".to_owned()));
@@ -101,7 +101,7 @@ mod tests {
             ("a.b=18446744073709551615", "too large; the largest is 9223372036854775807"),
             ("a.b=-99_999_999_999_999_999_999", "too large"),
         ] {
-            let error = Set::read(text).expect_err(text);
+            let error = FieldOverride::read(text).expect_err(text);
             assert!(error.to_string().contains(message), "{error}");
         }
     }

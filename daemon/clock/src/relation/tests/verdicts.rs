@@ -79,14 +79,14 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 fn delay_without_fresh_exchange_is_stale() {
     let host_clocks = host_clocks(Span::from_millis(5));
     let mut relation = relation_with_history(&host_clocks);
-    // An image whose transfer takes half a second, so that the width of the interval is no limit.
+    // An image whose transfer takes half a second, so that the interval is narrow beside the delay and the verdict is not `limited`.
     let trip_with_large_image = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&trip_with_large_image(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late_trip = trip_with_large_image(40e9);
     let judged = relation.judge(&late_trip.observation());
     assert_eq!((judged.learned, judged.up.verdict), (LearnResult::Accepted, Verdict::Stale));
     assert!(contains(&judged.up, late_trip.up) && judged.up.value.is_some());
-    // This exchange makes the next delay recent. It also makes its own delay recent when that is judged later.
+    // The exchange of the late trip is fresh for the next delay, and for its own delay if that is judged again later.
     assert_eq!(relation.judge(&trip_with_large_image(42e9).observation()).up.verdict, Verdict::Ok);
     let delay_judged_later =
         relation.delay(Direction::Up, late_trip.exchange.sent, late_trip.exchange.received);

@@ -66,9 +66,11 @@ fn colon(text: &str) -> String {
 fn retry(after: &Option<String>) -> String {
     match after {
         Some(after) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
-            format!("; it asks to wait {after} s: lower the rate of the pipeline, or workers")
+            format!("; it asks to wait {after} s: lower the rate of the pipeline, or the number of workers")
         }
-        Some(after) => format!("; it asks to wait until {after}: lower the rate of the pipeline, or workers"),
+        Some(after) => format!(
+            "; it asks to wait until {after}: lower the rate of the pipeline, or the number of workers"
+        ),
         None => String::new(),
     }
 }

@@ -29,6 +29,7 @@ impl AnswersBeingSent {
         self.count.fetch_add(1, Ordering::SeqCst);
         send();
         self.count.fetch_sub(1, Ordering::SeqCst);
+        // If nobody waits yet, the permit is kept for the next waiter, so that no wake-up is lost.
         self.sent.notify_one();
     }
 
@@ -55,6 +56,7 @@ pub(super) fn encode_answer(
     let (delta, clock_zero) = encode_log_delta(recorder);
     let raw = route.version >= RAW_STAMPS_SINCE;
     let stamp = clock.stamp();
+    // Read after the stamp: if this epoch equals that of the arrival, no step lies between the two stamps.
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
         let start = clock_zero + (stamp.mono - MonoTime::default());
@@ -91,6 +93,7 @@ pub(super) fn encode_part(
     let departure = Departure {
         sent: stamp.wall,
         start: stamp.mono - received,
+        // Every version with partial replies has stamps of the free-running clock.
         epoch: clock.epoch(),
         sent_raw: Some(stamp.raw),
     };

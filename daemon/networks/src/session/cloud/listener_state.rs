@@ -47,25 +47,25 @@ impl ListenerState {
     }
 
     /// Locks the state machine of the sessions. The lock is held for microseconds and never while sending.
-    pub(super) fn server(&self) -> MutexGuard<'_, Server> {
+    pub(super) fn lock_server(&self) -> MutexGuard<'_, Server> {
         self.server.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Tells the transport what the edge may send on the connection from now on.
     pub(super) fn update_admission(&self, connection: ConnectionId) {
-        let admission = self.server().admission(connection);
+        let admission = self.lock_server().admission(connection);
         self.output.set_admission(connection, admission);
     }
 
     pub(crate) fn accept(&self, session: SessionId, accepted: SessionAccepted) -> bool {
-        let Some((peer, header)) = self.server().accept(session, accepted) else { return false };
+        let Some((peer, header)) = self.lock_server().accept(session, accepted) else { return false };
         // This happens before the acceptance is sent, because the edge's first request may be large.
         self.update_admission(peer.connection);
         self.send_message(&peer, &header)
     }
 
     pub(crate) fn refuse(&self, session: SessionId, reason: String) {
-        let refusal = self.server().refuse(session, reason);
+        let refusal = self.lock_server().refuse(session, reason);
         if let Some((peer, header)) = refusal {
             self.update_admission(peer.connection);
             self.send_message(&peer, &header);
@@ -74,14 +74,14 @@ impl ListenerState {
 
     /// Sends the state of this host's clocks to all edges with an open session, and keeps it for later sessions.
     pub(crate) fn send_clock_to_edges(&self, clock: PeerClock) {
-        let headers = self.server().update_clock(clock);
+        let headers = self.lock_server().update_clock(clock);
         for (peer, header) in headers {
             self.send_message(&peer, &header);
         }
     }
 
     pub(crate) fn report_statistics(&self) {
-        let sessions = self.server().sessions_with_statistics();
+        let sessions = self.lock_server().sessions_with_statistics();
         for (session, peer, counters) in sessions {
             let statistics = self.output.statistics(peer.connection, &counters);
             let header = Header::Statistics(Box::new(StatisticsReport { session, statistics }));
@@ -100,7 +100,7 @@ impl ListenerState {
         // The answer is counted before its request stops being in flight, so that `wait_until_idle` always sees one of them.
         // Otherwise the listener could close in between and send the goodbye before the answer.
         self.answers.count_while(|| {
-            let finished = self.server().finish_request(key.session, key.request);
+            let finished = self.lock_server().finish_request(key.session, key.request);
             let route = match finished {
                 FinishedRequest::Send(route) => Some(route),
                 FinishedRequest::Cancelled => return,
@@ -134,7 +134,7 @@ impl ListenerState {
 
     /// Returns the destination of the parts of an answer. `None` if the session is gone or knows no parts.
     pub(crate) fn route_of_parts(&self, session: SessionId) -> Option<Route> {
-        self.server().route_of_parts(session)
+        self.lock_server().route_of_parts(session)
     }
 
     /// Sends a part of an answer with its number; the request was received at `received`. A part that cannot be sent is
@@ -155,7 +155,7 @@ impl ListenerState {
 
     /// Sends a message without payload. Returns whether the transport accepted it.
     pub(super) fn send_message(&self, peer: &Peer, header: &Header) -> bool {
-        let counters = self.server().connection_counters(peer.connection);
+        let counters = self.lock_server().connection_counters(peer.connection);
         match header.encode() {
             Ok(header) => self.output.send(peer, vec![header], None, counters.as_deref()),
             Err(error) => {
@@ -168,13 +168,13 @@ impl ListenerState {
     /// Counts a malformed message. Logs it at a limited rate.
     pub(super) fn report_malformed(&self, from: &Peer, problem: &str) {
         self.output.counters.count_malformed();
-        if let Some(counters) = self.server().connection_counters(from.connection) {
+        if let Some(counters) = self.lock_server().connection_counters(from.connection) {
             counters.count_malformed();
         }
         let from = from.address;
         let now = self.clock.mono();
         let mut throttle = self.log_throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(times) = throttle.count("malformed", from.map(|address| address.ip()), now) {
+        if let Some(times) = throttle.times_to_log("malformed", from.map(|address| address.ip()), now) {
             let from = from.map_or_else(|| "an unknown peer".into(), |address| address.to_string());
             tracing::warn!(from, problem, times, "dropped an invalid message");
         }
@@ -182,6 +182,6 @@ impl ListenerState {
 
     /// Waits for the answers in progress.
     pub(super) async fn wait_until_idle(&self) {
-        self.answers.wait_until_idle(|| self.server().in_flight()).await;
+        self.answers.wait_until_idle(|| self.lock_server().in_flight()).await;
     }
 }

@@ -43,9 +43,9 @@ pub(super) fn handle_message(
         }
     };
     // A separate statement, so that the lock is released before the branches below take it.
-    let message = shared.server().receive(peer, header);
+    let message = shared.lock_server().receive(peer, header);
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
-        && let Some(counters) = shared.server().session_counters(*session)
+        && let Some(counters) = shared.lock_server().session_counters(*session)
     {
         counters.count_received(bytes);
     }
@@ -83,7 +83,7 @@ fn incoming_request(
 ) -> Option<Incoming> {
     let key = RequestKey { session: request.session, request: request.request, arrival };
     // The session may have ended in the meantime; the answer then has no destination.
-    let control = shared.server().request_control(key.session, key.request).unwrap_or_default();
+    let control = shared.lock_server().request_control(key.session, key.request).unwrap_or_default();
     let frames = match shared.budget.reserve_frames(frames) {
         Ok(frames) => frames,
         Err(exceeded) => {

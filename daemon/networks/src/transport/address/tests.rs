@@ -88,7 +88,7 @@ fn named_listeners_have_default_port_and_name() {
     }
     for (text, address) in [("ros2://7", "ros2://7/peernet"), ("ros2://232/gpu_1", "ros2://232/gpu_1")] {
         let read: Address = text.parse().expect(text);
-        assert_eq!((read.to_string().as_str(), read.domain().is_some()), (address, true));
+        assert_eq!((read.to_string().as_str(), read.ros_domain().is_some()), (address, true));
     }
     for (wrong, domain) in [("ros2://233", "233"), ("ros2://+1/a", "+1"), ("ros2://robot:1/a", "robot:1")] {
         let error = wrong.parse::<Address>().expect_err(wrong).to_string();

@@ -98,6 +98,7 @@ impl ArrivalCounter {
             return;
         }
         let Some(number) = self.next_number.checked_add_signed(distance) else { return };
+        // Its bit belongs to a newer number by now.
         if self.next_number - number > REMEMBERED_NUMBERS {
             return;
         }
@@ -116,6 +117,7 @@ impl ArrivalCounter {
     /// Notes that the other end has sent all numbers below `next`, of which only the lower half is known.
     pub(crate) fn note_sent(&mut self, next: u32, now: MonoTime) {
         self.count_losses(now);
+        // An older heartbeat may arrive late.
         let number = self.next_number + self.distance_to(next).max(0).unsigned_abs();
         if self.is_plausible(NextNumber { number, has_arrived: false }, now) {
             self.advance(number.saturating_sub(self.next_number));

@@ -129,7 +129,7 @@ impl Connection {
         if self.shutdown.is_closed() {
             return;
         }
-        self.timer.receive(now);
+        self.timer.record_arrival(now);
         let connection = self.writer.connection();
         match packet {
             Packet::Data { number, fragment, .. } => {
@@ -152,6 +152,7 @@ impl Connection {
                 self.report_false_claim(progress);
             }
             Packet::Lost { sequence, received, .. } => {
+                // The confirmation has the tag, so that the receiving end can report which message is incomplete.
                 let lost = self.sending.receive_loss((sequence, received), self.measurement.reported_lost(), now);
                 if let Some((tag, total, lost)) = self.report_false_claim(lost) {
                     self.events.extend(lost.map(Event::Lost));
@@ -164,6 +165,8 @@ impl Connection {
             }
             Packet::Ping { heartbeat, .. } => {
                 self.receive_heartbeat(&heartbeat, now);
+                // The time goes back unchanged: the end that sent the ping measures the round trip with its own
+                // clock.
                 let heartbeat = self.make_heartbeat(heartbeat.time, now);
                 self.control.push(Packet::Pong { connection, heartbeat });
             }
@@ -242,6 +245,7 @@ impl Connection {
             self.receiving.give_up_all();
         }
         self.report_losses(now);
+        // The confirmation waits for messages that are still arriving; the other end repeats its goodbye meanwhile.
         if self.receiving.is_settled() || self.shutdown.is_last_bye() {
             self.control.push(Packet::ByeAck { connection: self.writer.connection() });
             self.end("the peer closed the connection");
@@ -255,6 +259,7 @@ impl Connection {
 
     /// Closes the connection at once, with a single goodbye.
     pub(crate) fn abandon(&mut self) {
+        // Answers are of no use to an end that is about to leave.
         self.control.clear();
         self.send_bye();
         self.shutdown.close();
@@ -290,6 +295,7 @@ impl Connection {
         if self.sending.loses_all_long_datagrams(self.measurement.reported_lost(), now) {
             tracing::debug!(bytes = self.sending.longest_datagram(), "none of the longest datagrams arrive");
             // The handshake of the next connection finds out which length passes.
+            // An edge only opens another connection; the cloud has to tell the edge.
             if self.writer.role() == Role::Cloud {
                 self.control
                     .push(Packet::Reset { id: self.writer.connection(), reason: ResetReason::LongLost });
@@ -303,14 +309,14 @@ impl Connection {
             return;
         }
         if self.ping_at() <= now {
-            self.timer.ping(now);
+            self.timer.record_ping(now);
             self.measurement.record_ping(now);
             let time = u64::try_from(now.nanos()).unwrap_or(0);
             let heartbeat = self.make_heartbeat(time, now);
             self.control.push(Packet::Ping { connection: self.writer.connection(), heartbeat });
         }
         if self.bye_at().is_some_and(|bye_time| bye_time <= now) {
-            self.shutdown.send_bye(now);
+            self.shutdown.record_bye(now);
             self.send_bye();
         }
     }
@@ -338,6 +344,7 @@ impl Connection {
 
     /// Appends datagrams that may be sent now. `None` if there are none.
     pub(crate) fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<Batch> {
+        // Control packets come first, also after the end: they are short, and the other end waits for them.
         if let Some(batch) = self.control.fill(out) {
             return Some(batch);
         }

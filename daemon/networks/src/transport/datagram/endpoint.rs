@@ -4,8 +4,8 @@
 //! the new address is used when the response arrives from there (as in RFC 9000, section 9).
 
 mod answers;
-mod arrival_queue;
 mod connection_table;
+mod delivery_queue;
 mod entry;
 mod reassembly_budgets;
 mod timers;
@@ -16,9 +16,9 @@ use std::net::{IpAddr, SocketAddr};
 use peernet_clock::{MonoTime, Span};
 
 use self::answers::AnswerQueue;
-use self::arrival_queue::ArrivalQueue;
-pub(crate) use self::arrival_queue::Delivery;
 use self::connection_table::{Capacity, ConnectionTable};
+pub(crate) use self::delivery_queue::Delivery;
+use self::delivery_queue::DeliveryQueue;
 use self::entry::{Admission, Entry, reply_address};
 use self::reassembly_budgets::ReassemblyBudgets;
 use self::timers::Timers;
@@ -30,7 +30,7 @@ use super::packet_writer::PacketWriter;
 use super::reassembly::ReassemblyLimits;
 use super::sending::Batch;
 use crate::statistics::TransportStatistics;
-use crate::transport::{AddressGroup, Arrival, ConnectionId, Frames, Peer, SendFailure};
+use crate::transport::{AddressGroup, ConnectionId, Frames, ListenerEvent, Peer, SendFailure};
 
 /// Shortest interval between two path challenges to new addresses of a connection.
 const PATH_CHALLENGE_INTERVAL: Span = Span::from_millis(100);
@@ -76,7 +76,7 @@ pub(crate) struct Endpoint {
     /// Connections that may have something to send.
     ready: VecDeque<u64>,
     timers: Timers,
-    arrivals: ArrivalQueue,
+    deliveries: DeliveryQueue,
 }
 
 impl Endpoint {
@@ -91,7 +91,7 @@ impl Endpoint {
             answers: AnswerQueue::new(prefix),
             ready: VecDeque::new(),
             timers: Timers::default(),
-            arrivals: ArrivalQueue::default(),
+            deliveries: DeliveryQueue::default(),
         }
     }
 
@@ -111,6 +111,7 @@ impl Endpoint {
                     );
                 }
                 let to = reply_address(source, reply_port);
+                // No state is kept before the cookie comes back, so forged hellos fill no memory.
                 let cookie = self.key.cookie(to, nonce, now);
                 self.answers.push(Route { to, from: local }, &Packet::Cookie { nonce, cookie });
             }
@@ -156,13 +157,14 @@ impl Endpoint {
         let local_terms = self.limits.terms;
         // The prefix and a fragment's header must leave room for a fragment.
         let datagram = terms.datagram.min(local_terms.datagram).max(MIN_DATAGRAM_BYTES);
+        // The request is repeated until the answer arrives.
         let existing = self.table.find(to, nonce);
         if existing.is_none() && !self.make_room(AddressGroup::from_address(source)) {
             tracing::debug!(%source, "refused a connection: the largest number of connections is open");
             let refusal = Packet::Reset { id: nonce, reason: ResetReason::Full };
             return self.answers.push(route, &refusal);
         }
-        let id = existing.unwrap_or_else(|| self.key.connection(self.table.opened_count() + 1));
+        let id = existing.unwrap_or_else(|| self.key.connection_number(self.table.opened_count() + 1));
         let connect = || {
             let writer = PacketWriter::new(Role::Cloud, id, self.prefix);
             let terms = Terms { datagram, ..terms };
@@ -176,6 +178,7 @@ impl Endpoint {
             }
             Some(entry) => entry.datagram,
             None => {
+                // Every connection begins without a session and with the small limits of such connections.
                 let admission = Admission::Unadmitted { since: now };
                 let entry = Entry::new(connect(), (source, reply_port), local, nonce, datagram, admission);
                 self.table.insert(id, entry);
@@ -210,6 +213,7 @@ impl Endpoint {
         now: MonoTime,
     ) {
         let Some(entry) = self.table.get_mut(id) else { return };
+        // The address of this machine may change too, for example after a route has changed.
         if reply_route.to == entry.source {
             entry.local = reply_route.from;
         } else if let Packet::PathResponse { token, .. } = packet {
@@ -218,7 +222,7 @@ impl Endpoint {
             // The token may have been made in the previous period.
             if is_token_of(now) || is_token_of(now - Span::from_seconds(10)) {
                 self.table.relocate(id, reply_route.to, reply_route.from);
-                self.arrivals.push(Arrival::Moved(ConnectionId(id), reply_route.to), None);
+                self.deliveries.push(ListenerEvent::Moved(ConnectionId(id), reply_route.to), None);
             }
         } else if bytes >= PATH_CHALLENGE_BYTES
             && entry
@@ -238,7 +242,7 @@ impl Endpoint {
     }
 
     fn report_invalid(&mut self, source: SocketAddr, problem: String) {
-        self.arrivals.push(Arrival::InvalidData(Some(source), problem), None);
+        self.deliveries.push(ListenerEvent::InvalidData(Some(source), problem), None);
     }
 
     /// Collects the events of a connection, and notes that it may have something to send.
@@ -246,30 +250,33 @@ impl Endpoint {
         let Some(entry) = self.table.get_mut(id) else { return };
         let connection = ConnectionId(id);
         while let Some(event) = entry.connection.next_event() {
-            let (arrival, reserved) = match event {
+            let (listener_event, reserved) = match event {
                 Event::Message(frames, reserved) => {
                     entry.has_delivered = true;
                     let peer = Peer { connection, address: Some(entry.source) };
-                    (Arrival::Message(peer, frames), Some(reserved))
+                    (ListenerEvent::Message(peer, frames), Some(reserved))
                 }
-                Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), None),
-                Event::Lost(loss) => (Arrival::Lost(connection, loss), None),
-                Event::InvalidData(problem) => (Arrival::InvalidData(Some(entry.source), problem), None),
+                Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), None),
+                Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), None),
+                Event::InvalidData(problem) => {
+                    (ListenerEvent::InvalidData(Some(entry.source), problem), None)
+                }
                 // The layer above does not know a connection that has not delivered a message.
                 Event::Gone(_) if !entry.has_delivered => continue,
-                Event::Gone(reason) => (Arrival::Gone(connection, reason), None),
+                Event::Gone(reason) => (ListenerEvent::Gone(connection, reason), None),
             };
-            self.arrivals.push(arrival, reserved);
+            self.deliveries.push(listener_event, reserved);
         }
+        // Each connection is in the queue at most once, so that all get their turn.
         if !entry.is_ready {
             entry.is_ready = true;
             self.ready.push_back(id);
         }
     }
 
-    /// Removes and returns the next arrival.
-    pub(crate) fn next_arrival(&mut self) -> Option<Delivery> {
-        self.arrivals.pop()
+    /// Removes and returns the next delivery.
+    pub(crate) fn next_delivery(&mut self) -> Option<Delivery> {
+        self.deliveries.pop()
     }
 
     /// Queues a message for a connection.

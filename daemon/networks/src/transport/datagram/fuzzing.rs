@@ -10,7 +10,7 @@ use super::endpoint::{Endpoint, EndpointLimits};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
-use crate::transport::{Arrival, ConnectionId};
+use crate::transport::{ConnectionId, ListenerEvent};
 
 const PREFIX: &[u8] = b"\x01x";
 const TERMS: Terms = Terms { window: 1 << 16, datagram: 600 };
@@ -105,8 +105,8 @@ impl Port {
             }
             out.clear();
         }
-        while let Some(delivery) = self.endpoint.next_arrival() {
-            assert!(!matches!(delivery.arrival, Arrival::Moved(_, to) if to == self.stranger_address));
+        while let Some(delivery) = self.endpoint.next_delivery() {
+            assert!(!matches!(delivery.event, ListenerEvent::Moved(_, to) if to == self.stranger_address));
         }
         let sent = self.endpoint.statistics(ConnectionId(self.connection), self.now).sent;
         assert!(sent.lost.max(sent.reordered) <= sent.datagrams, "{sent:?}");

@@ -62,7 +62,7 @@ impl CookieKey {
     }
 
     /// Returns an unpredictable number for a connection.
-    pub(crate) fn connection(&self, count: u64) -> u64 {
+    pub(crate) fn connection_number(&self, count: u64) -> u64 {
         first_u64(&self.mac(b"connection", &[&count.to_be_bytes()]))
     }
 

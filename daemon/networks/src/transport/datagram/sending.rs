@@ -186,7 +186,7 @@ impl SendingHalf {
     /// Drops the waiting messages whose deadline has passed. Returns their tags and numbers of fragments.
     pub(crate) fn expire(&mut self, now: MonoTime) -> Vec<MessageLoss> {
         let expired = self.queue.expire(now);
-        expired.into_iter().filter_map(|sequence| self.outstanding.expire(sequence)).collect()
+        expired.into_iter().filter_map(|sequence| self.outstanding.mark_lost(sequence)).collect()
     }
 
     /// Handles a report of progress: everything up to `end` of the message `sequence` has arrived or is lost.

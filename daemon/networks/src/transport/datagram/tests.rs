@@ -13,7 +13,7 @@ use super::handshake::{DialState, HandshakeOutcome};
 use super::packet::{Fragment, Heartbeat, Packet, Role, Terms};
 use super::reassembly::ReassemblyLimits;
 use super::sending::QueueLimits;
-use crate::transport::{Arrival, ConnectionId};
+use crate::transport::{ConnectionId, ListenerEvent};
 
 mod altered_packets;
 mod simulated_network;
@@ -68,13 +68,13 @@ proptest! {
         }
         network.steps(8_000);
         let mut arrived = BTreeSet::new();
-        for arrival in &network.arrivals {
-            match arrival {
-                Arrival::Message(_, frames) => {
+        for event in &network.listener_events {
+            match event {
+                ListenerEvent::Message(_, frames) => {
                     let tag = (0..MESSAGES).find(|tag| frames[0] == payload(*tag)).expect("as it was sent");
                     prop_assert!(arrived.insert(tag), "{} twice", tag);
                 }
-                Arrival::Incomplete(_, loss) => prop_assert!(loss.received <= loss.total),
+                ListenerEvent::Incomplete(_, loss) => prop_assert!(loss.received <= loss.total),
                 other => prop_assert!(false, "{:?}", other),
             }
         }
@@ -103,7 +103,7 @@ proptest! {
         network.edge.as_mut().expect("open").close(now);
         network.steps(8_000);
         prop_assert_eq!(network.cloud.len(), 0);
-        let gone = network.arrivals.iter().filter(|arrival| matches!(arrival, Arrival::Gone(..))).count();
+        let gone = network.listener_events.iter().filter(|event| matches!(event, ListenerEvent::Gone(..))).count();
         prop_assert_eq!(gone, 1);
     }
 
@@ -116,13 +116,13 @@ proptest! {
             network.steps(2);
         }
         network.steps(15_000);
-        let arrived: BTreeSet<u8> = network.arrivals.iter().filter_map(|arrival| match arrival {
-            Arrival::Message(_, frames) => Some(frames[0][0]),
+        let arrived: BTreeSet<u8> = network.listener_events.iter().filter_map(|event| match event {
+            ListenerEvent::Message(_, frames) => Some(frames[0][0]),
             _ => None,
         }).collect();
         prop_assert_eq!(arrived.len(), 10);
-        let is_message = |arrival: &&Arrival| matches!(arrival, Arrival::Message(..));
-        prop_assert_eq!(network.arrivals.iter().filter(is_message).count(), 10);
+        let is_message = |event: &&ListenerEvent| matches!(event, ListenerEvent::Message(..));
+        prop_assert_eq!(network.listener_events.iter().filter(is_message).count(), 10);
     }
 }
 
@@ -131,10 +131,10 @@ fn silence_ends_connection_at_both_ends() {
     let mut network = SimulatedNetwork::new(UNIMPAIRED, 1);
     let id = network.open();
     network.steps(7_000);
-    assert!(network.arrivals.is_empty() && network.events.is_empty(), "heartbeats keep it open");
+    assert!(network.listener_events.is_empty() && network.events.is_empty(), "heartbeats keep it open");
     network.path.impairment.loss = 100;
     network.steps(6_000);
-    assert!(matches!(network.arrivals[..], [Arrival::Gone(gone, _)] if gone == id));
+    assert!(matches!(network.listener_events[..], [ListenerEvent::Gone(gone, _)] if gone == id));
     assert!(matches!(network.events[..], [Event::Gone(_)]));
 }
 
@@ -156,10 +156,10 @@ fn moved_peer_is_followed_after_confirmation() {
     network.edge_address = "192.0.2.77:7".parse().expect("an address");
     network.send(Some(1), b"from elsewhere");
     network.steps(30);
-    let moved = network.arrivals.iter().any(
-        |arrival| matches!(arrival, Arrival::Moved(moved, to) if *moved == id && *to == network.edge_address),
+    let moved = network.listener_events.iter().any(
+        |event| matches!(event, ListenerEvent::Moved(moved, to) if *moved == id && *to == network.edge_address),
     );
-    assert!(moved, "{:?}", network.arrivals);
+    assert!(moved, "{:?}", network.listener_events);
     network.cloud.send(id, vec!["answer".into()], Some(1)).expect("there is room");
     network.steps(30);
     assert!(matches!(&network.events[..], [Event::Message(frames, _)] if frames[0] == "answer"));
@@ -261,8 +261,14 @@ fn claimed_lengths_take_no_room_of_other_peers() {
     let bytes = vec![9; 3_000_000];
     network.send(Some(1), &bytes);
     network.steps(2_000);
-    let arrived = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == bytes);
-    assert!(network.arrivals.iter().any(arrived), "{:?}, {:?}", network.arrivals.len(), network.events);
+    let arrived =
+        |event: &ListenerEvent| matches!(event, ListenerEvent::Message(_, frames) if frames[0] == bytes);
+    assert!(
+        network.listener_events.iter().any(arrived),
+        "{:?}, {:?}",
+        network.listener_events.len(),
+        network.events
+    );
 }
 
 #[test]
@@ -301,8 +307,9 @@ fn message_without_room_is_lost_before_fully_sent() {
     assert!(network.events.iter().any(lost), "{} bytes are held", network.cloud.reserved_bytes());
     network.send(Some(2), b"small");
     network.steps(50);
-    let arrived = |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == "small");
-    assert!(network.arrivals.iter().any(arrived), "{:?}", network.arrivals);
+    let arrived =
+        |event: &ListenerEvent| matches!(event, ListenerEvent::Message(_, frames) if frames[0] == "small");
+    assert!(network.listener_events.iter().any(arrived), "{:?}", network.listener_events);
 }
 
 #[test]
@@ -355,7 +362,12 @@ fn connection_ends_when_path_stops_carrying_long_datagrams() {
         });
         let reason = close_reason.expect("the connection ends");
         assert!(reason.contains("long datagrams") && reason.contains("datagram_bytes"), "{reason}");
-        let is_gone = |arrival: &Arrival| matches!(arrival, Arrival::Gone(..));
-        assert_eq!(network.arrivals.iter().any(is_gone), !loses_upload, "{:?}", network.arrivals);
+        let is_gone = |event: &ListenerEvent| matches!(event, ListenerEvent::Gone(..));
+        assert_eq!(
+            network.listener_events.iter().any(is_gone),
+            !loses_upload,
+            "{:?}",
+            network.listener_events
+        );
     }
 }

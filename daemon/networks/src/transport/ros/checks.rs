@@ -12,7 +12,7 @@ pub(crate) const HOST_CHECKS: HostChecks = HostChecks { address: check_address, 
 
 fn check_address(address: &Address) -> Result<(), Box<dyn Error + Send + Sync>> {
     // Only addresses of ROS 2 have a domain.
-    if address.domain().is_some() && !ros2::IS_BUILT { Err(Ros2Error::NotBuilt.into()) } else { Ok(()) }
+    if address.ros_domain().is_some() && !ros2::IS_BUILT { Err(Ros2Error::NotBuilt.into()) } else { Ok(()) }
 }
 
 fn check_settings(settings: &SessionSettings) -> Result<(), (&'static str, Box<dyn Error + Send + Sync>)> {

@@ -28,13 +28,13 @@ use super::names::{cloud_node, refusals_topic, sessions_topic};
 use crate::descriptors::DescriptorShare;
 use crate::statistics::TransportStatistics;
 use crate::transport::{
-    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
-    SendOptions,
+    BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, ListenerEvent, Peer,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
-/// Largest number of arrivals that wait to be received.
-const MAX_QUEUED_ARRIVALS: usize = 64;
+/// Largest number of deliveries that wait to be received.
+const MAX_QUEUED_DELIVERIES: usize = 64;
 
 /// Largest request for a connection. Bytes.
 const MAX_HELLO_BYTES: usize = 4 * 1024;
@@ -72,7 +72,7 @@ pub(crate) async fn bind(
     let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);
-    let (deliveries, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
+    let (delivery_sender, deliveries) = mpsc::channel(MAX_QUEUED_DELIVERIES);
     // At least one, however few descriptors the process may open.
     let max_connections =
         (DescriptorShare::DataPort.max_connections_per_port(ports) / SOCKETS_PER_CONNECTION).max(1);
@@ -80,13 +80,13 @@ pub(crate) async fn bind(
     let peers = Peers::new(
         (Arc::clone(&node), SharedClock::clone(clock)),
         (settings.clone(), max_connections),
-        (refusals, deliveries),
+        (refusals, delivery_sender),
         tasks.clone(),
     );
     let peers = Arc::new(peers);
     tasks.spawn(accept_connections(Arc::clone(&peers), Arc::clone(&node), sessions, tasks.clone()));
     let sender = Box::new(RosCloudSender(peers));
-    let receiver = Box::new(RosCloudReceiver { node, arrivals, tasks });
+    let receiver = Box::new(RosCloudReceiver { node, deliveries, tasks });
     Ok(BoundPort { address: address.clone(), caveat, sender, receiver })
 }
 
@@ -161,7 +161,7 @@ impl CloudSender for RosCloudSender {
 #[derive(Debug)]
 struct RosCloudReceiver {
     node: Arc<dyn SessionNode>,
-    arrivals: mpsc::Receiver<Delivery>,
+    deliveries: mpsc::Receiver<Delivery>,
     tasks: CloudTasks,
 }
 
@@ -173,12 +173,12 @@ impl Drop for RosCloudReceiver {
 }
 
 impl CloudReceiver for RosCloudReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
+    fn receive(&mut self) -> BoxFuture<'_, Option<ListenerEvent>> {
         Box::pin(async {
             tokio::select! {
-                // Biased, so that arrivals before the abort are still delivered.
+                // Biased, so that events before the abort are still delivered.
                 biased;
-                delivery = self.arrivals.recv() => delivery.map(|(arrival, _reserved)| arrival),
+                delivery = self.deliveries.recv() => delivery.map(|(event, _reserved)| event),
                 () = self.tasks.wait_for_abort() => None,
             }
         })
@@ -186,8 +186,8 @@ impl CloudReceiver for RosCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            self.arrivals.close();
-            while self.arrivals.try_recv().is_ok() {}
+            self.deliveries.close();
+            while self.deliveries.try_recv().is_ok() {}
             self.tasks.close(linger).await;
             self.node.end(linger).await;
         })

@@ -138,6 +138,7 @@ impl Connection {
         match info.kind {
             MessageInfo::DATA => self.assembly.receive_data(info, now, &mut self.events),
             MessageInfo::HELLO => {
+                // A hello and a welcome have no frames. The length in this place is the size of the receive buffer.
                 self.peer.receive_buffer_bytes = info.frame_lengths.first().copied();
                 self.events.push(Event::Hello);
             }
@@ -194,6 +195,7 @@ impl Connection {
         self.end_after_payloads();
         if self.heartbeats.is_peer_silent(now) {
             let silence = || "the peer has been silent for too long".to_owned();
+            // A peer that has said goodbye is expected to be silent; its reason is more useful.
             let goodbye = match &mut self.phase {
                 Phase::Leaving(reason) => Some(std::mem::take(reason)),
                 Phase::Open | Phase::Closed => None,
@@ -208,6 +210,7 @@ impl Connection {
         if self.is_closed() {
             return None;
         }
+        // Losses first: the other end's request waits for them.
         if let Some(request) = self.events.pop_lost_request() {
             return Some(MessageInfo { request, ..self.new_companion(MessageInfo::LOST, wall, now) });
         }

@@ -24,7 +24,7 @@ use super::names::{TopicPair, edge_node_prefix, refusals_topic, sessions_topic, 
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -41,8 +41,8 @@ const MAX_HELLO_INTERVAL: Duration = Duration::from_millis(500);
 /// messages of which only the companion or the payload has arrived.
 const MAX_INCOMPLETE_MESSAGES: u64 = 6;
 
-/// Largest number of arrivals that wait to be received.
-const MAX_QUEUED_ARRIVALS: usize = 64;
+/// Largest number of deliveries that wait to be received.
+const MAX_QUEUED_DELIVERIES: usize = 64;
 
 /// Opens a virtual connection to the cloud with the address's name.
 pub(crate) async fn dial(
@@ -87,23 +87,23 @@ pub(crate) async fn dial(
     )
     .await?;
     drop(refusals);
-    let (channel, (deliveries, arrivals)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_ARRIVALS));
+    let (channel, (delivery_sender, deliveries)) = (Arc::new(channel), mpsc::channel(MAX_QUEUED_DELIVERIES));
     let (stop, abort) = (CancellationToken::new(), CancellationToken::new());
     let connection_task = ConnectionTask {
         channel: Arc::clone(&channel),
         companion_subscriber: response_info,
         payload_subscriber: Some(opened.response),
         sink: EdgeSink,
-        deliveries,
+        deliveries: delivery_sender,
         stop: stop.clone(),
         abort: abort.clone(),
     };
     let task = tokio::spawn(connection_task.run("the edge closed the connection"));
-    let receiver = RosEdgeReceiver { node, arrivals, stop, abort, task: Some(task) };
+    let receiver = RosEdgeReceiver { node, deliveries, stop, abort, task: Some(task) };
     Ok(EdgeConnection {
         sender: Box::new(RosEdgeSender(channel)),
         receiver: Box::new(receiver),
-        is_cloud: true,
+        peer_is_cloud: true,
     })
 }
 
@@ -224,20 +224,20 @@ impl Drop for NodeGuard {
 struct EdgeSink;
 
 impl Sink for EdgeSink {
-    type Delivery = (Result<EdgeArrival, Disconnected>, Vec<Reservation>);
+    type Delivery = (Result<EdgeEvent, Disconnected>, Vec<Reservation>);
 
     fn handle_event(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
-        let (arrival, reserved) = match event {
+        let (delivered_event, reserved) = match event {
             // The cloud repeats the welcome if it receives the hello twice.
             Event::Welcome | Event::Hello => return None,
-            Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), reserved),
-            Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), Vec::new()),
-            Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), Vec::new()),
-            Event::InvalidData(problem) => (Ok(EdgeArrival::InvalidData(problem)), Vec::new()),
-            Event::Remark(text) => (Ok(EdgeArrival::Remark(text)), Vec::new()),
+            Event::Message(frames, reserved) => (Ok(EdgeEvent::Message(frames)), reserved),
+            Event::Incomplete(loss) => (Ok(EdgeEvent::Incomplete(loss)), Vec::new()),
+            Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), Vec::new()),
+            Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), Vec::new()),
+            Event::Remark(text) => (Ok(EdgeEvent::Remark(text)), Vec::new()),
             Event::Gone(reason) => (Err(Disconnected(reason)), Vec::new()),
         };
-        Some((arrival, reserved))
+        Some((delivered_event, reserved))
     }
 
     async fn next_directive(&mut self, _channel: &Arc<Channel>) -> Directive {
@@ -270,7 +270,7 @@ impl EdgeSender for RosEdgeSender {
 #[derive(Debug)]
 struct RosEdgeReceiver {
     node: NodeGuard,
-    arrivals: mpsc::Receiver<<EdgeSink as Sink>::Delivery>,
+    deliveries: mpsc::Receiver<<EdgeSink as Sink>::Delivery>,
     stop: CancellationToken,
     abort: CancellationToken,
     task: Option<JoinHandle<()>>,
@@ -283,10 +283,10 @@ impl Drop for RosEdgeReceiver {
 }
 
 impl EdgeReceiver for RosEdgeReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
         Box::pin(async {
-            match self.arrivals.recv().await {
-                Some((arrival, _reserved)) => arrival,
+            match self.deliveries.recv().await {
+                Some((event, _reserved)) => event,
                 None => Err(Disconnected("the connection was closed here".into())),
             }
         })
@@ -294,9 +294,9 @@ impl EdgeReceiver for RosEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further arrivals are of no use, and the task must not wait until they are received.
-            self.arrivals.close();
-            while self.arrivals.try_recv().is_ok() {}
+            // Further deliveries are of no use, and the task must not wait until they are received.
+            self.deliveries.close();
+            while self.deliveries.try_recv().is_ok() {}
             self.stop.cancel();
             if let Some(task) = self.task.take()
                 && timeout(linger, task).await.is_err()

@@ -30,7 +30,7 @@ pub(super) async fn open_node(
     settings: &SessionSettings,
     clock: &SharedClock,
 ) -> Result<Arc<dyn SessionNode>, NodeFailure> {
-    Ok(match address.domain() {
+    Ok(match address.ros_domain() {
         None => Arc::new(Ros1Node::open(address, name, clock).await?),
         Some(_) => Arc::new(Ros2SessionNode::open(address, name, settings, clock).await?),
     })

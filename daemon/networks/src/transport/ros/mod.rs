@@ -1,8 +1,8 @@
 //! `ros`: messages on topics of ROS, which other ROS programs can see.
 //!
 //! An edge asks for a connection on the topic `/NAME/sessions`. A connection uses the topics of its pipeline,
-//! `PIPELINE/request_info` and `PIPELINE/response_info`. A message on them is a *companion* and carries all frames but
-//! one. The first part of a sample is the *payload*. It is sent on `PIPELINE/request` or `PIPELINE/response` as a
+//! `PIPELINE/request_info` and `PIPELINE/response_info`. A message on them is a *companion* and carries all frames
+//! except the *payload*, which is the first part of a sample. The payload is sent on `PIPELINE/request` or `PIPELINE/response` as a
 //! message of a standard type, which ROS tools can display, once the other end has subscribed to that topic. Control
 //! messages have no payload, and a part whose type does not fit the topic is sent in the companion. The first
 //! payload determines the type of a payload topic; the topic is opened in the background and nothing waits for it.
@@ -34,6 +34,7 @@ mod fragments;
 mod frames;
 mod interface;
 mod limits;
+mod named_cloud;
 mod names;
 mod pairing;
 mod payload;
@@ -41,7 +42,6 @@ mod payload_topic;
 mod ros1;
 mod ros2;
 mod second_publishers;
-mod version;
 
 pub(crate) use checks::HOST_CHECKS;
 pub(crate) use cloud::bind;
@@ -53,8 +53,12 @@ use super::AddressForm;
 use crate::Address;
 
 /// Form of addresses: host and port of the master, and the name of the cloud.
-pub(crate) const ADDRESS_FORM: AddressForm =
-    AddressForm::Named { port: 11311, name: "peernet", domain_scheme: "ros2", find: version::find };
+pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::Named {
+    port: 11311,
+    name: "peernet",
+    domain_scheme: "ros2",
+    find: named_cloud::find_address,
+};
 
 /// Does nothing, because the system chooses the ports.
 pub(crate) fn try_bind(_address: &Address) -> io::Result<()> {

@@ -95,6 +95,7 @@ impl Pairing {
             None => {}
         }
         self.pending.insert(stamp, PendingHalf { half, deadline: now + self.timeout, reserved });
+        // Only one half arrives if one of the topics has another publisher; memory stays bounded.
         if self.pending.len() > self.max_pending
             && let Some((_, oldest)) = self.pending.pop_first()
         {

@@ -45,6 +45,7 @@ impl Ros1Node {
         let sessions = sessions_topic(&topics.cloud);
         let is_cloud = |node: &&String| base_name(node) == cloud_node(&topics.cloud);
         let clouds: Vec<String> = state.subscribers_of(&sessions).iter().filter(is_cloud).cloned().collect();
+        // The master keeps registrations of nodes that were killed, so each node is asked whether it runs.
         let mut clouds = self.node.running_subscribers(&sessions, &clouds).await?;
         let Some(cloud) = clouds.pop() else {
             return Err(NodeFailure(format!(
@@ -53,6 +54,7 @@ impl Ros1Node {
                 self.master, topics.cloud
             )));
         };
+        // Earlier nodes of this pipeline may still be registered.
         let is_of_other_program = |node: &&String| !base_name(node).starts_with(&topics.pipeline_prefix);
         for topic in [&topics.request.info, &topics.request.payload] {
             let other_publishers: Vec<String> =
@@ -204,6 +206,7 @@ impl SessionPublisher for Publisher {
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         for message in messages {
             let delivery = Self::publish_to(self, node, message.clone())?;
+            // Without all of its fragments the message is useless.
             if delivery != Delivery::Accepted {
                 return Ok(delivery);
             }

@@ -21,8 +21,8 @@ use crate::transport::datagram::endpoint::Delivery;
 use crate::transport::datagram::endpoint::{Endpoint, EndpointLimits, Route};
 use crate::transport::datagram::sending::Batch;
 use crate::transport::{
-    Arrival, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, Peer, SendFailure,
-    SendOptions,
+    BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, Frames, ListenerEvent, Peer,
+    SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
 
@@ -58,10 +58,10 @@ pub(crate) async fn bind(
     secret[..16].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
     secret[16..].copy_from_slice(uuid::Uuid::new_v4().as_bytes());
     let machine = CloudEnd { endpoint: Endpoint::new(secret, PREFIX, limits), is_closing: false };
-    let (port, arrivals) = Port::serve(socket, machine, Instant::now());
+    let (port, deliveries) = Port::serve(socket, machine, Instant::now());
     let sender = Box::new(UdpCloudSender(Arc::clone(&port)));
     let address = address.with_ip(bound.ip(), bound.port());
-    Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, arrivals }) })
+    Ok(BoundPort { address, caveat, sender, receiver: Box::new(UdpCloudReceiver { port, deliveries }) })
 }
 
 fn bind_failure(error: &io::Error) -> BindFailure {
@@ -103,7 +103,7 @@ impl Machine for CloudEnd {
     }
 
     fn next_delivery(&mut self) -> Option<Delivery> {
-        self.endpoint.next_arrival()
+        self.endpoint.next_delivery()
     }
 
     fn close(&mut self, now: MonoTime) {
@@ -148,7 +148,7 @@ impl CloudSender for UdpCloudSender {
 #[derive(Debug)]
 struct UdpCloudReceiver {
     port: Arc<Port<CloudEnd>>,
-    arrivals: mpsc::Receiver<Delivery>,
+    deliveries: mpsc::Receiver<Delivery>,
 }
 
 impl Drop for UdpCloudReceiver {
@@ -158,15 +158,15 @@ impl Drop for UdpCloudReceiver {
 }
 
 impl CloudReceiver for UdpCloudReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Option<Arrival>> {
-        Box::pin(async { self.arrivals.recv().await.map(|delivery| delivery.arrival) })
+    fn receive(&mut self) -> BoxFuture<'_, Option<ListenerEvent>> {
+        Box::pin(async { self.deliveries.recv().await.map(|delivery| delivery.event) })
     }
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further arrivals are of no use, and the task must not wait until they are received.
-            self.arrivals.close();
-            while self.arrivals.try_recv().is_ok() {}
+            // Further deliveries are of no use, and the task must not wait until they are received.
+            self.deliveries.close();
+            while self.deliveries.try_recv().is_ok() {}
             self.port.close(linger).await;
         })
     }

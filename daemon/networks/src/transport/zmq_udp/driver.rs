@@ -17,8 +17,8 @@ use super::socket::{ReceiveBuffers, UdpPort};
 use crate::transport::datagram::endpoint::Route;
 use crate::transport::datagram::sending::Batch;
 
-/// Largest number of arrivals that wait to be received.
-const MAX_QUEUED_ARRIVALS: usize = 1_024;
+/// Largest number of deliveries that wait to be received.
+const MAX_QUEUED_DELIVERIES: usize = 1_024;
 
 /// Largest number of batches that are read before the next send.
 const READS_PER_ITERATION: usize = 8;
@@ -29,7 +29,7 @@ const MAX_SLEEP: Span = Span::from_seconds(3_600);
 
 /// The state machine of a socket.
 pub(super) trait Machine: Send + fmt::Debug + 'static {
-    /// An arrival for the layer above.
+    /// An event for the layer above.
     type Delivery: Send + 'static;
 
     /// Handles the body of a datagram. `local` is the address of this machine at which it arrived.
@@ -42,7 +42,7 @@ pub(super) trait Machine: Send + fmt::Debug + 'static {
     fn next_timer(&self, now: MonoTime) -> Option<MonoTime>;
     /// Appends datagrams that may be sent now. Returns their route; `None` if there are none.
     fn fill(&mut self, out: &mut Vec<u8>, max_datagrams: usize, now: MonoTime) -> Option<(Route, Batch)>;
-    /// Removes and returns the next arrival for the layer above.
+    /// Removes and returns the next event for the layer above.
     fn next_delivery(&mut self) -> Option<Self::Delivery>;
     /// Starts to say goodbye.
     fn close(&mut self, now: MonoTime);
@@ -97,7 +97,7 @@ impl<M: Machine> Port<M> {
             ended: CancellationToken::new(),
             start,
         });
-        let (sender, receiver) = mpsc::channel(MAX_QUEUED_ARRIVALS);
+        let (sender, receiver) = mpsc::channel(MAX_QUEUED_DELIVERIES);
         tokio::spawn(Arc::clone(&port).run(sender));
         (port, receiver)
     }
@@ -174,7 +174,7 @@ impl<M: Machine> Port<M> {
     }
 
     /// Serves the socket until the machine is finished or the task is aborted.
-    async fn run(self: Arc<Self>, arrivals: mpsc::Sender<M::Delivery>) {
+    async fn run(self: Arc<Self>, deliveries: mpsc::Sender<M::Delivery>) {
         let mut buffers = ReceiveBuffers::new();
         let mut queued_deliveries = VecDeque::new();
         loop {
@@ -201,7 +201,7 @@ impl<M: Machine> Port<M> {
                 )
             };
             while !queued_deliveries.is_empty()
-                && let Ok(permit) = arrivals.try_reserve()
+                && let Ok(permit) = deliveries.try_reserve()
                 && let Some(delivery) = queued_deliveries.pop_front()
             {
                 permit.send(delivery);
@@ -211,7 +211,7 @@ impl<M: Machine> Port<M> {
             }
             tokio::select! {
                 () = self.abort.cancelled() => break,
-                // While arrivals are queued, datagrams stay in the kernel, which drops them when its buffer is full.
+                // While deliveries are queued, datagrams stay in the kernel, which drops them when its buffer is full.
                 result = self.socket.readable(), if queued_deliveries.is_empty() && !is_finished => {
                     if let Err(error) = result {
                         tracing::debug!(%error, "a UDP socket reported an error");
@@ -222,11 +222,11 @@ impl<M: Machine> Port<M> {
                     self.receive_datagrams(&mut buffers);
                 }
                 _ = self.socket.writable(), if is_blocked => {}
-                permit = arrivals.reserve(), if !queued_deliveries.is_empty() => match permit {
+                permit = deliveries.reserve(), if !queued_deliveries.is_empty() => match permit {
                     Ok(permit) => if let Some(delivery) = queued_deliveries.pop_front() {
                         permit.send(delivery);
                     },
-                    // Nothing receives the arrivals any more.
+                    // Nothing receives the deliveries any more.
                     Err(_) => queued_deliveries.clear(),
                 },
                 () = self.wake.notified() => {}

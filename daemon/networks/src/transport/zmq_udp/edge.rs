@@ -25,7 +25,7 @@ use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnected, EdgeArrival, EdgeConnection, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -61,9 +61,13 @@ pub(crate) async fn dial(
     let (token, _) = uuid::Uuid::new_v4().as_u64_pair();
     let invalid_packets = VecDeque::new();
     let machine = EdgeEnd { peer, id, connection, remark, invalid_packets, token, path_check: None };
-    let (port, arrivals) = Port::serve(socket, machine, start);
+    let (port, deliveries) = Port::serve(socket, machine, start);
     let sender = Box::new(UdpEdgeSender(Arc::clone(&port)));
-    Ok(EdgeConnection { sender, receiver: Box::new(UdpEdgeReceiver { port, arrivals }), is_cloud: true })
+    Ok(EdgeConnection {
+        sender,
+        receiver: Box::new(UdpEdgeReceiver { port, deliveries }),
+        peer_is_cloud: true,
+    })
 }
 
 fn unreachable_failure(error: &io::Error) -> DialFailure {
@@ -71,7 +75,7 @@ fn unreachable_failure(error: &io::Error) -> DialFailure {
 }
 
 /// Runs the handshake until the cloud has opened a connection. Returns the number of the connection, the cloud's
-/// terms, and a remark if the path is worse than configured.
+/// terms, and a remark if the path passes only smaller datagrams than configured.
 async fn open(
     socket: &UdpPort,
     peer: SocketAddr,
@@ -157,7 +161,7 @@ const PATH_CHECK_INTERVAL: Span = Span::from_millis(100);
 const MAX_INVALID_PACKETS: usize = 64;
 
 impl Machine for EdgeEnd {
-    type Delivery = (Result<EdgeArrival, Disconnected>, Option<Reservation>);
+    type Delivery = (Result<EdgeEvent, Disconnected>, Option<Reservation>);
 
     fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
@@ -213,16 +217,16 @@ impl Machine for EdgeEnd {
 
     fn next_delivery(&mut self) -> Option<Self::Delivery> {
         if let Some(remark) = self.remark.take() {
-            return Some((Ok(EdgeArrival::Remark(remark)), None));
+            return Some((Ok(EdgeEvent::Remark(remark)), None));
         }
         if let Some(problem) = self.invalid_packets.pop_front() {
-            return Some((Ok(EdgeArrival::InvalidData(problem)), None));
+            return Some((Ok(EdgeEvent::InvalidData(problem)), None));
         }
         Some(match self.connection.next_event()? {
-            Event::Message(frames, reserved) => (Ok(EdgeArrival::Message(frames)), Some(reserved)),
-            Event::Incomplete(loss) => (Ok(EdgeArrival::Incomplete(loss)), None),
-            Event::Lost(loss) => (Ok(EdgeArrival::Lost(loss)), None),
-            Event::InvalidData(problem) => (Ok(EdgeArrival::InvalidData(problem)), None),
+            Event::Message(frames, reserved) => (Ok(EdgeEvent::Message(frames)), Some(reserved)),
+            Event::Incomplete(loss) => (Ok(EdgeEvent::Incomplete(loss)), None),
+            Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), None),
+            Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), None),
             Event::Gone(reason) => (Err(Disconnected(reason)), None),
         })
     }
@@ -274,7 +278,7 @@ impl EdgeSender for UdpEdgeSender {
 #[derive(Debug)]
 struct UdpEdgeReceiver {
     port: Arc<Port<EdgeEnd>>,
-    arrivals: mpsc::Receiver<<EdgeEnd as Machine>::Delivery>,
+    deliveries: mpsc::Receiver<<EdgeEnd as Machine>::Delivery>,
 }
 
 impl Drop for UdpEdgeReceiver {
@@ -284,10 +288,10 @@ impl Drop for UdpEdgeReceiver {
 }
 
 impl EdgeReceiver for UdpEdgeReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeArrival, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
         Box::pin(async {
-            match self.arrivals.recv().await {
-                Some((arrival, _reserved)) => arrival,
+            match self.deliveries.recv().await {
+                Some((event, _reserved)) => event,
                 None => Err(Disconnected("the connection was closed here".into())),
             }
         })
@@ -295,9 +299,9 @@ impl EdgeReceiver for UdpEdgeReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
-            // Further arrivals are of no use, and the task must not wait until they are received.
-            self.arrivals.close();
-            while self.arrivals.try_recv().is_ok() {}
+            // Further deliveries are of no use, and the task must not wait until they are received.
+            self.deliveries.close();
+            while self.deliveries.try_recv().is_ok() {}
             self.port.close(linger).await;
         })
     }

@@ -135,6 +135,7 @@ impl ZmtpConnection {
             };
             is_allowed.then_some(new_phase as u8)
         };
+        // Several threads change the phase: the check and the change must be one step.
         if self.phase.fetch_update(Ordering::AcqRel, Ordering::Acquire, next_phase).is_ok() {
             self.wake.notify_one();
         }
@@ -149,6 +150,7 @@ impl ZmtpConnection {
         }
         let bytes: usize = frames.iter().map(|frame| frame.len()).sum();
         let message = Message::multipart_payloads(frames.into_iter().map(Payload::from_bytes));
+        // The lock is held until the message is queued, so that messages of several threads are not mixed.
         let mut codec = self.codec();
         let queued_bytes = codec.zmtp.pending_transmit_size();
         // An empty queue accepts every message, whatever its size.
@@ -198,6 +200,7 @@ impl ZmtpConnection {
             };
             codec.advance(written);
         }
+        // Messages of an idle connection hold no memory of the budget.
         codec.reserve(0)?;
         Ok(true)
     }

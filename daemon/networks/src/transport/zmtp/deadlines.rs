@@ -11,7 +11,7 @@ pub(super) struct Deadlines {
     limits: ListenerLimits,
     phase: Phase,
     phase_started_at: Instant,
-    /// `true` if bytes arrived since the last [`check`](Self::check).
+    /// `true` if bytes arrived since the last [`due_action`](Self::due_action).
     pub(super) has_received: bool,
     last_received_at: Instant,
 }
@@ -49,7 +49,7 @@ impl Deadlines {
     }
 
     /// Returns the action that is due now.
-    pub(super) fn check(&mut self, now: Instant) -> DueAction {
+    pub(super) fn due_action(&mut self, now: Instant) -> DueAction {
         if std::mem::take(&mut self.has_received) {
             self.last_received_at = now;
         }
@@ -108,13 +108,16 @@ mod tests {
         let after = |seconds| start + Duration::from_secs(seconds);
         let mut deadlines = Deadlines::new(&limits(), start);
         assert_eq!(
-            (deadlines.check(after(1)), deadlines.next_check(after(1))),
+            (deadlines.due_action(after(1)), deadlines.next_check(after(1))),
             (DueAction::Nothing, after(2))
         );
-        assert!(matches!(deadlines.check(after(2)), DueAction::End(Rejection::Handshake, _)));
+        assert!(matches!(deadlines.due_action(after(2)), DueAction::End(Rejection::Handshake, _)));
         deadlines.enter(Phase::Unadmitted, after(1));
-        assert_eq!((deadlines.check(after(5)), deadlines.next_check(after(5))), (DueAction::Ping, after(6)));
-        assert!(matches!(deadlines.check(after(6)), DueAction::End(Rejection::NoHello, _)));
+        assert_eq!(
+            (deadlines.due_action(after(5)), deadlines.next_check(after(5))),
+            (DueAction::Ping, after(6))
+        );
+        assert!(matches!(deadlines.due_action(after(6)), DueAction::End(Rejection::NoHello, _)));
     }
 
     #[test]
@@ -124,8 +127,8 @@ mod tests {
         let mut deadlines = Deadlines::new(&limits(), start);
         deadlines.enter(Phase::Admitted, start);
         deadlines.has_received = true;
-        assert_eq!(deadlines.check(after(100)), DueAction::Nothing);
-        assert_eq!(deadlines.check(after(101)), DueAction::Ping);
-        assert!(matches!(deadlines.check(after(110)), DueAction::End(Rejection::Silent, _)));
+        assert_eq!(deadlines.due_action(after(100)), DueAction::Nothing);
+        assert_eq!(deadlines.due_action(after(101)), DueAction::Ping);
+        assert!(matches!(deadlines.due_action(after(110)), DueAction::End(Rejection::Silent, _)));
     }
 }

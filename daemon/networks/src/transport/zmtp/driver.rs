@@ -21,7 +21,7 @@ use super::limits::ListenerLimits;
 use super::listener::Delivery;
 use super::rejections::Rejection;
 use crate::transport::memory::{MemoryBudget, Reservation};
-use crate::transport::{Arrival, Frames, Peer};
+use crate::transport::{Frames, ListenerEvent, Peer};
 
 /// Largest number of bytes of one read while no long frame is expected.
 // They are read into the stack and copied into frames, so that an idle connection has no buffer.
@@ -49,7 +49,7 @@ pub(super) struct Driver {
     pub(super) connection: Arc<ZmtpConnection>,
     input: Input,
     deadlines: Deadlines,
-    arrivals: mpsc::Sender<Delivery>,
+    deliveries: mpsc::Sender<Delivery>,
     /// Complete messages that were not handed to the listener yet.
     messages: VecDeque<(Message, Reservation)>,
     /// `true` if a message was handed to the listener.
@@ -85,7 +85,7 @@ impl Driver {
         reader: OwnedReadHalf,
         limits: &ListenerLimits,
         budgets: &Budgets,
-        arrivals: mpsc::Sender<Delivery>,
+        deliveries: mpsc::Sender<Delivery>,
     ) -> Self {
         let allowance = Allowance {
             stage: Stage::Handshake,
@@ -97,7 +97,7 @@ impl Driver {
             connection,
             input: Input { reader, framer: Framer::new(&allowance), allowance, pieces: Vec::new() },
             deadlines: Deadlines::new(limits, Instant::now()),
-            arrivals,
+            deliveries,
             messages: VecDeque::new(),
             has_delivered: false,
             is_ready: false,
@@ -121,6 +121,7 @@ impl Driver {
             let connection = Arc::clone(&self.connection);
             let must_write_first = self.must_write_first();
             let event = tokio::select! {
+                // Reading comes first: a peer that sends without pause must not look silent to the deadlines.
                 biased;
                 read = self.input.read(&connection), if !must_write_first => TaskEvent::Read(read),
                 () = connection.wake.notified() => TaskEvent::Notified,
@@ -129,6 +130,7 @@ impl Driver {
             };
             match event {
                 TaskEvent::Read(ReadOutcome::Bytes) => {
+                    // Any bytes show that the peer is alive, not only answers to a PING.
                     self.deadlines.has_received = true;
                     if let Err((reason, text)) = self.decode() {
                         return ConnectionEnd::Rejected(reason, text);
@@ -203,6 +205,7 @@ impl Driver {
             codec.zmtp.handle_input(bytes).map_err(|error| classify_violation(&error, self.is_ready))?;
             while let Some(event) = codec.zmtp.poll_event() {
                 if let Event::HandshakeSucceeded { peer_properties, .. } = event {
+                    // A connection could otherwise claim the routing id of another one.
                     if peer_properties.identity.as_ref().is_some_and(|identity| !identity.is_empty()) {
                         let text = "the peer chose its own routing id, which is not allowed".into();
                         return Err((Rejection::Handshake, text));
@@ -227,8 +230,9 @@ impl Driver {
         while let Some((message, reserved)) = self.messages.pop_front() {
             let frames: Frames = message.iter().collect();
             let peer = Peer { connection: self.connection.id, address: Some(self.connection.address) };
-            let delivery = Delivery { arrival: Arrival::Message(peer, frames), _reserved: Some(reserved) };
-            if self.arrivals.send(delivery).await.is_err() {
+            let delivery =
+                Delivery { event: ListenerEvent::Message(peer, frames), _reserved: Some(reserved) };
+            if self.deliveries.send(delivery).await.is_err() {
                 return false;
             }
             self.has_delivered = true;
@@ -238,7 +242,7 @@ impl Driver {
 
     /// Sends a PING or ends the connection if that is due.
     fn check_deadlines(&mut self) -> Option<ConnectionEnd> {
-        match self.deadlines.check(Instant::now()) {
+        match self.deadlines.due_action(Instant::now()) {
             DueAction::Nothing => None,
             DueAction::Ping => {
                 self.ping();

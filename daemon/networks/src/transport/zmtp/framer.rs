@@ -131,7 +131,7 @@ impl Framer {
         allowance: &Allowance,
         out: &mut Vec<Piece>,
     ) -> Result<(), Violation> {
-        self.complete_body(allowance, out)
+        self.finish_body_if_complete(allowance, out)
     }
 
     /// Handles bytes that were read.
@@ -184,7 +184,7 @@ impl Framer {
                     }
                     buffer.extend_from_slice(body);
                     chunk = rest;
-                    self.complete_body(allowance, out)?;
+                    self.finish_body_if_complete(allowance, out)?;
                 }
             }
         }
@@ -207,10 +207,11 @@ impl Framer {
         let mut buffer = Vec::new();
         grow(&mut buffer, length.min(initial), self.finished_bytes, &mut self.reserved, allowance)?;
         self.state = State::Body { flags, buffer, length };
-        self.complete_body(allowance, out)
+        self.finish_body_if_complete(allowance, out)
     }
 
-    /// Returns the flags and the length of a frame. At least its header must have arrived.
+    /// Checks that the connection may send this frame at present. Returns the flags and the length of the frame. At least its
+    /// header must have arrived.
     ///
     /// # Errors
     /// If the connection may not send such a frame at present.
@@ -243,8 +244,12 @@ impl Framer {
         Ok((flags, length))
     }
 
-    /// Returns the frame to the caller once its whole body has arrived.
-    fn complete_body(&mut self, allowance: &Allowance, out: &mut Vec<Piece>) -> Result<(), Violation> {
+    /// Adds the frame to `out` if its whole body has arrived.
+    fn finish_body_if_complete(
+        &mut self,
+        allowance: &Allowance,
+        out: &mut Vec<Piece>,
+    ) -> Result<(), Violation> {
         let State::Body { flags, buffer, length } = &mut self.state else { return Ok(()) };
         if buffer.len() < *length {
             return Ok(());

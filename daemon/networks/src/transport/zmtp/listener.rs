@@ -20,10 +20,10 @@ use super::rejections::{Rejection, RejectionCounts};
 use super::table::{ConnectionTable, InsertedConnection};
 use crate::statistics::ConnectionAddresses;
 use crate::transport::memory::{MemoryBudget, Reservation};
-use crate::transport::{AddressGroup, Arrival, BindFailure, ConnectionId, Frames, SendFailure};
+use crate::transport::{AddressGroup, BindFailure, ConnectionId, Frames, ListenerEvent, SendFailure};
 
 /// Largest number of messages of all connections that wait to be received. Their memory is reserved until then.
-const MAX_QUEUED_ARRIVALS: usize = 1_024;
+const MAX_QUEUED_DELIVERIES: usize = 1_024;
 
 /// Number of sockets that may still be closing while the largest number of connections is open.
 const MAX_CLOSING_SOCKETS: usize = 16;
@@ -38,7 +38,7 @@ const ACCEPT_RETRY_INTERVAL: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub struct ZmtpListener {
     address: SocketAddr,
-    arrivals: mpsc::Receiver<Delivery>,
+    deliveries: mpsc::Receiver<Delivery>,
     state: Arc<ListenerState>,
 }
 
@@ -60,10 +60,10 @@ struct ListenerState {
     close_deadline: Mutex<Option<Instant>>,
 }
 
-/// An arrival, and the reservation of its memory until it is received.
+/// An event, and the reservation of its memory until it is received.
 #[derive(Debug)]
 pub(super) struct Delivery {
-    pub(super) arrival: Arrival,
+    pub(super) event: ListenerEvent,
     pub(super) _reserved: Option<Reservation>,
 }
 
@@ -89,9 +89,9 @@ impl ZmtpListener {
             tasks: TaskTracker::new(),
             close_deadline: Mutex::new(None),
         });
-        let (sender, arrivals) = mpsc::channel(MAX_QUEUED_ARRIVALS);
+        let (sender, deliveries) = mpsc::channel(MAX_QUEUED_DELIVERIES);
         state.tasks.spawn(accept_connections(listener, Arc::clone(&state), sender));
-        Ok(Self { address, arrivals, state })
+        Ok(Self { address, deliveries, state })
     }
 
     /// Returns the address of the port, with the actual port number.
@@ -109,10 +109,10 @@ impl ZmtpListener {
         Arc::clone(&self.state.rejections)
     }
 
-    /// Waits for the next arrival. `None` means that the port is closed. Cancel safe: dropping the future loses
+    /// Waits for the next event. `None` means that the port is closed. Cancel safe: dropping the future loses
     /// nothing.
-    pub async fn receive(&mut self) -> Option<Arrival> {
-        self.arrivals.recv().await.map(|delivery| delivery.arrival)
+    pub async fn receive(&mut self) -> Option<ListenerEvent> {
+        self.deliveries.recv().await.map(|delivery| delivery.event)
     }
 
     /// Closes the port and all connections after all messages have been sent, or after `linger`.
@@ -120,8 +120,8 @@ impl ZmtpListener {
         let deadline = Instant::now() + linger;
         *self.state.close_deadline.lock().unwrap_or_else(PoisonError::into_inner) = Some(deadline);
         // Unblocks the tasks that wait because the queue is full, so that they can close.
-        self.arrivals.close();
-        while self.arrivals.try_recv().is_ok() {}
+        self.deliveries.close();
+        while self.deliveries.try_recv().is_ok() {}
         self.state.close();
         self.state.tasks.wait().await;
     }
@@ -204,8 +204,10 @@ fn bind_failure(error: &io::Error) -> BindFailure {
 async fn accept_connections(
     listener: TcpListener,
     state: Arc<ListenerState>,
-    arrivals: mpsc::Sender<Delivery>,
+    deliveries: mpsc::Sender<Delivery>,
 ) {
+    // Sockets of connections that are being closed count, too; otherwise fast reconnections could exhaust the open
+    // files.
     let permits = Arc::new(Semaphore::new(state.limits.max_connections + MAX_CLOSING_SOCKETS));
     while let Some(accepted) = state.stop.run_until_cancelled(accept_one(&listener, &permits)).await {
         let (stream, address, permit) = match accepted {
@@ -213,6 +215,7 @@ async fn accept_connections(
             Err(error) if is_aborted_by_peer(&error) => continue,
             Err(error) => {
                 state.rejections.record(Rejection::TooMany, None, &format!("cannot accept: {error}"));
+                // Without open files, accepting fails at once again and again.
                 tokio::time::sleep(ACCEPT_RETRY_INTERVAL).await;
                 continue;
             }
@@ -235,8 +238,9 @@ async fn accept_connections(
                 if state.stop.is_cancelled() {
                     connection.advance(Phase::Closing);
                 }
-                let driver = Driver::new(connection, reader, &state.limits, &state.budgets, arrivals.clone());
-                state.tasks.spawn(serve_connection(driver, Arc::clone(&state), arrivals.clone()));
+                let driver =
+                    Driver::new(connection, reader, &state.limits, &state.budgets, deliveries.clone());
+                state.tasks.spawn(serve_connection(driver, Arc::clone(&state), deliveries.clone()));
             }
             Err(reason) => {
                 let text = "the largest number of connections is open, and all of them are admitted";
@@ -251,6 +255,7 @@ async fn accept_one(
     listener: &TcpListener,
     permits: &Arc<Semaphore>,
 ) -> io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
+    // Before the socket exists, so that connections wait in the kernel's queue.
     let permit = Arc::clone(permits).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, address) = listener.accept().await?;
     Ok((stream, address, permit))
@@ -269,7 +274,7 @@ fn set_socket_options(stream: &TcpStream, limits: &ListenerLimits) -> io::Result
 }
 
 /// Runs a connection until it ends, and reports the end.
-async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, arrivals: mpsc::Sender<Delivery>) {
+async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, deliveries: mpsc::Sender<Delivery>) {
     let end = driver.run().await;
     let connection = &driver.connection;
     let (id, address) = (connection.id, connection.address);
@@ -294,12 +299,12 @@ async fn serve_connection(mut driver: Driver, state: Arc<ListenerState>, arrival
     // be sent afterwards.
     state.table.remove(id);
     drop(driver);
-    let arrival = match (has_delivered, is_ready) {
-        (true, _) => Arrival::Gone(id, reason),
-        (false, false) => Arrival::InvalidData(Some(address), reason),
+    let event = match (has_delivered, is_ready) {
+        (true, _) => ListenerEvent::Gone(id, reason),
+        (false, false) => ListenerEvent::InvalidData(Some(address), reason),
         // The layer above does not know a connection without a message.
         (false, true) => return,
     };
     // Fails only while the listener is closing.
-    let _ended = arrivals.send(Delivery { arrival, _reserved: None }).await;
+    let _ended = deliveries.send(Delivery { event, _reserved: None }).await;
 }

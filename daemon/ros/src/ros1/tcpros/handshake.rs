@@ -42,8 +42,8 @@ impl TopicType {
         &*self.md5 == ANY
     }
 
-    /// Returns whether both types match: their sums are equal or one of them is `*`, and their names are equal or one of
-    /// them is `*`.
+    /// Returns whether both types match: their MD5 checksums are equal or one of the checksums is `*`, and their names
+    /// are equal or one of the names is `*`.
     fn matches(&self, name: &str, md5: &str) -> bool {
         let is_same = |local: &str, peer: &str| local == peer || local == ANY || peer == ANY;
         is_same(&self.md5, md5) && is_same(&self.name, name)

@@ -36,8 +36,8 @@ fn hash_files(files: &[(&OsStr, &Path)], largest: u64) -> io::Result<(u64, Strin
         let hash_or_size = if is_small { sha256(File::open(file)?.take(size))? } else { size.to_string() };
         list.extend([hash_or_size.as_bytes(), b"  ", name.as_encoded_bytes(), b"\n"].concat());
     }
-    let of = if is_small { "SHA-256" } else { "SHA-256 of sizes and names only" };
-    Ok((bytes, format!("{of} {}", sha256(list.as_slice())?)))
+    let hashed_content = if is_small { "SHA-256" } else { "SHA-256 of sizes and names only" };
+    Ok((bytes, format!("{hashed_content} {}", sha256(list.as_slice())?)))
 }
 
 #[cfg(test)]

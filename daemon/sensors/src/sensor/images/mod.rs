@@ -125,6 +125,7 @@ impl Label {
     fn text(&self, file: &[u8]) -> Result<String, ImageError> {
         match self {
             Self::Class(class) => Ok(class.clone()),
+            // The size goes with the label, because the edge may resize the picture before it is sent.
             Self::Objects(objects) => {
                 let Header { width, height, .. } = probe(file)?;
                 Ok(ObjectsLabel { objects: objects.clone(), width, height }.format())
@@ -262,6 +263,8 @@ fn read_single(file: &Path, labels: Option<&Path>) -> Result<LabelledPictures, S
     let media = folder::media(file).filter(|_| folder::is_file(file));
     let media = media.ok_or_else(|| SensorError::NotAPicture(file.to_owned()))?;
     let source = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    // A `labels.csv` beside a single picture may label the other pictures of its folder, so unused labels are no
+    // error.
     let (labels, origin) = file.parent().map_or(Ok(None), |folder| labels::read(folder, labels))?.unzip();
     let label = labels.and_then(|mut labels| labels.remove(&source));
     Ok((vec![Picture { file: file.to_owned(), media, source, label }], origin))

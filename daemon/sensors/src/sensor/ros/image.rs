@@ -51,6 +51,7 @@ impl Rows {
         if (count > 1 && stride < row) || required.is_none_or(|required| required > data.len()) {
             return Err(error);
         }
+        // Without padding the bytes are shared with the message and not copied.
         if stride == row || count == 1 {
             return Ok(data.slice(..row * count));
         }
@@ -87,6 +88,7 @@ pub(super) fn part(image: Image) -> Result<Part, PictureError> {
     let element_bytes = pixels.element.bytes();
     let row_bytes = u64::from(width).saturating_mul(u64::from(pixels.channels)).saturating_mul(element_bytes);
     let mut bytes = Rows { height, row_bytes, step }.without_padding(&data)?;
+    // Decoded pixels are always in the order red, green, blue.
     if encoding == "bgr8" {
         bytes = reverse_groups(&bytes, 3);
     } else if is_bigendian != 0 && element_bytes > 1 {
@@ -131,6 +133,7 @@ impl Pixel {
             _ => return None,
         };
         let channels = if channels.is_empty() { 1 } else { channels.parse().ok()? };
+        // 512 is the largest number of channels in OpenCV (CV_CN_MAX).
         (1..=512).contains(&channels).then_some(Self { channels, element })
     }
 }

@@ -160,10 +160,11 @@ impl Ros {
 impl Sensor for Ros {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
+        // Logged before the message is decoded, so that the number is not lost with an undecodable message.
         recorder.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
-            of: message.type_name.to_string(),
+            type_name: message.type_name.to_string(),
             reason: error.to_string(),
         })?;
         if let Some(stamp) = payload.stamp {
@@ -173,8 +174,8 @@ impl Sensor for Ros {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        let of = self.config.message_type.as_ref().map_or("any type", MessageType::as_str);
-        let topic = format!("{} topic {} ({of})", self.version, self.config.topic);
+        let type_name = self.config.message_type.as_ref().map_or("any type", MessageType::as_str);
+        let topic = format!("{} topic {} ({type_name})", self.version, self.config.topic);
         let clock = match self.config.stamp_clock {
             StampClock::Host => "header.stamp of each message, by the wall clock of this host",
             StampClock::Unknown => "header.stamp of each message, by a clock that is not known",

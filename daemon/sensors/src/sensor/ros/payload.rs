@@ -60,6 +60,7 @@ impl Payload {
             let description = Description::unshaped(MediaType::Text);
             return Ok(Self { parts: vec![Part { description, bytes: text.data.into() }], stamp: None });
         }
+        // The receiver may know the type and decode the bytes.
         let part = Part { description: Description::bytes(), bytes: message.bytes.clone() };
         Ok(Self { parts: vec![part], stamp: None })
     }
@@ -78,6 +79,7 @@ fn stamp(time: Time) -> Option<WallTime> {
 /// `rgb8; jpeg compressed bgr8`.
 fn media_type_of_format(format: &str) -> MediaType {
     let format = format.to_ascii_lowercase();
+    // The text may name the encoding of the pixels before and after the word.
     if format.contains("jpeg") || format.contains("jpg") {
         MediaType::Jpeg
     } else if format.contains("png") {
@@ -97,16 +99,17 @@ fn point_cloud_parts(cloud: &PointCloud2) -> Result<Vec<Part>, PictureError> {
         step: cloud.row_step,
     };
     let fields: Vec<_> = cloud.fields.iter().map(field).collect();
-    let about = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
+    let layout = json!({ "fields": fields, "big_endian": cloud.is_bigendian, "dense": cloud.is_dense });
     let description = Description { media: MediaType::Tensor, shape, element: Some(ElementType::U8) };
     Ok(vec![
         Part { description, bytes: rows.without_padding(&cloud.data)? },
-        Part { description: Description::unshaped(MediaType::Json), bytes: about.to_string().into() },
+        Part { description: Description::unshaped(MediaType::Json), bytes: layout.to_string().into() },
     ])
 }
 
 fn field(field: &PointField) -> serde_json::Value {
     const TYPES: [&str; 8] = ["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"];
+    // The numbers of the types begin with 1.
     let type_name = usize::from(field.datatype).checked_sub(1).and_then(|at| TYPES.get(at)).copied();
     json!({ "name": field.name, "offset": field.offset, "type": type_name, "count": field.count })
 }

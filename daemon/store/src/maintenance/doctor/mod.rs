@@ -78,6 +78,7 @@ pub async fn examine(database: &Path, settings: Examination) -> Result<Report, D
     report.integrity.has_table_list =
         File::open(database).map_or(true, |file| has_table_list(Arc::new(file)));
     refuse_foreign_log_at(database)?;
+    // Without SQLite as well, and before SQLite has the file open.
     report.find_malformed_pages(database);
     let opening = async {
         let mut connection = read_only_options(database).connect().await?;
@@ -243,6 +244,7 @@ impl Report {
             };
             self.problem(what, self.remedy());
         }
+        // Malformed pages alone are no damage: they may be unused.
         if let (Some(first), true) = (self.malformed_pages.first(), self.findings.len() > earlier_findings) {
             let what =
                 format!("{} of its pages are malformed, the first is {first}", self.malformed_pages.len());

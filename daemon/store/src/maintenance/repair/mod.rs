@@ -146,7 +146,9 @@ pub async fn repair(
     // A symbolic link is resolved, because the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
+    // The log has the newest data, and only SQLite can apply it; the file is read without SQLite afterwards.
     let without_log = !checkpoint_log(&path).await?;
+    // The record of a damage may be obsolete: an intact database is not rewritten.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
         .await
         .map_err(|error| RepairError::Write { path: path.clone(), source: DatabaseError::new(error) })?;
@@ -212,6 +214,7 @@ impl OldFile {
         });
         let version = versions.max();
         let supported = MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0);
+        // Columns of a newer schema are unknown here, so its rows would be lost.
         if let Some(found) = version.filter(|found| *found > supported) {
             return Err(RepairError::NewerSchema { path: path.to_owned(), found, supported });
         }
@@ -239,6 +242,7 @@ async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     };
     match checkpoint.await {
         Ok(()) => {}
+        // A damaged database is why this function is called; the length of the log shows whether the log was applied.
         Err(error) if is_damage(&error) => {}
         Err(error) => {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
@@ -254,6 +258,7 @@ async fn salvage(
     now: WallTime,
     progress: &mut impl FnMut(&str),
 ) -> Result<(Vec<SalvagedTable>, i64), RepairError> {
+    // The new file is at most about as large as the old one, and both exist at the same time.
     let needed = u64::from(old.file.pages) * old.file.page_bytes as u64;
     let folder = new.parent().unwrap_or(new).to_owned();
     let free = free_bytes(&folder).map_err(|source| file_error(&folder, source))?;
@@ -268,12 +273,14 @@ async fn salvage(
         // The file is synced once, when it is complete, because it is not used before that.
         .journal_mode(SqliteJournalMode::Memory)
         .synchronous(SqliteSynchronous::Off)
+        // Tables are filled in the order of their names, so references exist only at the end.
         .foreign_keys(false)
         .disable_statement_logging();
     let mut connection = options.connect().await.map_err(failed)?;
     let result = fill(&mut connection, old, now, progress).await.map_err(failed)?;
     assign_id(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
+    // A failing disk could damage the new file, too, and the old one is about to be replaced.
     if let Some(what) = find_damage_with_sqlite(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });
     }
@@ -333,6 +340,7 @@ async fn fill(
     sqlx::query("COMMIT").execute(&mut *connection).await?;
     let has_unreadable =
         |table: &str| tables.get(table).is_some_and(|table: &CopiedTable| !table.unreadable.is_empty());
+    // Statistics can be computed again from the nodes, so lost rows of these tables are no loss.
     if has_unreadable("rollup") || has_unreadable("verdict_count") {
         progress("statistics from the nodes");
         rebuild(connection, None, |_| {}).await?;
@@ -381,8 +389,10 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     if (new_metadata.uid(), new_metadata.gid()) != old_owner {
         chown(new, Some(old_owner.0), Some(old_owner.1))?;
     }
+    // Synced before the rename: after a power failure the name must not lead to a file without contents.
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
+    // A link instead of a rename, so that the name `path` exists at all times.
     fs::hard_link(path, &damaged)?;
     // A log that stays beside the new file would be checkpointed into it.
     let log = sibling_path(path, "-wal");
@@ -392,6 +402,7 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     }
     remove_if_exists(&sibling_path(path, "-shm"))?;
     fs::rename(new, path)?;
+    // The names are part of the folder.
     File::open(path.parent().unwrap_or(path))?.sync_all()?;
     Ok(damaged)
 }

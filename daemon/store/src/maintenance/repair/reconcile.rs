@@ -88,6 +88,7 @@ impl Reconciliation<'_> {
             self.restore_names().await?;
         }
         let mut lost = 0;
+        // Always, because no unreadable range shows these trees.
         let torn_trees = self.delete_torn_trees().await?;
         if torn_trees > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
             self.delete_incomplete_trees().await?;
@@ -176,6 +177,7 @@ impl Reconciliation<'_> {
              (SELECT id FROM pipeline WHERE host NOT IN (SELECT id FROM host))"
         ))
         .await?;
+        // The texts of incidents and gaps are useful without the reference.
         self.execute("UPDATE incident SET run = NULL WHERE run NOT IN (SELECT number FROM run)").await?;
         self.execute("UPDATE incident SET peer = NULL WHERE peer NOT IN (SELECT id FROM host)").await?;
         self.execute("UPDATE gap SET run = NULL WHERE run NOT IN (SELECT number FROM run)").await?;
@@ -331,6 +333,7 @@ impl Reconciliation<'_> {
         let mut nodes: HashMap<i64, Option<i64>> = hosts.into_iter().map(|host| (host, Some(0))).collect();
         for (host, run, nodes_from) in runs {
             let sum = nodes.entry(host).or_insert(Some(0));
+            // The deleted nodes are part of the host's count and cannot be counted any more.
             if nodes_from > 0 {
                 *sum = None;
             }

@@ -115,6 +115,7 @@ impl Table {
                 Some(text) => default_value(connection, text).await?,
                 None => Value::Null,
             };
+            // The key of a clustered table is never NULL.
             let not_null = column.notnull || (clustered && column.pk > 0);
             columns.push(Column { name: column.name, kind: column.r#type, not_null, default });
         }
@@ -153,6 +154,7 @@ impl Table {
             let before = rows.last().or(last_written.as_ref()).map(|row| self.key(row));
             let Some(row) = row.filter(|_| is_ordered) else {
                 match copied.unreadable.last_mut().filter(|_| in_unreadable) {
+                    // Adjacent unreadable pages are one range; a popped row moves its start back.
                     Some(range) => range.before = before,
                     None => copied.unreadable.push(UnreadableRange { before, after: None }),
                 }
@@ -201,6 +203,7 @@ impl Table {
     fn decode(&self, record: &[u8], rowid: Option<i64>) -> Option<Row> {
         let mut row: Vec<Value> = self.columns.iter().map(|column| column.default.clone()).collect();
         let values = decode_values(record)?;
+        // Fewer values are valid: the row was written before a migration added columns.
         if values.len() > self.record_columns.len() {
             return None;
         }
@@ -208,6 +211,7 @@ impl Table {
             row[*index] = value;
         }
         if let Some(index) = self.rowid {
+            // SQLite stores NULL in the record for a column that is the row id.
             row[index] = Value::Integer(rowid?);
         }
         for (column, value) in self.columns.iter().zip(&mut row) {
@@ -281,6 +285,7 @@ pub(super) fn decode_values(record: &[u8]) -> Option<Vec<Value>> {
         values.push(match code {
             0 => Value::Null,
             1..=6 => {
+                // Integers are in two's complement with the length of their type, so the sign is extended.
                 let negative = bytes.first().is_some_and(|byte| byte & 0x80 != 0);
                 let start = if negative { -1 } else { 0 };
                 Value::Integer(bytes.iter().fold(start, |value, byte| value << 8 | i64::from(*byte)))

@@ -1,6 +1,6 @@
 //! Summary of several seconds as one point.
 
-use peernet_analysis::delays::{DelaySum, merged_round_trip};
+use peernet_analysis::delays::{DelaySummary, merged_round_trip};
 use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
 use peernet_stream::{ProbeCounts, RoundTrip};
 
@@ -18,8 +18,8 @@ pub(super) struct Bucket {
     widest: Option<Offset>,
     probes: ProbeCounts,
     round_trips: Vec<RoundTrip>,
-    up: DelaySum,
-    down: DelaySum,
+    up: DelaySummary,
+    down: DelaySummary,
     clocks: RelatedClocks,
     proven_skew_ppm: Option<(f64, f64)>,
     grown_window: Option<Span>,
@@ -33,8 +33,8 @@ impl Bucket {
             widest: None,
             probes: ProbeCounts::default(),
             round_trips: Vec::new(),
-            up: DelaySum::default(),
-            down: DelaySum::default(),
+            up: DelaySummary::default(),
+            down: DelaySummary::default(),
             clocks: RelatedClocks::Wall,
             proven_skew_ppm: None,
             grown_window: None,

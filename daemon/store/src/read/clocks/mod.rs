@@ -84,6 +84,7 @@ pub(crate) async fn links(readers: &Readers) -> Result<Vec<LinkRow>, StoreError>
         sqlx::query_as(sql::LINKS).fetch_all(&readers.pool()).await.map_err(readers.failed(WHAT))?;
     let mut links = Vec::with_capacity(rows.len());
     for row in rows {
+        // A link whose samples are all deleted has no range of times.
         let (Some(first), Some(last)) = (row.first_ns, row.last_ns) else { continue };
         links.push(LinkRow {
             edge: parse(WHAT, &row.edge)?,
@@ -113,6 +114,7 @@ pub(crate) async fn series(
         .await
         .map_err(readers.failed(WHAT))?;
     let Some(link) = link else { return Ok(empty_series) };
+    // The width follows from the stored times and not from the requested ones, which may be far apart.
     let extent: (Option<i64>, Option<i64>) = sqlx::query_as(sql::CLOCK_EXTENT)
         .bind(link)
         .bind(from.unix_nanos())
@@ -125,6 +127,7 @@ pub(crate) async fn series(
     let repeats = RepeatedTimes::read(readers, link, (first, last)).await?;
     let mut points = Points { width, repeats, points: Vec::new(), bucket: None };
     let pool = readers.pool();
+    // A bucket of one second is a row, so no ranges are needed.
     if width == 1 {
         let rows = sqlx::query_as::<_, Row>(sql::CLOCK_SAMPLES).bind(link).bind(first).bind(last);
         let mut rows = rows.fetch(&pool);
@@ -170,6 +173,7 @@ struct Points {
 impl Points {
     /// Adds the next second.
     fn add(&mut self, row: &Row) -> Result<(), StoreError> {
+        // After the wall clock was set back, the same times occur again.
         if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
@@ -211,6 +215,7 @@ fn index(at_ns: i64, width: u32) -> i64 {
 impl Row {
     fn clocks(&self) -> Result<RelatedClocks, StoreError> {
         self.clocks
+            // Samples of agents before 0.3.0 have no number; they relate wall clocks.
             .map_or(Ok(RelatedClocks::Wall), |number| value_of_number(WHAT, RelatedClocks::ALL, number))
     }
 
@@ -249,6 +254,7 @@ impl Row {
             return Ok(None);
         };
         let source = value_of_number(WHAT, DelaySource::ALL, source)?;
+        // The column is NULL if the only source has the interval of the offset.
         let sources = match &self.offset_sources {
             Some(json) => sources(json)?,
             None => vec![(source, bounds)],

@@ -143,6 +143,7 @@ pub(crate) async fn rejudge_delays(
             .fetch_all(&readers.pool())
             .await
             .map_err(readers.failed(WHAT))?;
+        // Pages keep the memory bounded, and no read transaction lasts long.
         let Some(last) = rows.last() else { return Ok(Some(clouds.samples())) };
         last_delay = (last.iteration, last.node);
         for row in &rows {
@@ -189,12 +190,15 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
     let usable_bounds = |delay: OneWayDelay| delay.bounds.filter(|_| delay.verdict != Verdict::Inconsistent);
     let (earlier_bounds, new_bounds) = match (usable_bounds(earlier), usable_bounds(new)) {
         (Some(earlier_bounds), Some(new_bounds)) => (earlier_bounds, new_bounds),
+        // The new judgement knows nothing, so the earlier one is better.
         (Some(_), None) if new.verdict == Verdict::Unsynchronised => return earlier,
         _ => return new,
     };
+    // Both contain the true delay, so they overlap unless an assumption is violated.
     let Some(bounds) = earlier_bounds.intersection(new_bounds) else {
         return OneWayDelay { value: None, bounds: None, verdict: Verdict::Inconsistent, ..new };
     };
+    // The estimate must lie within the narrower bounds.
     let value = new.value.or(earlier.value).map(|value| value.clamp(bounds.lo, bounds.hi));
     let is_wide = value.is_none_or(|value| bounds.width() > Span::from_nanos(value.abs().nanos() / 2));
     let verdict = match (earlier.verdict, new.verdict) {

@@ -17,7 +17,7 @@ const WHAT: &str = "clock samples";
 /// Time before and after a delay within which exchanges are used. The agent itself uses exchanges of the same time before a delay,
 /// unless configured otherwise.
 pub(super) const SPAN: Span = Span::from_seconds(10);
-/// How far a delay may be earlier than the delay that was judged before it. An iteration may take as long as that.
+/// Longest time by which a delay may be earlier than the delay that was judged before it. An iteration may take as long as that.
 const MAX_DISORDER: Span = Span::from_seconds(60);
 /// Number of samples that are read at once.
 const PAGE: u32 = 1_000;

@@ -74,6 +74,7 @@ impl StoredWidths {
             let extents = self.0.iter().filter_map(|width| width.extent);
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
+        // The number of points follows from the whole run, which a width with deleted buckets does not show.
         let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
@@ -211,6 +212,7 @@ impl SeriesBuilder {
         let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
         let start = bucket(row.bucket_s, self.width_s);
         match self.points.last_mut() {
+            // Rows are ordered by time, so only the last bucket can grow.
             Some((last_start, total)) if *last_start == start => total.merge(&summary),
             _ => self.points.push((start, summary)),
         }

@@ -51,7 +51,7 @@ pub(super) struct Backlog {
 struct OldestBatch {
     number: u64,
     /// Chain of the batch before the oldest.
-    before: Chain,
+    previous_chain: Chain,
     /// Time of the first event of the oldest batch, if it is in the file only.
     since: Option<WallTime>,
 }
@@ -69,13 +69,14 @@ pub(super) struct FreedBatches {
 impl Backlog {
     pub(super) fn new(spool: &SpoolState, budget: u64) -> Self {
         let oldest = spool.oldest.max(1);
-        let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.before) };
+        // A spool without batches continues the numbers after the last batch that it held.
+        let newest = if spool.newest.0 >= oldest { spool.newest } else { (oldest - 1, spool.previous_chain) };
         // Without batches nothing is waiting, even if the stored counts state otherwise.
         let waiting_usage = if newest.0 < oldest { Usage::default() } else { spool.waiting_usage };
         let Totals { produced, dropped, .. } = spool.totals;
         Self {
             origin: StreamOrigin::new(spool),
-            oldest: OldestBatch { number: oldest, before: spool.before, since: spool.since },
+            oldest: OldestBatch { number: oldest, previous_chain: spool.previous_chain, since: spool.since },
             ready: ReadyBatches::new(budget),
             spooled: newest,
             pending: PendingBatches::default(),
@@ -103,7 +104,7 @@ impl Backlog {
 
     /// Returns the number before the oldest batch, and its chain.
     pub(super) const fn acknowledged(&self) -> (u64, Chain) {
-        (self.oldest.number - 1, self.oldest.before)
+        (self.oldest.number - 1, self.oldest.previous_chain)
     }
 
     pub(super) const fn newest(&self) -> u64 {
@@ -220,6 +221,7 @@ impl Backlog {
 
     /// Records that the file advanced to a batch, whether the file contains that batch or not.
     pub(super) fn advance_file(&mut self, through: u64, chain: Chain) {
+        // Results of writes may arrive after an acknowledgement has advanced the file further.
         if through > self.spooled.0 {
             self.spooled = (through, chain);
         }
@@ -230,6 +232,7 @@ impl Backlog {
     pub(super) fn add_loaded(&mut self, batches: Vec<SpooledBatch>) -> usize {
         let previous_len = self.ready.len();
         for batch in batches {
+            // The read was started earlier; meanwhile batches may have been acknowledged or kept in memory.
             if batch.number == self.first_unloaded() && batch.number <= self.spooled.0 {
                 self.ready.push(batch);
             }
@@ -247,7 +250,7 @@ impl Backlog {
     /// Returns the chain of a batch if it is known without reading the file.
     pub(super) fn chain(&self, number: u64) -> Option<Chain> {
         match number {
-            _ if number == self.oldest.number - 1 => Some(self.oldest.before),
+            _ if number == self.oldest.number - 1 => Some(self.oldest.previous_chain),
             _ if number == self.spooled.0 && number >= self.oldest.number => Some(self.spooled.1),
             _ => self.get(number, true).map(|batch| batch.chain),
         }
@@ -260,9 +263,11 @@ impl Backlog {
         include_unspooled: bool,
         (host, process): (HostId, u64),
     ) -> Option<(BatchHead, Bytes)> {
-        let before = self.chain(number.checked_sub(1)?)?;
+        let previous_chain = self.chain(number.checked_sub(1)?)?;
         let batch = self.get(number, include_unspooled)?;
         let (chain, events, body) = (batch.chain, batch.events, batch.body.clone());
+        // Only for batches that the file lacks: if this process is killed, the next one cannot know otherwise whether
+        // they are stored.
         let unspooled = self.pending.get(number).filter(|_| number > self.spooled.0).map(|pending| {
             let Totals { produced, dropped, reported_drops, submitted, .. } = &pending.totals;
             let (batched, events) = (submitted.batched.total, produced - dropped);
@@ -274,7 +279,7 @@ impl Backlog {
             stream: self.origin.stream,
             process,
             number,
-            before,
+            previous_chain,
             chain,
             events,
             events_before: self.stored_events + self.events_before(number),
@@ -303,7 +308,8 @@ impl Backlog {
             self.waiting_usage = self.waiting_usage - usage;
             freed.events += usage.events;
             freed.spooled_bytes += usage.bytes;
-            self.oldest = OldestBatch { number: through.min(self.spooled.0) + 1, before: chain, since: None };
+            self.oldest =
+                OldestBatch { number: through.min(self.spooled.0) + 1, previous_chain: chain, since: None };
         }
         while let Some(pending) = self.pending.pop_through(through) {
             self.waiting_usage = self.waiting_usage - pending.batch.usage();
@@ -321,7 +327,7 @@ impl Backlog {
     fn forget(&mut self, batch: &SpooledBatch, freed: &mut FreedBatches) {
         freed.events += u64::from(batch.events);
         self.sent.forget(batch);
-        (self.oldest.number, self.oldest.before) = (batch.number + 1, batch.chain);
+        (self.oldest.number, self.oldest.previous_chain) = (batch.number + 1, batch.chain);
     }
 
     /// Returns the chain of a batch, and the scan result for the batches up to it that are in the file only; `None` if the
@@ -341,10 +347,10 @@ impl Backlog {
         SpoolScan::new(self.first_unloaded(), number.min(self.spooled.0))
     }
 
-    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `before` is the chain of
-    /// the last skipped batch.
-    pub(super) fn skip_to(&mut self, resume: u64, before: Chain) {
-        self.oldest = OldestBatch { number: resume, before, since: None };
+    /// Skips the batches before batch `resume`, which no longer exist. None of them is in memory. `previous_chain` is
+    /// the chain of the last skipped batch.
+    pub(super) fn skip_to(&mut self, resume: u64, previous_chain: Chain) {
+        self.oldest = OldestBatch { number: resume, previous_chain, since: None };
     }
 
     /// Removes batches that should be in the file and are missing, once no other batch is in the file only. Returns their

@@ -27,7 +27,7 @@ const NEGLIGIBLE_QUEUEING: Span = Span::from_millis(10);
 /// Minimum time for which a rate of delivery is used; it is used for at most twice that time.
 const RATE_LIFETIME: Span = Span::from_seconds(5);
 
-/// Number of late echoes in a row after which the link counts as slow. A single one may be due to a lost packet.
+/// Number of late echoes in a row after which the link counts as slow. A single late echo may be due to a lost packet.
 const LATE_ECHOES_OF_SLOW_LINK: u32 = 2;
 
 /// Lowest allowance of a link that no longer counts as slow.
@@ -39,7 +39,7 @@ pub(super) struct Allowance {
     bytes: u64,
     max_bytes: u64,
     rates: DeliveryRates,
-    /// Number of late echoes in a row.
+    /// Number of late echoes since the last timely echo.
     late_echoes: u32,
     is_slow: bool,
 }

@@ -54,6 +54,7 @@ impl Losses {
             let gap = Gap { pipeline, run, from: now.wall, to: now.wall, count, reason };
             self.entries.push(Loss { gap, reported_at: None });
         } else {
+            // The number of events stays exact; only their origin is lost.
             let loss = &mut self.entries[MAX_LOSSES - 1];
             (loss.gap.pipeline, loss.gap.run, loss.gap.reason) =
                 (None, None, "several reasons, too many to list".into());
@@ -115,6 +116,7 @@ impl Loss {
 
     fn take_gap(&mut self, now: MonoTime) -> Gap {
         self.reported_at = Some(now);
+        // The entry stays, so that a loss that continues is reported once per interval.
         let remaining_gap = Gap { count: 0, ..self.gap.clone() };
         std::mem::replace(&mut self.gap, remaining_gap)
     }

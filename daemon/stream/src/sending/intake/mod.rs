@@ -117,9 +117,11 @@ impl Intake {
     }
 
     pub(super) fn offer(&mut self, event: &Event, capacity: &EventCapacity, now: Stamp) {
+        // Before the event, so that losses are reported in the order in which they happened.
         self.losses.add_earlier_drops(now);
         self.encoded.clear();
         codec::encode_into(&mut self.encoded, event);
+        // Encoded before the decision: the size of the encoded event decides whether there is capacity.
         let run = event.run();
         match self.refusal(event, capacity) {
             None => {
@@ -175,6 +177,7 @@ impl Intake {
         if self.encoded.len() > MAX_EVENT_BYTES {
             return Some(format!("the event is longer than {MAX_EVENT_BYTES} bytes"));
         }
+        // The reports of losses have their capacity reserved: a full spool must still be able to tell what it lost.
         let needed = self.usage() + added_usage + self.report_usage();
         (!capacity.fits(needed)).then(|| capacity.drop_reason(needed).to_owned())
     }

@@ -8,9 +8,9 @@ fn batch_is_complete_at_max_nodes_bytes_or_age() {
     agent.offer(7);
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3]);
     assert_eq!(agent.sending.deadline(), Some(at(200).mono));
-    agent.pass(199);
+    agent.advance_ms(199);
     assert_eq!(agent.sent.len(), 2);
-    agent.pass(1);
+    agent.advance_ms(1);
     assert_eq!(agent.sent.iter().map(|head| head.events).collect::<Vec<_>>(), [3, 3, 1]);
 
     let batch_bytes = agent.file.batches[&3].body.len();

@@ -11,7 +11,7 @@ fn backlog(batches: usize) -> Agent {
         agent.sending.offer(&incident(&"x".repeat(LONG_BYTES - 100)), agent.now());
         agent.settle();
     }
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     agent
 }
 
@@ -42,12 +42,12 @@ fn backlog_is_delivered_in_order_before_new_events() {
         agent.connect();
         agent.welcome(0, None);
         agent.offer(20);
-        agent.pass(200);
+        agent.advance_ms(200);
         let delivered = agent.deliver();
         assert_eq!(delivered, (1..=220).collect::<Vec<_>>());
         assert!(agent.sending.is_idle());
         assert_eq!(agent.accounting().stored, 220);
-        agent.pass(1_000);
+        agent.advance_ms(1_000);
         assert_eq!((agent.accounting().spool_bytes, agent.file.batches.len()), (0, 0));
     }
 }
@@ -81,7 +81,7 @@ fn file_is_read_while_batches_are_in_flight() {
 #[test]
 fn unreadable_spool_is_read_again() {
     let mut agent = backlog(20).restart();
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.numbers(), [0; 0]);
@@ -90,8 +90,8 @@ fn unreadable_spool_is_read_again() {
     );
     assert_eq!(agent.accounting().trouble.as_deref(), Some("the disk is full"));
     assert_eq!(agent.sending.deadline(), Some(at(1_000).mono));
-    agent.broken = false;
-    agent.pass(1_000);
+    agent.spool_is_broken = false;
+    agent.advance_ms(1_000);
     assert_eq!(agent.deliver(), (1..=20).collect::<Vec<_>>());
     assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
     assert_eq!(agent.accounting().trouble, None);

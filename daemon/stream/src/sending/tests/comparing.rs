@@ -32,7 +32,7 @@ fn stored_batches_are_deleted_when_chains_match() {
         assert_eq!(agent.deliver(), (stored + 1..=10).collect::<Vec<_>>());
         assert_eq!(agent.accounting().stored, 10);
         assert_eq!(renewals(&agent), 0);
-        agent.pass(1_000);
+        agent.advance_ms(1_000);
         assert_eq!(agent.file.batches.len(), 0);
     }
 }
@@ -52,7 +52,7 @@ fn nothing_is_deleted_or_sent_before_comparison() {
     // The connection ends meanwhile, so that the answer of the disk must have no effect.
     agent.sending.on_disconnected();
     agent.perform(load);
-    agent.pass(5_000);
+    agent.advance_ms(5_000);
     assert_eq!((agent.file.batches.len(), agent.sent.len()), (10, 0));
     agent.connect();
     agent.receive(&welcome);
@@ -71,7 +71,7 @@ fn spool_that_lost_its_end_sends_no_batch_twice() {
     let hello = agent.hellos.last().expect("a hello").clone();
     assert_eq!((hello.first, hello.oldest, hello.previous), (11, 11, Some(old_stream)));
     assert_ne!(hello.stream, old_stream);
-    assert_eq!(Some(hello.before), agent.chain(11).map(|_| agent.file.before));
+    assert_eq!(Some(hello.previous_chain), agent.chain(11).map(|_| agent.file.previous_chain));
     agent.welcome(10, None);
     assert_eq!(agent.deliver(), [11, 12], "only the batches that were never sent");
     assert_eq!(agent.accounting().stored, 12);
@@ -166,10 +166,10 @@ fn agent_with_deleted_batches() -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(4);
     agent.deliver();
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     let mut agent = agent.restart();
     agent.connect();
-    let chain = Some(agent.file.before);
+    let chain = Some(agent.file.previous_chain);
     agent.welcome_after(4, chain, Some(1));
     agent.cut(2);
     agent.deliver();
@@ -183,16 +183,16 @@ fn agent_with_deleted_batches() -> Agent {
 fn nothing_is_sent_during_stream_renewal() {
     let mut agent = agent_with_unacknowledged(4, 0);
     agent.connect();
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.welcome_after(9, OTHER_CHAIN, Some(1));
     assert_eq!(agent.notices.len(), 2, "{:?}", agent.notices);
     let hellos = agent.hellos.len();
     agent.cut(3);
     agent.welcome(4, OTHER_CHAIN);
-    agent.pass(30_000);
+    agent.advance_ms(30_000);
     assert_eq!((agent.hellos.len(), agent.sent.len()), (hellos, 0));
-    agent.broken = false;
-    agent.pass(1_000);
+    agent.spool_is_broken = false;
+    agent.advance_ms(1_000);
     agent.welcome(4, None);
     assert_eq!(agent.deliver(), [5, 6, 7]);
     assert_eq!(agent.accounting().dropped, 0);

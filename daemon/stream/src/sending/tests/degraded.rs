@@ -7,8 +7,8 @@ fn failing() -> Agent {
     let mut agent = Agent::up(config());
     agent.cut(3);
     agent.deliver();
-    agent.pass(1_000);
-    agent.broken = true;
+    agent.advance_ms(1_000);
+    agent.spool_is_broken = true;
     agent
 }
 
@@ -24,9 +24,9 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
     assert!(accounting.memory_bytes > 0);
     agent.ack(6);
     assert_eq!(agent.numbers(), [7, 8, 9]);
-    agent.broken = false;
+    agent.spool_is_broken = false;
     agent.actions.clear();
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     assert_eq!(agent.notices.last(), Some(&Notice::SpoolRecovered));
     // The file records first the deletions, then the batches that may have been sent, then the new batches.
     let [
@@ -46,7 +46,7 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
     assert_eq!(agent.deliver(), [10]);
     assert!(agent.sending.is_idle());
     assert_eq!(agent.accounting().stored, 10);
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     assert_eq!((agent.accounting().spool_bytes, agent.file.batches.len()), (0, 0));
 }
 
@@ -54,10 +54,10 @@ fn batches_are_sent_from_memory_while_disk_is_full() {
 fn failure_and_recovery_are_reported_once() {
     let mut agent = failing();
     agent.cut(2);
-    (0..20).for_each(|_| agent.pass(1_000));
+    (0..20).for_each(|_| agent.advance_ms(1_000));
     assert!(agent.count_actions(|action| matches!(action, Action::Append { .. })) > 10);
-    agent.broken = false;
-    agent.pass(1_000);
+    agent.spool_is_broken = false;
+    agent.advance_ms(1_000);
     let reported = |agent: &Agent| {
         agent.notices.iter().filter(|notice| !matches!(notice, Notice::Welcomed { .. })).count()
     };
@@ -74,15 +74,15 @@ fn acknowledgement_during_write_deletes_batch_after_write() {
         let retry = agent.sending.next(agent.now().mono).expect("the write is tried again");
         assert!(matches!(&retry, Action::Append { batches, .. } if batches.len() == 2));
         agent.ack(4);
-        agent.broken = fails;
+        agent.spool_is_broken = fails;
         agent.perform(retry);
         agent.settle();
-        agent.broken = false;
-        agent.pass(2_000);
+        agent.spool_is_broken = false;
+        agent.advance_ms(2_000);
         assert_eq!(agent.file.batches.keys().copied().collect::<Vec<_>>(), [5]);
         assert_eq!(agent.accounting().spool_bytes, agent.file.batches[&5].body.len() as u64);
         agent.ack(5);
-        agent.pass(2_000);
+        agent.advance_ms(2_000);
         assert_eq!((agent.accounting().spool_bytes, agent.accounting().stored), (0, 5));
     }
 }
@@ -92,7 +92,7 @@ fn process_killed_with_full_disk_repeats_no_batch() {
     // Two batches are in the file, acknowledged but not deleted; two more were stored from memory.
     let mut agent = Agent::up(config());
     agent.cut(2);
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.deliver();
     agent.cut(3);
     assert_eq!(agent.numbers(), [3, 4, 5]);
@@ -119,13 +119,13 @@ fn unspooled_batches_wait_until_file_records_sending() {
     let mut agent = Agent::new(config());
     agent.cut(2);
     let mut agent = agent.restart();
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.cut(2);
     agent.connect();
     agent.welcome(0, None);
     assert_eq!(agent.numbers(), [0; 0], "the file cannot be read either");
-    agent.broken = false;
-    agent.pass(1_000);
+    agent.spool_is_broken = false;
+    agent.advance_ms(1_000);
     assert_eq!(agent.file.newest_sent, [NewestSentBatch { process: 2, number: 4 }]);
     assert_eq!(agent.deliver(), [1, 2, 3, 4]);
 }
@@ -134,16 +134,16 @@ fn unspooled_batches_wait_until_file_records_sending() {
 fn events_beyond_disk_and_memory_are_counted_as_dropped() {
     let memory = Usage { events: 6, bytes: 1 << 20 };
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.offer(20);
     let accounting = agent.accounting();
     assert_eq!((accounting.waiting, accounting.dropped, accounting.gaps), (6, 14, 0));
-    agent.broken = false;
-    agent.pass(1_000);
+    agent.spool_is_broken = false;
+    agent.advance_ms(1_000);
     assert_eq!(agent.accounting().gaps, 1);
     agent.connect();
     agent.welcome(0, None);
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     assert_eq!(agent.deliver(), (1..=7).collect::<Vec<_>>(), "six events and the gap");
     let accounting = agent.accounting();
     assert_eq!((accounting.produced, accounting.stored, accounting.dropped), (21, 7, 14));
@@ -169,8 +169,8 @@ fn losses_are_counted_while_disk_is_full() {
     agent.cut(2);
     agent.full = true;
     agent.offer(20);
-    agent.pass(1_000);
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
+    agent.advance_ms(1_000);
     let accounting = agent.accounting();
     assert_eq!((accounting.waiting, accounting.dropped, agent.file.totals.dropped), (8, 14, 14));
     assert!(accounting.trouble.is_some(), "a written count is no recovery");
@@ -192,10 +192,10 @@ fn events_lost_with_memory_are_reported_after_restart() {
     let mut agent = Agent::new(SendingConfig { memory, ..config() });
     agent.cut(2);
     // One loss is reported in a gap that is in the spool, the next one in a gap that is not.
-    agent.broken = true;
+    agent.spool_is_broken = true;
     agent.offer(8);
-    agent.broken = false;
-    (0..2).for_each(|_| agent.pass(1_000));
+    agent.spool_is_broken = false;
+    (0..2).for_each(|_| agent.advance_ms(1_000));
     assert_eq!(reported(&agent.file), 2);
     agent.full = true;
     agent.offer(8);

@@ -12,7 +12,7 @@ fn acknowledgement_of_unsent_batch_causes_new_hello() {
     for through in [4, 5, 6, u64::MAX] {
         agent.ack(through);
         assert_eq!((agent.file.batches.len(), agent.accounting().stored), (5, 0));
-        agent.pass(60_000);
+        agent.advance_ms(60_000);
         agent.welcome(0, None);
     }
     assert_eq!(agent.numbers().last(), Some(&3));
@@ -41,12 +41,12 @@ proptest! {
         let mut agent = agent.restart();
         agent.connect();
         for (kind, number, window, flags) in steps {
-            agent.broken = flags == 3;
+            agent.spool_is_broken = flags == 3;
             match kind {
                 7 => agent.cut(1),
-                8 => agent.pass(1_000),
+                8 => agent.advance_ms(1_000),
                 9 => { agent.sending.on_disconnected(); agent.settle(); agent.connect(); }
-                10 => { agent.broken = false; agent = agent.restart(); agent.connect(); }
+                10 => { agent.spool_is_broken = false; agent = agent.restart(); agent.connect(); }
                 _ => {
                     let stream = if flags == 0 { StreamId::random() } else { agent.stream() };
                     let chain = match flags { 1 => agent.chain(number), 2 => Some(Chain::START), _ => None };
@@ -55,13 +55,13 @@ proptest! {
             }
         }
         // An aggregator that behaves correctly then receives all remaining batches.
-        agent.broken = false;
+        agent.spool_is_broken = false;
         agent.sending.on_disconnected();
         for _ in 0..10 {
-            agent.pass(20_000);
+            agent.advance_ms(20_000);
             agent.connect();
             let hello = agent.hellos.last().expect("a hello").clone();
-            agent.welcome(hello.oldest - 1, (hello.oldest > hello.first).then_some(hello.before));
+            agent.welcome(hello.oldest - 1, (hello.oldest > hello.first).then_some(hello.previous_chain));
             agent.deliver();
         }
         prop_assert!(agent.sending.is_idle(), "{:?}", agent.sending);

@@ -18,7 +18,7 @@ fn full_spool_drops_newest_events_and_reports_gap() {
     agent.connect();
     agent.welcome(0, None);
     agent.deliver();
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     agent.deliver();
     let accounting = agent.accounting();
     assert_eq!(
@@ -66,7 +66,7 @@ fn totals_continue_after_restart() {
     agent.deliver();
     let stored = agent.accounting().stored;
     assert_eq!(stored, before.waiting);
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     let agent = agent.restart();
     assert_eq!((agent.accounting().stored, agent.accounting().waiting), (stored, 0));
 }
@@ -78,7 +78,7 @@ fn run_end_reports_lost_events_of_run() {
     let mut agent = Agent::new(SendingConfig { memory, batch_nodes: 100, ..config() });
     agent.offer(8);
     assert_eq!(agent.accounting().dropped, 4);
-    agent.pass(200);
+    agent.advance_ms(200);
     let ended = RunEnded { run, ended: agent.now().wall, reason: EndReason::Finished };
     agent.sending.offer(&Event::RunEnded(ended), agent.now());
     agent.sending.flush(agent.now().wall);

@@ -35,11 +35,11 @@ fn missing_batches_are_skipped_counted_and_reported() {
     assert_eq!((agent.hellos.len(), hello.oldest, hello.first), (2, 7, 1));
     agent.welcome(3, None);
     assert!(matches!(agent.notices.last(), Some(Notice::Welcomed { has_lost_batches: true, .. })));
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     assert_eq!(agent.deliver(), [7, 8, 9, 10, 11], "the last batch reports the missing events");
     let accounting = agent.accounting();
     assert_eq!((accounting.dropped, accounting.gaps, accounting.stored, accounting.waiting), (3, 1, 8, 0));
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     let accounting = agent.accounting();
     assert_eq!(accounting.spool_bytes, 0);
     assert_eq!(agent.file.batches.len(), 0);
@@ -65,7 +65,7 @@ fn agent_continues_if_all_batches_are_missing() {
     agent.welcome(0, None);
     assert_eq!(agent.hellos.last().map(|hello| hello.oldest), Some(11));
     agent.welcome(0, None);
-    agent.pass(200);
+    agent.advance_ms(200);
     assert_eq!(agent.deliver(), [11]);
     assert!(agent.sending.is_idle());
     assert_eq!(agent.accounting().dropped, 10);
@@ -80,7 +80,7 @@ fn missing_batches_at_several_positions_are_skipped() {
     for _ in 0..5 {
         agent.welcome(stored, None);
         delivered.extend(agent.deliver());
-        agent.pass(200);
+        agent.advance_ms(200);
         stored = delivered.last().copied().unwrap_or(0);
     }
     assert_eq!(delivered, [1, 4, 7, 10, 11]);
@@ -97,6 +97,6 @@ fn missing_compared_batches_delete_no_unstored_batch() {
     agent.welcome(0, None);
     assert_eq!(agent.deliver(), [1, 2, 3, 4, 5]);
     agent.welcome(5, None);
-    agent.pass(200);
+    agent.advance_ms(200);
     assert_eq!(agent.deliver(), [8, 9, 10, 11]);
 }

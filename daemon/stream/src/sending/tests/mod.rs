@@ -61,7 +61,7 @@ struct File {
     previous: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    before: Chain,
+    previous_chain: Chain,
     newest: (u64, Chain),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
@@ -77,7 +77,7 @@ impl File {
             previous: None,
             first: 1,
             events_before_first: Some(0),
-            before: Chain::START,
+            previous_chain: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
             newest_sent: Vec::new(),
@@ -94,7 +94,7 @@ impl File {
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
-            before: if oldest.is_some() { self.before } else { self.newest.1 },
+            previous_chain: if oldest.is_some() { self.previous_chain } else { self.newest.1 },
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
@@ -131,7 +131,7 @@ impl File {
 
     fn delete(&mut self, through: u64, chain: Chain) {
         self.batches = self.batches.split_off(&(through + 1));
-        self.before = chain;
+        self.previous_chain = chain;
         if through > self.newest.0 {
             self.newest = (through, chain);
         }
@@ -146,7 +146,7 @@ struct Agent {
     sending: Sending,
     millis: i64,
     /// `true` while the spool fails.
-    broken: bool,
+    spool_is_broken: bool,
     /// `true` while the spool accepts no batches.
     full: bool,
     sent: Vec<BatchHead>,
@@ -183,7 +183,7 @@ impl Agent {
             file,
             sending,
             millis: 0,
-            broken: false,
+            spool_is_broken: false,
             full: false,
             sent,
             parts,
@@ -263,12 +263,12 @@ impl Agent {
     fn perform(&mut self, action: Action) {
         let (now, reason) = (self.now(), "the disk is full".to_owned());
         let notice = match action {
-            Action::Append { batches, .. } if self.broken || self.full && !batches.is_empty() => {
+            Action::Append { batches, .. } if self.spool_is_broken || self.full && !batches.is_empty() => {
                 self.sending.on_append_failed(reason, now)
             }
-            Action::Load { .. } if self.broken => self.sending.on_load_failed(reason, now),
-            Action::Delete { .. } if self.broken => self.sending.on_delete_failed(reason, now),
-            Action::Renew { .. } if self.broken => self.sending.on_renew_failed(reason, now),
+            Action::Load { .. } if self.spool_is_broken => self.sending.on_load_failed(reason, now),
+            Action::Delete { .. } if self.spool_is_broken => self.sending.on_delete_failed(reason, now),
+            Action::Renew { .. } if self.spool_is_broken => self.sending.on_renew_failed(reason, now),
             Action::Append { batches, totals } => {
                 self.file.append(batches, totals);
                 self.sending.on_appended(now)
@@ -301,10 +301,10 @@ impl Agent {
     /// Offers events, one per batch, and closes the last batch.
     fn cut(&mut self, batches: usize) {
         self.offer(batches);
-        self.pass(self.config.batch_age.nanos() / 1_000_000);
+        self.advance_ms(self.config.batch_age.nanos() / 1_000_000);
     }
 
-    fn pass(&mut self, millis: i64) {
+    fn advance_ms(&mut self, millis: i64) {
         self.millis += millis;
         self.sending.tick(self.now());
         self.settle();

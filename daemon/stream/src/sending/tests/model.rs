@@ -32,7 +32,7 @@ impl Store {
                 });
             assert!(hello.oldest <= stored + 1, "batches are missing although none was removed");
             if mark.is_none() {
-                self.marks.insert(stream, (stored, hello.before, None));
+                self.marks.insert(stream, (stored, hello.previous_chain, None));
             }
             let aggregator = "base".parse().expect("a name");
             return Some(ToAgent::Welcome {
@@ -49,7 +49,7 @@ impl Store {
         }
         let (stored, chain, process) = self.marks.get_mut(&head.stream)?;
         if head.number == *stored + 1 {
-            if head.before != *chain {
+            if head.previous_chain != *chain {
                 return Some(ToAgent::Unknown);
             }
             (*stored, *chain, *process) = (head.number, head.chain, Some(head.process));
@@ -111,7 +111,7 @@ impl Simulation {
         self.run();
     }
 
-    fn pass(&mut self, millis: i64) {
+    fn advance_ms(&mut self, millis: i64) {
         self.agent.millis += millis;
         self.agent.sending.tick(self.agent.now());
         self.run();
@@ -120,8 +120,8 @@ impl Simulation {
     fn work(&mut self) {
         let Some(job) = self.jobs.pop_front() else { return };
         // The file is synced at once when it records which batches may be sent.
-        let is_synced =
-            matches!(&job, Action::Append { batches, .. } if batches.is_empty()) && !self.agent.broken;
+        let is_synced = matches!(&job, Action::Append { batches, .. } if batches.is_empty())
+            && !self.agent.spool_is_broken;
         let previous_file = self.agent.file.clone();
         self.agent.perform(job);
         match is_synced {
@@ -162,9 +162,9 @@ impl Simulation {
         self.unsynced.clear();
         self.store.hello_stream = None;
         let (config, host, millis, broken) =
-            (self.agent.config, self.agent.host, self.agent.millis, self.agent.broken);
+            (self.agent.config, self.agent.host, self.agent.millis, self.agent.spool_is_broken);
         self.agent = Agent::open(config, host, file);
-        (self.agent.millis, self.agent.broken) = (millis, broken);
+        (self.agent.millis, self.agent.spool_is_broken) = (millis, broken);
         self.record_survivors();
         if connect {
             self.reconnect();
@@ -177,7 +177,7 @@ impl Simulation {
     }
 
     fn settle(&mut self) {
-        self.agent.broken = false;
+        self.agent.spool_is_broken = false;
         self.reconnect();
         for _ in 0..2_000 {
             if self.agent.sending.is_idle() {
@@ -188,7 +188,7 @@ impl Simulation {
                 self.deliver();
                 self.answer();
             }
-            self.pass(1_000);
+            self.advance_ms(1_000);
         }
         assert!(self.agent.sending.is_idle(), "events still wait: {:?}", self.agent.sending);
         self.record_survivors();
@@ -243,7 +243,7 @@ proptest! {
         for step in steps {
             match step {
                 Step::Offer(count) => (0..count).for_each(|_| simulation.offer()),
-                Step::Pass(millis) => simulation.pass(millis.into()),
+                Step::Pass(millis) => simulation.advance_ms(millis.into()),
                 Step::Work(count) => (0..count).for_each(|_| simulation.work()),
                 Step::Deliver(count) => (0..count).for_each(|_| simulation.deliver()),
                 Step::Answer(count) => (0..count).for_each(|_| simulation.answer()),
@@ -251,7 +251,7 @@ proptest! {
                 Step::Break(broken) => {
                     // A failing disk does not lose what was written before.
                     simulation.unsynced.clear();
-                    simulation.agent.broken = broken;
+                    simulation.agent.spool_is_broken = broken;
                 }
                 Step::Kill { connect } => simulation.start(simulation.agent.file.clone(), connect),
                 Step::PowerFailure { back, connect } => {

@@ -69,15 +69,15 @@ fn unanswered_hello_is_repeated() {
     let mut agent = Agent::up(config());
     agent.cut(2);
     assert_eq!(agent.numbers(), [1, 2]);
-    agent.pass(9_000 - agent.millis);
+    agent.advance_ms(9_000 - agent.millis);
     assert_eq!(agent.hellos.len(), 1);
     assert_eq!(agent.sending.deadline(), Some(at(10_000).mono));
-    agent.pass(1_000);
+    agent.advance_ms(1_000);
     assert_eq!(agent.hellos.len(), 2, "the timeout ended");
-    agent.pass(250);
-    agent.pass(499);
+    agent.advance_ms(250);
+    agent.advance_ms(499);
     assert_eq!(agent.hellos.len(), 3);
-    agent.pass(1);
+    agent.advance_ms(1);
     assert_eq!(agent.hellos.len(), 4, "each pause is twice the previous pause");
     let chain = agent.chain(1);
     agent.welcome(1, chain);
@@ -91,9 +91,9 @@ fn refused_hello_is_repeated_later() {
     agent.connect();
     agent.receive(&ToAgent::Refused { reason: "the name is taken".into() });
     assert_eq!(agent.notices, [Notice::Refused("the name is taken".into())]);
-    agent.pass(999);
+    agent.advance_ms(999);
     assert_eq!(agent.hellos.len(), 1);
-    agent.pass(1);
+    agent.advance_ms(1);
     assert_eq!(agent.hellos.len(), 2);
 }
 
@@ -106,7 +106,7 @@ fn hellos_without_progress_become_rare() {
         agent.welcome(0, None);
     }
     assert!(agent.hellos.len() < 6, "{} hellos at one instant", agent.hellos.len());
-    agent.pass(20_000);
+    agent.advance_ms(20_000);
     agent.welcome(0, None);
     assert_eq!(agent.sent.last().map(|head| head.number), Some(1));
     agent.ack(1);

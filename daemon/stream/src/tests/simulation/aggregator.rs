@@ -243,9 +243,9 @@ impl Database {
                 let previous = self.marks.get(&head.stream);
                 if let Some(previous) = previous {
                     assert_eq!(head.number, previous.stored + 1, "stored out of order");
-                    assert_eq!(head.before, previous.chain, "stored after a batch of another chain");
+                    assert_eq!(head.previous_chain, previous.chain, "stored after a batch of another chain");
                 }
-                assert_eq!(head.chain, head.before.next(head.events, &body));
+                assert_eq!(head.chain, head.previous_chain.next(head.events, &body));
                 let (event_numbers, missing_reported) =
                     (event_numbers(head.events, &body), missing_reported(head.events, &body));
                 let entry = Entry::Batch { number: head.number, event_numbers, missing_reported };

@@ -11,7 +11,7 @@ pub(in super::super) struct SpoolFile {
     previous: Option<StreamId>,
     first: u64,
     events_before_first: Option<u64>,
-    before: Chain,
+    previous_chain: Chain,
     newest: (u64, Chain),
     totals: Totals,
     newest_sent: Vec<NewestSentBatch>,
@@ -30,7 +30,7 @@ impl SpoolFile {
             previous: None,
             first: 1,
             events_before_first: Some(0),
-            before: Chain::START,
+            previous_chain: Chain::START,
             newest: (0, Chain::START),
             totals: Totals::default(),
             newest_sent: Vec::new(),
@@ -49,7 +49,7 @@ impl SpoolFile {
             first: self.first,
             events_before_first: self.events_before_first,
             oldest: oldest.map_or(self.newest.0 + 1, |batch| batch.number),
-            before: self.before,
+            previous_chain: self.previous_chain,
             newest: self.newest,
             since: oldest.map(|batch| batch.since),
             waiting_usage: self.batches.values().fold(Usage::default(), |sum, batch| sum + batch.usage()),
@@ -133,7 +133,7 @@ impl SpoolFile {
         if let Some(last) = deleted.get(&through) {
             assert_eq!(last.chain, chain, "the chain is that of the last deleted batch");
         }
-        self.before = chain;
+        self.previous_chain = chain;
         if through > self.newest.0 {
             // The aggregator stored batches that were never written to the file.
             self.newest = (through, chain);

@@ -20,10 +20,10 @@ pub(crate) fn talking(at: usize, name: &str, points: &[(f64, f64)]) -> Configura
     (length.stage, length.unit) = (Name::from(name), String::new());
     length.figures = QuantityStatistics::from_summary(&x).expect("lengths");
     one.stages.push(length);
-    let mut kept = MergeableStatistics::default();
-    kept.add(Name::from(name), "", &x);
-    kept.add(stage::INFERENCE, "s", &y);
-    one.kept = Arc::new(kept);
+    let mut mergeable = MergeableStatistics::default();
+    mergeable.add(Name::from(name), "", &x);
+    mergeable.add(stage::INFERENCE, "s", &y);
+    one.mergeable = Arc::new(mergeable);
     one.runs[0].counts.ok = points.len() as u64;
     one
 }

@@ -74,7 +74,7 @@ fn where_a_bound_comes_from_and_what_would_narrow_it() {
         ("1,203.35 – 1,204.65", "1.30")
     );
     assert!(
-        origin.why[0].contains("took 1.30\u{202f}ms, so the offset is known to half of that, ±0.65"),
+        origin.why[0].contains("took 1.30\u{202f}ms, so the offset is known to within half of it, ±0.65"),
         "{origin:?}"
     );
     assert!(origin.hints[0].contains("PTP or chrony on cam-1 and rack-a"), "{origin:?}");

@@ -9,7 +9,7 @@ async fn new_spool_is_empty_and_keeps_its_stream() {
     let spool_folder = SpoolFolder::new();
     let (file, fresh) = spool_folder.open_undamaged().await;
     assert_eq!(
-        (fresh.first, fresh.oldest, fresh.before, fresh.newest),
+        (fresh.first, fresh.oldest, fresh.previous_chain, fresh.newest),
         (1, 1, Chain::START, (0, Chain::START))
     );
     assert_eq!(
@@ -35,7 +35,7 @@ async fn batches_totals_and_deletions_survive_reopening() {
 
     let (mut file, state) = spool_folder.open_undamaged().await;
     assert_eq!(
-        (state.stream, state.first, state.oldest, state.before),
+        (state.stream, state.first, state.oldest, state.previous_chain),
         (fresh.stream, 1, 4, written[2].chain)
     );
     assert_eq!((state.newest, state.since), ((9, written[8].chain), Some(written[3].since)));
@@ -58,7 +58,7 @@ async fn emptied_spool_keeps_its_position() {
     file.delete_through(2, written[1].chain).await.expect("deletes");
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.oldest, state.before), (3, written[1].chain));
+    assert_eq!((state.oldest, state.previous_chain), (3, written[1].chain));
     assert_eq!(
         (state.newest, state.since, state.waiting_usage),
         ((2, written[1].chain), None, Usage::default())
@@ -78,7 +78,10 @@ async fn batches_stored_without_spool_leave_no_gap() {
     assert_eq!(file.load(6, usize::MAX).await.expect("loads").batches, created[5..]);
     drop(file.close().await);
     let (_, state) = spool_folder.open_undamaged().await;
-    assert_eq!((state.oldest, state.before, state.newest), (6, created[4].chain, (7, created[6].chain)));
+    assert_eq!(
+        (state.oldest, state.previous_chain, state.newest),
+        (6, created[4].chain, (7, created[6].chain))
+    );
 }
 
 #[tokio::test]

@@ -26,21 +26,21 @@ fn paired(input: u32, output: u32) -> Option<Numbered> {
 #[test]
 fn equal_keys_are_paired_in_any_order_of_arrival() {
     let mut pairing = pairing();
-    assert_eq!(pairing.take_input(Some(10), at(0), 1), None);
-    assert_eq!(pairing.take_input(Some(20), at(1), 2), None);
-    assert_eq!(pairing.take_output(Some(20), at(2), 12), paired(2, 12));
-    assert_eq!(pairing.take_output(Some(30), at(3), 13), None, "its input message may still come");
-    assert_eq!(pairing.take_input(Some(30), at(4), 3), paired(3, 13));
-    assert_eq!(pairing.take_output(Some(10), at(5), 11), paired(1, 11));
+    assert_eq!(pairing.add_input(Some(10), at(0), 1), None);
+    assert_eq!(pairing.add_input(Some(20), at(1), 2), None);
+    assert_eq!(pairing.add_output(Some(20), at(2), 12), paired(2, 12));
+    assert_eq!(pairing.add_output(Some(30), at(3), 13), None, "its input message may still come");
+    assert_eq!(pairing.add_input(Some(30), at(4), 3), paired(3, 13));
+    assert_eq!(pairing.add_output(Some(10), at(5), 11), paired(1, 11));
     assert!(pairing.is_settled());
 }
 
 #[test]
 fn second_output_of_one_input_is_unmatched() {
     let mut pairing = pairing();
-    pairing.take_input(Some(10), at(0), 1);
-    assert_eq!(pairing.take_output(Some(10), at(1), 11), paired(1, 11));
-    assert_eq!(pairing.take_output(Some(10), at(2), 12), None);
+    pairing.add_input(Some(10), at(0), 1);
+    assert_eq!(pairing.add_output(Some(10), at(1), 11), paired(1, 11));
+    assert_eq!(pairing.add_output(Some(10), at(2), 12), None);
     assert_eq!(pairing.expire(at(101)), None);
     assert_eq!(pairing.expire(at(102)), Some(Resolution::Unmatched(12)));
 }
@@ -48,7 +48,7 @@ fn second_output_of_one_input_is_unmatched() {
 #[test]
 fn input_without_output_is_given_up_at_its_deadline() {
     let mut pairing = pairing();
-    pairing.take_input(Some(10), at(5), 1);
+    pairing.add_input(Some(10), at(5), 1);
     assert_eq!(pairing.next_deadline(), Some(at(105)));
     assert_eq!(pairing.expire(at(104)), None);
     let expired = Resolution::Unanswered { input: 1, cause: Unanswered::Expired };
@@ -59,13 +59,13 @@ fn input_without_output_is_given_up_at_its_deadline() {
 #[test]
 fn order_pairs_oldest_input_and_never_a_later_one() {
     let mut pairing = pairing();
-    assert_eq!(pairing.take_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
-    pairing.take_input(None, at(1), 1);
-    pairing.take_input(None, at(2), 2);
-    assert_eq!(pairing.take_output(None, at(3), 11), paired(1, 11));
+    assert_eq!(pairing.add_output(None, at(0), 10), Some(Resolution::Unmatched(10)));
+    pairing.add_input(None, at(1), 1);
+    pairing.add_input(None, at(2), 2);
+    assert_eq!(pairing.add_output(None, at(3), 11), paired(1, 11));
     // Passed on late: it was received before the input message that waits.
-    assert_eq!(pairing.take_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
-    assert_eq!(pairing.take_output(None, at(4), 13), paired(2, 13));
+    assert_eq!(pairing.add_output(None, at(1), 12), Some(Resolution::Unmatched(12)));
+    assert_eq!(pairing.add_output(None, at(4), 13), paired(2, 13));
 }
 
 /// An event of a generated history.
@@ -139,11 +139,11 @@ proptest! {
             let resolution = match topic_event {
                 TopicEvent::Input(key) => {
                     inputs.insert(number, (key, now));
-                    pairing.take_input(key, now, number)
+                    pairing.add_input(key, now, number)
                 }
                 TopicEvent::Output(key) => {
                     outputs.insert(number, (key, now));
-                    pairing.take_output(key, now, number)
+                    pairing.add_output(key, now, number)
                 }
                 TopicEvent::Expire => None,
             };
@@ -175,9 +175,9 @@ proptest! {
         let mut pairs = Vec::new();
         for (number, is_input) in (0_u32..).zip(is_input) {
             let resolution = if is_input {
-                pairing.take_input(None, at(number.into()), number)
+                pairing.add_input(None, at(number.into()), number)
             } else {
-                pairing.take_output(None, at(number.into()), number)
+                pairing.add_output(None, at(number.into()), number)
             };
             if let Some(Resolution::Paired { input, output }) = resolution {
                 pairs.push((input, output));

@@ -109,7 +109,7 @@ impl PeerConnector {
     /// Opens the session that a run waits for. Returns `None` if the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
-        let mut reported = None;
+        let mut reported_problem = None;
         loop {
             let problem = match runner.stop.run_until_cancelled(self.open()).await? {
                 Ok(connection) => return Some(connection),
@@ -117,10 +117,10 @@ impl PeerConnector {
             };
             runner.live_state.set_state(PipelineState::Waiting(problem.text.clone()));
             let pause = problem.pause(&mut reconnect_backoff);
-            if reported.as_ref() != Some(&problem) {
+            if reported_problem.as_ref() != Some(&problem) {
                 let text = format!("{}; the run starts when the peer answers", problem.describe());
                 self.report(problem.kind(), None, text);
-                reported = Some(problem);
+                reported_problem = Some(problem);
             }
             runner.stop.run_until_cancelled(tokio::time::sleep(pause)).await?;
         }
@@ -129,8 +129,8 @@ impl PeerConnector {
     /// Opens a session and checks that the peer has the pipeline.
     pub(super) async fn open(&self) -> Result<PeerConnection, PeerProblem> {
         let settings = self.remote.session.clone();
-        let opened = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
-        let placement = opened.map_err(|failure| self.problem_from_failure(failure))?;
+        let placement = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
+        let placement = placement.map_err(|failure| self.problem_from_failure(failure))?;
         let Some((host, name)) = placement.peer().map(|(host, name)| (host, name.clone())) else {
             let text = format!("{} did not send its host id and name", self.remote.peer);
             return Err(PeerProblem { is_refusal: false, text });
@@ -212,13 +212,13 @@ impl PeerConnection {
     /// # Errors
     /// When the peer does not answer, refuses, or sends an answer that cannot be read.
     pub(super) async fn query(&self, keys: Vec<i64>) -> Result<StampAnswer, PeerProblem> {
-        let failed = |reason: String| PeerProblem {
+        let failure = |reason: String| PeerProblem {
             is_refusal: false,
             text: format!("cannot query the observed stamps of {} at {}: {reason}", self.name, self.address),
         };
-        let refused = |reason: String| PeerProblem { is_refusal: true, ..failed(reason) };
+        let refusal = |reason: String| PeerProblem { is_refusal: true, ..failure(reason) };
         let request = StampRequest::new(self.observed.clone(), self.pair_by, keys);
-        let sample = request.to_sample().map_err(|error| refused(error.to_string()))?;
+        let sample = request.to_sample().map_err(|error| refusal(error.to_string()))?;
         // The recorder belongs to no iteration and is dropped. Only the answer is used, and the exchange, from which the
         // link learns.
         let log = Recorder::new(Arc::clone(&self.clock), self.own);
@@ -226,12 +226,12 @@ impl PeerConnection {
             Ok(answer) => {
                 let answer = answer.unwrap_or_else(empty_sample);
                 StampAnswer::read(&answer)
-                    .map_err(|error| refused(format!("the answer cannot be read: {error}")))
+                    .map_err(|error| refusal(format!("the answer cannot be read: {error}")))
             }
-            Err(Outcome::Failed(reason)) => Err(refused(reason)),
-            Err(Outcome::Lost(reason)) => Err(failed(reason)),
+            Err(Outcome::Failed(reason)) => Err(refusal(reason)),
+            Err(Outcome::Lost(reason)) => Err(failure(reason)),
             Err(Outcome::Timeout(_) | Outcome::Ok) => {
-                Err(failed(format!("no answer within {} ms", self.timeout.as_millis())))
+                Err(failure(format!("no answer within {} ms", self.timeout.as_millis())))
             }
         }
     }
@@ -247,9 +247,9 @@ impl PeerConnection {
             vec![("Peer".to_owned(), format!("{} with its pipeline {}", self.name, self.observed))];
         facts.extend(self.placement.facts());
         // If the name cannot be resolved, the list is empty: publishers are then not marked as being on the peer's host.
-        let found = tokio::net::lookup_host((self.address.host(), 0)).await;
+        let lookup = tokio::net::lookup_host((self.address.host(), 0)).await;
         let addresses: Vec<IpAddr> =
-            found.map(|found| found.map(|found| found.ip()).collect()).unwrap_or_default();
+            lookup.map(|found| found.map(|socket_address| socket_address.ip()).collect()).unwrap_or_default();
         PeerDescription {
             name: self.name.clone(),
             facts,

@@ -99,7 +99,7 @@ impl PeerStamps {
         let Some(queries) = self.queries.as_ref().filter(|_| self.waiting < MAX_PENDING) else {
             return Err(Box::new(pair));
         };
-        queries.try_send((key, pair)).map_err(|refused| Box::new(refused.into_inner().1))?;
+        queries.try_send((key, pair)).map_err(|unsent| Box::new(unsent.into_inner().1))?;
         self.waiting += 1;
         Ok(())
     }
@@ -107,10 +107,10 @@ impl PeerStamps {
     /// Waits for the next pair that the peer has answered or that has expired. Cancel-safe.
     pub(super) async fn next(&mut self) -> SettledPair {
         if self.waiting > 0
-            && let Some(settled) = self.settled.recv().await
+            && let Some(settled_pair) = self.settled.recv().await
         {
             self.waiting -= 1;
-            return settled;
+            return settled_pair;
         }
         if self.waiting > 0 {
             // The task has panicked, which is logged: no further answers will arrive.
@@ -127,12 +127,12 @@ impl PeerStamps {
     /// Ends the wait of all pairs. Returns them with the stamps that the peer has sent so far.
     pub(super) async fn abandon(&mut self) -> Vec<SettledPair> {
         self.queries = None;
-        let mut settled = Vec::with_capacity(self.waiting);
+        let mut settled_pairs = Vec::with_capacity(self.waiting);
         while let Some(pair) = self.settled.recv().await {
-            settled.push(pair);
+            settled_pairs.push(pair);
         }
         self.waiting = 0;
-        settled
+        settled_pairs
     }
 
     /// Closes the session with the peer.

@@ -49,12 +49,13 @@ impl<P> PendingPairs<P> {
 
     /// Returns up to `max_keys` keys that are due to be queried at `now`. They are due again after [`RETRY_INTERVAL`].
     pub(super) fn take_due(&mut self, now: MonoTime, max_keys: usize) -> Vec<i64> {
-        let due = self.pairs.iter_mut().filter(|pending| pending.query_at <= now).take(max_keys);
-        due.map(|pending| {
-            pending.query_at = now + RETRY_INTERVAL;
-            pending.key
-        })
-        .collect()
+        let due_pairs = self.pairs.iter_mut().filter(|pending| pending.query_at <= now).take(max_keys);
+        due_pairs
+            .map(|pending| {
+                pending.query_at = now + RETRY_INTERVAL;
+                pending.key
+            })
+            .collect()
     }
 
     /// Returns the time at which the next pair is due.
@@ -72,12 +73,12 @@ impl<P> PendingPairs<P> {
                 .for_each(|pending| pending.answer = Some(*answer));
             return Vec::new();
         }
-        let mut settled = Vec::new();
+        let mut settled_pairs = Vec::new();
         // Several pairs may have the same key.
         while let Some(index) = self.pairs.iter().position(has_key) {
-            settled.extend(self.pairs.remove(index).map(|pending| pending.pair));
+            settled_pairs.extend(self.pairs.remove(index).map(|pending| pending.pair));
         }
-        settled
+        settled_pairs
     }
 
     /// Removes a pair whose timeout has passed by `now`, and returns it with the latest answer about it. The caller

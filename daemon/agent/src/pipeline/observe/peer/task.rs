@@ -244,7 +244,7 @@ impl PeerTask {
     /// Logs why a query failed. The query is repeated.
     fn log(&mut self, problem: &str) {
         let now = self.now();
-        if let Some(times) = self.throttle.count("ask", None, now) {
+        if let Some(times) = self.throttle.times_to_log("ask", None, now) {
             tracing::warn!(
                 times,
                 "{problem}; iterations whose stamps do not arrive in time count as peer-unanswered"

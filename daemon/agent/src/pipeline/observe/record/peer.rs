@@ -67,6 +67,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
         }
     }
     let missing = [(PEER_INPUT_MISSING, seen.input()), (PEER_OUTPUT_MISSING, seen.output())];
+    // Counted only when the peer answered: otherwise it is unknown what it received.
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
         count(recorder.tree_mut(), name, total, 1);
     }
@@ -107,6 +108,7 @@ fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Sp
     );
     let pending_iteration = pending(pair.input.position, started);
     let tree = match transport {
+        // Without the transport the stages would not add up to the total.
         Some(_) => iteration::close(recorder, &pending_iteration, ended.mono, true, transport),
         None => iteration::close_without_stages(recorder, &pending_iteration, ended.mono),
     };

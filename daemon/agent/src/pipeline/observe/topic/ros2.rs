@@ -65,12 +65,12 @@ impl Ros2Topic {
         loop {
             self.follow_publishers()?;
             let Some(subscription) = &mut self.subscription else {
-                changed(&mut self.discovery).await;
+                await_discovery_change(&mut self.discovery).await;
                 continue;
             };
             tokio::select! {
                 sample = subscription.ends.receive() => return Ok(message_from_sample(&sample?, &self.clock)),
-                () = changed(&mut self.discovery) => {}
+                () = await_discovery_change(&mut self.discovery) => {}
             }
         }
     }
@@ -97,8 +97,8 @@ impl Ros2Topic {
     /// Logs publishers whose messages are not received because of their type.
     fn report_other_types(&mut self, publishers: &[DiscoveredPublisher]) {
         let Some(TypedSubscription { type_name, .. }) = &self.subscription else { return };
-        let others = publishers.iter().filter(|publisher| publisher.type_name != *type_name);
-        for other in others {
+        let other_publishers = publishers.iter().filter(|publisher| publisher.type_name != *type_name);
+        for other in other_publishers {
             if self.reported_types.insert(other.type_name.clone()) {
                 tracing::warn!(
                     "topic {} has publishers of two types, {type_name} and {}; only {type_name} is observed: stop the other \
@@ -128,8 +128,8 @@ impl Ros2Topic {
         let peers = ends.peers();
         let peers = peers.borrow();
         if peers.matched.is_empty() {
-            let refused = peers.refused.values().next();
-            return Some(refused.map_or_else(
+            let refusal = peers.refused.values().next();
+            return Some(refusal.map_or_else(
                 || silent.clone(),
                 |refusal| format!("{silent} for this agent: a publisher exists, but {refusal}"),
             ));
@@ -144,21 +144,21 @@ impl Ros2Topic {
         let of_type = |publisher: &DiscoveredPublisher| {
             self.subscription.as_ref().is_some_and(|own| own.type_name == publisher.type_name)
         };
-        let found = self.node.publishers_of(&self.name).into_iter().filter(of_type);
+        let publishers = self.node.publishers_of(&self.name).into_iter().filter(of_type);
         let location = |publisher: DiscoveredPublisher| PublisherLocation {
             node: publisher.name(),
             host: publisher.host.map(|host| host.to_string()),
         };
-        found.map(location).collect()
+        publishers.map(location).collect()
     }
 
     pub(super) async fn publishers_changed(&self) {
-        changed(&mut self.discovery.clone()).await;
+        await_discovery_change(&mut self.discovery.clone()).await;
     }
 }
 
-/// Waits for a change that was not followed yet, and leaves it marked as changed.
-async fn changed(discovery: &mut watch::Receiver<u64>) {
+/// Waits for a discovery change that was not handled yet, and leaves the receiver marked as changed.
+async fn await_discovery_change(discovery: &mut watch::Receiver<u64>) {
     if discovery.changed().await.is_err() {
         // The node is shut down: there will be no changes.
         std::future::pending::<()>().await;

@@ -33,10 +33,12 @@ pub(in crate::model::onnx) enum CardError {
     #[error("input {0:?} is a picture of dtype bool; a picture has numbers")]
     PictureType(String),
     /// A constant has neither one number nor as many as its shape.
-    #[error("input {input:?} has {count} numbers in value; its shape needs {expected}, or one for all")]
+    #[error(
+        "input {input:?} has {count} numbers in its key value; its shape needs {expected}, or one for all"
+    )]
     ConstantLength { input: String, count: usize, expected: usize },
     /// A constant cannot be converted to the input's type without a change.
-    #[error("input {input:?} has {value} in value, which is not a {data_type}")]
+    #[error("input {input:?} has {value} in its key value, which is not a {data_type}")]
     ConstantValue { input: String, value: f64, data_type: DataType },
     /// A table for pictures has nothing to apply to.
     #[error("[preprocessing] applies to no input: a picture has the keys layout and colour")]

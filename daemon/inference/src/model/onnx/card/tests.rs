@@ -206,8 +206,8 @@ fn contradictory_inputs_and_outputs_are_named() {
         &[
             ("name = \"wrist\"", "name = \"front\"", "input names \"front\" twice"),
             ("name = \"done\"", "name = \"action\"", "output names \"action\" twice"),
-            ("value = [[3, 4]]", "value = [3, 4, 5]", "3 numbers in value; its shape needs 2"),
-            ("value = [[3, 4]]", "value = [3, 4.5]", "4.5 in value, which is not a int64"),
+            ("value = [[3, 4]]", "value = [3, 4, 5]", "3 numbers in its key value; its shape needs 2"),
+            ("value = [[3, 4]]", "value = [3, 4.5]", "4.5 in its key value, which is not a int64"),
             ("value = [[3, 4]]", "value = \"three\"", "is not a number"),
             ("dtype = \"bool\"", "", "missing field `dtype`"),
         ],

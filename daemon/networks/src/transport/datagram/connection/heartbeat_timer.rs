@@ -1,4 +1,4 @@
-//! Timers of heartbeats and of the end by silence.
+//! Timers of heartbeats, and of the timeout after which a silent connection ends.
 
 use peernet_clock::{MonoTime, Span};
 
@@ -30,12 +30,12 @@ impl HeartbeatTimer {
     }
 
     /// Notes that a packet arrived.
-    pub(super) fn receive(&mut self, now: MonoTime) {
+    pub(super) fn record_arrival(&mut self, now: MonoTime) {
         self.received_at = now;
     }
 
     /// Notes that the other end is asked for a heartbeat.
-    pub(super) fn ping(&mut self, now: MonoTime) {
+    pub(super) fn record_ping(&mut self, now: MonoTime) {
         self.pinged_at = now;
     }
 
@@ -44,10 +44,10 @@ impl HeartbeatTimer {
     /// `sent_at` is the time at which the last part of a message was sent, if messages are not settled. The ping is then
     /// sent sooner, because its answer says which messages never arrived.
     pub(super) fn ping_at(&self, sent_at: Option<MonoTime>) -> MonoTime {
-        let idle_time = self.received_at.max(self.pinged_at) + self.interval;
+        let idle_ping_at = self.received_at.max(self.pinged_at) + self.interval;
         let after_message =
             sent_at.map(|sent| (sent.max(self.pinged_at) + PING_DELAY).min(self.pinged_at + PING_INTERVAL));
-        after_message.map_or(idle_time, |time| idle_time.min(time))
+        after_message.map_or(idle_ping_at, |time| idle_ping_at.min(time))
     }
 
     /// Returns the time at which the other end counts as gone if nothing arrives until then.
@@ -65,7 +65,7 @@ mod tests {
         let time_at = |millis| MonoTime::default() + Span::from_millis(millis);
         let mut heartbeat = HeartbeatTimer::new(Span::from_seconds(2), Span::from_seconds(5), time_at(0));
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_000), time_at(5_000)));
-        heartbeat.receive(time_at(500));
+        heartbeat.record_arrival(time_at(500));
         assert_eq!((heartbeat.ping_at(None), heartbeat.expires_at()), (time_at(2_500), time_at(5_500)));
         assert_eq!(heartbeat.ping_at(Some(time_at(600))), time_at(650), "after the last message");
         assert_eq!(
@@ -73,7 +73,7 @@ mod tests {
             time_at(1_000),
             "once a second while they follow each other"
         );
-        heartbeat.ping(time_at(1_000));
+        heartbeat.record_ping(time_at(1_000));
         assert_eq!(heartbeat.ping_at(Some(time_at(990))), time_at(1_050));
         assert_eq!(heartbeat.ping_at(None), time_at(3_000));
     }

@@ -55,7 +55,7 @@ impl Shutdown {
     }
 
     /// Notes that a goodbye is sent.
-    pub(super) fn send_bye(&mut self, now: MonoTime) {
+    pub(super) fn record_bye(&mut self, now: MonoTime) {
         self.phase = Phase::Closing { next_bye: now + BYE_INTERVAL };
     }
 
@@ -100,7 +100,7 @@ mod tests {
         assert!(shutdown.is_open() && shutdown.bye_at().is_none(), "nothing was said yet");
         shutdown.start(time_at(10));
         assert_eq!(shutdown.bye_at(), Some(time_at(10)));
-        shutdown.send_bye(time_at(20));
+        shutdown.record_bye(time_at(20));
         shutdown.start(time_at(30));
         assert_eq!(shutdown.bye_at(), Some(time_at(70)));
         shutdown.confirm();

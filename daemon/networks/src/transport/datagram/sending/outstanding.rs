@@ -69,8 +69,8 @@ impl OutstandingMessages {
         self.messages.drain(..count as usize).filter(|message| !message.is_lost)
     }
 
-    /// Notes that a message was dropped before it was sent completely. Returns the loss.
-    pub(super) fn expire(&mut self, sequence: u64) -> Option<MessageLoss> {
+    /// Marks a message as lost that was dropped before it was sent completely. Returns the loss.
+    pub(super) fn mark_lost(&mut self, sequence: u64) -> Option<MessageLoss> {
         let message = self.get_mut(sequence)?;
         message.is_lost = true;
         Some(MessageLoss { tag: decode_tag(message.tag), received: 0, total: message.fragments })
@@ -88,8 +88,8 @@ mod tests {
             outstanding.push(encode_tag(tag), 2, None);
         }
         let expired = MessageLoss { tag: Some(0), received: 0, total: 2 };
-        assert_eq!(outstanding.expire(1), Some(expired));
-        assert_eq!(outstanding.expire(3), None);
+        assert_eq!(outstanding.mark_lost(1), Some(expired));
+        assert_eq!(outstanding.mark_lost(3), None);
         assert_eq!(outstanding.settle(2).count(), 1, "the lost one did not arrive");
         assert_eq!((outstanding.first(), outstanding.next_sequence()), (2, 3));
         assert!(outstanding.get_mut(1).is_none());

@@ -78,16 +78,15 @@ impl SimulatedNetwork {
 
     /// Exchanges a message in each direction. Returns whether both arrive.
     fn exchange(&mut self, id: ConnectionId, tag: u64) -> bool {
-        self.arrivals.clear();
+        self.listener_events.clear();
         self.events.clear();
         let (upload, download) = (tag.to_be_bytes(), (!tag).to_be_bytes());
         self.send(Some(tag), &upload);
         let sent = self.cloud.send(id, vec![Bytes::copy_from_slice(&download)], Some(tag));
         self.steps(30);
-        let is_up =
-            |arrival: &Arrival| matches!(arrival, Arrival::Message(_, frames) if frames[0] == upload[..]);
+        let is_up = |event: &ListenerEvent| matches!(event, ListenerEvent::Message(_, frames) if frames[0] == upload[..]);
         let is_down = |event: &Event| matches!(event, Event::Message(frames, _) if frames[0] == download[..]);
-        sent.is_ok() && self.arrivals.iter().any(is_up) && self.events.iter().any(is_down)
+        sent.is_ok() && self.listener_events.iter().any(is_up) && self.events.iter().any(is_down)
     }
 }
 
@@ -214,13 +213,13 @@ fn reports_of_unsent_messages_count_as_garbage() {
         },
     ];
     for packet in forged {
-        network.arrivals.clear();
+        network.listener_events.clear();
         let mut body = Vec::new();
         packet.write(Role::Edge, &mut body);
         network.cloud.receive(network.edge_address, None, &body, network.now);
         network.steps(1);
-        let is_garbage = |arrival: &Arrival| matches!(arrival, Arrival::InvalidData(Some(_), _));
-        assert_eq!(network.arrivals.iter().filter(|arrival| is_garbage(arrival)).count(), 1, "{packet:?}");
+        let is_garbage = |event: &ListenerEvent| matches!(event, ListenerEvent::InvalidData(Some(_), _));
+        assert_eq!(network.listener_events.iter().filter(|event| is_garbage(event)).count(), 1, "{packet:?}");
         assert!(network.exchange(id, 200), "{packet:?}");
     }
 }

@@ -13,7 +13,7 @@ use super::super::packet::{Packet, Role};
 use super::super::packet_writer::PacketWriter;
 use super::{PREFIX, TERMS, limits};
 use crate::transport::memory::MemoryBudget;
-use crate::transport::{Arrival, ConnectionId};
+use crate::transport::{ConnectionId, ListenerEvent};
 
 /// Probabilities of impairments of each datagram. Percent.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +80,7 @@ pub(super) struct SimulatedNetwork {
     /// Number of the edge's connection, once it is open.
     edge_id: Option<u64>,
     /// Arrivals at the cloud.
-    pub(super) arrivals: Vec<Arrival>,
+    pub(super) listener_events: Vec<ListenerEvent>,
     /// Events at the edge.
     pub(super) events: Vec<Event>,
 }
@@ -102,7 +102,7 @@ impl SimulatedNetwork {
             dialling: DialState::new(5, 0, TERMS, PREFIX.len(), now),
             edge: None,
             edge_id: None,
-            arrivals: Vec::new(),
+            listener_events: Vec::new(),
             events: Vec::new(),
         }
     }
@@ -169,7 +169,8 @@ impl SimulatedNetwork {
             self.events.extend(std::iter::from_fn(|| edge.next_event()));
         }
         let cloud = &mut self.cloud;
-        self.arrivals.extend(std::iter::from_fn(|| cloud.next_arrival()).map(|delivery| delivery.arrival));
+        self.listener_events
+            .extend(std::iter::from_fn(|| cloud.next_delivery()).map(|delivery| delivery.event));
     }
 
     pub(super) fn steps(&mut self, millis: u64) {
@@ -181,7 +182,7 @@ impl SimulatedNetwork {
         self.send(None, b"hello");
         for _ in 0..20_000 {
             self.step();
-            if let Some(Arrival::Message(peer, frames)) = self.arrivals.pop() {
+            if let Some(ListenerEvent::Message(peer, frames)) = self.listener_events.pop() {
                 assert_eq!(frames, [&b"hello"[..]]);
                 self.cloud.admit(peer.connection);
                 return peer.connection;

@@ -93,6 +93,7 @@ impl ConnectionTable {
         table.next_id += 1;
         table.connections.insert(hello.pipeline.clone(), Arc::clone(&connection));
         if let Some(replaced) = &replaced {
+            // The topics are the same, so the earlier connection must release them.
             replaced.abort.cancel();
         }
         OpenOutcome::Started { connection, replaced }
@@ -142,6 +143,7 @@ impl ConnectionTable {
     /// Removes a connection that has ended, unless another connection has its topics already.
     pub(super) fn remove(&self, pipeline: &str, connection: &Arc<CloudConnection>) {
         let mut table = self.table();
+        // The topics may belong to a newer connection of the pipeline by now.
         if table.connections.get(pipeline).is_some_and(|current| Arc::ptr_eq(current, connection)) {
             table.connections.remove(pipeline);
         }

@@ -22,7 +22,7 @@ use crate::transport::ros::interface::{
 };
 use crate::transport::ros::limits::{INFO_OVERHEAD_BYTES, ReceiveLimits, largest_message, queue_limits};
 use crate::transport::ros::names::TopicPair;
-use crate::transport::{AddressGroup, Arrival, ConnectionId, Peer};
+use crate::transport::{AddressGroup, ConnectionId, ListenerEvent, Peer};
 
 /// Largest companion before a session. Bytes.
 const MAX_UNADMITTED_BYTES: usize = 64 * 1024 + INFO_OVERHEAD_BYTES;
@@ -34,8 +34,8 @@ const MAX_UNADMITTED_MESSAGES: usize = 2;
 /// Memory of all connections without a session. Bytes.
 const MAX_ALL_UNADMITTED_BYTES: usize = 16 * 1024 * 1024;
 
-/// An arrival for the layer above, and the reservations of its memory.
-pub(super) type Delivery = (Arrival, Vec<Reservation>);
+/// An event for the layer above, and the reservations of its memory.
+pub(super) type Delivery = (ListenerEvent, Vec<Reservation>);
 
 /// All connections of a cloud.
 #[derive(Debug)]
@@ -55,7 +55,7 @@ impl Peers {
     pub(super) fn new(
         (node, clock): (Arc<dyn SessionNode>, SharedClock),
         (settings, max_connections): (SessionSettings, usize),
-        (refusals, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
+        (refusal_publisher, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
         tasks: CloudTasks,
     ) -> Self {
         let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
@@ -64,7 +64,7 @@ impl Peers {
             .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
         let table = ConnectionTable::new(max_connections, max_unadmitted);
         let node_and_clock = (Arc::clone(&node), SharedClock::clone(&clock));
-        let refusals = Refusals::new(node_and_clock, refusals, deliveries.clone());
+        let refusals = Refusals::new(node_and_clock, refusal_publisher, deliveries.clone());
         Self { node, clock, settings, admitted_limits, table, refusals, deliveries, tasks }
     }
 
@@ -80,9 +80,10 @@ impl Peers {
 
     /// Reports invalid data of a node to the layer above.
     pub(super) fn report_invalid(&self, from: SocketAddr, problem: &str) {
-        let arrival = Arrival::InvalidData(Some(from), peernet_sample::printable_line(problem).into_owned());
-        if self.deliveries.try_send((arrival, Vec::new())).is_err() {
-            tracing::debug!(%from, problem, "an invalid message is not counted, because the queue of arrivals is full");
+        let event =
+            ListenerEvent::InvalidData(Some(from), peernet_sample::printable_line(problem).into_owned());
+        if self.deliveries.try_send((event, Vec::new())).is_err() {
+            tracing::debug!(%from, problem, "an invalid message is not counted, because the queue of events is full");
         }
     }
 
@@ -106,8 +107,8 @@ impl Peers {
             peers.table.remove(&hello.pipeline, &connection);
             connection.end();
             // The connection may have ended by itself and been reported before; a second report has no effect.
-            let end_arrival = Arrival::Gone(connection.id(), "the connection has ended".to_owned());
-            let _ = peers.deliveries.send((end_arrival, Vec::new())).await;
+            let end_event = ListenerEvent::Gone(connection.id(), "the connection has ended".to_owned());
+            let _ = peers.deliveries.send((end_event, Vec::new())).await;
         });
     }
 

@@ -7,7 +7,7 @@ use peernet_ros::messages::{Header, Message, MessageInfo, SessionHello};
 use tokio::sync::mpsc;
 
 use super::peers::Delivery;
-use crate::transport::Arrival;
+use crate::transport::ListenerEvent;
 use crate::transport::ros::interface::{NodeFailure, RemoteNode, SessionNode, SessionPublisher};
 
 /// Publishes the reasons of refusals for edges, and reports refusals to the layer above. An edge repeats its request, so the same refusal
@@ -35,7 +35,7 @@ impl Refusals {
     pub(super) fn refuse(&self, hello: &SessionHello, edge: &RemoteNode, reason: &str) {
         let address = Some(edge.remote.ip());
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
-        let is_due = throttle.count(reason, address, self.clock.mono()).is_some();
+        let is_due = throttle.times_to_log(reason, address, self.clock.mono()).is_some();
         drop(throttle);
         self.publish(hello, reason);
         if is_due {
@@ -71,7 +71,7 @@ impl Refusals {
         let reason = peernet_sample::printable_line(reason);
         let host = edge.remote.ip();
         let text = format!("refused a connection to {node} on {host} for pipeline {pipeline}: {reason}");
-        let refused = Arrival::Refused(hello.host.parse().ok(), text.clone());
+        let refused = ListenerEvent::Refused(hello.host.parse().ok(), text.clone());
         if self.deliveries.try_send((refused, Vec::new())).is_err() {
             tracing::warn!("{text}");
         }
@@ -101,7 +101,7 @@ mod tests {
         let edge = RemoteNode { node: "/edge".into(), local: address, remote: address };
         let mut handed_up = |refuse: &dyn Fn(&Refusals)| {
             refuse(&refusals);
-            let Ok((Arrival::Refused(_, text), _)) = deliveries.try_recv() else { return false };
+            let Ok((ListenerEvent::Refused(_, text), _)) = deliveries.try_recv() else { return false };
             assert_eq!(text, "refused a connection to /edge on 192.0.2.1 for pipeline /line: too many");
             true
         };

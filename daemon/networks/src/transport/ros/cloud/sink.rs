@@ -14,7 +14,7 @@ use crate::transport::ros::channel::Channel;
 use crate::transport::ros::connection::Event;
 use crate::transport::ros::connection_task::{Directive, Sink};
 use crate::transport::ros::limits::ReceiveLimits;
-use crate::transport::{Arrival, Peer};
+use crate::transport::{ListenerEvent, Peer};
 
 /// Hands the events of a connection to the layer above, and sets the connection's limits according to its admission.
 pub(super) struct CloudSink {
@@ -55,20 +55,22 @@ impl Sink for CloudSink {
 
     fn handle_event(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
         let connection = self.peer.connection;
-        let (arrival, reserved) = match event {
+        let (delivered_event, reserved) = match event {
             Event::Hello => {
                 channel.announce(MessageInfo::WELCOME);
                 return None;
             }
             Event::Welcome => return None,
-            Event::Message(frames, reserved) => (Arrival::Message(self.peer.clone(), frames), reserved),
-            Event::Incomplete(loss) => (Arrival::Incomplete(connection, loss), Vec::new()),
-            Event::Lost(loss) => (Arrival::Lost(connection, loss), Vec::new()),
-            Event::InvalidData(problem) => (Arrival::InvalidData(self.peer.address, problem), Vec::new()),
-            Event::Remark(text) => (Arrival::Remark(connection, text), Vec::new()),
-            Event::Gone(reason) => (Arrival::Gone(connection, reason), Vec::new()),
+            Event::Message(frames, reserved) => (ListenerEvent::Message(self.peer.clone(), frames), reserved),
+            Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), Vec::new()),
+            Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), Vec::new()),
+            Event::InvalidData(problem) => {
+                (ListenerEvent::InvalidData(self.peer.address, problem), Vec::new())
+            }
+            Event::Remark(text) => (ListenerEvent::Remark(connection, text), Vec::new()),
+            Event::Gone(reason) => (ListenerEvent::Gone(connection, reason), Vec::new()),
         };
-        Some((arrival, reserved))
+        Some((delivered_event, reserved))
     }
 
     async fn next_directive(&mut self, channel: &Arc<Channel>) -> Directive {

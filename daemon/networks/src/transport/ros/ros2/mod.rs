@@ -92,7 +92,7 @@ impl Ros2SessionNode {
         // Names in ROS 2 cannot have two successive underscores.
         let words: Vec<&str> = name.split('_').filter(|word| !word.is_empty()).collect();
         let participant = Participant::join(Ros2Settings {
-            domain_id: address.domain(),
+            domain_id: address.ros_domain(),
             interfaces: settings.ros2.interfaces.clone(),
             node_name: words.join("_"),
             namespace: namespace.clone(),

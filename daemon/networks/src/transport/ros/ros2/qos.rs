@@ -48,7 +48,8 @@ impl SessionQos {
         }
     }
 
-    /// Returns the time limit for a payload whose companion has arrived; `None` for the default.
+    /// Returns the time limit for a payload whose companion has arrived; `None` if the general
+    /// limit of a connection applies.
     pub(super) fn payload_timeout(&self) -> Option<Duration> {
         let is_reliable = self.reliability == Reliability::Reliable;
         let default = (!is_reliable).then_some(BEST_EFFORT_TIMEOUT);

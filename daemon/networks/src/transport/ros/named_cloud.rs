@@ -11,11 +11,11 @@ use crate::transport::ListenerLookupError;
 
 /// Returns the address of the cloud with this name. The version is `version`, or the version in the environment. In ROS 1
 /// `ROS_MASTER_URI` names the master, in ROS 2 `ROS_DOMAIN_ID` the domain.
-pub(super) fn find(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
-    find_with(name, version, |name| std::env::var(name).ok())
+pub(super) fn find_address(name: &str, version: Option<u64>) -> Result<String, ListenerLookupError> {
+    find_address_with(name, version, |name| std::env::var(name).ok())
 }
 
-fn find_with(
+fn find_address_with(
     name: &str,
     version: Option<u64>,
     variable: impl Fn(&str) -> Option<String>,
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     fn address(version: Option<u64>, variables: &[(&str, &str)]) -> Result<String, ListenerLookupError> {
-        find_with("jetson-orin", version, |name| {
+        find_address_with("jetson-orin", version, |name| {
             variables.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         })
     }
