@@ -66,6 +66,20 @@ impl StageSplit {
     }
 }
 
+/// Returns the share of a node in the mean total, 0 to 1: of a part of the split, or of another node, such as a part of a stage. `None`
+/// without a total or without values of the node. The arguments are those of [`StageSplit::new`].
+pub fn share_of_total(
+    name: &str,
+    sent: [u64; 2],
+    mean_of: impl Fn(&str) -> Option<CountAndMean>,
+) -> Option<f64> {
+    let (iterations, total) = mean_of(&stage::TOTAL).filter(|(_, total)| *total > 0.0)?;
+    let split = StageSplit::new(sent, &mean_of);
+    let part = split.parts.into_iter().find(|(part, _)| part == name).map(|(_, seconds)| seconds);
+    let seconds = part.or_else(|| Some(mean_per_iteration(mean_of(name)?, iterations)))?;
+    Some(seconds / total)
+}
+
 /// Returns the position at which the time of both directions stands among parts: where `upload` would stand.
 pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     let stages_before: Vec<Name> =
@@ -131,6 +145,22 @@ mod tests {
         assert_eq!(split(50, &nodes), expected);
         let local = split(0, &nodes);
         assert_eq!(local, [part("sensing", 4.0), part("inference", 3.0), part("unattributed", 13.0)]);
+    }
+
+    #[test]
+    fn shares_of_parts_agree_with_split() {
+        let mean_of = |name: &str| match name {
+            "total" => Some((50, 0.020)),
+            "upload" => Some((25, 0.010)),
+            "inference" => Some((25, 0.008)),
+            "capture" => Some((50, 0.002)),
+            _ => None,
+        };
+        let share = |name: &str| share_of_total(name, [50, 50], mean_of).map(|share| (share * 1e3).round());
+        assert_eq!(
+            ["upload", "inference", "unattributed", "capture", "total", "sensing"].map(share),
+            [Some(500.0), Some(200.0), Some(300.0), Some(100.0), Some(1_000.0), None]
+        );
     }
 
     #[test]

@@ -62,6 +62,14 @@ pub struct DelayAccuracy {
 }
 
 impl DelayAccuracy {
+    /// Returns the numbers of messages to the other host and back, whose delays may be unknown.
+    pub fn sent(bounds: &[Self]) -> [u64; 2] {
+        [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
+            let bound = bounds.iter().find(|bound| bound.stage == direction);
+            bound.map_or(0, |bound| bound.verdicts.iter().map(|(_, count)| count).sum())
+        })
+    }
+
     /// Returns the median of half the widths of the intervals, seconds; `None` when no delay had an interval.
     pub fn median_half_width(&self) -> Option<f64> {
         self.half_width.map(|width| width.p50)

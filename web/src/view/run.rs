@@ -197,7 +197,7 @@ impl Stored<'_> {
         let ways = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
         let sent = ways.into_iter().filter_map(|(way, name)| Some((way, name, way.of(&transfers)?)));
         sent.flat_map(|(way, name, transfer)| {
-            let traffic = self.counted_seconds().and_then(|seconds| transfer.traffic(seconds));
+            let traffic = self.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
             [
                 row(format!("{name}: speed while sending"), self.speed(way, transfer)),
                 row(format!("{name}: traffic"), traffic.map(throughput)),
@@ -221,12 +221,9 @@ impl Stored<'_> {
         }
     }
 
-    /// Returns the seconds of the run that the statistics cover, without the warm-up. `None` where their length is unknown.
-    fn counted_seconds(&self) -> Option<f64> {
-        let summary = &self.run.summary;
-        let from = self.episodes.warm_up_until.unwrap_or(summary.started);
-        let seconds = (runs::end(summary)? - from).seconds();
-        (seconds > 0.0 && self.standstill().is_none()).then_some(seconds)
+    /// Returns the seconds that the measured iterations take at the rate of the run; `None` where the rate is unknown.
+    fn measured_seconds(&self) -> Option<f64> {
+        Some(self.run.summary.counts.total() as f64 / self.rate()?)
     }
 
     /// Returns the slowest iterations, on one scale.

@@ -23,13 +23,14 @@ pub(crate) struct Stack {
 impl Stack {
     /// Returns the stack of a live window.
     pub(crate) fn of_window(window: &Window) -> Self {
-        Self::new(sent(&window.bounds), |name| window.value(name).copied()).with_bounds(&window.bounds)
+        Self::new(DelayAccuracy::sent(&window.bounds), |name| window.value(name).copied())
+            .with_bounds(&window.bounds)
     }
 
     /// Returns the stack of a stored run.
     pub(crate) fn of_run(stages: &[StageStatistics], bounds: &[DelayAccuracy]) -> Self {
         let find = |name: &str| stages.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
-        Self::new(sent(bounds), find).with_bounds(bounds)
+        Self::new(DelayAccuracy::sent(bounds), find).with_bounds(bounds)
     }
 
     /// Adds the error bars of the one-way delays.
@@ -102,14 +103,6 @@ impl Stack {
             .map(|part| format!("{} {}\u{202f}ms", part.name, figure(part.seconds * 1e3)));
         format!("{text}. Largest stages: {}.", names.collect::<Vec<_>>().join(", "))
     }
-}
-
-/// Returns the numbers of messages to the other host and back, whose delays may be unknown.
-pub(super) fn sent(bounds: &[DelayAccuracy]) -> [u64; 2] {
-    [stage::UPLOAD, stage::DOWNLOAD].map(|direction| {
-        let bound = bounds.iter().find(|bound| bound.stage == direction);
-        bound.map_or(0, |bound| bound.verdicts.iter().map(|(_, count)| count).sum())
-    })
 }
 
 /// Converts parts of a total to parts of a bar without clock bounds.

@@ -1,6 +1,7 @@
 //! The table of stages, live or stored.
 
 use peernet_aggregator::Window;
+use peernet_analysis::stage_split::share_of_total;
 use peernet_figures::drawing::{StagePart, share_bar};
 use peernet_statistics::number::{self, NONE, bound_ms, fixed, stage_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics, StageStatistics, rank};
@@ -130,8 +131,8 @@ impl StageRow {
     /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
-        let total = stack.total.map_or(0.0, |total| total.mean);
-        let share = |mean: f64| (total > 0.0).then(|| mean / total);
+        let mean_of = |name: &str| window.value(name).map(|figures| (figures.count, figures.mean));
+        let share = |name: &str| share_of_total(name, DelayAccuracy::sent(&window.bounds), mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
         let order =
@@ -140,10 +141,10 @@ impl StageRow {
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
             let figures = window.value(name);
             if figures.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
-                rows.push(Self::new(name, figures, bound, figures.and_then(|figures| share(figures.mean))));
+                rows.push(Self::new(name, figures, bound, share(name)));
             }
             if let Some(network) = network.filter(|_| name == "download") {
-                rows.push(Self::network(network, share(network.seconds)));
+                rows.push(Self::network(network, share(look::NETWORK)));
             }
         }
         rows

@@ -7,9 +7,9 @@ use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
 use peernet_statistics::number::{SPACE, count, duration, percent, times};
+use peernet_store::DelayAccuracy;
 
 use super::chip::{Chip, Tone};
-use super::stack;
 use crate::config::WarnConfig;
 
 /// Minimum time for which the processors must have been busy.
@@ -75,7 +75,7 @@ fn share(minute: &Window, seconds: f64) -> Option<f64> {
 /// Returns the split of the mean total of the minute.
 fn split(minute: &Window) -> StageSplit {
     let mean_of = |name: &str| minute.value(name).map(|figures| (figures.count, figures.mean));
-    StageSplit::new(stack::sent(&minute.bounds), mean_of)
+    StageSplit::new(DelayAccuracy::sent(&minute.bounds), mean_of)
 }
 
 fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {

@@ -1,6 +1,6 @@
 //! Runs by configuration.
 
-use peernet_analysis::compare::Configurations;
+use peernet_analysis::compare::{Configurations, group_by_labels};
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::rows::RowRef;
 
@@ -15,15 +15,13 @@ pub(super) struct ConfigurationGroups<'a> {
 impl<'a> ConfigurationGroups<'a> {
     pub(super) fn from_runs(runs: &'a [Loaded]) -> Self {
         let Configurations { axes, labels } = Configurations::from_runs(runs);
-        let mut groups: Vec<(String, Vec<&Loaded>)> = Vec::new();
-        for (labels, run) in labels.iter().zip(runs) {
-            let parts = axes.iter().zip(labels).map(|(axis, value)| readable_value(axis, value));
-            let label = parts.collect::<Vec<_>>().join(", ");
-            match groups.iter_mut().find(|(other, _)| *other == label) {
-                Some((_, runs)) => runs.push(run),
-                None => groups.push((label, vec![run])),
-            }
-        }
+        let group = |indexes: Vec<usize>| {
+            let values = axes.iter().zip(&labels[indexes[0]]);
+            let label =
+                values.map(|(axis, value)| readable_value(axis, value)).collect::<Vec<_>>().join(", ");
+            (label, indexes.into_iter().map(|index| &runs[index]).collect())
+        };
+        let groups = group_by_labels(&labels).into_iter().map(group).collect();
         Self { axes, groups }
     }
 }

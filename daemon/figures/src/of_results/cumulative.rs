@@ -1,8 +1,7 @@
 //! Distributions of the total and the longest stages of a run.
 
-use peernet_logger::stage;
-
 use super::columns::{count_note, heading, too_large_note, unit, values, with_name};
+use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Cumulative, CumulativeCurve, Unit};
@@ -11,8 +10,6 @@ use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 
-/// Number of the longest stages that are shown beside the total.
-const STAGE_CURVES: usize = 4;
 /// Width of lines, points; the total's is stronger.
 const LINE_WIDTH: f64 = 0.9;
 const TOTAL_LINE_WIDTH: f64 = 1.2;
@@ -40,20 +37,11 @@ pub(super) fn drawings(
     let totals = ["total", "stages-total"].map(|column| (column, values(rows, column)));
     let total = totals.into_iter().find(|(_, values)| !values.is_empty());
     let (total_column, total_values) = total.ok_or(MissingData::Total)?;
-    let stages = stage::ORDER.into_iter().map(|name| (values(rows, &name), name));
-    let mut stages: Vec<_> =
-        stages.filter(|(values, _)| values.median().is_some_and(|median| median > 0.0)).collect();
-    let sum = |values: &SortedValues| values.values().iter().sum::<f64>();
-    stages.sort_by(|a, b| sum(&b.0).total_cmp(&sum(&a.0)));
-    let shorter: Vec<String> = stages.iter().skip(STAGE_CURVES).map(|(_, name)| name.to_string()).collect();
-    stages.truncate(STAGE_CURVES);
-    stages.sort_by_key(|(_, name)| stage::ORDER.iter().position(|other| other == name));
+    let stages = LongestStages::new(rows);
     let mut notes = notes(rows, &[total_column], &total_values);
-    if !shorter.is_empty() {
-        notes.push(format!("shorter stages, not drawn: {}", shorter.join(", ")));
-    }
+    notes.extend(stages.shorter_note());
     let stage_curves =
-        stages.into_iter().enumerate().map(|(number, (values, name))| curve(&name, values, number));
+        stages.longest.iter().enumerate().map(|(number, name)| curve(name, values(rows, name), number));
     let curves = std::iter::once(curve(total_column, total_values, 0)).chain(stage_curves).collect();
     let figure = Cumulative {
         title: with_name("Cumulative distributions", &record.title),

@@ -13,6 +13,7 @@ mod configuration_groups;
 mod cumulative;
 mod histograms;
 mod length;
+mod longest_stages;
 mod missing_data;
 mod paired;
 mod payload;

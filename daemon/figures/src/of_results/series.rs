@@ -1,16 +1,13 @@
 //! Figure of a run over time.
 
-use peernet_logger::{Name, stage};
-
 use super::columns::{count_note, is_drawable, too_large_note, with_name};
+use super::longest_stages::LongestStages;
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 
-/// Number of the longest stages that are shown beside the total.
-const STAGE_CURVES: usize = 4;
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
 
@@ -32,16 +29,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
     let Some(total) = total else {
         return Err(MissingData::Total);
     };
-    // The longest stages are found by their sums and not by their lines, because the lines of all stages of a long run would need much more
-    // memory.
-    let sum =
-        |name: &str| answered().filter_map(|row| row.value(name)).filter(|value| is_drawable(*value)).sum();
-    let mut stages: Vec<(f64, usize, Name)> =
-        stage::ORDER.into_iter().enumerate().map(|(place, name)| (sum(&name), place, name)).collect();
-    stages.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let shorter = stages.split_off(STAGE_CURVES.min(stages.len()));
-    stages.sort_by_key(|(_, place, _)| *place);
-    let stages = stages.iter().map(|(_, _, name)| line(name));
+    let stages = LongestStages::new(rows);
     let episode_start =
         |(previous, row): (RowRef<'_>, RowRef<'_>)| (previous.episode() != row.episode()).then(|| time(row));
     let time_series = TimeSeries {
@@ -51,23 +39,15 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
         unit: Unit::milliseconds("Latency"),
         notes: std::iter::once(count_and_warm_up_note(rows, total.values.len()))
             .chain(too_large_note(rows.iter(), &[total.name.as_str()]))
-            .chain(undrawn_stages_note(shorter))
+            .chain(stages.shorter_note())
             .collect(),
         total,
-        stages: stages.filter(|line| !line.values.is_empty()).collect(),
+        stages: stages.longest.iter().map(|name| line(name)).collect(),
         warm_up: warm_up_periods(rows, &time),
         episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
         unanswered,
     };
     Ok(vec![Drawing::new("series", AnyFigure::TimeSeries(time_series))])
-}
-
-/// Returns a note on the stages that occurred but have no line.
-fn undrawn_stages_note(mut shorter: Vec<(f64, usize, Name)>) -> Option<String> {
-    shorter.retain(|(sum, ..)| *sum != 0.0);
-    shorter.sort_by_key(|(_, place, _)| *place);
-    let names: Vec<&str> = shorter.iter().map(|(_, _, name)| name.as_str()).collect();
-    (!names.is_empty()).then(|| format!("shorter stages, not drawn: {}", names.join(", ")))
 }
 
 /// Returns the note on the numbers of counted iterations and of iterations of the warm-up, which this figure shows as well: `n = 54 and 5

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use peernet_analysis::stage_split::share_of_total;
 use peernet_analysis::transfer::Transfers;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -132,15 +133,18 @@ impl MergeableStatistics {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sum = |values: &NameSummary| values.summary.moments.sum();
-        let total = self.values.get(stage::TOTAL.as_str()).map(sum).filter(|total| *total > 0.0);
+        let sent = DelayAccuracy::sent(&self.bounds());
+        let mean_of = |name: &str| {
+            let moments = self.values.get(name)?.summary.moments;
+            (moments.count > 0).then_some((moments.count, moments.mean))
+        };
         let stages = self.values.iter().filter_map(|(stage, values)| {
             Some(StageStatistics {
                 stage: stage.clone(),
                 unit: values.unit.clone(),
                 is_stage: stage::ORDER.contains(stage),
                 figures: values.figures()?,
-                share: total.filter(|_| values.unit == "s").map(|total| sum(values) / total),
+                share: share_of_total(stage, sent, mean_of).filter(|_| values.unit == "s"),
                 bound: self.bound(stage),
             })
         });

@@ -8,7 +8,9 @@ use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{duration, length};
-use peernet_store::{Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store};
+use peernet_store::{
+    DelayAccuracy, Episodes, MeanBucket, RunSummary, Series, SeriesPoint, StageMeans, Store,
+};
 
 use super::choice::{ChosenRun, choose_runs, without_answer};
 use super::differences::CONCURRENT_READS;
@@ -176,7 +178,7 @@ fn data(
     };
     let bucket = |point: &SeriesPoint| {
         // The number of unknown delays is not stored by time, so only the known ones count.
-        let sent = stack::sent(&one.bounds).map(|count| count.min(1));
+        let sent = DelayAccuracy::sent(&one.bounds).map(|count| count.min(1));
         let split =
             StageSplit::new(sent, |name| mean(name, point.at).map(|bucket| (bucket.count, bucket.mean)));
         let parts = stack::bar_parts(split.parts);
