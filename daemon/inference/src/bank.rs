@@ -21,7 +21,7 @@ use peernet_logger::Slug;
 use crate::model::LoadContext;
 use crate::pool::Sizes;
 use crate::temp_dirs::TempDirs;
-use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool};
+use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool, ProcessMemory};
 
 use cache_entry::CacheEntry;
 use model_cache::ModelCache;
@@ -262,22 +262,14 @@ impl Bank {
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
         let started_at = self.clock.mono();
-        let memory_before = resident_bytes();
+        let resident = || ProcessMemory::read().map(|memory| memory.resident);
+        let memory_before = resident();
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;
-        let memory_growth =
-            memory_before.zip(resident_bytes()).map(|(before, after)| after.saturating_sub(before));
+        let memory_growth = memory_before.zip(resident()).map(|(before, after)| after.saturating_sub(before));
         Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())).with_memory_growth(memory_growth))
     }
-}
-
-/// Returns the resident memory of this process, bytes.
-fn resident_bytes() -> Option<u64> {
-    // proc_pid_status(5): `VmRSS:     1234 kB`.
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.split_whitespace().next()?.parse::<u64>().ok().map(|kilobytes| kilobytes * 1024)
 }
 
 impl fmt::Debug for Bank {

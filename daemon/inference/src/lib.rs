@@ -12,6 +12,7 @@ mod error;
 mod job;
 pub mod model;
 mod pool;
+mod process_memory;
 mod queue;
 mod requester;
 mod scratch;
@@ -25,6 +26,7 @@ pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
+pub use process_memory::ProcessMemory;
 pub use requester::{Cancelled, PatientRequester, Requester};
 pub use scratch::Scratch;
 

@@ -1,7 +1,7 @@
 //! Metrics of the host, read once a second.
 
 mod hardware;
-mod process_usage;
+mod process_cpu_time;
 mod sampler;
 
 pub(crate) use hardware::hardware;

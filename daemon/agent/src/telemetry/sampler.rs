@@ -1,17 +1,18 @@
 //! Reads the host's metrics.
 
 use peernet_clock::SharedClock;
+use peernet_inference::ProcessMemory;
 use peernet_stream::HostMetrics;
 use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
-use super::process_usage::ProcessUsage;
+use super::process_cpu_time::ProcessCpuTime;
 
 /// Reads the metrics. It keeps state, because a share of CPU time is a difference between two readings.
 #[derive(Debug)]
 pub(super) struct Sampler {
     system: Option<System>,
     temperatures: Option<Components>,
-    process_usage: ProcessUsage,
+    process_cpu_time: ProcessCpuTime,
     /// `true` after the first reading. A share of CPU time needs a previous reading.
     has_previous: bool,
 }
@@ -24,15 +25,17 @@ impl Sampler {
         Self {
             system: System::new().map_err(|error| log_unavailable("processor and memory load", error)).ok(),
             temperatures: Components::new().map_err(|error| log_unavailable("temperatures", error)).ok(),
-            process_usage: ProcessUsage::new(clock),
+            process_cpu_time: ProcessCpuTime::new(clock),
             has_previous: false,
         }
     }
 
     pub(super) fn sample(&mut self) -> HostMetrics {
-        let mut metrics =
-            HostMetrics { agent_memory_bytes: ProcessUsage::memory_bytes(), ..HostMetrics::default() };
-        metrics.agent_cpu = self.process_usage.cpu_share();
+        let mut metrics = HostMetrics {
+            agent_memory_bytes: ProcessMemory::read().map(|memory| memory.resident),
+            agent_cpu: self.process_cpu_time.cpu_share(),
+            ..HostMetrics::default()
+        };
         if let Some(system) = &mut self.system {
             system.refresh_cpu_specifics(CpuRefreshKind::nothing().with_usage());
             system.refresh_memory_specifics(MemoryRefreshKind::nothing().with_ram());
