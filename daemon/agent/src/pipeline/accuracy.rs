@@ -8,7 +8,7 @@ use peernet_analysis::accuracy::segmentation::{ClassMap, SEGMENTATION_SCORE, Seg
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
-use peernet_sensors::sensor::images::read_mask;
+use peernet_sensors::read_mask;
 use serde::Deserialize;
 
 /// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is

@@ -6,8 +6,7 @@ use std::path::Path;
 use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
 use peernet_analysis::accuracy::segmentation::{ClassMap, SegmentedPixels};
 use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
-use peernet_sensors::SensorError;
-use peernet_sensors::sensor::images::read_mask;
+use peernet_sensors::{SensorError, read_mask};
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 

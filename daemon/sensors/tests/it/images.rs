@@ -142,7 +142,7 @@ fn masks_become_labels_and_are_no_pictures() {
     let first = next(sensor.as_mut()).expect("reads").expect("there");
     let label = MaskLabel::parse(first.label.as_deref().expect("is listed")).expect("names a mask");
     assert_eq!(Path::new(&label.mask), mask);
-    let read = peernet_sensors::sensor::images::read_mask(&mask).expect("is a mask");
+    let read = peernet_sensors::read_mask(&mask).expect("is a mask");
     assert_eq!((read.width(), read.height(), read.pixels()), (2, 1, &[3, 255][..]));
     assert_eq!(next(sensor.as_mut()).expect("reads").expect("there").label, None, "an empty one is none");
     assert!(next(sensor.as_mut()).expect("reads").is_none(), "the mask is no picture");

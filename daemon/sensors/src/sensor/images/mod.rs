@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use bytes::Bytes;
 use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
-use peernet_imaging::{Header, ImageError, decode_class_mask, probe};
+use peernet_imaging::{Header, ImageError, probe};
 use peernet_logger::Recorder;
 use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, list_examples};
 use rand::SeedableRng;
@@ -21,7 +21,7 @@ use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
 use super::{SensorConfig, SensorKind, default_seed};
-use crate::{Sensor, SensorError};
+use crate::{Sensor, SensorError, read_mask};
 use labels::Label;
 
 /// Configuration of the sensor: `{ kind = "images", … }`.
@@ -226,16 +226,6 @@ impl Sensor for Images {
         facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), describe_with_hash(file))));
         facts
     }
-}
-
-/// Reads the mask of a labelled picture: the numbers of the classes of its pixels, as grey pixels.
-///
-/// # Errors
-/// If the file cannot be read, or is no indexed or grey PNG file of at most 8 bits.
-pub fn read_mask(file: &Path) -> Result<peernet_imaging::Picture, SensorError> {
-    let unreadable = |error| SensorError::Read { path: file.to_owned(), error };
-    let bytes = fs::read(file).map_err(unreadable)?;
-    decode_class_mask(&bytes).map_err(|error| unreadable(std::io::Error::other(error)))
 }
 
 /// Pictures, and the file of their labels.
