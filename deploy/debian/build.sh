@@ -103,6 +103,7 @@ Architecture: $architecture
 Maintainer: The PEERNet authors <maintainers@peernet.invalid>
 Installed-Size: $(du -sk --exclude=DEBIAN "$stage" | cut -f1)
 Depends: $libraries, systemd, init-system-helpers, passwd
+Recommends: ca-certificates
 Suggests: chrony
 Section: net
 Priority: optional

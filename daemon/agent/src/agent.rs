@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use peernet_clock::{MonoTime, SharedClock};
 use peernet_external::exec::FingerprintKey;
-use peernet_inference::{Bank, LoadError};
+use peernet_inference::{Bank, LoadError, UnloadedModel};
 use peernet_logger::Slug;
 use peernet_networks::{Address, PeerClock};
 use peernet_stream::{Event, HostDescription, HostMetrics, IncidentKind, LiveUpdate, PipelineState};
@@ -154,7 +154,14 @@ async fn start(
 
     // Nothing fails from here on.
     let mut tasks = Tasks::new(&stop);
-    let metrics = start_observing_host(&mut tasks, &config, &host, events.incidents.clone(), publish_clock);
+    let metrics = start_observing_host(
+        &mut tasks,
+        &config,
+        &host,
+        Arc::clone(&bank),
+        events.incidents.clone(),
+        publish_clock,
+    );
     tasks.spawn_required_fallible(io.handle(), "links", links.clone().run(tasks.stop_token()));
     let pipelines = TaskTracker::new();
     let observed = ObservedPipelines::from_config(&config);
@@ -199,6 +206,7 @@ fn start_observing_host(
     tasks: &mut Tasks,
     config: &AgentConfig,
     host: &Host,
+    bank: Arc<Bank>,
     incidents: Incidents,
     publish_clock: watch::Sender<PeerClock>,
 ) -> watch::Receiver<HostMetrics> {
@@ -216,7 +224,7 @@ fn start_observing_host(
     tasks.spawn_required(
         &runtime,
         "telemetry",
-        telemetry::run(Arc::clone(&host.clock), publish_metrics, tasks.stop_token()),
+        telemetry::run(Arc::clone(&host.clock), bank, publish_metrics, tasks.stop_token()),
     );
     metrics
 }
@@ -358,7 +366,7 @@ async fn unload(bank: Arc<Bank>, timeout: Duration) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Creates the bank of the configured models, which reports each loaded model as an incident.
+/// Creates the bank of the configured models, which reports each loaded and each unloaded model as an incident.
 fn build_bank(
     config: &AgentConfig,
     clock: &SharedClock,
@@ -370,13 +378,23 @@ fn build_bank(
         Some(built_in) => bank.with_built_in(built_in),
         None => bank,
     };
-    bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints).on_load(move |pool| {
+    let unload_incidents = incidents.clone();
+    let bank = bank.with_folders(config.bank.clone()).with_fingerprints(fingerprints);
+    let bank = bank.on_load(move |pool| {
         let mut text =
             format!("loaded {} on {} in {:.2} s", pool.name(), pool.device(), pool.load_duration().seconds());
         if let Some(bytes) = pool.memory_growth() {
             text.push_str(&format!("; the process grew by {:.0} MB", bytes as f64 * 1e-6));
         }
         incidents.report(IncidentKind::ModelLoaded, IncidentSubject::default(), text);
+    });
+    bank.on_unload(move |model| {
+        let UnloadedModel { name, device, loaded_for, reason, .. } = model;
+        let mut text = format!("unloaded {name} from {device} after {:.2} s, {reason}", loaded_for.seconds());
+        if let Some(bytes) = model.memory_released {
+            text.push_str(&format!("; the process shrank by {:.0} MB", bytes as f64 * 1e-6));
+        }
+        unload_incidents.report(IncidentKind::ModelUnloaded, IncidentSubject::default(), text);
     })
 }
 

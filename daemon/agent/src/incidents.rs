@@ -45,7 +45,10 @@ impl Incidents {
     /// one sentence for people.
     pub(crate) fn report(&self, kind: IncidentKind, subject: IncidentSubject<'_>, text: String) {
         match kind {
-            IncidentKind::Connected | IncidentKind::ModelLoaded | IncidentKind::Control => {
+            IncidentKind::Connected
+            | IncidentKind::ModelLoaded
+            | IncidentKind::ModelUnloaded
+            | IncidentKind::Control => {
                 self.report_info(kind, subject, text);
             }
             _ => {

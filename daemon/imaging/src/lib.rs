@@ -8,6 +8,7 @@
 //! The crate is separate, because the transforms of sensors and the preprocessing of models both need it and must not
 //! depend on each other.
 
+mod class_mask;
 mod crop;
 mod decode;
 mod encode;
@@ -20,6 +21,7 @@ mod probe;
 mod resize;
 mod size;
 
+pub use class_mask::decode_class_mask;
 pub use crop::{Crop, crop};
 pub use decode::{decode, read_part};
 pub use encode::{Encoding, encode};

@@ -4,9 +4,11 @@ mod cache_entry;
 mod config;
 mod folders;
 mod model_cache;
+mod unloaded_model;
 
 pub use config::BankConfig;
 pub use folders::{DEFAULT_MODEL_FOLDER, ModelFolders, ModelOnDisk};
+pub use unloaded_model::{UnloadReason, UnloadedModel};
 
 use std::collections::HashSet;
 use std::fmt;
@@ -18,10 +20,11 @@ use peernet_clock::{SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 
+use crate::loaded_models::LoadedModelCounter;
 use crate::model::LoadContext;
 use crate::pool::Sizes;
 use crate::temp_dirs::TempDirs;
-use crate::{LoadError, ModelConfig, OnnxRuntimeConfig, Pool};
+use crate::{LoadError, LoadedModels, ModelConfig, OnnxRuntimeConfig, Pool, ProcessMemory};
 
 use cache_entry::CacheEntry;
 use model_cache::ModelCache;
@@ -37,11 +40,14 @@ pub struct Bank {
     temp_dirs: TempDirs,
     runtime: OnnxRuntimeConfig,
     clock: SharedClock,
-    on_load: Option<Observer>,
+    loaded: LoadedModelCounter,
+    on_load: Option<LoadObserver>,
+    on_unload: Option<UnloadObserver>,
     fingerprints: Option<FingerprintKey>,
 }
 
-type Observer = Box<dyn Fn(&Pool) + Send + Sync>;
+type LoadObserver = Box<dyn Fn(&Pool) + Send + Sync>;
+type UnloadObserver = Box<dyn Fn(&UnloadedModel) + Send + Sync>;
 
 impl Bank {
     /// Creates a bank of these models; loads none of them.
@@ -54,7 +60,9 @@ impl Bank {
             temp_dirs: TempDirs::default(),
             runtime,
             clock,
+            loaded: LoadedModelCounter::default(),
             on_load: None,
+            on_unload: None,
             fingerprints: None,
         }
     }
@@ -86,6 +94,19 @@ impl Bank {
     pub fn on_load(mut self, observer: impl Fn(&Pool) + Send + Sync + 'static) -> Self {
         self.on_load = Some(Box::new(observer));
         self
+    }
+
+    /// Calls `observer` with each model of the folders after it was unloaded to make room, or because its files have changed. It is
+    /// not called by [`shutdown`](Self::shutdown).
+    #[must_use]
+    pub fn on_unload(mut self, observer: impl Fn(&UnloadedModel) + Send + Sync + 'static) -> Self {
+        self.on_unload = Some(Box::new(observer));
+        self
+    }
+
+    /// Returns the number and the memory of the models that are loaded now. Does not block while a model loads.
+    pub fn loaded_models(&self) -> LoadedModels {
+        self.loaded.get()
     }
 
     /// Returns the names of the configured models, in the order of the configuration.
@@ -155,11 +176,15 @@ impl Bank {
             LoadError::UnknownModel { name: name.to_string(), known }
         };
         let cache = self.cache.as_ref().ok_or_else(unknown)?;
-        let entry = cache.entry(name, device).map_err(|error| match error {
+        let (entry, to_unload) = cache.entry(name, device).map_err(|error| match error {
             // A peer is informed which models exist, but not in which folders.
             LoadError::NotFound { .. } => unknown(),
             error => error,
         })?;
+        // The old models are unloaded before the new one is loaded, so that the limit is never exceeded.
+        for (old, reason) in to_unload {
+            self.unload_entry(&old, reason);
+        }
         let pool = self.load_entry(&entry);
         if pool.is_err() {
             // The next request reads the files again, which may have been corrected.
@@ -174,6 +199,20 @@ impl Bank {
             observer(&pool);
         }
         Ok(pool)
+    }
+
+    fn unload_entry(&self, entry: &CacheEntry, reason: UnloadReason) {
+        let Some(pool) = entry.take() else { return };
+        let (name, device, loaded_at) = (pool.name().clone(), pool.device(), pool.loaded_at());
+        let memory_before = resident_memory();
+        pool.shutdown();
+        drop(pool);
+        let memory_released =
+            memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));
+        let loaded_for = self.clock.mono() - loaded_at;
+        if let Some(observer) = &self.on_unload {
+            observer(&UnloadedModel { name, device, loaded_for, memory_released, reason });
+        }
     }
 
     /// Checks everything that can be checked without loading a model: names, files, cards, devices, the library.
@@ -262,22 +301,21 @@ impl Bank {
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
         let started_at = self.clock.mono();
-        let memory_before = resident_bytes();
+        let memory_before = resident_memory();
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };
         let pool = Pool::start(config.name().clone(), model, sizes, &self.clock, started_at)?;
         let memory_growth =
-            memory_before.zip(resident_bytes()).map(|(before, after)| after.saturating_sub(before));
-        Ok(pool.with_facts(config.facts(self.fingerprints.as_ref())).with_memory_growth(memory_growth))
+            memory_before.zip(resident_memory()).map(|(before, after)| after.saturating_sub(before));
+        Ok(pool
+            .with_facts(config.facts(self.fingerprints.as_ref()))
+            .with_memory_growth(memory_growth, &self.loaded))
     }
 }
 
 /// Returns the resident memory of this process, bytes.
-fn resident_bytes() -> Option<u64> {
-    // proc_pid_status(5): `VmRSS:     1234 kB`.
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.split_whitespace().next()?.parse::<u64>().ok().map(|kilobytes| kilobytes * 1024)
+fn resident_memory() -> Option<u64> {
+    ProcessMemory::read().map(|memory| memory.resident)
 }
 
 impl fmt::Debug for Bank {

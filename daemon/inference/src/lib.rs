@@ -10,21 +10,25 @@ pub mod bank;
 mod batching;
 mod error;
 mod job;
+mod loaded_models;
 pub mod model;
 mod pool;
+mod process_memory;
 mod queue;
 mod requester;
 mod scratch;
 mod temp_dirs;
 mod thread;
 
-pub use bank::{Bank, BankConfig};
+pub use bank::{Bank, BankConfig, UnloadReason, UnloadedModel};
 pub use batching::{Batching, Request};
 pub use error::{InferenceError, LibraryError, LoadError};
 pub use job::{FinishedJob, Job, RefusedJob, Reply};
+pub use loaded_models::LoadedModels;
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
+pub use process_memory::ProcessMemory;
 pub use requester::{Cancelled, PatientRequester, Requester};
 pub use scratch::Scratch;
 

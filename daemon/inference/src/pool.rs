@@ -7,6 +7,7 @@ use std::thread::{self, JoinHandle};
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::Slug;
 
+use crate::loaded_models::{CountedModel, LoadedModelCounter};
 use crate::queue::{Queue, Rejection};
 use crate::thread::{WorkerSlot, deliver};
 use crate::{FinishedJob, InferenceError, Job, LoadError, Model, RefusedJob};
@@ -21,6 +22,9 @@ pub struct Pool {
     load_duration: Span,
     /// Growth of the process's resident memory while the model was loaded, bytes.
     memory_growth: Option<u64>,
+    /// Counts this model as loaded until the pool is dropped.
+    counted: Option<CountedModel>,
+    loaded_at: MonoTime,
     workers: usize,
     execution: Execution,
     /// Facts in addition to the facts of the model.
@@ -58,9 +62,12 @@ impl Pool {
                 Execution::threads(&name, slots, sizes.queue)?
             }
         };
+        let loaded_at = clock.mono();
         Ok(Self {
-            load_duration: clock.mono() - started_at,
+            load_duration: loaded_at - started_at,
             memory_growth: None,
+            counted: None,
+            loaded_at,
             name,
             model,
             workers,
@@ -69,9 +76,10 @@ impl Pool {
         })
     }
 
-    /// Sets the growth of the process's resident memory while the model was loaded, bytes.
-    pub(crate) fn with_memory_growth(mut self, bytes: Option<u64>) -> Self {
+    /// Sets the growth of the process's resident memory while the model was loaded, bytes, and counts the model as loaded.
+    pub(crate) fn with_memory_growth(mut self, bytes: Option<u64>, counter: &LoadedModelCounter) -> Self {
         self.memory_growth = bytes;
+        self.counted = Some(counter.count(bytes.unwrap_or(0)));
         self
     }
 
@@ -151,6 +159,11 @@ impl Pool {
     /// Returns the duration of loading the model and creating its workers.
     pub fn load_duration(&self) -> Span {
         self.load_duration
+    }
+
+    /// Returns the time at which the model was loaded.
+    pub(crate) fn loaded_at(&self) -> MonoTime {
+        self.loaded_at
     }
 
     /// Returns the growth of this process's resident memory while the model was loaded, bytes; `None` if it is unknown. Memory

@@ -5,12 +5,14 @@
 
 mod description;
 mod label;
+mod mask_label;
 mod media;
 mod objects_label;
 mod printable;
 
 pub use description::{Description, ElementType, MediaType, PixelFormat};
 pub use label::{list_examples, normalized_label};
+pub use mask_label::MaskLabel;
 pub use objects_label::{LabelledObject, ObjectsLabel};
 pub use printable::{escaped_line, printable_line, printable_lines};
 

@@ -3,10 +3,12 @@
 //! A new kind is one file in [`sensor`] or [`transform`], registered in the `mod.rs` there.
 
 mod error;
+mod mask;
 pub mod sensor;
 pub mod transform;
 
 pub use error::SensorError;
+pub use mask::read_mask;
 pub use sensor::{SensorConfig, SensorKind};
 pub use transform::{TransformConfig, TransformKind};
 

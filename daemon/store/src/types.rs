@@ -353,8 +353,8 @@ pub struct IncidentRow {
     pub id: i64,
     /// Time on the reporting host's wall clock.
     pub at: WallTime,
-    /// Kind of the incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`,
-    /// `pipeline-failed`, `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
+    /// Kind of the incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `model-unloaded`, `clock-step`,
+    /// `gap`, `pipeline-failed`, `control`. Of the aggregator: the names of [`AggregatorIncidentKind`].
     pub kind: String,
     /// The reporting host; `None` for the aggregator itself.
     pub host: Option<HostId>,

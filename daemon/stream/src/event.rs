@@ -212,6 +212,8 @@ pub enum IncidentKind {
     Refused,
     /// A model was loaded.
     ModelLoaded,
+    /// A model was unloaded while the host is in use. Since version 7 of the event stream.
+    ModelUnloaded,
     /// A clock was stepped, slewed or interrupted.
     ClockStep,
     /// Events were dropped.
@@ -230,6 +232,7 @@ impl IncidentKind {
             Self::Connected => "connected",
             Self::Refused => "refused",
             Self::ModelLoaded => "model-loaded",
+            Self::ModelUnloaded => "model-unloaded",
             Self::ClockStep => "clock-step",
             Self::Gap => "gap",
             Self::PipelineFailed => "pipeline-failed",

@@ -58,4 +58,16 @@ pub struct HostMetrics {
     pub agent_cpu: Option<f64>,
     /// Bytes of memory that the agent itself uses.
     pub agent_memory_bytes: Option<u64>,
+    /// Models that the agent has loaded; `None` before the first reading. Since version 7 of the event stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub models: Option<ModelMetrics>,
+}
+
+/// Models that an agent has loaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelMetrics {
+    /// Number of loaded models, of all kinds.
+    pub loaded: u32,
+    /// Sum of the growth of the agent's resident memory while each of them was loaded, bytes.
+    pub memory_bytes: u64,
 }

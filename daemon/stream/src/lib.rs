@@ -74,7 +74,7 @@ pub use estimate_basis::EstimateBasis;
 pub use event::{Claim, Event, Gap, Incident, IncidentKind, Iteration, Outcome, RunDescription, RunEnded};
 pub use experiment::{Condition, ExperimentPlace, Grade};
 pub use hello::{AGENT_STREAM_VERSIONS, Hello, HelloExtension, STREAM_VERSIONS, StreamId};
-pub use host::{Hardware, HostDescription, HostMetrics};
+pub use host::{Hardware, HostDescription, HostMetrics, ModelMetrics};
 pub use live::{
     Accounting, LiveUpdate, OutcomeCounts, PipelineLive, PipelineState, Placement, PlacementKind, Second,
 };

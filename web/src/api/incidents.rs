@@ -64,8 +64,8 @@ pub(crate) struct Incident {
     pub id: i64,
     /// Time of the incident, on the reporting host's wall clock.
     pub at: String,
-    /// Kind of incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `clock-step`, `gap`, `pipeline-failed` or
-    /// `control`; of the aggregator: `clock-step`, `retention` or `storage`.
+    /// Kind of incident. Of a host: `disconnected`, `connected`, `refused`, `model-loaded`, `model-unloaded`, `clock-step`, `gap`,
+    /// `pipeline-failed` or `control`; of the aggregator: `clock-step`, `retention` or `storage`.
     pub kind: String,
     /// Name of the reporting host; null for an incident of the aggregator.
     pub host: Option<String>,

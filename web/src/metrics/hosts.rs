@@ -11,6 +11,19 @@ pub(super) fn write_each(scrape: &Scrape, sink: &mut Sink<'_>, sample_of: impl F
     scrape.hosts.iter().for_each(|host| sink(&[host.description.name.as_str()], sample_of(host)));
 }
 
+/// Writes a sample of each host whose value is known.
+pub(super) fn write_each_known(
+    scrape: &Scrape,
+    sink: &mut Sink<'_>,
+    sample_of: impl Fn(&HostSnapshot) -> Option<Sample>,
+) {
+    for host in &scrape.hosts {
+        if let Some(sample) = sample_of(host) {
+            sink(&[host.description.name.as_str()], sample);
+        }
+    }
+}
+
 /// Returns the lag of storage behind measurement, seconds.
 pub(super) fn lag(host: &HostSnapshot) -> Sample {
     Sample::Value(host.behind.map_or(0.0, Span::seconds))

@@ -100,6 +100,8 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "host_unspooled", "bytes"), HOST, "Bytes of events in the agent's memory that are not in its spool yet.", |s, sink| hosts::write_each(s, sink, |host| Sample::Size(host.accounting.memory_bytes))),
     metric((Gauge, "host_spool_trouble", "bool"), HOST, "1 while the spool cannot be written or read, else 0.", |s, sink| hosts::write_each(s, sink, |host| Sample::from_bool(host.accounting.trouble.is_some()))),
     metric((Gauge, "host_compressed", "bool"), HOST, "1 while the agent compresses its batches because they wait for the link or the aggregator, else 0.", |s, sink| hosts::write_each(s, sink, |host| Sample::from_bool(host.accounting.compressed))),
+    metric((Gauge, "host_loaded", "models"), HOST, "Models that the agent has loaded.", |s, sink| hosts::write_each_known(s, sink, |host| host.metrics.models.map(|models| Sample::Size(models.loaded.into())))),
+    metric((Gauge, "host_model_memory", "bytes"), HOST, "Growth of the agent's resident memory while these models were loaded, as a sum; without the memory of a GPU.", |s, sink| hosts::write_each_known(s, sink, |host| host.metrics.models.map(|models| Sample::Size(models.memory_bytes)))),
     metric((Counter, "host_stored", "events"), HOST, "Events of the host in the database, as the aggregator counts.", |s, sink| hosts::write_each(s, sink, |host| Sample::Count(host.stored.events))),
     metric((Counter, "host_stored", "nodes"), HOST, "Stored nodes of the host's iterations.", |s, sink| hosts::write_each(s, sink, |host| Sample::Count(host.stored.nodes))),
     metric((Counter, "host_noticed", "gaps"), HOST, "Gaps of the host that are stored.", |s, sink| hosts::write_each(s, sink, |host| Sample::Count(host.stored.gaps))),

@@ -8,7 +8,7 @@ use axum::extract::rejection::PathRejection;
 use axum::extract::{Path, State};
 use axum::routing::get;
 use peernet_aggregator::{HostSnapshot, LiveState};
-use peernet_statistics::number::{NONE, SPACE, bytes, count, fixed};
+use peernet_statistics::number::{NONE, SPACE, bytes, count, counted, fixed};
 use peernet_store::HostRow;
 use peernet_stream::{HostClock, HostDescription};
 
@@ -169,6 +169,10 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
     let own_identity = app.clock.identity();
     let (words, hint) = clock_words(&description.clock, own_identity, host.clock_ahead);
     let memory = host.metrics.agent_memory_bytes.map(|size| format!("agent holds {}", bytes(size as f64)));
+    let models = host.metrics.models.filter(|models| models.loaded > 0).map(|models| {
+        let number = counted(u64::from(models.loaded), "model");
+        format!("{number} loaded, {}", bytes(models.memory_bytes as f64))
+    });
     let cpu = host
         .metrics
         .agent_cpu
@@ -176,7 +180,7 @@ fn host_page(app: &AppState, snapshot: &LiveState, host: &HostSnapshot) -> Host 
     Host {
         shell: Shell::new(app, snapshot, "/hosts", name.as_str()).live(format!("{TOPIC}/{name}")),
         title,
-        facts: [Some(hardware_name(&description.hardware)), cpu, memory]
+        facts: [Some(hardware_name(&description.hardware)), cpu, memory, models]
             .into_iter()
             .flatten()
             .filter(|fact| !fact.is_empty())

@@ -23,11 +23,12 @@ pub(super) const PAGE: PageKind = PageKind {
 };
 
 /// Kinds of incidents of hosts and of the aggregator.
-const KINDS: [&str; 10] = [
+const KINDS: [&str; 11] = [
     IncidentKind::Disconnected.name(),
     IncidentKind::Connected.name(),
     IncidentKind::Refused.name(),
     IncidentKind::ModelLoaded.name(),
+    IncidentKind::ModelUnloaded.name(),
     IncidentKind::ClockStep.name(),
     IncidentKind::Gap.name(),
     IncidentKind::PipelineFailed.name(),

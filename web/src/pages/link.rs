@@ -247,7 +247,8 @@ fn incidents_of_link(
     let names = [subject.edge.as_str(), subject.cloud.as_str()];
     let is_end = |name: &str| names.contains(&name);
     // Other incidents of the two hosts say nothing about the network between them.
-    let concerns_network = |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "control");
+    let concerns_network =
+        |row: &&IncidentRow| !matches!(row.kind.as_str(), "model-loaded" | "model-unloaded" | "control");
     let of_link = rows.iter().filter(concerns_network);
     let of_link = of_link.filter(|row| {
         row.host_name.as_ref().is_some_and(|name| is_end(name.as_str()))

@@ -24,7 +24,7 @@ impl IncidentLine {
             "disconnected" => ("gap", Tone::Warn),
             "connected" => ("reconnect", Tone::Quiet),
             "refused" => ("unsynchronised", Tone::Bad),
-            "model-loaded" => ("model", Tone::Quiet),
+            "model-loaded" | "model-unloaded" => ("model", Tone::Quiet),
             "clock-step" => ("stepped", Tone::Warn),
             "gap" => ("gap", Tone::Warn),
             "pipeline-failed" => ("failed", Tone::Bad),

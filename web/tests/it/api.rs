@@ -452,6 +452,10 @@ async fn links_and_clocks_are_served() {
 
     let host = dashboard.get("/api/v1/hosts/cam-3").await.json();
     assert_eq!(host["clock"]["text"], "chrony, stratum 3, to ntp.plant");
+    assert_eq!(
+        (&host["now"]["loaded_models"], &host["now"]["model_memory_bytes"]),
+        (&json!(1), &json!(96_000_000))
+    );
     assert_eq!(host["clock"]["rehearsal"]["drift_ppm"], json!(50.0));
 
     let again = dashboard.get("/api/v1/runs/2/recomputed").await.json();

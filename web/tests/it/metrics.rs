@@ -112,6 +112,8 @@ async fn metric_lines_are_valid_and_counters_grow() {
     assert_eq!(value(&first, "peernet_aggregator_ready_bool"), 1.0);
     assert_eq!(value(&first, "peernet_aggregator_connected_hosts"), 4.0);
     assert_eq!(value(&first, "peernet_host_connected_bool{host=\"cam-2\"}"), 1.0);
+    assert_eq!(value(&first, "peernet_host_loaded_models{host=\"cam-2\"}"), 1.0);
+    assert_eq!(value(&first, "peernet_host_model_memory_bytes{host=\"cam-2\"}"), 96e6);
     let total = "peernet_pipeline_stage_seconds{host=\"cam-2\",pipeline=\"offload-full\",stage=\"total\",quantile=\"0.5\"}";
     assert!((0.015..0.03).contains(&value(&first, total)), "{}", value(&first, total));
     let ok =

@@ -32,7 +32,9 @@ async fn every_page_is_complete_without_script() {
         ("/hosts", "produced = acknowledged + waiting + lost"),
         ("/hosts/cam-1", "In the database"),
         ("/hosts/cam-2", "within ±2.1\u{202f}ms of true time"),
+        ("/hosts/cam-2", "1 model loaded, 96"),
         ("/incidents", "stepped by +18.2 ms"),
+        ("/incidents", "model-unloaded"),
         ("/incidents?kind=clock-step&host=", "stepped by +18.2 ms"),
         ("/incidents?kind=control&host=nobody", "No incident of this kind and host is stored"),
     ];

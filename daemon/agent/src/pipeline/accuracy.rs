@@ -1,9 +1,14 @@
-//! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and `mean-iou` of a detection.
+//! Accuracy of answers to samples with a label: the values `top-1` and `top-5` of a classification, `map-50` and `mean-iou` of a detection,
+//! `mean-iou` of a segmentation.
+
+use std::path::Path;
 
 use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, PictureObjects};
+use peernet_analysis::accuracy::segmentation::{ClassMap, SEGMENTATION_SCORE, SegmentedPixels};
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
-use peernet_sample::{MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_sensors::read_mask;
 use serde::Deserialize;
 
 /// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is
@@ -15,6 +20,8 @@ const TOP_5: Name = Name::from_static("top-5");
 const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
 /// Name of the value that is the mean overlap of the labelled objects that were found.
 const MEAN_IOU: Name = Name::from_static(DETECTION_SCORES[1]);
+/// Name of the value that is the mean ratio of intersection to union of the classes of the picture.
+const SEGMENTED_IOU: Name = Name::from_static(SEGMENTATION_SCORE);
 /// Number of best classes that `top-5` considers.
 const TOP_5_CLASSES: usize = 5;
 
@@ -32,13 +39,17 @@ struct Class {
 }
 
 /// Records the accuracy of an answer to a sample with the label `label`: `top-1` and `top-5` of a classification, which is JSON with `label`
-/// and, best first, `top`; `map-50` and `mean-iou` of a detection, which is JSON with `detections`, if the label has objects.
+/// and, best first, `top`; `map-50` and `mean-iou` of a detection, which is JSON with `detections`, if the label has objects; `mean-iou` of a
+/// segmentation, which is JSON and grey pixels, if the label names a mask. Reads the file of the mask.
 ///
 /// Records nothing of another answer, or if the model marked a class of the label as unknown (`unknown-label`).
 pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
     // No answer to such a sample can be correct, so it says nothing about the model.
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
         return;
+    }
+    if let Some(label) = MaskLabel::parse(label) {
+        return record_segmentation(log, &label, answer);
     }
     let Some(answer) = json(answer) else { return };
     if ObjectsLabel::parse(label).is_some() {
@@ -62,6 +73,24 @@ fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
     log.value(MAP_50, scores.map_50, Unit::NONE);
     if let Some(iou) = scores.mean_iou {
         log.value(MEAN_IOU, iou, Unit::NONE);
+    }
+}
+
+fn record_segmentation(log: &mut Recorder, label: &MaskLabel, answer: &Sample) {
+    let Some(answer) = ClassMap::from_answer(answer) else { return };
+    let mask = match read_mask(Path::new(&label.mask)) {
+        Ok(mask) => mask,
+        Err(error) => {
+            tracing::warn!(%error, "an answer is not scored, because the mask of its picture cannot be used; correct the file");
+            return;
+        }
+    };
+    let mut pixels = SegmentedPixels::default();
+    if let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) {
+        pixels.add(mask, answer);
+    }
+    if let Some(iou) = pixels.mean_iou() {
+        log.value(SEGMENTED_IOU, iou, Unit::NONE);
     }
 }
 
@@ -131,6 +160,38 @@ mod tests {
         // A label of another kind says nothing about the answer.
         assert_eq!(value(&recorded("a", &half), "map-50"), None);
         assert_eq!(judged(label, r#"{"label":"a","top":[]}"#), (None, None));
+    }
+
+    #[test]
+    fn segmentation_is_compared_with_mask() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("mask.png");
+        // A grey file: its levels are the numbers of the classes, and 255 is not scored.
+        image::GrayImage::from_raw(3, 2, vec![0, 0, 1, 1, 1, 255])
+            .expect("fits")
+            .save(&file)
+            .expect("written");
+        let label = MaskLabel { mask: file.to_str().expect("is UTF-8").to_owned() }.format();
+        let answer = |classes: Vec<u8>| {
+            let mut answer = Sample::from_part(Description::unshaped(MediaType::Json), "{}".into());
+            let pixels = Description::pixels(peernet_sample::PixelFormat::Grey8, 3, 2);
+            answer.parts.extend(Sample::from_part(pixels, classes.into()).parts);
+            answer
+        };
+        let recorded = |label: &str, answer: &Sample| {
+            let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
+            let mut log = Recorder::new(Arc::new(clock), HostId::random());
+            record_accuracy(&mut log, label, answer);
+            value(&log, "mean-iou")
+        };
+        assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 1, 7])), Some(1.0));
+        // Class 0: 2 of 3 pixels; class 1: 2 of 3.
+        assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 0, 7])), Some(2.0 / 3.0));
+        assert_eq!(recorded("road", &answer(vec![0; 6])), None, "the label is no mask");
+        let json = Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a"}"#.into());
+        assert_eq!(recorded(&label, &json), None, "the answer is no segmentation");
+        std::fs::remove_file(file).expect("is there");
+        assert_eq!(recorded(&label, &answer(vec![0; 6])), None, "the mask is gone");
     }
 
     #[test]

@@ -1,14 +1,16 @@
 //! Metrics of the host, read once a second.
 
 mod hardware;
-mod process_usage;
+mod process_cpu_time;
 mod sampler;
 
 pub(crate) use hardware::hardware;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
+use peernet_inference::Bank;
 use peernet_stream::HostMetrics;
 use tokio::sync::watch;
 use tokio::time::MissedTickBehavior;
@@ -21,10 +23,11 @@ const INTERVAL: Duration = Duration::from_secs(1);
 /// Reads the metrics until `stop` is cancelled.
 pub(crate) async fn run(
     clock: SharedClock,
+    bank: Arc<Bank>,
     metrics_sender: watch::Sender<HostMetrics>,
     stop: CancellationToken,
 ) {
-    let mut sampler = Sampler::new(clock);
+    let mut sampler = Sampler::new(clock, bank);
     let mut ticks = tokio::time::interval(INTERVAL);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {

@@ -1,38 +1,47 @@
 //! Reads the host's metrics.
 
+use std::sync::Arc;
+
 use peernet_clock::SharedClock;
-use peernet_stream::HostMetrics;
+use peernet_inference::{Bank, LoadedModels, ProcessMemory};
+use peernet_stream::{HostMetrics, ModelMetrics};
 use sysinfo::{Components, CpuRefreshKind, MemoryRefreshKind, System};
 
-use super::process_usage::ProcessUsage;
+use super::process_cpu_time::ProcessCpuTime;
 
 /// Reads the metrics. It keeps state, because a share of CPU time is a difference between two readings.
 #[derive(Debug)]
 pub(super) struct Sampler {
+    bank: Arc<Bank>,
     system: Option<System>,
     temperatures: Option<Components>,
-    process_usage: ProcessUsage,
+    process_cpu_time: ProcessCpuTime,
     /// `true` after the first reading. A share of CPU time needs a previous reading.
     has_previous: bool,
 }
 
 impl Sampler {
-    pub(super) fn new(clock: SharedClock) -> Self {
+    pub(super) fn new(clock: SharedClock, bank: Arc<Bank>) -> Self {
         let log_unavailable = |quantity: &str, error: sysinfo::Error| {
             tracing::info!(%error, "cannot read {quantity} on this host; it is not shown");
         };
         Self {
+            bank,
             system: System::new().map_err(|error| log_unavailable("processor and memory load", error)).ok(),
             temperatures: Components::new().map_err(|error| log_unavailable("temperatures", error)).ok(),
-            process_usage: ProcessUsage::new(clock),
+            process_cpu_time: ProcessCpuTime::new(clock),
             has_previous: false,
         }
     }
 
     pub(super) fn sample(&mut self) -> HostMetrics {
-        let mut metrics =
-            HostMetrics { agent_memory_bytes: ProcessUsage::memory_bytes(), ..HostMetrics::default() };
-        metrics.agent_cpu = self.process_usage.cpu_share();
+        let LoadedModels { count: loaded, memory_bytes } = self.bank.loaded_models();
+        let mut metrics = HostMetrics {
+            agent_memory_bytes: ProcessMemory::read().map(|memory| memory.resident),
+            agent_cpu: self.process_cpu_time.cpu_share(),
+            models: Some(ModelMetrics { loaded, memory_bytes }),
+            ..HostMetrics::default()
+        };
         if let Some(system) = &mut self.system {
             system.refresh_cpu_specifics(CpuRefreshKind::nothing().with_usage());
             system.refresh_memory_specifics(MemoryRefreshKind::nothing().with_ram());
@@ -55,16 +64,16 @@ impl Sampler {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use peernet_clock::{ClockIdentity, SystemClock};
+    use peernet_inference::OnnxRuntimeConfig;
 
     use super::*;
 
     #[test]
     fn metrics_are_within_possible_ranges() {
-        let clock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
-        let mut sampler = Sampler::new(clock);
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let bank = Arc::new(Bank::new(Vec::new(), OnnxRuntimeConfig::default(), Arc::clone(&clock)));
+        let mut sampler = Sampler::new(clock, bank);
         let first = sampler.sample();
         assert_eq!((first.cpu, first.agent_cpu), (None, None), "a share needs two readings");
         let second = sampler.sample();
@@ -72,6 +81,7 @@ mod tests {
         assert!(second.agent_cpu.is_some_and(|share| share >= 0.0), "{second:?}");
         assert!(second.memory_used_bytes.is_some_and(|bytes| bytes > 1 << 20), "{second:?}");
         assert!(second.agent_memory_bytes.is_some_and(|bytes| bytes > 100 << 10), "{second:?}");
+        assert_eq!(second.models, Some(ModelMetrics { loaded: 0, memory_bytes: 0 }));
         assert_eq!((second.gpu, second.power_watts), (None, None));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_stream::{Outcome, PipelineState};
+use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent};
 
@@ -105,6 +105,29 @@ async fn peer_gets_named_model_on_allowed_device() {
     let outside = toml::from_str::<peernet_agent::AgentConfig>(&line(&cloud, ", model = '..'"));
     let error = outside.expect_err("no name leads out of the folder").to_string();
     assert!(error.contains("cannot be a name"), "{error}");
+    cloud.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
+    let aggregator = Aggregator::start().await;
+    let folder = folder();
+    let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
+    let cloud = TestAgent::start("cloud", Some(&aggregator.address), &bank).await;
+    for model in ["plates", "plates_2"] {
+        let load = cloud.running.load_model(&model.parse().expect("a name"));
+        load.await.expect("does not panic").expect("is there");
+    }
+    let seen = aggregator
+        .until(|seen| {
+            seen.incidents(IncidentKind::ModelLoaded).len() == 2
+                && seen.incidents(IncidentKind::ModelUnloaded).len() == 1
+        })
+        .await;
+    let text = &seen.incidents(IncidentKind::ModelUnloaded)[0].text;
+    assert!(text.starts_with("unloaded plates from cpu after "), "{text}");
+    assert!(text.contains(" s, to make room for plates_2; the process shrank by "), "{text}");
+    cloud.until(|live| live.metrics.models.is_some_and(|models| models.loaded == 1)).await;
     cloud.stop().await.expect("stops well");
 }
 

@@ -1,8 +1,11 @@
 //! Accuracy of a model: the share of answers that were right.
 
 pub mod detection;
+mod mean_score;
+pub mod segmentation;
 mod unknown_labels;
 
+pub use mean_score::MeanScore;
 pub use unknown_labels::{UNKNOWN_LABEL, UnknownLabels};
 
 use std::collections::BTreeMap;

@@ -7,6 +7,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::print_to_stdout;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::table::text;
+use peernet_inference::ProcessMemory;
 use peernet_logger::Tree;
 use peernet_statistics::number::{bytes, counted, milliseconds};
 use serde_json::{Value, json};
@@ -60,7 +61,7 @@ struct Measured {
 pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let model = arguments.model.find()?;
     // Read before the model is loaded, so that the difference to the later value is the model's.
-    let memory_before = memory("VmRSS:");
+    let memory_before = ProcessMemory::read();
     let loaded_model = LoadedModel::load(&model, &arguments.options)?;
     let input = Input::pictures(&model, arguments.pictures.as_deref(), loaded_model.clock())?;
     // A model without test pictures can be measured, too; accuracy is not measured here.
@@ -69,13 +70,15 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
         None => Input::generated(&model)?,
     };
     let stages = measure(arguments, &loaded_model, &input)?;
+    let memory = ProcessMemory::read();
+    let resident = |memory: ProcessMemory| memory.resident;
     let measured = Measured {
         device: loaded_model.pool().device(),
         input: input.description,
         loaded_in: loaded_model.pool().load_duration().seconds(),
         stages,
-        memory: [memory_before, memory("VmRSS:")],
-        peak: memory("VmHWM:"),
+        memory: [memory_before.map(resident), memory.map(resident)],
+        peak: memory.map(|memory| memory.peak),
     };
     if arguments.json {
         print_to_stdout(object(model.name.as_str(), &measured));
@@ -167,20 +170,12 @@ fn object(name: &str, measured: &Measured) -> Value {
     })
 }
 
-/// Reads a figure of this process's memory in bytes; see proc(5).
-fn memory(key: &str) -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix(key))?;
-    line.trim().strip_suffix(" kB")?.parse::<u64>().ok().map(|kib| kib * 1024)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn memory_is_read_and_tail_needs_samples() {
-        assert!(memory("VmRSS:").is_some_and(|bytes| bytes > 1 << 20));
+    fn tail_needs_samples() {
         let few: SortedValues = (0..100).map(f64::from).collect();
         assert_eq!(QUANTILES.map(|(_, quantile)| quantile(&few).is_some()), [true, true, false]);
     }

@@ -58,7 +58,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), Failure> {
             }
             Ok(answer) => {
                 if let Some(label) = label {
-                    tally.add(&label, &answer);
+                    tally.add(&label, &answer).map_err(|error| Failure::new(Exit::NoInput, error))?;
                 }
                 if is_single {
                     print_to_stdout(format_args!("{source}: {}", describe(&answer)));

@@ -1,9 +1,12 @@
 //! Comparison of a model's answers with the labels of its test pictures.
 
 use std::collections::HashSet;
+use std::path::Path;
 
 use peernet_analysis::accuracy::detection::{DetectionScores, PictureObjects};
-use peernet_sample::{Description, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_analysis::accuracy::segmentation::{ClassMap, SegmentedPixels};
+use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
+use peernet_sensors::{SensorError, read_mask};
 use peernet_statistics::number::{counted, fixed};
 use serde::Deserialize;
 
@@ -26,17 +29,43 @@ pub(super) struct Tally {
     unknown_labels: u64,
     /// Labelled and found objects of each picture that has boxes.
     pictures: Vec<PictureObjects>,
+    /// Pixels of each class, of all pictures that have a mask.
+    pixels: SegmentedPixels,
 }
 
 impl Tally {
     pub(super) fn new(classes: &[String]) -> Self {
         let classes = classes.iter().map(|class| normalized_label(class)).collect();
-        Self { classes, right: 0, labelled: 0, unknown_labels: 0, pictures: Vec::new() }
+        Self {
+            classes,
+            right: 0,
+            labelled: 0,
+            unknown_labels: 0,
+            pictures: Vec::new(),
+            pixels: SegmentedPixels::default(),
+        }
     }
 
-    /// Compares an answer with its label. An answer that is neither a classification nor a detection is not counted.
-    pub(super) fn add(&mut self, label: &str, answer: &Sample) {
-        let Some(json) = json(answer) else { return };
+    /// Compares an answer with its label. An answer that is no classification, detection or segmentation is not counted.
+    ///
+    /// # Errors
+    /// If the label names a mask that cannot be read.
+    pub(super) fn add(&mut self, label: &str, answer: &Sample) -> Result<(), SensorError> {
+        if let Some(label) = MaskLabel::parse(label) {
+            let Some(answer) = ClassMap::from_answer(answer) else { return Ok(()) };
+            let mask = read_mask(Path::new(&label.mask))?;
+            if let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) {
+                self.pixels.add(mask, answer);
+            }
+            return Ok(());
+        }
+        if let Some(json) = json(answer) {
+            self.add_json(label, json);
+        }
+        Ok(())
+    }
+
+    fn add_json(&mut self, label: &str, json: &[u8]) {
         if let Some(expected) = ObjectsLabel::parse(label) {
             let mut objects = expected.objects.iter();
             if objects.any(|object| !self.classes.contains(&normalized_label(&object.label))) {
@@ -66,7 +95,14 @@ impl Tally {
             1 => Some("; 1 label is not a class of the model".to_owned()),
             count => Some(format!("; {count} labels are not classes of the model")),
         };
-        [accuracy, self.detection(), unknown].into_iter().flatten().collect()
+        [accuracy, self.detection(), self.segmentation(), unknown].into_iter().flatten().collect()
+    }
+
+    /// Returns the score of the pixels of all pictures together.
+    fn segmentation(&self) -> Option<String> {
+        let count = self.pixels.classes();
+        let classes = if count == 1 { "1 class".to_owned() } else { format!("{count} classes") };
+        self.pixels.mean_iou().map(|iou| format!("; mean IoU {} over {classes}", fixed(iou, 3)))
     }
 
     /// Returns the scores of the boxes of all pictures together.
@@ -106,7 +142,7 @@ fn json(answer: &Sample) -> Option<&[u8]> {
 
 #[cfg(test)]
 mod tests {
-    use peernet_sample::ElementType;
+    use peernet_sample::{ElementType, PixelFormat};
 
     use super::*;
 
@@ -119,7 +155,7 @@ mod tests {
         let mut tally = Tally::new(&["good".to_owned(), "hole missing".to_owned()]);
         assert_eq!(tally.text(), "");
         for label in ["good", "Hole_Missing", "bent"] {
-            tally.add(label, &answer(r#"{"label": "good", "score": 0.75}"#));
+            tally.add(label, &answer(r#"{"label": "good", "score": 0.75}"#)).expect("no file is read");
         }
         assert_eq!(tally.text(), "; 1 of 2 labels right; 1 label is not a class of the model");
         assert_eq!(describe(&answer(r#"{"label": "good", "score": 0.75}"#)), "good (0.750)");
@@ -134,13 +170,39 @@ mod tests {
             )
         };
         let found = r#"{"detections": [{"label": "dent", "score": 0.9, "box": [0, 0, 10, 8]}], "width": 20, "height": 20}"#;
-        tally.add(&label("dent"), &answer(found));
-        tally.add(&label("dent"), &answer(r#"{"detections": [], "width": 20, "height": 20}"#));
-        tally.add(&label("hole"), &answer(found));
+        let none = r#"{"detections": [], "width": 20, "height": 20}"#;
+        for (class, found) in [("dent", found), ("dent", none), ("hole", found)] {
+            tally.add(&label(class), &answer(found)).expect("no file is read");
+        }
         assert_eq!(
             tally.text(),
             "; 1 of 2 objects found, mAP@0.5 0.500, mean IoU 0.800; 1 label is not a class of the model"
         );
+    }
+
+    #[test]
+    fn pixels_of_all_pictures_are_scored_together() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let label = |name: &str| {
+            let mask = folder.path().join(name).to_str().expect("is UTF-8").to_owned();
+            MaskLabel { mask }.format()
+        };
+        let segmentation = |class: u8| {
+            let pixels = Description::pixels(PixelFormat::Grey8, 1, 1);
+            let mut whole = answer("{}");
+            whole.parts.extend(Sample::from_part(pixels, vec![class].into()).parts);
+            whole
+        };
+        let mut tally = Tally::new(&["road".to_owned(), "lane".to_owned()]);
+        for (name, mask, answered) in [("a.png", 0, 0), ("b.png", 0, 1)] {
+            let file = folder.path().join(name);
+            image::GrayImage::from_raw(1, 1, vec![mask]).expect("fits").save(&file).expect("written");
+            tally.add(&label(name), &segmentation(answered)).expect("is read");
+        }
+        // Road: 1 of 2 pixels; lane: none of 1.
+        assert_eq!(tally.text(), "; mean IoU 0.250 over 2 classes");
+        let error = tally.add(&label("c.png"), &segmentation(0)).expect_err("is gone").to_string();
+        assert!(error.contains("c.png"), "{error}");
     }
 
     #[test]

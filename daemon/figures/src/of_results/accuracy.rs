@@ -1,4 +1,4 @@
-//! Figures of the accuracy, and of the success of episodes, of each configuration against its latency.
+//! Figures of the accuracy of answers, and of the success of episodes, of each configuration against its latency.
 
 use peernet_statistics::number::{self, fixed};
 
@@ -7,6 +7,8 @@ use super::configuration_groups::{ConfigurationGroups, counted_rows};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Accuracy, Score, ScoredQuantity, Unit};
+use peernet_analysis::accuracy::detection::DETECTION_SCORES;
+use peernet_analysis::accuracy::segmentation::SEGMENTATION_SCORE;
 use peernet_analysis::accuracy::{ACCURACIES, score};
 use peernet_analysis::actuator_results::EPISODE_SUCCESS;
 use peernet_analysis::loaded::{Loaded, unknown_labels};
@@ -15,16 +17,72 @@ use peernet_analysis::rows::RowRef;
 
 /// Column that is 1 if the best class is the label, else 0.
 pub(super) const TOP_1: &str = ACCURACIES[0];
+/// Column with the mean average precision of a picture.
+pub(super) const MAP_50: &str = DETECTION_SCORES[0];
 /// Maximum number of points that a reader can distinguish.
 const MAX_POINTS: usize = 24;
 
-/// Returns the figures for which the runs have data: `accuracy`, where the right answers are known, and `success`, where an actuator reports
-/// the success of episodes.
-pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
-    match (accuracy_drawing(runs), success_drawing(runs)) {
-        (accuracy, Some(success)) => Ok(accuracy.into_iter().chain([success]).collect()),
-        (accuracy, None) => Ok(vec![accuracy?]),
+/// Scores of answers that a figure shows.
+struct AnswerScore {
+    /// Name of the figure's file.
+    stem: &'static str,
+    title: &'static str,
+    quantity: ScoredQuantity,
+    /// Column with the score.
+    column: &'static str,
+}
+
+/// The scores of a classification, a detection and a segmentation.
+const ANSWER_SCORES: [AnswerScore; 3] = [
+    AnswerScore {
+        stem: "accuracy",
+        title: "Accuracy against latency",
+        quantity: ScoredQuantity::Top1,
+        column: TOP_1,
+    },
+    AnswerScore {
+        stem: MAP_50,
+        title: "Mean average precision against latency",
+        quantity: ScoredQuantity::Map50,
+        column: MAP_50,
+    },
+    AnswerScore {
+        stem: SEGMENTATION_SCORE,
+        title: "Mean IoU against latency",
+        quantity: ScoredQuantity::MeanIou,
+        column: SEGMENTATION_SCORE,
+    },
+];
+
+impl AnswerScore {
+    /// Returns the score of an iteration; `None` without a valid one.
+    fn of(&self, row: RowRef<'_>) -> Option<f64> {
+        match self.quantity {
+            ScoredQuantity::Top1 => score(row, self.column).map(|is_right| f64::from(u8::from(is_right))),
+            // A detection has the overlap of the objects that were found as well, which is no score of the answer.
+            ScoredQuantity::MeanIou if row.value(MAP_50).is_some() => None,
+            _ => row.value(self.column).filter(|score| (0.0..=1.0).contains(score)),
+        }
     }
+
+    fn estimate(&self, scores: &[f64]) -> Option<[f64; 3]> {
+        if self.quantity == ScoredQuantity::Top1 {
+            let right = scores.iter().filter(|score| **score == 1.0).count();
+            return Score::estimate_of_counts(right as u64, scores.len() as u64);
+        }
+        Score::estimate_of_mean(scores)
+    }
+}
+
+/// Returns the figures for which the runs have data: `accuracy`, `map-50` and `mean-iou`, where the right answers are known, and `success`,
+/// where an actuator reports the success of episodes.
+pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
+    let drawings = ANSWER_SCORES.iter().filter_map(|scored| accuracy_drawing(runs, scored));
+    let drawings: Vec<Drawing> = drawings.chain(success_drawing(runs)).collect();
+    if drawings.is_empty() {
+        return Err(MissingData::Labels { unknown: unknown_labels(runs) });
+    }
+    Ok(drawings)
 }
 
 /// Returns the figure with one point for each configuration with episodes; `None` without an episode. Repeats are pooled.
@@ -37,7 +95,10 @@ fn success_drawing(runs: &[Loaded]) -> Option<Drawing> {
         let times: SortedValues = totals.filter(|time| is_drawable(*time)).collect();
         Some(Score {
             label: label.clone(),
-            right: successes.iter().filter(|success| **success == 1.0).count() as u64,
+            estimate: Score::estimate_of_counts(
+                successes.iter().filter(|success| **success == 1.0).count() as u64,
+                successes.len() as u64,
+            ),
             count: successes.len() as u64,
             median: times.median()?,
             p95: times.p95(),
@@ -63,14 +124,12 @@ fn success_drawing(runs: &[Loaded]) -> Option<Drawing> {
     Some(drawing.with_left_out(missing.into_iter().collect()))
 }
 
-/// Returns the figure with one point for each configuration that has scored answers; repeats are pooled.
-fn accuracy_drawing(runs: &[Loaded]) -> Result<Drawing, MissingData> {
+/// Returns the figure with one point for each configuration that has scored answers; `None` without one. Repeats are pooled.
+fn accuracy_drawing(runs: &[Loaded], scored: &AnswerScore) -> Option<Drawing> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
-    let is_scored = |row: &RowRef<'_>| score(*row, TOP_1).is_some();
+    let is_scored = |row: &RowRef<'_>| scored.of(*row).is_some();
     let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs)).filter(is_scored);
-    if all_rows().next().is_none() {
-        return Err(MissingData::Labels { unknown: unknown_labels(runs) });
-    }
+    all_rows().next()?;
     let total = if all_rows().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
     let group_score = |(label, runs): &(String, Vec<&Loaded>)| {
         let rows: Vec<RowRef<'_>> = counted_rows(runs).filter(is_scored).collect();
@@ -78,7 +137,7 @@ fn accuracy_drawing(runs: &[Loaded]) -> Result<Drawing, MissingData> {
             rows.iter().filter_map(|row| row.value(total)).filter(|time| is_drawable(*time)).collect();
         Some(Score {
             label: label.clone(),
-            right: rows.iter().filter(|row| score(**row, TOP_1) == Some(true)).count() as u64,
+            estimate: scored.estimate(&rows.iter().filter_map(|row| scored.of(*row)).collect::<Vec<_>>()),
             count: rows.len() as u64,
             median: times.median()?,
             p95: times.p95(),
@@ -105,10 +164,10 @@ fn accuracy_drawing(runs: &[Loaded]) -> Result<Drawing, MissingData> {
     // Iterations without a score, of configurations that are in the figure. Iterations whose label the model does not know are not counted
     // here, because they have their own note.
     let unscored_iterations = |(_, runs): &(String, Vec<&Loaded>)| {
-        let scored = counted_rows(runs).filter(is_scored).count();
+        let scored_count = counted_rows(runs).filter(is_scored).count();
         let with_unknown_label = unknown_labels(runs.iter().copied()).map_or(0, |unknown| unknown.count);
-        let without_score = (counted_rows(runs).count() - scored) as u64;
-        if scored > 0 { without_score.saturating_sub(with_unknown_label) } else { 0 }
+        let without_score = (counted_rows(runs).count() - scored_count) as u64;
+        if scored_count > 0 { without_score.saturating_sub(with_unknown_label) } else { 0 }
     };
     let unscored: u64 = groups.iter().map(unscored_iterations).sum();
     notes.extend(too_large_note(all_rows(), &[total]));
@@ -122,11 +181,11 @@ fn accuracy_drawing(runs: &[Loaded]) -> Result<Drawing, MissingData> {
     }
     let quantity = if total == "total" { "Total" } else { "Sum of stages" };
     let accuracy = Accuracy {
-        title: "Accuracy against latency".to_owned(),
-        quantity: ScoredQuantity::Top1,
+        title: scored.title.to_owned(),
+        quantity: scored.quantity,
         unit: Unit::milliseconds(quantity),
         scores,
         notes,
     };
-    Ok(Drawing::new("accuracy", AnyFigure::Accuracy(accuracy)).with_left_out(missing))
+    Some(Drawing::new(scored.stem, AnyFigure::Accuracy(accuracy)).with_left_out(missing))
 }

@@ -43,10 +43,14 @@ impl CacheEntry {
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 
+    /// Takes the pool out of the entry; `None` if the model is not loaded.
+    pub(super) fn take(&self) -> Option<Arc<Pool>> {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
     /// Ends the threads of the model, if it is loaded. Blocks.
     pub(super) fn unload(&self) {
-        let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some(pool) = pool {
+        if let Some(pool) = self.take() {
             pool.shutdown();
         }
     }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use peernet_logger::Slug;
 
 use super::cache_entry::{CacheEntry, FilesStamp};
-use super::{BankConfig, ModelFolders};
+use super::{BankConfig, ModelFolders, UnloadReason};
 use crate::LoadError;
 
 /// Models of the folders that are loaded or being loaded.
@@ -34,12 +34,16 @@ impl ModelCache {
         usable.map(|found| found.name).collect()
     }
 
-    /// Returns the entry of a model, on the first device if none is named. May unload another model, and blocks while
-    /// its threads end.
+    /// Returns the entry of a model, on the first device if none is named, and the entries that the caller must unload before it
+    /// loads the model.
     ///
     /// # Errors
     /// If the model does not exist or has an error, if the device is not offered, or if all entries are in use.
-    pub(super) fn entry(&self, name: &Slug, device: Option<&str>) -> Result<Arc<CacheEntry>, LoadError> {
+    pub(super) fn entry(
+        &self,
+        name: &Slug,
+        device: Option<&str>,
+    ) -> Result<(Arc<CacheEntry>, ToUnload), LoadError> {
         let found = self.folders.find(name.as_str())?;
         found.card?;
         let devices = &self.config.devices;
@@ -53,24 +57,15 @@ impl ModelCache {
             None => devices.first().ok_or_else(|| other("any device"))?,
         };
         let stamp = FilesStamp::read(&found.folder);
-        let (entry, unloaded) = {
-            let mut entries = self.lock();
-            let unloaded =
-                entries_to_unload(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
-            let existing = entries.iter().position(|entry| is_entry(entry, name, device));
-            let entry = match existing {
-                Some(at) => entries.remove(at),
-                None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
-            };
-            entries.push(Arc::clone(&entry));
-            (entry, unloaded)
+        let mut entries = self.lock();
+        let to_unload = entries_to_unload(&mut entries, name, device, &stamp, self.config.most_loaded.get())?;
+        let existing = entries.iter().position(|entry| is_entry(entry, name, device));
+        let entry = match existing {
+            Some(at) => entries.remove(at),
+            None => CacheEntry::new(self.config.model(name, &found.folder, device), Some(stamp)),
         };
-        // The old models are unloaded before the caller loads the new one, so that the limit is never exceeded.
-        for old in unloaded {
-            tracing::info!(model = %old.config.name(), device = old.config.device(), "unloaded a model of the bank");
-            old.unload();
-        }
-        Ok(entry)
+        entries.push(Arc::clone(&entry));
+        Ok((entry, to_unload))
     }
 
     /// Removes an entry whose model could not be loaded.
@@ -116,6 +111,9 @@ fn is_entry(entry: &CacheEntry, name: &Slug, device: &str) -> bool {
     entry.config.name() == name && entry.config.device() == device
 }
 
+/// Entries that have to be unloaded, with the reason.
+pub(super) type ToUnload = Vec<(Arc<CacheEntry>, UnloadReason)>;
+
 /// Removes and returns the entries that have to be unloaded for the requested model.
 fn entries_to_unload(
     entries: &mut Vec<Arc<CacheEntry>>,
@@ -123,7 +121,7 @@ fn entries_to_unload(
     device: &str,
     stamp: &FilesStamp,
     most: usize,
-) -> Result<Vec<Arc<CacheEntry>>, LoadError> {
+) -> Result<ToUnload, LoadError> {
     // The caller holds the lock of the list, so that no other thread can get an entry that only the list references.
     let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
     if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
@@ -134,13 +132,13 @@ fn entries_to_unload(
         if !is_idle(&entries[at]) {
             return Err(LoadError::Changed(name.to_string()));
         }
-        return Ok(vec![entries.remove(at)]);
+        return Ok(vec![(entries.remove(at), UnloadReason::FilesChanged)]);
     }
     if entries.len() < most {
         return Ok(Vec::new());
     }
     match entries.iter().position(is_idle) {
-        Some(at) => Ok(vec![entries.remove(at)]),
+        Some(at) => Ok(vec![(entries.remove(at), UnloadReason::MakesRoomFor(name.clone()))]),
         None => {
             let in_use =
                 entries.iter().map(|entry| format!("{} on {}", entry.config.name(), entry.config.device()));

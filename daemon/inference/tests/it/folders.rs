@@ -4,9 +4,13 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
 
+use peernet_clock::Span;
 use peernet_inference::bank::ModelFolders;
-use peernet_inference::{Bank, BankConfig, LoadError, MODEL_HASH, OnnxRuntimeConfig};
+use peernet_inference::{
+    Bank, BankConfig, LoadError, LoadedModels, MODEL_HASH, OnnxRuntimeConfig, Pool, UnloadReason,
+};
 
 use super::{clock, demo, slug};
 
@@ -119,8 +123,11 @@ fn limit_of_loaded_models_unloads_idle_ones_only() {
     for name in ["a", "b", "c"] {
         put(root.path(), name);
     }
-    let bank = bank(root.path(), "most_loaded = 2");
+    let (unloaded, unloads) = sync_channel(2);
+    let bank = bank(root.path(), "most_loaded = 2")
+        .on_unload(move |model| unloaded.send(model.clone()).expect("is awaited"));
     let load = |name: &str| bank.load(&slug(name), None);
+    assert_eq!(bank.loaded_models(), LoadedModels::default());
     let a = load("a").expect("has room");
     let b = load("b").expect("has room");
     let error = load("c").expect_err("both are in use").to_string();
@@ -131,17 +138,31 @@ fn limit_of_loaded_models_unloads_idle_ones_only() {
     drop((a, b));
     let c = load("c").expect("b goes");
     assert!(b_was.upgrade().is_none(), "b is out of memory");
+    let model = unloads.try_recv().expect("is reported");
+    assert_eq!((&model.name, &*model.device), (&slug("b"), "cpu"));
+    assert_eq!(model.reason, UnloadReason::MakesRoomFor(slug("c")));
+    assert!(model.loaded_for > Span::ZERO && model.memory_released.is_some(), "{model:?}");
+    let memory = |pool: &Pool| pool.memory_growth().expect("is known");
+    assert_eq!(
+        bank.loaded_models(),
+        LoadedModels { count: 2, memory_bytes: memory(&c) + memory(&load("a").expect("is loaded")) }
+    );
     let again = load("b").expect("a goes, c is in use");
     assert!(load("a").is_err());
     drop((c, again));
+    assert_eq!(unloads.try_recv().map(|model| model.name), Ok(slug("a")));
     bank.shutdown();
+    assert_eq!(bank.loaded_models(), LoadedModels::default());
+    assert!(unloads.try_recv().is_err(), "the end is no incident");
 }
 
 #[test]
 fn replaced_model_is_reloaded_when_unused() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = put(root.path(), "plates");
-    let bank = bank(root.path(), "");
+    let (unloaded, unloads) = sync_channel(1);
+    let bank = bank(root.path(), "")
+        .on_unload(move |model| unloaded.send(model.reason.clone()).expect("is awaited"));
     let old = bank.load(&slug("plates"), None).expect("loads");
     let card = fs::read_to_string(demo().join("model.toml")).expect("is committed");
     fs::remove_file(folder.join("model.toml")).expect("removed");
@@ -152,6 +173,7 @@ fn replaced_model_is_reloaded_when_unused() {
     drop(old);
     let new = bank.load(&slug("plates"), None).expect("loads");
     assert!(new.facts().iter().any(|(_, value)| value == "quality-control 22"), "{:?}", new.facts());
+    assert_eq!(unloads.try_recv(), Ok(UnloadReason::FilesChanged));
 }
 
 #[test]

@@ -11,10 +11,11 @@ use tokio_util::sync::CancellationToken;
 
 use super::clock;
 
-/// Requester that keeps parts and cancels after some of them.
+/// Requester that keeps parts and cancels after some of them, or when its token is cancelled.
 struct Listener {
     parts: Mutex<Vec<Sample>>,
     limit: usize,
+    cancellation: CancellationToken,
 }
 
 impl Requester for Listener {
@@ -25,7 +26,7 @@ impl Requester for Listener {
     }
 
     fn cancellation(&self) -> CancellationToken {
-        CancellationToken::new()
+        self.cancellation.clone()
     }
 
     fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
@@ -39,8 +40,33 @@ pub(super) fn run_in_parts(
     sample: Sample,
     limit: usize,
 ) -> (Result<Sample, InferenceError>, Vec<Sample>) {
+    let (finished, listener) = run_until(pool, sample, limit, |_| ());
+    let parts = std::mem::take(&mut *listener.parts.lock().expect("is not poisoned"));
+    (finished, parts)
+}
+
+/// Submits a sample, and cancels its request when `event` returns. Returns the result.
+pub(super) fn run_cancelled_by(
+    pool: &Pool,
+    sample: Sample,
+    event: impl FnOnce(),
+) -> Result<Sample, InferenceError> {
+    let cancel = |cancellation: &CancellationToken| {
+        event();
+        cancellation.cancel();
+    };
+    run_until(pool, sample, usize::MAX, cancel).0
+}
+
+fn run_until(
+    pool: &Pool,
+    sample: Sample,
+    limit: usize,
+    when_submitted: impl FnOnce(&CancellationToken),
+) -> (Result<Sample, InferenceError>, Arc<Listener>) {
     let clock = clock();
-    let listener = Arc::new(Listener { parts: Mutex::default(), limit });
+    let listener =
+        Arc::new(Listener { parts: Mutex::default(), limit, cancellation: CancellationToken::new() });
     let (sender, receiver) = sync_channel(1);
     let job = Job {
         sample,
@@ -50,7 +76,6 @@ pub(super) fn run_in_parts(
         reply: Box::new(move |done: FinishedJob| sender.send(done.result).expect("is awaited")),
     };
     pool.submit(job).expect("the queue has room");
-    let result = receiver.recv().expect("is answered");
-    let parts = std::mem::take(&mut *listener.parts.lock().expect("is not poisoned"));
-    (result, parts)
+    when_submitted(&listener.cancellation);
+    (receiver.recv().expect("is answered"), listener)
 }

@@ -1,7 +1,7 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_sample::{LabelledObject, MediaType, ObjectsLabel, Sample};
+use peernet_sample::{LabelledObject, MaskLabel, MediaType, ObjectsLabel, Sample};
 use peernet_sensors::sensor::images::{ImagesConfig, Order};
 use peernet_sensors::{Sensor, SensorError, SensorKind};
 
@@ -114,6 +114,44 @@ fn boxes_become_label_with_size_of_picture() {
     assert_eq!(labels[1], ObjectsLabel { objects: Vec::new(), width: 20, height: 10 });
     let fact = ("Labels".to_owned(), "2 of 2: cat, dog".to_owned());
     assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
+}
+
+#[test]
+fn masks_become_labels_and_are_no_pictures() {
+    let folder = folder(&[
+        ("a.jpg", "bytes of a"),
+        ("b.jpg", "bytes of b"),
+        ("labels.csv", "file,mask\na.jpg,masks/a.png\nb.jpg,\n"),
+    ]);
+    fs::create_dir(folder.path().join("masks")).expect("made");
+    let mask = folder.path().join("masks/a.png");
+    let refused_mask = |bytes: &[u8]| {
+        fs::write(&mask, bytes).expect("written");
+        refused(folder.path())
+    };
+    assert!(refused(folder.path()).contains("masks/a.png of a.jpg is no file"), "{}", refused(folder.path()));
+    assert!(refused_mask(b"no picture").contains("masks/a.png: the png file cannot be read"));
+
+    let pixels = peernet_sample::Description::pixels(peernet_sample::PixelFormat::Grey8, 2, 1);
+    let part = Sample::from_part(pixels, vec![3, 255].into()).parts.swap_remove(0);
+    let mut picture = peernet_imaging::Picture::default();
+    peernet_imaging::read_part(&part, peernet_sample::PixelFormat::Grey8, &mut picture).expect("fits");
+    let png = peernet_imaging::encode(&picture, peernet_imaging::Encoding::Png).expect("encodes");
+    fs::write(&mask, &png.bytes).expect("written");
+    let mut sensor = images(folder.path(), Order::Name, 1, false).expect("opens");
+    let first = next(sensor.as_mut()).expect("reads").expect("there");
+    let label = MaskLabel::parse(first.label.as_deref().expect("is listed")).expect("names a mask");
+    assert_eq!(Path::new(&label.mask), mask);
+    let read = peernet_sensors::read_mask(&mask).expect("is a mask");
+    assert_eq!((read.width(), read.height(), read.pixels()), (2, 1, &[3, 255][..]));
+    assert_eq!(next(sensor.as_mut()).expect("reads").expect("there").label, None, "an empty one is none");
+    assert!(next(sensor.as_mut()).expect("reads").is_none(), "the mask is no picture");
+    let hash = peernet_external::sha256(&png.bytes[..]).expect("is read");
+    let list = format!("{hash}  masks/a.png\n");
+    let hash = peernet_external::sha256(list.as_bytes()).expect("is read");
+    let fact = ("Masks".to_owned(), format!("1 file, {} bytes, SHA-256 {hash}", png.bytes.len()));
+    assert!(sensor.facts().contains(&fact), "{:?}", sensor.facts());
+    assert!(sensor.facts().contains(&("Labels".to_owned(), "1 of 2".to_owned())), "{:?}", sensor.facts());
 }
 
 #[test]

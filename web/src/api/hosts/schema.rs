@@ -98,6 +98,10 @@ pub(crate) struct HostNow {
     /// CPU time of the agent process as a share of one core.
     pub agent_cpu: Option<f64>,
     pub agent_memory_bytes: Option<u64>,
+    /// Number of models that the agent has loaded.
+    pub loaded_models: Option<u32>,
+    /// Sum of the growth of the agent's resident memory while each of these models was loaded; memory of a GPU does not count.
+    pub model_memory_bytes: Option<u64>,
     pub events: EventAccount,
 }
 
@@ -236,6 +240,7 @@ impl From<&HostSnapshot> for Host {
             power_watts,
             agent_cpu,
             agent_memory_bytes,
+            models,
         } = host.metrics.clone();
         Self {
             id: host.id.to_string(),
@@ -258,6 +263,8 @@ impl From<&HostSnapshot> for Host {
                 power_watts,
                 agent_cpu,
                 agent_memory_bytes,
+                loaded_models: models.map(|models| models.loaded),
+                model_memory_bytes: models.map(|models| models.memory_bytes),
                 events: EventAccount::from(&host.accounting),
             }),
             clock: Some(HostClock::from(&host.clock)),

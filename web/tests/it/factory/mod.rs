@@ -17,8 +17,8 @@ use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_statistics::SplitMix64;
 use peernet_stream::{
     Condition, EndReason, Event, ExperimentPlace, Gap, Grade, Hardware, HostDescription, HostMetrics,
-    Incident, IncidentKind, Iteration, LiveUpdate, Outcome, PipelineLive, PipelineState, RunDescription,
-    RunEnded,
+    Incident, IncidentKind, Iteration, LiveUpdate, ModelMetrics, Outcome, PipelineLive, PipelineState,
+    RunDescription, RunEnded,
 };
 
 /// The cameras' pipelines and the rack that serves two of them.
@@ -353,6 +353,7 @@ impl Factory {
             power_watts: Some(wobble(10.0)),
             agent_cpu: Some(0.013),
             agent_memory_bytes: Some(31_000_000),
+            models: Some(ModelMetrics { loaded: 1, memory_bytes: 96_000_000 }),
         };
         let agent = &mut self.agents[index];
         let update = LiveUpdate {

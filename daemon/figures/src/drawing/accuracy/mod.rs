@@ -27,8 +27,8 @@ const OVERLAP_DISTANCE: f64 = 0.03;
 pub struct Score {
     /// Name of the configuration, for the table.
     pub label: String,
-    /// Number of correct answers.
-    pub right: u64,
+    /// Lower end of the 95 % interval, estimate and upper end, from 0 to 1; `None` without a scored answer.
+    pub estimate: Option<[f64; 3]>,
     /// Number of scored answers.
     pub count: u64,
     /// Median latency, seconds.
@@ -38,11 +38,23 @@ pub struct Score {
 }
 
 impl Score {
-    /// Returns the share of correct answers with its 95 % interval: low, share, high, in per cent. `None` without an answer.
-    fn accuracy(&self) -> Option<[f64; 3]> {
+    /// Returns the estimate of `right` correct answers out of `count`.
+    pub fn estimate_of_counts(right: u64, count: u64) -> Option<[f64; 3]> {
         let accuracy::Accuracy { share, interval: (low, high), .. } =
-            accuracy::Accuracy::from_counts(self.right, self.count, 0)?;
-        Some([low, share, high].map(|share| share * 100.0))
+            accuracy::Accuracy::from_counts(right, count, 0)?;
+        Some([low, share, high])
+    }
+
+    /// Returns the estimate of the mean of scores from 0 to 1.
+    pub fn estimate_of_mean(scores: &[f64]) -> Option<[f64; 3]> {
+        let accuracy::MeanScore { mean, interval, .. } = accuracy::MeanScore::from_scores(scores)?;
+        let (low, high) = interval.unwrap_or((mean, mean));
+        Some([low, mean, high])
+    }
+
+    /// Returns the estimate in per cent.
+    fn accuracy(&self) -> Option<[f64; 3]> {
+        Some(self.estimate?.map(|share| share * 100.0))
     }
 
     fn p95_latency(&self) -> Option<f64> {
@@ -55,6 +67,10 @@ impl Score {
 pub enum ScoredQuantity {
     /// Share of the answers that are right.
     Top1,
+    /// Mean of the mean average precisions of the pictures.
+    Map50,
+    /// Mean of the mean ratios of intersection to union of the pictures.
+    MeanIou,
     /// Share of the episodes that were a success.
     Success,
 }
@@ -64,7 +80,17 @@ impl ScoredQuantity {
     const fn titles(self) -> (&'static str, &'static str) {
         match self {
             Self::Top1 => ("Top-1 accuracy, %", "accuracy, %"),
+            Self::Map50 => ("mAP@0.5 of a picture, %", "mAP@0.5, %"),
+            Self::MeanIou => ("Mean IoU of a picture, %", "mean IoU, %"),
             Self::Success => ("Successful episodes, %", "success, %"),
+        }
+    }
+
+    /// Returns the method by which the intervals are computed.
+    const fn interval_method(self) -> &'static str {
+        match self {
+            Self::Top1 | Self::Success => "Wilson",
+            Self::Map50 | Self::MeanIou => "Student",
         }
     }
 }
@@ -123,7 +149,8 @@ impl Accuracy {
 
     fn notes(&self) -> Vec<String> {
         let across = if self.has_whiskers() { " · across: to the 95th percentile" } else { "" };
-        let parts = format!("point: median · upright: 95 % interval (Wilson){across}");
+        let method = self.quantity.interval_method();
+        let parts = format!("point: median · upright: 95 % interval ({method}){across}");
         std::iter::once(parts).chain(self.notes.iter().cloned()).collect()
     }
 

@@ -73,7 +73,8 @@ fn legend_omits_whisker_without_clock_bounds() {
 }
 
 fn score(label: &str, right: u64, count: u64, median: f64) -> Score {
-    Score { label: label.to_owned(), right, count, median, p95: (count >= 60).then_some(median * 1.5) }
+    let estimate = Score::estimate_of_counts(right, count);
+    Score { label: label.to_owned(), estimate, count, median, p95: (count >= 60).then_some(median * 1.5) }
 }
 
 fn accuracy(scores: Vec<Score>) -> Accuracy {

@@ -40,7 +40,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use peernet_logger::{Name, Slug};
-use peernet_sample::{ObjectsLabel, list_examples, normalized_label};
+use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
 
 use super::{LoadContext, SharedKeys};
 use crate::{Batching, LoadError, Model, Worker};
@@ -148,6 +148,10 @@ impl Plan {
     fn has_classes_of(&self, label: &str) -> bool {
         let Some(classes) = &self.classes else { return true };
         let has = |class: &str| classes.contains(&normalized_label(class));
+        // The mask is on the host of the sensor, which scores the answer.
+        if MaskLabel::parse(label).is_some() {
+            return true;
+        }
         match ObjectsLabel::parse(label) {
             Some(label) => label.objects.iter().all(|object| has(&object.label)),
             None => has(label),

@@ -10,6 +10,9 @@ pub(super) enum RequestError {
     /// No connection can be opened.
     #[error("cannot connect to its server: {0}; start the server, or correct url")]
     Connect(String),
+    /// The TLS handshake failed.
+    #[error("cannot open a TLS connection to its server {server}: {reason}; {remedy}")]
+    Tls { server: String, reason: String, remedy: String },
     /// The connection broke.
     #[error("the connection to its server broke after {}: {reason}", chunks(*.after))]
     Connection { after: u64, reason: String },

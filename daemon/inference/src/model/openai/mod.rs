@@ -2,7 +2,7 @@
 //! TensorRT-LLM or LM Studio. Answers are streamed.
 //!
 //! ```text
-//! sample ── request ── server (HTTP) ── event_stream ── chunk ── answer ── nodes, sample
+//! sample ── request ── server (HTTP over TCP or TLS) ── event_stream ── chunk ── answer ── nodes, sample
 //! ```
 //!
 //! `event_stream`, `chunk` and `answer` have no I/O; `server` stamps the bytes that arrive before they are parsed.
@@ -10,6 +10,7 @@
 mod answer;
 mod chunk;
 mod config;
+mod connection;
 mod error;
 mod event_stream;
 pub mod fuzzing;

@@ -13,11 +13,11 @@ use hyper::{Method, Request, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::printable_line;
-use tokio::net::TcpStream;
 use tokio::time::timeout;
 
 use super::answer::StreamedAnswer;
 use super::chunk::error_text_of_body;
+use super::connection::{Connection, Connector};
 use super::error::RequestError;
 
 /// Largest body of an error that is read, bytes.
@@ -40,8 +40,7 @@ pub(super) struct TimeLimits {
 
 /// Address of a server, with the key of its user.
 pub(super) struct Server {
-    host: String,
-    port: u16,
+    connector: Connector,
     /// Value of the header `Host`.
     authority: HeaderValue,
     /// Path of the API without a slash at its end, such as `/v1`.
@@ -69,10 +68,10 @@ impl ApiKey {
 }
 
 impl Server {
-    /// Creates a server from its URL, such as `http://127.0.0.1:8080/v1`.
+    /// Creates a server from its URL, such as `http://127.0.0.1:8080/v1` or `https://gpu.example/v1`.
     ///
     /// # Errors
-    /// With the defect of the URL.
+    /// With the defect of the URL; for `https://`, if the certificates of trusted authorities cannot be read.
     pub(super) fn new(url: &str, key: Option<ApiKey>) -> Result<Self, String> {
         let uri: Uri = url.parse().map_err(|error| format!("{url:?} is not a URL: {error}"))?;
         // Both would be secrets in the file, and the URL is published with the results.
@@ -82,20 +81,18 @@ impl Server {
                 "a URL with a user or a query can hold a secret; name the key with api_key_env".to_owned()
             );
         }
-        match uri.scheme_str() {
-            Some("http") => {}
-            Some("https") => {
-                return Err(format!(
-                    "{url:?} needs TLS, which is not supported; use http://, for example to a local proxy that adds TLS"
-                ));
-            }
-            _ => return Err(format!("{url:?} does not begin with http://")),
-        }
+        let is_tls = match uri.scheme_str() {
+            Some("http") => false,
+            Some("https") => true,
+            _ => return Err(format!("{url:?} does not begin with http:// or https://")),
+        };
         let authority = uri.authority().ok_or_else(|| format!("{url:?} names no host"))?;
         let host = authority.host().trim_start_matches('[').trim_end_matches(']').to_owned();
         let value = HeaderValue::try_from(authority.as_str()).map_err(|error| format!("{url:?}: {error}"))?;
         let path = uri.path().trim_end_matches('/').to_owned();
-        Ok(Self { host, port: authority.port_u16().unwrap_or(80), authority: value, path, key })
+        let port = authority.port_u16().unwrap_or(if is_tls { 443 } else { 80 });
+        let connector = if is_tls { Connector::tls(host, port)? } else { Connector::plain(host, port) };
+        Ok(Self { connector, authority: value, path, key })
     }
 
     /// Returns the key, to remove it from texts.
@@ -111,7 +108,7 @@ impl Server {
     pub(super) async fn check(&self) -> Result<(), RequestError> {
         let request = self.request(Method::GET, "/models", Bytes::new())?;
         let exchange = async {
-            let stream = self.connect().await?;
+            let stream = self.connector.connect().await?;
             exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
                 let response =
                     sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
@@ -132,7 +129,7 @@ impl Server {
     /// arrives.
     ///
     /// Each request opens a connection, so that no request fails because the server has closed an idle connection. The
-    /// time of connecting is recorded.
+    /// time of connecting, with the TLS handshake, is recorded.
     ///
     /// # Errors
     /// If the answer is incomplete. The text and times so far are in `answer`.
@@ -145,7 +142,7 @@ impl Server {
         mut receive_text: impl FnMut(&str),
     ) -> Result<(), RequestError> {
         let request = self.request(Method::POST, "/chat/completions", body)?;
-        let stream = within(limits, clock, answer, self.connect()).await??;
+        let stream = within(limits, clock, answer, self.connector.connect()).await??;
         answer.connected_at = Some(clock.mono());
         exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
             let response = within(limits, clock, answer, sender.send_request(request)).await?;
@@ -180,13 +177,6 @@ impl Server {
         .await
     }
 
-    async fn connect(&self) -> Result<TcpStream, RequestError> {
-        let failed = |error: std::io::Error| RequestError::Connect(error.to_string());
-        let stream = TcpStream::connect((self.host.as_str(), self.port)).await.map_err(failed)?;
-        stream.set_nodelay(true).map_err(failed)?;
-        Ok(stream)
-    }
-
     fn request(&self, method: Method, path: &str, body: Bytes) -> Result<Request<Full<Bytes>>, RequestError> {
         let mut request = Request::builder()
             .method(method)
@@ -206,7 +196,7 @@ impl Server {
 
 /// Runs `requests`, which sends requests over a connection.
 async fn exchange<R: AsyncFnOnce(SendRequest<Full<Bytes>>) -> Result<(), RequestError>>(
-    stream: TcpStream,
+    stream: Box<dyn Connection>,
     requests: R,
 ) -> Result<(), RequestError> {
     let handshake = hyper::client::conn::http1::handshake(TokioIo::new(stream)).await;
@@ -272,15 +262,17 @@ mod tests {
 
     #[test]
     fn url_is_split_or_refused_with_reason() {
-        let server = Server::new("http://[::1]:8080/v1/", None).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!((&*server.host, server.port, &*server.path), ("::1", 8080, "/v1"));
-        let server = Server::new("http://gpu.local", None).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!((&*server.host, server.port, &*server.path), ("gpu.local", 80, ""));
+        for (url, expected) in
+            [("http://[::1]:8080/v1/", ("[::1]:8080", "/v1")), ("http://gpu.local", ("gpu.local:80", ""))]
+        {
+            let server = Server::new(url, None).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!((&*server.connector.to_string(), &*server.path), expected);
+        }
         for (url, reason) in [
-            ("https://api.openai.com/v1", "needs TLS"),
-            ("127.0.0.1:8080", "does not begin with http://"),
+            ("127.0.0.1:8080", "does not begin with http:// or https://"),
             ("http://me:hidden@gpu/v1", "api_key_env"),
             ("https://gpu/v1?key=hidden", "api_key_env"),
+            ("https://a_b../v1", "is no host name"),
             ("http://a b", "is not a URL"),
         ] {
             let error = Server::new(url, None).err().expect(reason);

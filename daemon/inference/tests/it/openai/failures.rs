@@ -150,7 +150,6 @@ fn server_that_is_down_is_refused_at_load() {
 #[test]
 fn invalid_keys_are_refused_with_reason() {
     for (lines, key, reason) in [
-        ("url = 'https://gpu/v1'", "url", "TLS"),
         ("url = 'gpu:8080'", "url", "http://"),
         (
             "url = 'http://gpu'\nparameters = { stream = false }",

@@ -2,6 +2,7 @@
 
 mod failures;
 mod scripted_server;
+mod tls;
 
 use peernet_inference::FinishedJob;
 use peernet_logger::Tree;

@@ -2,9 +2,12 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 use std::time::Duration;
+
+use tokio_rustls::rustls::{ServerConfig, ServerConnection, StreamOwned};
 
 /// One step of a script. The connection is closed after the last one.
 #[derive(Clone, Debug)]
@@ -20,6 +23,7 @@ pub(super) enum Step {
 /// Running server. Its thread ends with the test.
 pub(super) struct ScriptedServer {
     address: SocketAddr,
+    scheme: &'static str,
     requests: Receiver<Request>,
 }
 
@@ -34,15 +38,30 @@ pub(super) struct Request {
 impl ScriptedServer {
     /// Starts a server that answers the first request with the first script, and so on.
     pub(super) fn start(scripts: Vec<Vec<Step>>) -> Self {
+        Self::start_with("http", scripts, |stream| Ok(Box::new(stream)))
+    }
+
+    /// Starts such a server with TLS.
+    pub(super) fn start_tls(scripts: Vec<Vec<Step>>, config: Arc<ServerConfig>) -> Self {
+        Self::start_with("https", scripts, move |stream| Ok(Box::new(tls_stream(stream, &config)?)))
+    }
+
+    fn start_with(
+        scheme: &'static str,
+        scripts: Vec<Vec<Step>>,
+        open: impl Fn(TcpStream) -> std::io::Result<Box<dyn Connection>> + Send + 'static,
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
         let address = listener.local_addr().expect("is bound");
         let (sender, requests) = sync_channel(scripts.len().max(1));
         let mut scripts = scripts.into_iter();
         thread::spawn(move || {
             for stream in listener.incoming() {
-                let mut stream = stream.expect("is accepted");
+                let stream = stream.expect("is accepted");
                 stream.set_nodelay(true).expect("is a TCP socket");
-                let (head, body) = read_request(&stream);
+                // A client may refuse the certificate.
+                let Ok(mut stream) = open(stream) else { continue };
+                let (head, body) = read_request(&mut stream);
                 if head.starts_with("get /v1/models ") {
                     let answer = "HTTP/1.1 200 OK\r\nContent-Length: 11\r\n\r\n{\"data\":[]}";
                     stream.write_all(answer.as_bytes()).expect("is received");
@@ -58,12 +77,12 @@ impl ScriptedServer {
                 }
             }
         });
-        Self { address, requests }
+        Self { address, scheme, requests }
     }
 
     /// Returns the URL of the API.
     pub(super) fn url(&self) -> String {
-        format!("http://{}/v1", self.address)
+        format!("{}://{}/v1", self.scheme, self.address)
     }
 
     /// Returns the next request.
@@ -72,7 +91,24 @@ impl ScriptedServer {
     }
 }
 
-fn run(stream: &mut TcpStream, step: Step) -> std::io::Result<()> {
+/// A connection, with TLS or without.
+trait Connection: Read + Write {}
+
+impl<T: Read + Write> Connection for T {}
+
+/// Completes the TLS handshake of a connection.
+pub(super) fn tls_stream(
+    mut stream: TcpStream,
+    config: &Arc<ServerConfig>,
+) -> std::io::Result<StreamOwned<ServerConnection, TcpStream>> {
+    let mut connection = ServerConnection::new(Arc::clone(config)).expect("is a valid configuration");
+    while connection.is_handshaking() {
+        connection.complete_io(&mut stream)?;
+    }
+    Ok(StreamOwned::new(connection, stream))
+}
+
+fn run(stream: &mut impl Connection, step: Step) -> std::io::Result<()> {
     match step {
         Step::Send(bytes) => stream.write_all(&bytes),
         Step::Pause(duration) => {
@@ -83,7 +119,7 @@ fn run(stream: &mut TcpStream, step: Step) -> std::io::Result<()> {
     }
 }
 
-fn read_request(stream: &TcpStream) -> (String, Vec<u8>) {
+fn read_request(stream: &mut impl Read) -> (String, Vec<u8>) {
     let mut reader = BufReader::new(stream);
     let mut head = String::new();
     while !head.ends_with("\r\n\r\n") {

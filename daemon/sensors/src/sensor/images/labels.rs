@@ -11,8 +11,12 @@ use super::folder::is_file;
 use crate::SensorError;
 
 /// Name of the file of labels in a folder of pictures: comma-separated, with the columns `file` and `label`, and for the boxes of objects
-/// `left`, `top`, `right` and `bottom`.
+/// `left`, `top`, `right` and `bottom`; or with the columns `file` and `mask`.
 pub(super) const LABELS_FILE: &str = "labels.csv";
+
+/// Defect of a file without any label.
+const NO_LABEL: &str = "it contains no label, so that no answer can be scored; write a first line `file,label` and one line per picture, or \
+     remove the file";
 
 /// Expected answer to a picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +25,8 @@ pub(super) enum Label {
     Class(String),
     /// Objects in the picture, with their boxes in pixels of the file; may be empty.
     Objects(Vec<LabelledObject>),
+    /// Path of the mask with the numbers of the pixels' classes.
+    Mask(String),
 }
 
 /// Labels by the path of the picture below the folder.
@@ -38,6 +44,36 @@ struct Row {
     right: Option<f32>,
     #[serde(default)]
     bottom: Option<f32>,
+}
+
+#[derive(Deserialize)]
+struct MaskRow {
+    file: String,
+    /// Path of the mask below the folder of the pictures.
+    mask: String,
+}
+
+/// Returns the labels of a file whose rows name masks. A row without a mask is ignored.
+fn masks<R: io::Read>(folder: &Path, mut reader: csv::Reader<R>) -> Result<Labels, String> {
+    let mut labels = Labels::new();
+    for row in reader.deserialize() {
+        let MaskRow { file, mask } = row.map_err(|error: csv::Error| {
+            format!("{error}; expected a first line `file,mask` and one line per picture")
+        })?;
+        if mask.is_empty() {
+            continue;
+        }
+        let path = folder.join(&mask);
+        if !is_file(&path) {
+            return Err(format!("the mask {} of {file} is no file", path.display()));
+        }
+        let path = path.into_os_string().into_string();
+        let path = path.map_err(|path| format!("the name of the mask {} is not UTF-8", path.display()))?;
+        if labels.insert(file.clone(), Label::Mask(path)).is_some() {
+            return Err(format!("{file} has several masks"));
+        }
+    }
+    Ok(labels)
 }
 
 impl Row {
@@ -79,6 +115,10 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
     let invalid = |reason: String| SensorError::Labels { file: file.clone(), reason };
     let mut labels = Labels::new();
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
+    if reader.headers().is_ok_and(|columns| columns.iter().any(|column| column == "mask")) {
+        let labels = masks(folder, reader).map_err(&invalid)?;
+        return if labels.is_empty() { Err(invalid(NO_LABEL.to_owned())) } else { Ok(Some((labels, file))) };
+    }
     let has_boxes = reader.headers().is_ok_and(|columns| columns.iter().any(|column| column == "left"));
     for row in reader.deserialize() {
         let row: Row = row.map_err(|error| {
@@ -103,9 +143,7 @@ pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels
         }
     }
     if labels.is_empty() {
-        return Err(invalid(
-            "it contains no label, so that no answer can be scored; write a first line `file,label` and one line per picture, or remove the file".to_owned(),
-        ));
+        return Err(invalid(NO_LABEL.to_owned()));
     }
     Ok(Some((labels, file)))
 }

@@ -4,7 +4,7 @@ mod data_set;
 mod folder;
 mod labels;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,14 +14,14 @@ use peernet_clock::SharedClock;
 use peernet_external::describe_with_hash;
 use peernet_imaging::{Header, ImageError, probe};
 use peernet_logger::Recorder;
-use peernet_sample::{Description, MediaType, ObjectsLabel, Sample, list_examples};
+use peernet_sample::{Description, MaskLabel, MediaType, ObjectsLabel, Sample, list_examples};
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
 use super::{SensorConfig, SensorKind, default_seed};
-use crate::{Sensor, SensorError};
+use crate::{Sensor, SensorError, read_mask};
 use labels::Label;
 
 /// Configuration of the sensor: `{ kind = "images", … }`.
@@ -43,7 +43,7 @@ pub struct ImagesConfig {
     #[serde(default = "default_true")]
     pub repeat: bool,
     /// File of labels, in any folder: comma-separated, with the columns `file` (path below `path`) and `label`, for boxes of objects also
-    /// `left`, `top`, `right` and `bottom`. It may list files that are not in the folder.
+    /// `left`, `top`, `right` and `bottom`; or the columns `file` and `mask`. It may list files that are not in the folder.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labels: Option<PathBuf>,
 }
@@ -114,7 +114,16 @@ impl Label {
     fn classes(&self) -> Vec<&str> {
         match self {
             Self::Class(class) => vec![class],
+            Self::Mask(_) => Vec::new(),
             Self::Objects(objects) => objects.iter().map(|object| object.label.as_str()).collect(),
+        }
+    }
+
+    /// Returns the file of the mask, if the label is one.
+    fn mask(&self) -> Option<&Path> {
+        match self {
+            Self::Mask(mask) => Some(Path::new(mask)),
+            _ => None,
         }
     }
 
@@ -125,6 +134,7 @@ impl Label {
     fn text(&self, file: &[u8]) -> Result<String, ImageError> {
         match self {
             Self::Class(class) => Ok(class.clone()),
+            Self::Mask(mask) => Ok(MaskLabel { mask: mask.clone() }.format()),
             // The size goes with the label, because the edge may resize the picture before it is sent.
             Self::Objects(objects) => {
                 let Header { width, height, .. } = probe(file)?;
@@ -209,6 +219,11 @@ impl Sensor for Images {
             ("Data set".to_owned(), data_set::describe_files(files)),
             ("Labels".to_owned(), self.labels()),
         ];
+        let masks = self.pictures.iter().filter_map(|picture| picture.label.as_ref()?.mask());
+        let masks: Vec<_> = masks.map(|mask| (self.name(mask), mask)).collect();
+        if !masks.is_empty() {
+            facts.push(("Masks".to_owned(), data_set::describe_files(masks.into_iter())));
+        }
         facts.extend(self.labels.as_deref().map(|file| ("Labels file".to_owned(), describe_with_hash(file))));
         facts
     }
@@ -218,11 +233,19 @@ impl Sensor for Images {
 type LabelledPictures = (Vec<Picture>, Option<PathBuf>);
 
 fn read_folder(path: &Path, file: Option<&Path>) -> Result<LabelledPictures, SensorError> {
-    let files = folder::pictures(path)?;
+    let mut files = folder::pictures(path)?;
+    let (mut labels, origin) = labels::read(path, file)?.unzip();
+    // Masks may be in the folder of the pictures.
+    let masks: BTreeSet<PathBuf> =
+        labels.iter().flat_map(HashMap::values).filter_map(|label| Some(label.mask()?.to_owned())).collect();
+    files.retain(|file| !masks.contains(file));
     if files.is_empty() {
         return Err(SensorError::Empty(path.to_owned()));
     }
-    let (mut labels, origin) = labels::read(path, file)?.unzip();
+    if let Some(mask) = masks.first() {
+        // A wrong kind of mask shows at once, and not after the first answer.
+        read_mask(mask)?;
+    }
     let pictures: Vec<_> = files
         .into_iter()
         .filter_map(|file| {

@@ -1,18 +1,17 @@
-//! CPU time and memory of the agent itself.
+//! CPU time of the agent itself.
 
 use peernet_clock::{MonoTime, SharedClock, Span};
-use rustix::param::page_size;
 use rustix::time::{ClockId, clock_gettime};
 
-/// CPU time and memory of this process.
+/// CPU time of this process.
 #[derive(Debug)]
-pub(super) struct ProcessUsage {
+pub(super) struct ProcessCpuTime {
     clock: SharedClock,
     /// Time of the last reading of the CPU time, and its value.
     last_reading: Option<(MonoTime, Span)>,
 }
 
-impl ProcessUsage {
+impl ProcessCpuTime {
     pub(super) const fn new(clock: SharedClock) -> Self {
         Self { clock, last_reading: None }
     }
@@ -25,13 +24,5 @@ impl ProcessUsage {
         let (last_time, last_cpu_time) = self.last_reading.replace((now, cpu_time))?;
         let elapsed = (now - last_time).seconds();
         (elapsed > 0.0).then(|| (cpu_time - last_cpu_time).seconds() / elapsed)
-    }
-
-    /// Returns the resident memory in bytes.
-    pub(super) fn memory_bytes() -> Option<u64> {
-        // proc_pid_statm(5): the second field is the resident pages.
-        let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
-        let pages: u64 = statm.split_ascii_whitespace().nth(1)?.parse().ok()?;
-        Some(pages * page_size() as u64)
     }
 }

@@ -1,0 +1,158 @@
+//! Score of a segmentation: the mean ratio of intersection to union of the classes.
+//!
+//! M. Everingham et al., *The PASCAL Visual Object Classes Challenge: A Retrospective*, IJCV 111, 2015, section 2.3.3.
+
+use peernet_sample::{MediaType, PixelFormat, Sample};
+
+/// Name of the score of an iteration with a labelled mask: the mean over the classes that the mask or the answer has.
+pub const SEGMENTATION_SCORE: &str = "mean-iou";
+
+/// Number in a mask of a pixel that is not scored, such as the border of an object (`void` of PASCAL VOC).
+pub const IGNORED_CLASS: u8 = 255;
+
+/// Number of different classes in one byte.
+const CLASSES: usize = 256;
+
+/// Numbers of the classes of the pixels of a picture, row by row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClassMap<'a> {
+    width: usize,
+    height: usize,
+    classes: &'a [u8],
+}
+
+impl<'a> ClassMap<'a> {
+    /// Creates the map; `None` if the picture is empty, or the number of classes is not that of its pixels.
+    pub fn new(width: u32, height: u32, classes: &'a [u8]) -> Option<Self> {
+        let (width, height) = (width as usize, height as usize);
+        (width > 0 && width.checked_mul(height)? == classes.len() && height > 0).then_some(Self {
+            width,
+            height,
+            classes,
+        })
+    }
+
+    /// Reads the answer of a segmentation: JSON, and grey pixels. Returns `None` if it is something else.
+    pub fn from_answer(answer: &'a Sample) -> Option<Self> {
+        let [json, pixels] = &answer.parts[..] else { return None };
+        let is_segmentation = json.description.media == MediaType::Json
+            && pixels.description.media == MediaType::Pixels(PixelFormat::Grey8);
+        let [height, width, 1] = pixels.description.shape[..] else { return None };
+        is_segmentation.then(|| Self::new(width, height, &pixels.bytes))?
+    }
+}
+
+/// Numbers of pixels of a class.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct ClassPixels {
+    labelled: u64,
+    answered: u64,
+    /// Labelled and answered.
+    both: u64,
+}
+
+/// Pixels of each class, over one or several pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SegmentedPixels([ClassPixels; CLASSES]);
+
+impl Default for SegmentedPixels {
+    fn default() -> Self {
+        Self([ClassPixels::default(); CLASSES])
+    }
+}
+
+impl SegmentedPixels {
+    /// Adds the pixels of a picture. The answer's picture may have another size than the mask, in the same proportions: the class of a
+    /// pixel of the mask is compared with that of the answer's pixel in which its centre lies.
+    pub fn add(&mut self, mask: ClassMap<'_>, answer: ClassMap<'_>) {
+        let index = |at: usize, from: usize, to: usize| (2 * at + 1) * to / (2 * from);
+        let columns: Vec<usize> = (0..mask.width).map(|x| index(x, mask.width, answer.width)).collect();
+        for (y, labels) in mask.classes.chunks_exact(mask.width).enumerate() {
+            let row = index(y, mask.height, answer.height) * answer.width;
+            for (label, column) in labels.iter().zip(&columns) {
+                if *label == IGNORED_CLASS {
+                    continue;
+                }
+                let answered = answer.classes[row + column];
+                self.0[usize::from(*label)].labelled += 1;
+                self.0[usize::from(answered)].answered += 1;
+                self.0[usize::from(*label)].both += u64::from(*label == answered);
+            }
+        }
+    }
+
+    /// Returns the mean ratio of intersection to union over the classes that a mask or an answer has, from 0 to 1; `None` if no pixel is
+    /// scored.
+    pub fn mean_iou(&self) -> Option<f64> {
+        let ratios: Vec<f64> = self.0.iter().filter_map(ClassPixels::iou).collect();
+        (!ratios.is_empty()).then(|| ratios.iter().sum::<f64>() / ratios.len() as f64)
+    }
+
+    /// Returns the number of classes that a mask or an answer has.
+    pub fn classes(&self) -> usize {
+        self.0.iter().filter_map(ClassPixels::iou).count()
+    }
+}
+
+impl ClassPixels {
+    fn iou(&self) -> Option<f64> {
+        let union = self.labelled + self.answered - self.both;
+        (union > 0).then(|| self.both as f64 / union as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn map(width: u32, classes: &[u8]) -> ClassMap<'_> {
+        ClassMap::new(width, classes.len() as u32 / width, classes).expect("has the size")
+    }
+
+    fn scored(mask: ClassMap<'_>, answer: ClassMap<'_>) -> SegmentedPixels {
+        let mut pixels = SegmentedPixels::default();
+        pixels.add(mask, answer);
+        pixels
+    }
+
+    #[test]
+    fn mean_is_over_labelled_and_answered_classes() {
+        // Class 0: 2 of 3 pixels; class 1: 1 of 3; class 2 is answered only.
+        let pixels = scored(map(3, &[0, 0, 0, 1, 1, 1]), map(3, &[0, 0, 1, 1, 2, 2]));
+        let expected = (2.0 / 3.0 + 1.0 / 4.0 + 0.0) / 3.0;
+        assert!((pixels.mean_iou().expect("is scored") - expected).abs() < 1e-12, "{:?}", pixels.mean_iou());
+        assert_eq!(pixels.classes(), 3);
+        assert_eq!(scored(map(2, &[4, 9]), map(2, &[4, 9])).mean_iou(), Some(1.0));
+    }
+
+    #[test]
+    fn ignored_pixels_are_not_scored() {
+        let ignored = scored(map(4, &[255, 1, 1, 255]), map(4, &[0, 1, 1, 2]));
+        assert_eq!((ignored.mean_iou(), ignored.classes()), (Some(1.0), 1));
+        assert_eq!(scored(map(1, &[255]), map(1, &[0])).mean_iou(), None);
+    }
+
+    #[test]
+    fn answer_of_other_size_is_compared_by_place() {
+        let mask = [0, 0, 1, 1, 0, 0, 1, 1, 2, 2, 3, 3, 2, 2, 3, 3];
+        assert_eq!(scored(map(4, &mask), map(2, &[0, 1, 2, 3])).mean_iou(), Some(1.0));
+        assert_eq!(scored(map(2, &[0, 1, 2, 3]), map(4, &mask)).mean_iou(), Some(1.0));
+        assert_eq!(scored(map(4, &mask), map(3, &[0, 9, 1, 9, 9, 9, 2, 9, 3])).classes(), 5);
+    }
+
+    #[test]
+    fn pictures_are_scored_together() {
+        let mut pixels = scored(map(1, &[0, 0, 0]), map(1, &[0, 0, 0]));
+        pixels.add(map(1, &[0]), map(1, &[1]));
+        // Class 0: 3 of 4 pixels; class 1: none of 1.
+        assert_eq!(pixels.mean_iou(), Some(3.0 / 8.0));
+    }
+
+    #[test]
+    fn maps_need_one_class_per_pixel() {
+        assert_eq!(ClassMap::new(2, 2, &[0; 3]), None);
+        assert_eq!(ClassMap::new(0, 2, &[]), None);
+        assert_eq!(ClassMap::new(2, 0, &[]), None);
+        assert_eq!(ClassMap::new(u32::MAX, u32::MAX, &[0]), None);
+    }
+}

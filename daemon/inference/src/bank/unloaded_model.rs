@@ -1,0 +1,40 @@
+//! A model that was unloaded.
+
+use std::fmt;
+
+use peernet_clock::Span;
+use peernet_logger::Slug;
+
+/// A model of the folders that was unloaded while the bank is in use.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UnloadedModel {
+    /// Name of the model.
+    pub name: Slug,
+    /// Device on which it ran, such as `cpu`.
+    pub device: String,
+    /// Time for which it was loaded.
+    pub loaded_for: Span,
+    /// Shrinkage of this process's resident memory while the model was unloaded, bytes; `None` if it is unknown. The memory
+    /// allocator may keep memory for later use.
+    pub memory_released: Option<u64>,
+    /// Reason for unloading it.
+    pub reason: UnloadReason,
+}
+
+/// Reason for unloading a model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum UnloadReason {
+    /// The largest number of models was loaded when this one was requested.
+    MakesRoomFor(Slug),
+    /// The files of the model have changed.
+    FilesChanged,
+}
+
+impl fmt::Display for UnloadReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::MakesRoomFor(model) => write!(f, "to make room for {model}"),
+            Self::FilesChanged => f.write_str("because its files have changed"),
+        }
+    }
+}

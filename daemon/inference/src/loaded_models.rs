@@ -1,0 +1,52 @@
+//! Number and memory of the models that are loaded.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Models that are loaded, of all kinds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LoadedModels {
+    /// Number of models.
+    pub count: u32,
+    /// Sum of the growth of this process's resident memory while each was loaded, bytes; see
+    /// [`Pool::memory_growth`](crate::Pool::memory_growth).
+    pub memory_bytes: u64,
+}
+
+/// Counts the loaded models. Clones share the counts.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct LoadedModelCounter(Arc<Mutex<LoadedModels>>);
+
+/// A loaded model, which counts until it is dropped.
+#[derive(Debug)]
+pub(crate) struct CountedModel {
+    counter: LoadedModelCounter,
+    memory_bytes: u64,
+}
+
+impl LoadedModelCounter {
+    /// Counts a model until the returned value is dropped.
+    pub(crate) fn count(&self, memory_bytes: u64) -> CountedModel {
+        let mut loaded = self.lock();
+        loaded.count += 1;
+        loaded.memory_bytes += memory_bytes;
+        drop(loaded);
+        CountedModel { counter: self.clone(), memory_bytes }
+    }
+
+    /// Returns the current counts.
+    pub(crate) fn get(&self) -> LoadedModels {
+        *self.lock()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, LoadedModels> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for CountedModel {
+    fn drop(&mut self) {
+        let mut loaded = self.counter.lock();
+        loaded.count -= 1;
+        loaded.memory_bytes -= self.memory_bytes;
+    }
+}
