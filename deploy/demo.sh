@@ -18,7 +18,7 @@ set -m
 
 finish() {
     local code=$?
-    trap - EXIT INT TERM
+    trap - EXIT INT TERM HUP
     for role in edge cloud aggregator; do
         [ -n "${pid[$role]:-}" ] || continue
         kill -TERM "${pid[$role]}" 2>/dev/null || true
@@ -28,7 +28,7 @@ finish() {
     exit "$code"
 }
 trap finish EXIT
-trap 'echo; exit 0' INT TERM
+trap 'echo; exit 0' INT TERM HUP
 
 # The address is read from the aggregator's configuration, so that a changed port works.
 listen=$(sed -n '/^\[web\]/,/^\[/s/^listen = "\(.*\)".*/\1/p' "$configs/aggregator.toml")

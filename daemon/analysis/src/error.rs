@@ -19,10 +19,19 @@ impl WriteError {
     }
 }
 
-/// Writes a complete file, replacing an existing one.
+/// Writes a complete file, replacing an existing one. A file that cannot be written completely is removed.
 ///
 /// # Errors
 /// If the file cannot be written.
 pub fn write_file(path: &Path, content: &[u8]) -> Result<(), WriteError> {
-    std::fs::write(path, content).map_err(WriteError::at(path))
+    std::fs::write(path, content).map_err(|error| {
+        let mut error = WriteError::at(path)(error);
+        // A part of a picture or table would look like a result. The path may also be a pipe or a device.
+        if path.is_file()
+            && let Err(removal) = std::fs::remove_file(path)
+        {
+            error.reason = format!("{}; a part of it remains: {removal}", error.reason);
+        }
+        error
+    })
 }

@@ -26,6 +26,7 @@ mod run;
 mod seconds;
 pub mod short;
 pub mod shutdown_request;
+pub mod shutdown_signals;
 pub mod small_file;
 mod status;
 

@@ -1,6 +1,6 @@
 //! Life cycle of the process: parts are started in order, watched, and stopped in reverse order.
 //!
-//! A signal (SIGTERM, SIGINT) stops the parts gracefully. A second signal, or the deadline, ends the process at once with
+//! A signal (SIGTERM, SIGINT, or SIGHUP at the end of a session) stops the parts gracefully. A second signal, or the deadline, ends the process at once with
 //! exit code 70. A part that ends by itself is an error, because a daemon that has lost a task must not look healthy.
 
 use std::io;
@@ -10,14 +10,13 @@ use anyhow::Context;
 use futures::future::BoxFuture;
 use sd_notify::NotifyState;
 use serde::{Deserialize, Serialize};
-use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout_at};
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
 use peernet_cli::exit::{Exit, error_line};
-use peernet_cli::shutdown_request::ShutdownRequests;
+use peernet_cli::shutdown_signals::Signals;
 
 /// The table `[lifecycle]` of the configuration.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -75,27 +74,6 @@ pub(crate) struct Lifecycle {
     deadline: Duration,
 }
 
-struct Signals {
-    terminate: Signal,
-    interrupt: Signal,
-    shutdown_requests: ShutdownRequests,
-}
-
-impl Signals {
-    /// Waits for the next shutdown signal and returns its name.
-    async fn next(&mut self) -> &'static str {
-        loop {
-            let (kind, name) = tokio::select! {
-                _ = self.terminate.recv() => (SignalKind::terminate(), "SIGTERM"),
-                _ = self.interrupt.recv() => (SignalKind::interrupt(), "SIGINT"),
-            };
-            if self.shutdown_requests.is_another(kind, Instant::now()) {
-                return name;
-            }
-        }
-    }
-}
-
 impl Lifecycle {
     /// Installs the signal handlers.
     ///
@@ -104,11 +82,7 @@ impl Lifecycle {
     pub(crate) fn new(config: &LifecycleConfig) -> io::Result<Self> {
         Ok(Self {
             parts: Vec::new(),
-            signals: Signals {
-                terminate: signal(SignalKind::terminate())?,
-                interrupt: signal(SignalKind::interrupt())?,
-                shutdown_requests: ShutdownRequests::default(),
-            },
+            signals: Signals::new()?,
             deadline: Duration::from_secs(config.shutdown_deadline_s),
         })
     }

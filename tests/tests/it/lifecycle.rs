@@ -67,13 +67,19 @@ fn service_manager_receives_ready_watchdog_and_stopping() {
 }
 
 #[test]
-fn ctrl_c_ends_it_as_sigterm_does() {
+fn ctrl_c_and_end_of_session_stop_daemon() {
     let deployment = LoopbackDeployment::new();
     deployment.write("edge.toml", AGENT);
-    let daemon = deployment.start("edge.toml");
-    daemon.wait_for("ready");
-    daemon.signal(Signal::INT);
-    assert_eq!(daemon.wait_for_end().code(), 0);
+    for (signal, name) in [(Signal::INT, "SIGINT"), (Signal::HUP, "SIGHUP")] {
+        // These tests may run under nohup, which ignores SIGHUP.
+        let peernetd = program("peernetd");
+        let arguments = ["--default-signal=HUP", &peernetd.display().to_string(), "run", "edge.toml"];
+        let daemon = Process::start("env".as_ref(), &arguments, deployment.folder(), &[]);
+        daemon.wait_for("ready");
+        daemon.signal(signal);
+        daemon.wait_for(&format!("{name}: stopping"));
+        assert_eq!(daemon.wait_for_end().code(), 0);
+    }
 }
 
 #[test]

@@ -13,9 +13,9 @@ mod latency;
 mod log;
 mod peer_wait;
 mod progress;
-mod signals;
 mod tables;
 
+pub(crate) use crate::shutdown_signals::Signals;
 pub(crate) use agent_end::AgentEnd;
 pub(crate) use command_line::command_line;
 pub(crate) use condition::describe_condition;
@@ -25,7 +25,6 @@ pub(crate) use latency::describe_quantiles;
 pub(crate) use log::{LogDestination, start_log};
 pub(crate) use peer_wait::{PeerWait, PipelineActivity};
 pub(crate) use progress::Progress;
-pub(crate) use signals::Signals;
 pub(crate) use tables::tables;
 
 use std::sync::Arc;
@@ -151,7 +150,7 @@ async fn watch<O: RunObserver>(
     let mut is_interrupted = false;
     let ended = loop {
         let ended = tokio::select! {
-            () = signals.next() => {
+            _ = signals.next() => {
                 is_interrupted = true;
                 Some(AgentEnd::Interrupted)
             }
@@ -176,7 +175,7 @@ async fn watch<O: RunObserver>(
     let missed = running.events_missed_by_tap();
     tokio::select! {
         result = running.join() => result.map_err(|error| Failure::new(Exit::Software, error))?,
-        () = signals.next() => print_to_stderr("work in progress was abandoned"),
+        _ = signals.next() => print_to_stderr("work in progress was abandoned"),
     }
     // Events of work that was in progress at the end.
     while let Ok(event) = events.try_recv() {

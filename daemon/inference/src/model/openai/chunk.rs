@@ -2,12 +2,8 @@
 //!
 //! Servers differ, so that every field may be missing or null, and unknown fields are ignored.
 
-use peernet_sample::printable_line;
 use serde::Deserialize;
 use serde_json::Value;
-
-/// Longest text of an error that is passed on, characters.
-const MAX_ERROR_CHARS: usize = 500;
 
 /// One chunk.
 #[derive(Debug, Default, Deserialize)]
@@ -77,29 +73,21 @@ impl Usage {
     }
 }
 
-/// Returns the text of a server's error in one line: `message` of the object `error`, `error` itself, or the whole text.
+/// Returns the text of a server's error: `message` of the object `error`, `error` itself, or the whole text.
 pub(super) fn error_text(error: &Value) -> String {
     let message = |error: &Value| error.get("message").and_then(Value::as_str).map(str::to_owned);
     let text = match error {
         Value::String(text) => text.clone(),
         error => message(error).unwrap_or_else(|| error.to_string()),
     };
-    shorten(&text)
+    text
 }
 
 /// Returns the text of a server's error from the body of its answer.
 pub(super) fn error_text_of_body(body: &[u8]) -> String {
     match serde_json::from_slice::<Value>(body) {
         Ok(json) => error_text(json.get("error").unwrap_or(&json)),
-        Err(_) => shorten(String::from_utf8_lossy(body).trim()),
-    }
-}
-
-fn shorten(text: &str) -> String {
-    let line = printable_line(text);
-    match line.char_indices().nth(MAX_ERROR_CHARS) {
-        Some((end, _)) => format!("{}…", &line[..end]),
-        None => line.into_owned(),
+        Err(_) => String::from_utf8_lossy(body).trim().to_owned(),
     }
 }
 
@@ -122,7 +110,6 @@ mod tests {
         ] {
             assert_eq!(error_text_of_body(body.as_bytes()), text);
         }
-        assert_eq!(error_text_of_body("ä".repeat(600).as_bytes()).chars().count(), 501);
     }
 
     #[test]

@@ -110,6 +110,10 @@ impl OpenaiConfig {
         if let Some(reserved) = RESERVED_PARAMETERS.iter().find(|name| self.parameters.contains_key(**name)) {
             return Err(wrong("parameters", format!("{reserved} is set by this program; remove it")));
         }
+        // TOML has NaN and infinity, JSON has not, so they were read as null.
+        if let Some((name, _)) = self.parameters.iter().find(|(_, value)| value.is_null()) {
+            return Err(wrong("parameters", format!("{name} is no finite number; write a finite one")));
+        }
         let key = self.api_key_env.as_ref().map(|variable| {
             let text = std::env::var(variable)
                 .map_err(|_| format!("the environment variable {variable} is not set; set it to the key"))?;

@@ -2,7 +2,12 @@
 
 use std::time::Duration;
 
+use peernet_sample::printable_line;
+
 use super::answer::{StreamError, chunks};
+
+/// Maximum length of a server's text in a message, characters.
+const MAX_TEXT_CHARS: usize = 500;
 
 /// Reason why a request has no answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -51,14 +56,40 @@ pub(super) enum RequestError {
 }
 
 impl RequestError {
-    /// Replaces a secret in the texts of the server by asterisks.
-    // A server may repeat the key that it refuses.
-    pub(super) fn without_secret(mut self, secret: Option<&str>) -> Self {
-        let Some(secret) = secret.filter(|secret| !secret.is_empty()) else { return self };
-        if let Self::Status { text, .. } | Self::Stream(StreamError::Server { text, .. }) = &mut self {
-            *text = text.replace(secret, "***");
+    /// Returns the message, with asterisks in place of a secret and with the texts of the server shortened.
+    // A server may repeat the key that it refuses, in any of these texts. A text that was shortened first could end within the key.
+    pub(super) fn message(mut self, secret: Option<&str>) -> String {
+        let secret = secret.filter(|secret| !secret.is_empty());
+        let clean = |text: &mut String| {
+            *text = shorten(&secret.map_or_else(|| text.clone(), |secret| text.replace(secret, "***")));
+        };
+        match &mut self {
+            Self::Status { text, retry_after, .. } => {
+                clean(text);
+                retry_after.as_mut().map(clean);
+            }
+            Self::Connect(text)
+            | Self::NotStreamed(text)
+            | Self::Tls { reason: text, .. }
+            | Self::Connection { reason: text, .. }
+            | Self::Stream(StreamError::Server { text, .. } | StreamError::Chunk { reason: text, .. }) => {
+                clean(text)
+            }
+            Self::FirstToken(_)
+            | Self::Token { .. }
+            | Self::Total { .. }
+            | Self::Stream(StreamError::EndedEarly(_) | StreamError::TooLong(_)) => {}
         }
-        self
+        self.to_string()
+    }
+}
+
+/// Returns the first line of a text, without control characters and with at most [`MAX_TEXT_CHARS`] characters.
+fn shorten(text: &str) -> String {
+    let line = printable_line(text);
+    match line.char_indices().nth(MAX_TEXT_CHARS) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line.into_owned(),
     }
 }
 
@@ -75,5 +106,44 @@ fn retry(after: &Option<String>) -> String {
             "; it asks to wait until {after}: lower the rate of the pipeline, or the number of workers"
         ),
         None => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const KEY: &str = "sk-abcdef123456";
+
+    #[test]
+    fn no_message_contains_secret() {
+        let text = || format!("Bearer {KEY}");
+        let errors = [
+            RequestError::Connect(text()),
+            RequestError::Tls { server: "gpu".to_owned(), reason: text(), remedy: String::new() },
+            RequestError::Connection { after: 1, reason: text() },
+            RequestError::Status {
+                status: hyper::StatusCode::UNAUTHORIZED,
+                text: text(),
+                retry_after: Some(text()),
+            },
+            RequestError::NotStreamed(text()),
+            RequestError::Stream(StreamError::Server { after: 1, text: text() }),
+            RequestError::Stream(StreamError::Chunk { number: 1, reason: text() }),
+        ];
+        for error in errors {
+            let message = error.message(Some(KEY));
+            assert!(message.contains("Bearer ***") && !message.contains("sk-"), "{message}");
+        }
+    }
+
+    #[test]
+    fn secret_at_end_of_shortened_text_is_removed() {
+        let text = format!("{}{KEY}", "ä".repeat(MAX_TEXT_CHARS - 5));
+        let error = RequestError::Connection { after: 0, reason: text };
+        let message = error.message(Some(KEY));
+        assert!(message.ends_with("ä***") && !message.contains("sk"), "{message}");
+        let long = RequestError::NotStreamed("ä".repeat(600)).message(None);
+        assert_eq!(long.matches('ä').count(), MAX_TEXT_CHARS);
     }
 }

@@ -45,7 +45,7 @@ impl Openai {
         self.runtime()?.block_on(self.server.check()).map_err(|error| LoadError::Server {
             model: self.name.clone(),
             url: self.config.url.clone(),
-            reason: error.without_secret(self.server.secret()).to_string(),
+            reason: error.message(self.server.secret()),
         })
     }
 

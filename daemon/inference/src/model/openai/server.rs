@@ -12,7 +12,6 @@ use hyper::header::{
 use hyper::{Method, Request, Response, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_sample::printable_line;
 use tokio::time::timeout;
 
 use super::answer::StreamedAnswer;
@@ -154,7 +153,7 @@ impl Server {
             if !media.to_ascii_lowercase().starts_with(b"text/event-stream") {
                 let media = String::from_utf8_lossy(media);
                 let media = if media.is_empty() { "no media type" } else { &media };
-                return Err(RequestError::NotStreamed(printable_line(media).into_owned()));
+                return Err(RequestError::NotStreamed(media.to_owned()));
             }
             while !answer.is_done() {
                 let frame = within(limits, clock, answer, response.body_mut().frame()).await?;
@@ -237,10 +236,10 @@ fn span(duration: Duration) -> Span {
 /// Reads the body of an error, as far as it arrives.
 async fn status_error(response: Response<Incoming>) -> RequestError {
     let status = response.status();
-    let retry_after = response.headers().get(RETRY_AFTER).map(|value| {
-        let text = String::from_utf8_lossy(value.as_bytes()).chars().take(100).collect::<String>();
-        printable_line(text.trim()).into_owned()
-    });
+    let retry_after = response
+        .headers()
+        .get(RETRY_AFTER)
+        .map(|value| String::from_utf8_lossy(value.as_bytes()).trim().to_owned());
     let body = Limited::new(response.into_body(), MAX_ERROR_BYTES).collect();
     let text = match timeout(ERROR_TIMEOUT, body).await {
         Ok(Ok(body)) => error_text_of_body(&body.to_bytes()),

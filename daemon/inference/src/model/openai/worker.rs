@@ -68,7 +68,7 @@ impl Worker for OpenaiWorker {
         let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;
         result.map_err(|error| InferenceError::Failed {
             model: name.clone(),
-            reason: error.without_secret(server.secret()).to_string(),
+            reason: error.message(server.secret()),
         })?;
         let _postprocessing = recorder.time(stage::POSTPROCESSING);
         Ok(into_sample(answer))

@@ -130,6 +130,9 @@ fn key_in_answer_of_server_is_hidden() {
     let refused = whole("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
     let (reason, _) = failure(refused, "api_key_env = 'PATH'");
     assert_eq!(reason, "its server answered with HTTP status 401 Unauthorized: wrong key ***");
+    let (reason, _) =
+        failure(vec![head(), event(&format!("\"Bearer {key}\"")), Step::Stall], "api_key_env = 'PATH'");
+    assert!(reason.contains("Bearer ***") && !reason.contains(key.as_str()), "{reason}");
 }
 
 #[test]
@@ -155,6 +158,11 @@ fn invalid_keys_are_refused_with_reason() {
             "url = 'http://gpu'\nparameters = { stream = false }",
             "parameters",
             "stream is set by this program",
+        ),
+        (
+            "url = 'http://gpu'\nparameters = { temperature = nan }",
+            "parameters",
+            "temperature is no finite number",
         ),
         (
             "url = 'http://gpu'\napi_key_env = 'PEERNET_NO_SUCH_KEY'",

@@ -1,4 +1,4 @@
-//! Signals that request the end of the program.
+//! Signals that request the end of a program, of `peernet` and of `peernetd`.
 
 use std::io;
 
@@ -7,7 +7,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::Instant;
 
 /// Listener for Ctrl-C, for the signal of service managers, and for the end of the terminal's session.
-pub(crate) struct Signals {
+pub struct Signals {
     interrupt: Signal,
     terminate: Signal,
     /// Listener for SIGHUP. `None` if the process ignores SIGHUP, as with `nohup`, or if SIGHUP has arrived once: at the end of a session both
@@ -17,7 +17,11 @@ pub(crate) struct Signals {
 }
 
 impl Signals {
-    pub(crate) fn new() -> io::Result<Self> {
+    /// Installs the signal handlers.
+    ///
+    /// # Errors
+    /// If a handler cannot be installed.
+    pub fn new() -> io::Result<Self> {
         let hang_up =
             if is_ignored(SignalKind::hangup()) { None } else { Some(signal(SignalKind::hangup())?) };
         Ok(Self {
@@ -28,19 +32,19 @@ impl Signals {
         })
     }
 
-    /// Waits for the next request to end.
-    pub(crate) async fn next(&mut self) {
+    /// Waits for the next request to end, and returns the name of its signal.
+    pub async fn next(&mut self) -> &'static str {
         loop {
-            let kind = tokio::select! {
-                _ = self.interrupt.recv() => SignalKind::interrupt(),
-                _ = self.terminate.recv() => SignalKind::terminate(),
+            let (kind, name) = tokio::select! {
+                _ = self.interrupt.recv() => (SignalKind::interrupt(), "SIGINT"),
+                _ = self.terminate.recv() => (SignalKind::terminate(), "SIGTERM"),
                 () = wait_for_hang_up(&mut self.hang_up) => {
                     self.hang_up = None;
-                    SignalKind::hangup()
+                    (SignalKind::hangup(), "SIGHUP")
                 }
             };
             if self.shutdown_requests.is_another(kind, Instant::now()) {
-                return;
+                return name;
             }
         }
     }
