@@ -71,10 +71,7 @@ fn ctrl_c_and_end_of_session_stop_daemon() {
     let deployment = LoopbackDeployment::new();
     deployment.write("edge.toml", AGENT);
     for (signal, name) in [(Signal::INT, "SIGINT"), (Signal::HUP, "SIGHUP")] {
-        // These tests may run under nohup, which ignores SIGHUP.
-        let peernetd = program("peernetd");
-        let arguments = ["--default-signal=HUP", &peernetd.display().to_string(), "run", "edge.toml"];
-        let daemon = Process::start("env".as_ref(), &arguments, deployment.folder(), &[]);
+        let daemon = deployment.start("edge.toml");
         daemon.wait_for("ready");
         daemon.signal(signal);
         daemon.wait_for(&format!("{name}: stopping"));
