@@ -6,6 +6,7 @@ use peernet_stream::{Connection, ConnectionStatistics, DirectionStatistics, Prob
 
 use super::scrape::Scrape;
 use super::table::{Sample, Sink};
+use crate::view::link::estimate_and_half_width;
 
 /// Time over which probes are counted.
 const WINDOW: Span = Span::from_seconds(60);
@@ -24,10 +25,10 @@ pub(super) fn write_each(
     }
 }
 
-/// Returns half the width of the offset's interval.
+/// Returns half the width of the offset's interval; `None` if the sources contradict each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
-    let bounds = link.live.now.offset.as_ref()?.bounds;
-    Some(Sample::Value((bounds.hi - bounds.lo).seconds() / 2.0))
+    let (_, half_width) = estimate_and_half_width(link.live.now.offset.as_ref()?)?;
+    Some(Sample::Value(half_width))
 }
 
 /// Returns the share of probes that were lost.
