@@ -232,11 +232,11 @@ async fn streams_are_limited_per_address_and_in_total() {
         StreamSlots { slots: slots.clone(), address, evict }.acquire().await
     };
     let _held = [take("192.0.2.1").await, take("192.0.2.1").await].map(|slot| slot.expect("free"));
-    let log_refusal = take("192.0.2.1").await.expect_err("too many").to_string();
-    assert!(log_refusal.starts_with("2 live streams are open from this address"), "{log_refusal}");
+    let refusal = take("192.0.2.1").await.expect_err("too many").to_string();
+    assert!(refusal.starts_with("2 live streams are open from this address"), "{refusal}");
     let _other = take("192.0.2.2").await.expect("free");
-    let log_refusal = take("192.0.2.2").await.expect_err("too many").to_string();
-    assert!(log_refusal.starts_with("3 live streams are open, "), "{log_refusal}");
+    let refusal = take("192.0.2.2").await.expect_err("too many").to_string();
+    assert!(refusal.starts_with("3 live streams are open, "), "{refusal}");
 }
 
 async fn with_headers(length: usize) -> String {

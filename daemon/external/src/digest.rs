@@ -37,7 +37,7 @@ pub(crate) fn files_fact(role: &str, files: &[PathBuf]) -> Option<(String, Strin
     (!descriptions.is_empty()).then(|| (format!("{role} files"), descriptions.join(", ")))
 }
 
-/// Returns a file's name with its hash (`camera.py SHA-256 …`) or with the reason that it has none.
+/// Returns a file's name with its hash (`camera.py SHA-256 …`), or with the reason why the file has no hash.
 pub fn describe_with_hash(file: &Path) -> String {
     let name = file.display().to_string();
     let name = printable_line(&name);

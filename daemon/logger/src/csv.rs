@@ -85,9 +85,9 @@ impl Columns {
     pub fn add(&mut self, tree: &Tree) {
         let mut next_position = 0;
         let mut siblings = Siblings::default();
-        let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        let mut segments_and_levels: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.parent_segment(tree, id, &paths) else { continue };
+            let Some((parent, level)) = self.parent_segment(tree, id, &segments_and_levels) else { continue };
             let occurrence = siblings.count_occurrence(parent, &node.name);
             let key = (parent, node.name.clone(), occurrence);
             let new_index = self.segments.len();
@@ -105,7 +105,7 @@ impl Columns {
             if let Some(parent) = parent {
                 self.segments[parent].has_children = true;
             }
-            paths[id.index()] = Some((index, level));
+            segments_and_levels[id.index()] = Some((index, level));
         }
     }
 
@@ -121,12 +121,12 @@ impl Columns {
         &self,
         tree: &Tree,
         id: NodeId,
-        paths: &[Option<(usize, usize)>],
+        segments_and_levels: &[Option<(usize, usize)>],
     ) -> Option<(Option<usize>, usize)> {
         let parent = tree.get(id)?.parent?;
         let (segment, level) = match parent {
             NodeId::ROOT => (None, 1),
-            other => paths[other.index()].map(|(segment, level)| (Some(segment), level + 1))?,
+            other => segments_and_levels[other.index()].map(|(segment, level)| (Some(segment), level + 1))?,
         };
         self.max_level.is_none_or(|max_level| level <= max_level).then_some((segment, level))
     }
@@ -211,13 +211,15 @@ impl<W: io::Write> Table<W> {
     pub fn write_row(&mut self, iteration: u64, tree: &Tree) -> io::Result<()> {
         self.cells.iter_mut().for_each(String::clear);
         let mut siblings = Siblings::default();
-        let mut paths: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
+        let mut segments_and_levels: Vec<Option<(usize, usize)>> = vec![None; tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
-            let Some((parent, level)) = self.columns.parent_segment(tree, id, &paths) else { continue };
+            let Some((parent, level)) = self.columns.parent_segment(tree, id, &segments_and_levels) else {
+                continue;
+            };
             let key = (parent, node.name.clone(), siblings.count_occurrence(parent, &node.name));
             // The columns may have been collected from other trees.
             let Some(index) = self.columns.segment_indices.get(&key) else { continue };
-            paths[id.index()] = Some((*index, level));
+            segments_and_levels[id.index()] = Some((*index, level));
             if let (Some(column), Some(value)) = (self.column_of_segment.get(index), node.measure.value()) {
                 self.cells[*column] = value.to_string();
             }

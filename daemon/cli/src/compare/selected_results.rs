@@ -157,17 +157,17 @@ mod tests {
             found.notes.concat()
         };
         let cut = &whole[..whole.len() / 2];
-        let few = whole
+        let extra_state = whole
             .replace(r#"{"attempts":0,"stage":"pending"}"#, r#"{"stage":"pending"},{"stage":"pending"}"#);
-        let strange = whole.replace("pending", "eaten");
+        let unknown_stage = whole.replace("pending", "eaten");
         let later = whole.replace(r#""format":1"#, r#""format":2"#);
         for (text, why) in [
             ("", "EOF"),
             (cut, "EOF"),
             ("\0", "expected value"),
             ("{}", "missing field `format`"),
-            (&few, "it has 4 runs, but 5 states"),
-            (&strange, "unknown variant `eaten`"),
+            (&extra_state, "it has 4 runs, but 5 states"),
+            (&unknown_stage, "unknown variant `eaten`"),
             (&later, "its format is 2, but this program reads format 1"),
         ] {
             std::fs::write(&record, text).expect("written");

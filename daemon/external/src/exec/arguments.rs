@@ -10,8 +10,8 @@ use toml::{Table, Value};
 
 use super::CommandLine;
 
-/// Number of hexadecimal digits of a fingerprint: two commands of one host have the same fingerprint with probability
-/// 2⁻⁴⁸.
+/// Number of hexadecimal digits of a fingerprint. The fingerprints of two different commands of one host are equal with
+/// probability 2⁻⁴⁸.
 const FINGERPRINT_DIGITS: usize = 12;
 
 /// Prefix of the fact about a program.
@@ -25,8 +25,8 @@ const TABLES: [&str; 2] = ["sensor", "actuator"];
 
 /// Key for fingerprints of commands. Equal commands have equal fingerprints.
 ///
-/// The key is secret and stays on its host. Without it, a short secret among the arguments cannot be found by trying
-/// values, which a plain hash would allow.
+/// The key is secret and stays on its host. Without the key, nobody can find a short secret among the arguments by
+/// trying values. A plain hash would allow that.
 #[derive(Clone)]
 pub struct FingerprintKey([u8; 32]);
 

@@ -25,12 +25,12 @@ const READ_BY_OTHERS: u32 = 0o004;
 
 /// Command: a line for the shell, or a program with its arguments.
 ///
-/// It is serialized as its program and the number of its arguments, because arguments may be secret; within
+/// A command is serialized as its program and the number of its arguments, because arguments may be secret. Within
 /// [`with_arguments`](super::with_arguments) it is serialized as it was read.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(untagged)]
 pub enum CommandLine {
-    /// Line that is run by `sh -c`. If it is one program with arguments, that program replaces the shell.
+    /// Line that is run by `sh -c`. If the line is a single program with arguments, this program replaces the shell.
     Shell(String),
     /// Program and arguments, run without a shell. The program is looked up in `PATH` unless its name contains a
     /// slash.
@@ -98,8 +98,8 @@ impl ExecConfig {
         }
     }
 
-    /// Returns facts for the run's page: the program without its arguments, which may be secret, and the files that
-    /// the command names with their SHA-256. The name of each fact begins with the role. Reads those files.
+    /// Returns facts for the run's page: the program, and the SHA-256 of each file that the command names. The arguments
+    /// are left out, because they may be secret. The name of each fact begins with the role. Reads the files.
     pub fn facts(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
         let mut facts = vec![(heading.to_owned(), program_fact(&self.command))];

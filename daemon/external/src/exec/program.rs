@@ -84,8 +84,8 @@ impl Program {
 
     /// Sends a request and waits for the reply.
     ///
-    /// A program that ended, exceeded its timeout or did not follow the framing is killed; a later request restarts
-    /// it.
+    /// If the program ended, exceeded its timeout or did not follow the framing, it is killed, and a later request
+    /// starts it again.
     ///
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
@@ -166,7 +166,7 @@ impl Program {
             .map_err(|error| self.record_failure(ProgramCallError::Start(error)))
     }
 
-    /// Remembers a failure, which delays the next restart, and returns the error.
+    /// Records a failure, so that the next restart is delayed. Returns the error.
     fn record_failure(&mut self, error: ProgramCallError) -> ProgramCallError {
         self.restart_backoff.record_failure(self.clock.mono());
         self.last_failure = error.to_string();
@@ -192,8 +192,8 @@ fn send_and_receive(
     on_part: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
     let mut until = deadline();
-    // Output before the request would be mistaken for its reply. From then on, each reply would be mistaken for the
-    // reply to the next request.
+    // Output before the request would be mistaken for the reply to it. From then on, each reply would be mistaken for
+    // the reply to the next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }

@@ -110,7 +110,7 @@ pub enum ReplyInput {
     Reply(Reply),
 }
 
-/// State machine that assembles one reply from the lines and bytes that it asks for.
+/// State machine that assembles one reply. Its caller reads the lines and bytes that the state machine asks for.
 #[derive(Debug)]
 pub struct ReplyAssembler {
     role: Role,

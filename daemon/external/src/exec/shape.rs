@@ -51,8 +51,8 @@ pub(super) fn write(description: &Description) -> String {
     format!("{}:{}", lengths.join("x"), name(element))
 }
 
-/// Parses the shape of a part. Returns its description and its length in bytes, if the shape determines it; `None`
-/// for an invalid shape.
+/// Parses the shape of a part. Returns the description of the part, and its length in bytes if the shape determines the
+/// length; `None` for an invalid shape.
 pub(super) fn read(media: MediaType, shape: &str) -> Option<(Description, Option<u64>)> {
     if shape == NOTHING {
         return Some((Description::unshaped(media), None));

@@ -1,7 +1,7 @@
 //! Analysis of a shell command line, without running it.
 
-/// Returns the program of a line that is one program with arguments; otherwise `None`. A line with an operator of the
-/// shell is more than that, and so is a line whose first word may be an assignment or an expansion.
+/// Returns the program of a line that consists of a single program with arguments; `None` for any other line. Other lines
+/// contain an operator of the shell, or their first word may be an assignment or an expansion.
 pub(super) fn single_program(line: &str) -> Option<&str> {
     let program = line.split_ascii_whitespace().next()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"_-+./".contains(&byte);
@@ -36,8 +36,8 @@ pub(super) fn split(line: &str) -> Vec<String> {
     words
 }
 
-/// Programs (without the version after their names) that run the first file among their arguments, each with the
-/// letters of the options after which the command line contains the code instead of a file.
+/// Programs that run the first file among their arguments; names without a version. The second value of each has the
+/// letters of the options that are followed by code on the command line instead of a file.
 const INTERPRETERS: [(&str, &str); 20] = [
     ("sh", "c"),
     ("bash", "c"),
@@ -61,7 +61,7 @@ const INTERPRETERS: [(&str, &str); 20] = [
     ("Rscript", "e"),
 ];
 
-/// Long options of these interpreters after which the command line contains the code.
+/// Long options of these interpreters that are followed by code on the command line.
 const INLINE_CODE_OPTIONS: [&str; 4] = ["--eval", "--print", "--command", "--split-string"];
 
 /// Returns the script that an interpreter runs.

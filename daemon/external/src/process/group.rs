@@ -8,8 +8,8 @@ use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::spawner;
 
-/// Shell command of the watcher. It kills its group when its standard input closes, and ignores the signals that ask the
-/// group to end.
+/// Shell command of the watcher. The watcher kills its process group when its standard input closes, and ignores the
+/// signals that ask the group to end.
 // The standard input closes when this program ends, for whatever reason.
 const WATCHER_SCRIPT: &str = "trap '' HUP INT QUIT TERM USR1 USR2; read -r _; kill -KILL 0";
 

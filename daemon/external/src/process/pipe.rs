@@ -114,7 +114,7 @@ impl Wait<'_> {
 }
 
 /// Writes all parts in order, and at the same time reads what the process writes.
-// If this only wrote, both sides would wait for each other when the process answers before it has read everything.
+// If this function only wrote, both sides would wait for each other when the process answers before it has read everything.
 pub(super) fn write(
     fd: &OwnedFd,
     parts: &[&[u8]],

@@ -48,7 +48,7 @@ impl ProcessEnd {
         self.status.is_some_and(|status| status.success())
     }
 
-    /// Returns whether it ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
+    /// Returns whether the process ended as requested: with exit status 0, by the SIGTERM that this program sent, or with the
     /// exit status by which a shell reports that signal (128 + 15).
     pub fn ended_as_requested(&self) -> bool {
         let term = Signal::TERM.as_raw();

@@ -19,7 +19,7 @@ use super::{Fault, Launch, ProcessEnd, ProcessError};
 const PIPE_CLOSE_BEFORE_EXIT: Span = Span::from_millis(200);
 /// Time for a running process that closed a pipe to end by itself, so that its exit status can be reported.
 const EXIT_AFTER_PIPE_CLOSE: Span = Span::from_millis(1000);
-/// Longest wait for the rest of its standard error after its end.
+/// Longest wait for the rest of the standard error after the end of a process.
 const LAST_OUTPUT_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// A process, its pipes, and the thread that reads its standard error. Dropping it kills the process and its group.
@@ -66,7 +66,7 @@ impl Process {
         })
     }
 
-    /// Returns its standard input and output, and starts the thread that reads its standard error.
+    /// Returns standard input and output of the process, and starts the thread that reads the standard error.
     fn take_pipes(
         group: &mut Group,
         launch: &Launch,
@@ -83,7 +83,7 @@ impl Process {
         Ok((input, output, stderr_log))
     }
 
-    /// Writes all parts to its standard input, without joining them in one buffer.
+    /// Writes all parts to the standard input of the process, without joining them in one buffer.
     ///
     /// # Errors
     /// If the process has ended, or does not read everything before the deadline. No write succeeds after such
@@ -108,7 +108,7 @@ impl Process {
         self.output.read_exact(length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
-    /// Reads the next line of its standard output, without the line feed, of at most `max_length` bytes.
+    /// Reads the next line of the standard output, without the line feed. The line has at most `max_length` bytes.
     ///
     /// # Errors
     /// If the process has ended, sends a longer line, or sends no whole line before the deadline.
@@ -122,7 +122,7 @@ impl Process {
         self.output.has_more()
     }
 
-    /// Returns the part of its next line that has been written so far, without waiting. For messages only.
+    /// Returns what the process has written of its next line so far, without waiting. For messages only.
     pub fn peek_line(&mut self) -> String {
         let wait = wait_until(&self.clock, self.pidfd.as_ref(), self.clock.mono());
         String::from_utf8_lossy(self.output.peek_line(wait)).into_owned()

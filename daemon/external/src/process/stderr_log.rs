@@ -39,7 +39,7 @@ impl StderrLog {
         }
     }
 
-    /// Logs a line beyond the limit, for those who set the level `debug`.
+    /// Logs a line beyond the limit. Such lines are logged at level `debug` only.
     fn log_omitted_line(self, name: &str, line: &str) {
         match self {
             Self::Python => tracing::debug!(target: "peernet_external::python", name, "{line}"),

@@ -33,13 +33,14 @@ pub enum Step {
 /// Timing of a call on this process's monotonic clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallTimes {
-    /// Start of a new process for this call, if the last one had died. It was ready at `started_at`.
+    /// Time at which this call began to start a new process, because the last process had ended. The new process was ready at
+    /// `started_at`. `None` if no process was started.
     pub restarted_at: Option<MonoTime>,
     /// Beginning of the call.
     pub started_at: MonoTime,
     /// Time at which the result was received.
     pub ended_at: MonoTime,
-    /// Steps that were run, in order. A step that raised an exception is the last one.
+    /// Steps that were run, in order. If a step raised an exception, no step follows it.
     pub steps: Vec<(Step, MonoTime, MonoTime)>,
 }
 

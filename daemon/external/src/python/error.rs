@@ -63,7 +63,7 @@ pub enum PythonError {
     /// The user's code raised an exception: its text on the first line, then the traceback.
     #[error("{0}")]
     Raised(String),
-    /// The value cannot be transferred to the other process, or not with this configuration.
+    /// The value cannot be transferred to the other process, at least not with this configuration.
     #[error("{0}")]
     Value(String),
     /// The process ended.

@@ -20,7 +20,7 @@ pub(super) const PREFIX_BYTES: usize = 8;
 pub(super) const MAX_HEADER_BYTES: usize = 1 << 20;
 /// Largest size of all parts of a value, bytes (1 GiB).
 pub(super) const MAX_BYTES: u64 = 1 << 30;
-/// Media type of a pickled object; the parts after it are its buffers (pickle protocol 5, PEP 574).
+/// Media type of a pickled object. The parts after the pickled object are its buffers (pickle protocol 5, PEP 574).
 pub const PICKLE: &str = "application/x-python-pickle";
 
 /// Request to the worker.

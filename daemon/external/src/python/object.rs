@@ -92,9 +92,9 @@ impl PythonObject {
         self.call_in_parts(parts, &mut |_| true)
     }
 
-    /// Calls a model as [`call`](Self::call) does, and passes each part of its answer to `on_part`, which returns whether somebody
-    /// still waits for the answer. If not, the object stops computing and the call fails. Parts are what the generator
-    /// `infer` yields. The timeout begins again with each part.
+    /// Calls a model as [`call`](Self::call) does, and passes each part of its answer to `on_part`. A part is a value that the
+    /// generator `infer` yields. `on_part` returns whether somebody still waits for the answer. If it returns `false`, the
+    /// object stops computing and the call fails. The timeout begins again with each part.
     pub fn call_in_parts(
         &mut self,
         parts: &[Part],
@@ -176,18 +176,18 @@ impl PythonObject {
         started_at: MonoTime,
         ended_at: MonoTime,
     ) -> CallResult {
-        let call_result = |result, steps: &[(Step, i64, i64)]| CallResult {
+        let make_result = |result, steps: &[(Step, i64, i64)]| CallResult {
             result,
             times: CallTimes::new(started_at, ended_at, steps),
         };
         match reply {
-            Reply::Value { parts, steps } => call_result(Ok(Some(frame::join_parts(parts, bytes))), &steps),
-            Reply::EndOfSamples { steps } => call_result(Ok(None), &steps),
-            Reply::Raised { text, steps } => call_result(Err(PythonError::Raised(text)), &steps),
-            Reply::UnsupportedValue { text, steps } => call_result(Err(PythonError::Value(text)), &steps),
+            Reply::Value { parts, steps } => make_result(Ok(Some(frame::join_parts(parts, bytes))), &steps),
+            Reply::EndOfSamples { steps } => make_result(Ok(None), &steps),
+            Reply::Raised { text, steps } => make_result(Err(PythonError::Raised(text)), &steps),
+            Reply::UnsupportedValue { text, steps } => make_result(Err(PythonError::Value(text)), &steps),
             Reply::Ready(_) | Reply::Part { .. } => {
                 self.worker = None;
-                call_result(Err(self.invalid_message(FrameError::UnexpectedReply)), &[])
+                make_result(Err(self.invalid_message(FrameError::UnexpectedReply)), &[])
             }
         }
     }

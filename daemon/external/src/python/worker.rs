@@ -15,7 +15,7 @@ use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 /// Reply of the worker, with the bytes of the reply's parts.
 pub(super) type Answer = (Reply, Vec<Bytes>);
 
-/// Process with the memory that it shares with this one.
+/// Process of a Python object, and the memory that it shares with this process.
 #[derive(Debug)]
 pub(super) struct Worker {
     process: Process,
@@ -78,7 +78,7 @@ impl Worker {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker waits for this request, so that a part in the shared memory is read before the next one is written.
+            // The worker waits for this request, so that a part in the shared memory is read before the next part is written.
             let is_awaited = on_part(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
             self.process.write(&[&encode_request(&request)?], deadline())?;

@@ -12,7 +12,7 @@ const BINS: u32 = 48;
 const ROOM: f64 = 0.05;
 /// Share by which a value may lie beyond the end of the axis because of rounding.
 const ROUNDING: f64 = 1e-9;
-/// Share of the largest value below which the smallest value is taken as zero. Without this limit such a value would make the
+/// If the smallest value is less than this share of the largest value, it is taken as zero. Otherwise such a value would make the
 /// axis logarithmic.
 const ZERO_SHARE: f64 = 1e-12;
 /// Approximate number of marks on the axis.

@@ -10,7 +10,7 @@ use peernet_analysis::order::SortedValues;
 
 /// Points of a curve.
 const CURVE_POINTS: usize = 240;
-/// Ratio of the largest to the smallest median from which the axis is logarithmic.
+/// The axis is logarithmic if the ratio of the largest to the smallest median is at least this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end of a logarithmic axis, as a power of their ratio.
 const AXIS_MARGIN: f64 = 0.02;

@@ -6,7 +6,7 @@ use peernet_statistics::number;
 
 /// Length of a share bar for a share of 1. The rest of the width is room for the number after the bar.
 const FULL_LENGTH: f64 = 0.72;
-/// Share from which on a meter is marked as nearly full.
+/// A meter is marked as nearly full if it shows at least this share.
 const NEARLY_FULL: f64 = 0.9;
 /// Minimum length of a meter's bar, so that a small share is visible.
 const MIN_LENGTH: f64 = 0.02;

@@ -8,7 +8,7 @@ use super::binned::BinnedAxis;
 use crate::look::{Fill, INK, Stage, Style};
 use crate::plot::{At, Item, Path, Plot, Strip};
 
-/// Number of points from which on cells with shades replace the points, because dots would hide each other.
+/// If there are at least this number of points, cells with shades replace the points, because dots would hide each other.
 const MIN_POINTS_FOR_CELLS: usize = 400;
 /// Number of cells across and upwards. A cell is about 4 points wide and high in a file.
 const CELLS: (f64, f64) = (50.0, 25.0);

@@ -120,7 +120,7 @@ impl Scaling {
         self.level(series).is_some_and(|(_, is_near)| !is_near)
     }
 
-    /// Returns the explanations of the parts that are drawn, and notes on those that are not.
+    /// Returns the explanations of the parts that are drawn, and notes on the parts that are not drawn.
     fn reading_notes(&self) -> Vec<String> {
         let mut parts = vec![format!("point: {}", self.parts.point)];
         if self.values().any(|value| value.spread.is_some()) {

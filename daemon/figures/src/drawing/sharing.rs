@@ -21,8 +21,9 @@ const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
 /// Height of the plot of fairness, points.
 const FAIRNESS_HEIGHT: f64 = 28.5;
-/// Ratios of the largest to the smallest number of edges, and of the highest to the lowest latency, from which the axis is logarithmic.
+/// The axis of edges is logarithmic if the ratio of the largest to the smallest number of edges is at least this.
 const LOGARITHMIC_EDGES_RATIO: f64 = 8.0;
+/// The axis of latencies is logarithmic if the ratio of the highest to the lowest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the values at each end, as a share of their range; on a logarithmic axis, as a power of their ratio.
 const AXIS_MARGIN: f64 = 0.06;

@@ -19,7 +19,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// Returns the place at a share along the scale and a share across it, which is counted from the left or from the top.
+    /// Returns the place at a share along the scale and a share across the scale. The share across is counted from the left or from the top.
     pub fn at(self, along: f64, across: f64) -> At {
         match self {
             Self::Upright => At::new(across, 1.0 - along),
@@ -27,7 +27,7 @@ impl Direction {
         }
     }
 
-    /// Returns a whisker along the scale. `has_cap` says which of its ends have a cap, which extends `cap` points to each side.
+    /// Returns a whisker along the scale. `has_cap` says which ends have a cap. A cap extends `cap` points to each side.
     pub fn whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
         if self == Self::Upright {
             return Item::whisker(ends, has_cap, cap, style);

@@ -7,7 +7,7 @@ use crate::look::{STAGES, Style, stage};
 use crate::plot::{At, Axis, Item, Key, Marks, Path, Plot, Strip, Swatch};
 use crate::scale::Scale;
 
-/// Share of the largest quantile by which the vertical axis extends beyond it.
+/// The vertical axis extends beyond the largest quantile by this share of the quantile.
 const MARGIN: f64 = 0.05;
 /// Units of the horizontal axis: length of the longest axis with the unit, seconds; length of the unit, seconds; name of the unit.
 const UNITS: [(f64, f64, &str); 4] = [
@@ -18,7 +18,7 @@ const UNITS: [(f64, f64, &str); 4] = [
 ];
 /// Runs shorter than this share of the axis are reported as short.
 const SHORT: f64 = 0.02;
-/// Distance of marks of iterations without an answer below which they become one mark, as a share of the axis.
+/// Marks of iterations without an answer become one mark if their distance is less than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
 
 /// Returns the position of a stage in a stack, counted from below.
@@ -68,7 +68,7 @@ pub struct StagesOverTime {
 
 impl StagesOverTime {
     /// Returns the largest latency that the axis must show: the largest median or 95th percentile of a bucket. If no bucket has enough
-    /// samples for a 95th percentile, that of the whole run is used, or otherwise the largest mean.
+    /// samples for a 95th percentile, the 95th percentile of the whole run is used, or the largest mean if the run has none.
     fn largest_latency(&self) -> f64 {
         let largest = |latency: fn(&StageBucket) -> Option<f64>| {
             self.buckets.iter().filter_map(latency).reduce(f64::max)
@@ -176,7 +176,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both begin at zero; one ends at the end of the longest run, the other a little above the largest quantile.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run, the axis of latencies a little above the
+    /// largest latency.
     /// `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);

@@ -6,11 +6,11 @@ use super::style::{Fill, Style, TextStyle};
 
 /// Name of the part of `total` beyond its stages.
 pub const UNATTRIBUTED: &str = "unattributed";
-/// Name of the time from the intended start of an iteration to the real one: a named part of the unattributed time.
+/// Name of the time from the intended to the real start of an iteration. This time is a part of the unattributed time.
 pub const LATENESS: &str = "lateness";
-/// Name of both directions of the network together, if the clocks cannot separate them.
+/// Name of the sum of upload and download, if the clocks cannot separate the two.
 const NETWORK: &str = "network";
-/// Class of totals, which are all stages together.
+/// Class of totals. A total is the sum of all stages.
 const TOTAL: &str = "total";
 
 /// Look of a stage.
@@ -26,7 +26,7 @@ pub struct Stage {
     pub edge: Option<Token>,
     /// Hatch in a file, so that stages also differ without colour. On pages only waiting and the unattributed time are hatched.
     pub hatch: Hatch,
-    /// Colour of a line in a file if neither the colour of the fill nor that of the edge is suitable.
+    /// Colour of a line in a file, if neither the fill colour nor the edge colour is suitable for a line.
     line: Option<Rgb>,
 }
 
@@ -96,7 +96,7 @@ const OTHER: Stage = Stage {
     line: None,
 };
 
-/// Returns the label of a stage or a part of one in legends, tables and sentences: its name, except for [`LATENESS`].
+/// Returns the label of a stage, or of a part of a stage, in legends, tables and sentences. The label is the name, except for [`LATENESS`].
 pub fn label(name: &str) -> &str {
     if name == LATENESS { "late start" } else { name }
 }
@@ -152,7 +152,7 @@ impl Stage {
         Style::area(class("f-", self.class), Fill::of(self.colour.light))
     }
 
-    /// Returns the colour of the stage's line or marks in a file. It has contrast to white, which a pale fill has not.
+    /// Returns the colour of the stage's line or marks in a file. The colour has enough contrast to white; a pale fill does not.
     pub fn line_colour(&self) -> Rgb {
         self.line.unwrap_or_else(|| self.edge.unwrap_or(self.colour).light)
     }

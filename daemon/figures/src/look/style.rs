@@ -11,7 +11,7 @@ use super::mark::Mark;
 pub struct Fill {
     /// Colour of the fill.
     pub colour: Rgb,
-    /// Opacity from 0 to 1. It represents a number, so pages have it as well.
+    /// Opacity from 0 to 1. The opacity represents a number, so it is also used on pages.
     pub opacity: f64,
     /// Lines over the fill, and their colour.
     pub hatch: Option<(Hatch, Rgb)>,

@@ -55,11 +55,11 @@ const ANSWER_SCORES: [AnswerScore; 3] = [
 ];
 
 impl AnswerScore {
-    /// Returns the score of an iteration; `None` without a valid one.
+    /// Returns the score of an iteration; `None` without a valid score.
     fn of(&self, row: RowRef<'_>) -> Option<f64> {
         match self.quantity {
             ScoredQuantity::Top1 => score(row, self.column).map(|is_right| f64::from(u8::from(is_right))),
-            // A detection has the overlap of the objects that were found as well, which is no score of the answer.
+            // For a detection, this column holds the mean overlap of the found objects, which is not a score of the answer.
             ScoredQuantity::MeanIou if row.value(MAP_50).is_some() => None,
             _ => row.value(self.column).filter(|score| (0.0..=1.0).contains(score)),
         }

@@ -15,11 +15,11 @@ const CAP_HALF_WIDTH: f64 = 1.4;
 /// Radius of a point, and width of the rim that separates it from its neighbours, points.
 const RADIUS: f64 = 2.1;
 const RIM: f64 = 0.4;
-/// Ratio of the largest to the smallest latency from which the axis is logarithmic.
+/// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
 /// Room beyond the intervals, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
-/// Difference of accuracies, as a share of the axis, below which the horizontal whiskers of two points can overlap.
+/// The horizontal whiskers of two points can overlap if the accuracies differ by less than this share of the axis.
 const OVERLAP_DISTANCE: f64 = 0.03;
 
 /// Accuracy and latency of one configuration.
@@ -76,7 +76,7 @@ pub enum ScoredQuantity {
 }
 
 impl ScoredQuantity {
-    /// Returns the title of the axis, and that of the column in the key.
+    /// Returns the title of the axis, and the title of the column in the key.
     const fn titles(self) -> (&'static str, &'static str) {
         match self {
             Self::Top1 => ("Top-1 accuracy, %", "accuracy, %"),

@@ -10,9 +10,9 @@ use crate::text::width;
 const HALF_HEIGHT: f64 = 3.6;
 /// Distance from a point to its number, points.
 const GAP: f64 = RADIUS + 0.9;
-/// Minimum distance between two numbers, so that they are not read as one, points.
+/// Minimum distance between two numbers, so that they are not read as one number; points.
 const MIN_DISTANCE: f64 = 2.1;
-/// Distance below which two points are neighbours: their numbers are on the sides away from each other, points.
+/// Two points at a smaller distance are neighbours: their numbers are on the sides away from each other. Points.
 const NEIGHBOUR_DISTANCE: f64 = 13.5;
 /// Height above the plot that numbers may use, next to the title of its axis, points.
 const HEIGHT_ABOVE_PLOT: f64 = 11.0;
@@ -84,8 +84,8 @@ impl FileSpot {
         ]
     }
 
-    /// Returns whether the area of this point's number is at least as near to another point. It would then be read as the number of the other
-    /// point.
+    /// Returns whether the area of this point's number is nearer to another point, or equally near. The number would then be read as the number
+    /// of the other point.
     fn is_nearer_to_other(&self, place: &Rect, spots: &[Self]) -> bool {
         let distance_to =
             |spot: &Self| spot.boxes().iter().map(|area| distance(place, area)).fold(f64::INFINITY, f64::min);

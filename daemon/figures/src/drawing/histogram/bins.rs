@@ -5,12 +5,12 @@ use peernet_analysis::order::SortedValues;
 /// Minimum and maximum number of bins.
 const MIN_BINS: usize = 8;
 const MAX_BINS: usize = 60;
-/// Maximum number of values that are cut off at one end: one in [`CUT_ONE_IN`]; of few values [`CUT_OF_FEW`], but never more than one in
-/// [`MAX_CUT_ONE_IN`].
+/// At most one value in this number is cut off at one end. If there are few values, [`CUT_OF_FEW`] may be cut off, but never more than
+/// one in [`MAX_CUT_ONE_IN`].
 const CUT_ONE_IN: usize = 100;
 const CUT_OF_FEW: usize = 3;
 const MAX_CUT_ONE_IN: usize = 8;
-/// Minimum factor by which values that are cut off would widen the axis. Values that widen it less are shown.
+/// Values are cut off only if they would widen the axis by at least this factor.
 const MIN_GAIN: f64 = 1.5;
 /// Tukey's far fence: distance from the quartile in interquartile ranges.
 const FAR_FENCE: f64 = 3.0;
@@ -90,8 +90,8 @@ impl Bins {
 /// A value is in such a tail if both conditions hold:
 ///
 /// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
-/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are those without 1 % at each
-///   end (without three at each end of fewer than 400 values, without one in eight at each end of fewer than 24 values).
+/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all values
+///   except 1 % at each end. Of fewer than 400 values, three at each end are left out; of fewer than 24 values, one in eight at each end.
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
     let values = all.values();
     let (lo, hi) = (*values.first()?, *values.last()?);

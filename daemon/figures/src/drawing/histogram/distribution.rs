@@ -27,7 +27,7 @@ pub enum View {
     Cumulative,
 }
 
-/// Distribution with the number of samples in each bin, for pages and files. The counts are those of a sketch or of [`Bins`](super::Bins).
+/// Distribution with the number of samples in each bin, for pages and files. The counts come from a sketch or from [`Bins`](super::Bins).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Distribution {
     /// Edges of the bins, SI units: one more than there are counts.
@@ -67,7 +67,7 @@ impl Distribution {
         (end(self.edges.first()), end(self.edges.last()))
     }
 
-    /// Returns the axis of values. A distribution with a single bin has it in the middle, where it does not fill the plot.
+    /// Returns the axis of values. A single bin is in the middle of the axis and does not fill the plot.
     fn value_axis(&self) -> Axis {
         let ((from, to), per_si) = (self.value_range(), self.unit.per_si);
         let middle = f64::midpoint(from, to) * per_si;

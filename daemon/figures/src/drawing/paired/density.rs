@@ -14,7 +14,7 @@ const CELLS: usize = MAX_POINTS;
 /// Returns evaluation points between `lo` and `hi` with the density there, relative to the highest density.
 ///
 /// The kernel is Gaussian with Silverman's width, 0.9 · min(s, IQR / 1.34) · n^−1/5 (*Density Estimation*, 1986, equation 3.31). Here n is
-/// the number of finite values in the range, and s and IQR are those of all values. The result is empty if the range is empty or if the values
+/// the number of finite values in the range; s and IQR are computed from all values. The result is empty if the range is empty or if the values
 /// have no such width: if they are fewer than two, if all are equal, or if one is infinite.
 pub(super) fn density(values: &SortedValues, (lo, hi): (f64, f64)) -> Vec<(f64, f64)> {
     let finite = || values.values().iter().filter(|value| value.is_finite() && (lo..=hi).contains(value));

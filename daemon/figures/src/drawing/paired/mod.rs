@@ -63,7 +63,7 @@ pub struct Group {
 }
 
 impl Group {
-    /// Returns the ratio of the first side's median to the second's, such as `2.5 ×`, if there are two sides.
+    /// Returns the ratio of the median of the first side to the median of the second side, such as `2.5 ×`; `None` unless there are two sides.
     fn ratio(&self) -> Option<String> {
         let [first, second] = self.values.as_slice() else { return None };
         let (first, second) = (first.median()?, second.median()?);

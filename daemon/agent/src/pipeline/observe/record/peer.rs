@@ -27,7 +27,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     (clock, host): (&SharedClock, HostId),
     peer: HostId,
     pair: &Pair,
-    seen: &ObservedPair,
+    peer_stamps: &ObservedPair,
     judge: impl FnOnce(&Crossing, Option<&Crossing>) -> [Option<OneWayDelay>; 2],
 ) -> (Tree, Stamp) {
     let (input, output) = (&pair.input, &pair.output);
@@ -35,11 +35,13 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
     let total = ended.mono - started.mono;
     let mut recorder = Recorder::starting_at(SharedClock::clone(clock), host, started);
     let mut transport = None;
-    if let Some(arrived) = seen.input() {
+    if let Some(arrived) = peer_stamps.input() {
         let up = Crossing { sender: input.received.at, receiver: arrived };
         let down = |departed| Crossing { sender: departed, receiver: output.at };
-        let return_path =
-            seen.output().zip(seen.elapsed()).map(|(departed, elapsed)| (down(departed), elapsed));
+        let return_path = peer_stamps
+            .output()
+            .zip(peer_stamps.elapsed())
+            .map(|(departed, elapsed)| (down(departed), elapsed));
         let [up_delay, down_delay] = judge(&up, return_path.as_ref().map(|(down, _)| down));
         let upload = recorder.start_transit(stage::UPLOAD, started);
         let nodes = return_path.map(|(down, elapsed)| peer_nodes(&down, elapsed, down_delay));
@@ -66,7 +68,7 @@ pub(in crate::pipeline::observe) fn answered_by_peer(
             }
         }
     }
-    let missing = [(PEER_INPUT_MISSING, seen.input()), (PEER_OUTPUT_MISSING, seen.output())];
+    let missing = [(PEER_INPUT_MISSING, peer_stamps.input()), (PEER_OUTPUT_MISSING, peer_stamps.output())];
     // Counted only when the peer answered: otherwise it is unknown what it received.
     for (name, _) in missing.into_iter().filter(|(_, stamp): &(Name, Option<HostStamp>)| stamp.is_none()) {
         count(recorder.tree_mut(), name, total, 1);

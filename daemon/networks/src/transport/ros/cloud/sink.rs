@@ -55,13 +55,15 @@ impl Sink for CloudSink {
 
     fn handle_event(&mut self, channel: &Channel, event: Event) -> Option<Delivery> {
         let connection = self.peer.connection;
-        let (delivered_event, reserved) = match event {
+        let (delivered_event, memory_reservations) = match event {
             Event::Hello => {
                 channel.announce(MessageInfo::WELCOME);
                 return None;
             }
             Event::Welcome => return None,
-            Event::Message(frames, reserved) => (ListenerEvent::Message(self.peer.clone(), frames), reserved),
+            Event::Message(frames, memory_reservations) => {
+                (ListenerEvent::Message(self.peer.clone(), frames), memory_reservations)
+            }
             Event::Incomplete(loss) => (ListenerEvent::Incomplete(connection, loss), Vec::new()),
             Event::Lost(loss) => (ListenerEvent::Lost(connection, loss), Vec::new()),
             Event::InvalidData(problem) => {
@@ -70,7 +72,7 @@ impl Sink for CloudSink {
             Event::Remark(text) => (ListenerEvent::Remark(connection, text), Vec::new()),
             Event::Gone(reason) => (ListenerEvent::Gone(connection, reason), Vec::new()),
         };
-        Some((delivered_event, reserved))
+        Some((delivered_event, memory_reservations))
     }
 
     async fn next_directive(&mut self, channel: &Arc<Channel>) -> Directive {
