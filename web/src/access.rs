@@ -49,7 +49,7 @@ fn requested_host(request: &Request) -> Result<&str, WebError> {
     let parsed_host = host.to_str().ok().and_then(|text| Some((text, parse_host(text)?)));
     let (authority, host) = parsed_host
         .ok_or_else(|| bad_request("the Host header is not a name or address with an optional port"))?;
-    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). Both names are equal, so a check of one is enough.
+    // A request to a proxy names the server in its target, too (RFC 9112, 3.2.2). If both names are equal, a check of one name is enough.
     match request.uri().authority() {
         Some(target) if !target.as_str().eq_ignore_ascii_case(authority) => {
             Err(bad_request("the Host header and the request's target name different servers"))

@@ -1,8 +1,8 @@
 //! The accept loop, the limits of a connection that sends no request, and the shutdown of all connections.
 //!
 //! At most [`Limits::connections`] connections are open at a time, and client addresses share them ([`FairSlots`]). A further connection
-//! replaces the oldest connection of the address that has the most connections. It is closed instead if no address has at least two more
-//! connections than its own address.
+//! replaces the oldest connection of the address that has the most connections. But if no address has at least two more connections than
+//! the address of the further connection, the further connection is closed.
 //!
 //! Live streams never end. At most [`Limits::streams`] of them are open, shared in the same way, and at most
 //! [`Limits::streams_per_address`] of one address, so that connections and processor time remain for all other requests. A further

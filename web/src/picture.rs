@@ -21,7 +21,8 @@ impl fmt::Display for Picture {
 impl askama::filters::HtmlSafe for Picture {}
 
 impl Picture {
-    /// Draws items without axes. `label` describes the items in words. It is empty if numbers next to the picture say the same.
+    /// Draws items without axes. `label` describes the items in words; it is empty if numbers next to the picture contain the same
+    /// information.
     pub(crate) fn of_items(items: &[Item], class: &str, label: &str) -> Self {
         Self(page::picture(items, class, label))
     }

@@ -51,7 +51,8 @@ pub(crate) struct Visit {
     pub arrival: f64,
     /// Times at which the other host sent the answer and at which the edge received it.
     pub answer_times: Option<(f64, f64)>,
-    /// Uncertainty of `arrival`, and thereby of all times of the visit: the maximum shift to an earlier time (negative) and to a later time.
+    /// Uncertainty of `arrival`: the maximum shift to an earlier time (negative) and to a later time. All times of the visit share this
+    /// uncertainty.
     pub shift: (f64, f64),
     /// Sum of upload and download, which does not depend on the clock relation.
     pub network: Option<f64>,
@@ -90,7 +91,7 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
         let by_wall_clock = transit.received? - edge.wall;
         Some((node.start, by_raw_clock.unwrap_or_else(|| by_wall_clock.seconds())))
     });
-    // The time that the agent measured is valid even if a clock was stepped meanwhile; the difference of the stamps is not.
+    // The sum that the agent measured is valid even if a clock was stepped during the iteration. The difference of the stamps is not.
     let network = answer.and(both_ways.or(tree.stages().transport().map(Span::seconds)));
 
     let delay = request.delay.as_ref();

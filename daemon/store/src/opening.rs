@@ -110,8 +110,8 @@ impl OpenDatabase {
         }
         let (mut database, state) = Self::open_locked(lock, path, retention, integrity).await?;
         if let Err(source) = database.writer.write_nothing().await {
-            // A connection that is only dropped keeps the file open for some time, and thereby the lock, and a file system that could
-            // not be unmounted.
+            // If the connection is only dropped, it keeps the file open for some time. Until then the lock is held, and the file system
+            // cannot be unmounted.
             let (_, closed) = database.close().await;
             if let Err(error) = closed {
                 tracing::debug!(%error, database = %path.display(), "cannot close the database cleanly");

@@ -32,7 +32,7 @@ pub fn basis(basis: EstimateBasis) -> EstimateBasis {
     }
 }
 
-/// Returns the second without its median delay if that is negative or outside its own bounds, and without an impossible data rate.
+/// Returns the second without implausible values: a median delay that is negative or outside its bounds, and an impossible data rate.
 pub fn delays(second: DelaySecond) -> DelaySecond {
     let is_valid_rate = |rate: &f64| rate.is_finite() && *rate >= 0.0;
     let median =

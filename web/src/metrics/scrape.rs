@@ -31,8 +31,8 @@ pub(super) struct Scrape {
 }
 
 impl Scrape {
-    /// Copies the required data of the live state. Samples are labelled with names, so only one of several hosts with the same name is
-    /// taken: a connected host before a disconnected one, then the host that reported last.
+    /// Copies the required data of the live state. Samples are labelled with names of hosts. If several hosts have the same name, only
+    /// one is taken: a connected host rather than a disconnected host, and among these the host that reported last.
     pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorFigures) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &live_state.hosts {

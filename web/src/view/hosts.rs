@@ -105,8 +105,8 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
         .join(" ")
 }
 
-/// Describes a host's wall clock relative to the aggregator's. Returns a text for the table, and an explanation. Processes of one machine
-/// report the same boot id, but so do copies of a virtual machine. A clock that differs by a second or more is therefore described as a
+/// Describes a host's wall clock relative to the wall clock of the aggregator. Returns a text for the table, and an explanation. Processes
+/// of one machine report the same boot id, but copies of a virtual machine do so, too. A clock that differs by a second or more is therefore described as a
 /// different clock.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {

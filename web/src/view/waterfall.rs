@@ -244,7 +244,7 @@ pub(crate) fn delays(timeline: &Timeline, stored_delays: &[peernet_store::DelayR
     rows.collect()
 }
 
-/// Describes the way of the iteration to the other host and back in a sentence, for readers who do not see the picture.
+/// Returns a sentence on the way of the iteration to the other host and back, for readers who do not see the picture.
 pub(crate) fn journey(timeline: &Timeline, edge: &str, cloud: &str) -> String {
     let Some(visit) = timeline.visit() else { return String::new() };
     let at = |seconds: f64| format!("{}{SPACE}ms", stage_ms(seconds));

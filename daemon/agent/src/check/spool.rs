@@ -27,7 +27,7 @@ pub(super) fn check_spool(report: &mut Report, config: &AgentConfig) {
         report.add("spool.limit_bytes", text);
     }
     report.check_max("spool.sync_interval_ms", spool.sync_interval_ms.get().into(), MAX_SYNC_INTERVAL_MS);
-    // Without `spool.file` the file is in `state_dir`, which is checked on its own.
+    // Without `spool.file` the file is in `state_dir`. Another function checks `state_dir`.
     if let Some(file) = &spool.file {
         if file.as_os_str().is_empty() {
             report.add(

@@ -6,9 +6,9 @@ use peernet_stream::Grade;
 
 use super::{Finding, InspectionSettings};
 
-/// Number of free bytes below which the grade is doubtful.
+/// If fewer bytes are free, the grade is doubtful.
 const DOUBTFUL_BELOW_BYTES: u64 = 1 << 30;
-/// Number of free bytes below which the grade is bad.
+/// If fewer bytes are free, the grade is bad.
 const BAD_BELOW_BYTES: u64 = 100 << 20;
 
 /// Grades the free space of every folder to which the run writes.

@@ -150,8 +150,8 @@ impl LinkClockState {
     }
 
     /// Judges the delays of observed messages, one in each direction.
-    // Neither the relation nor the second learns from them, because the first stamp is the reception by another receiver
-    // and not the departure.
+    // These delays update neither the clock relation nor the current second, because the first stamp is the reception by
+    // another receiver and not the departure.
     pub(super) fn judge_stamps(&self, up: &Crossing, down: Option<&Crossing>) -> [Option<OneWayDelay>; 2] {
         let is_current = |stamp: &HostStamp, clock: &AnnouncedClock| stamp.epoch == Some(clock.epoch());
         let is_up_current = is_current(&up.sender, &self.edge) && is_current(&up.receiver, &self.cloud);

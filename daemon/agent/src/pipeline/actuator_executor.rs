@@ -56,9 +56,9 @@ pub(super) struct ActuatorExecutor {
 /// An actuator and the samples to which it has responded.
 struct OrderedActuator {
     actuator: Box<dyn Actuator>,
-    /// Run and number of the iteration whose answer it acted on last.
+    /// Run and number of the iteration whose answer the actuator acted on last.
     last_acted: Option<(RunId, u64)>,
-    /// The last episode of which it reported the end.
+    /// Run and number of the last episode whose end the actuator reported.
     ended_episode: Option<(RunId, u32)>,
 }
 
@@ -127,8 +127,8 @@ impl ActuatorExecutor {
 }
 
 impl OrderedActuator {
-    /// Returns whether an answer may be acted on: a robot must not go back to the answer to an older sample, nor continue
-    /// an episode that has ended.
+    /// Returns whether the actuator may act on an answer. It must not act on the answer to an older sample after the answer
+    /// to a newer sample, and must not continue an episode that has ended.
     fn accepts(&self, origin: &SampleOrigin<'_>) -> bool {
         let Position { number, episode, .. } = origin.position;
         let is_older = self.last_acted.is_some_and(|(run, last)| run == origin.run && number < last);

@@ -121,7 +121,7 @@ impl<'a> PipelineLoop<'a> {
         let Some(PendingSample { run, start, started_at, .. }) = self.resources.sensing.take() else {
             return;
         };
-        // The end of the sensor, its failure and a sample of an earlier run are handled as they are with a connection.
+        // The end of the sensor, a failure of the sensor and a sample of an earlier run are handled as if there were a connection.
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, started_at), SensorOutput { log, sample });
         }

@@ -37,7 +37,7 @@ pub(super) enum Placement {
 pub(super) struct Computed {
     /// The recorder with all stages up to the arrival of the answer.
     pub(super) log: Recorder,
-    /// The answer (`None` from a sensor alone), or the outcome of an iteration without one.
+    /// The answer (`None` from a sensor alone), or the outcome of an iteration without an answer.
     pub(super) result: Result<Option<Sample>, Outcome>,
     /// Sum of upload and download, from both hosts' monotonic clocks; `None` unless a peer answered.
     pub(super) transport: Option<Span>,

@@ -13,7 +13,7 @@ const QUERY_INTERVAL: Duration = Duration::from_secs(2);
 const VALIDITY: Span = Span::from_seconds(5);
 /// Longest round trip of an answer that is a proof. A different clock could differ by as much as the round trip.
 const MAX_ROUND_TRIP: Span = Span::from_millis(5);
-/// Number of consecutive slow answers after each of which the next query is sent at once.
+/// After a slow answer the next query is sent at once, for this number of slow answers in a row.
 const QUICK_RETRIES: u32 = 8;
 
 /// Reason why it is not proven that both processes read one clock.

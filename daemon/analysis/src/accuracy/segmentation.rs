@@ -22,7 +22,7 @@ pub struct ClassMap<'a> {
 }
 
 impl<'a> ClassMap<'a> {
-    /// Creates the map; `None` if the picture is empty, or the number of classes is not that of its pixels.
+    /// Creates the map; `None` if the picture is empty, or if there is not exactly one class for each pixel.
     pub fn new(width: u32, height: u32, classes: &'a [u8]) -> Option<Self> {
         let (width, height) = (width as usize, height as usize);
         (width > 0 && width.checked_mul(height)? == classes.len() && height > 0).then_some(Self {

@@ -6,7 +6,7 @@ use super::configuration::EMPTY_CELL;
 const MAX_LISTED: usize = 4;
 /// Minimum number of hexadecimal digits of a label that counts as a hash.
 const MIN_HASH_DIGITS: usize = 32;
-/// Size from which a label is too long for a table, such as a list of libraries, bytes.
+/// A label of at least this size is too long for a table, for example a list of libraries. Bytes.
 const MIN_LIST_BYTES: usize = 120;
 
 /// Fact with the label of each configuration.
@@ -94,7 +94,7 @@ fn distinct_rows(columns: &[Column], configurations: usize) -> usize {
 
 /// Returns sentences about the facts that differ but have no column.
 pub(super) fn sentences(columns: &[Column], rest: &[Column]) -> Vec<String> {
-    // Facts whose values are listed, and facts of which only the name is given.
+    // Texts of the facts whose values are listed, and names of the facts that are only named.
     let (mut listed, mut names): (Vec<String>, Vec<&str>) = (Vec::new(), Vec::new());
     for column in rest {
         match column.values_with_configurations(columns) {

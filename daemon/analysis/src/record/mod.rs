@@ -171,7 +171,7 @@ pub struct ModelRecord {
     pub sha256: Option<String>,
 }
 
-/// Number of iterations by outcome. Warm-up is counted separately, whatever its outcome.
+/// Number of iterations by outcome. Warm-up iterations are counted separately, with any outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Counts {

@@ -67,7 +67,7 @@ impl EndedEarly {
             let limit = limit.filter(|limit| *limit > 0.0)?;
             Some(Self { reached, limit, unit, interrupted })
         });
-        // A run ends at the first limit that it reaches. The limit of which it reached the largest share is therefore the relevant one.
+        // A run ends at the first limit that it reaches. The relevant limit is therefore the limit of which the run reached the largest share.
         let nearest = amounts.max_by(|a, b| a.share().total_cmp(&b.share()))?;
         // The last iteration ends shortly before a limit of time, and episodes may end early, so the reason for the end decides whether
         // such a run is complete.

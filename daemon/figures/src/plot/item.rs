@@ -101,8 +101,8 @@ impl Label {
         Self { lead: Some((words, Some(0))), ..self }
     }
 
-    /// Returns the same text, which pages show only in pictures in which it takes at most this share of the width. If the method is called
-    /// several times, the smallest share applies.
+    /// Returns the same text with a limit of its width: pages show the text only if it takes at most this share of the picture's width. If
+    /// the method is called several times, the smallest share applies.
     #[must_use]
     pub fn fits_within(self, share: f64) -> Self {
         let raise = |min_width: Option<u16>, words: &str| {

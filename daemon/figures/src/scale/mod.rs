@@ -19,7 +19,7 @@ const MIN_MAGNITUDE: f64 = 1e-150;
 const MARGIN: f64 = 0.04;
 /// Room at both ends of a logarithmic scale of sizes, for the names of points: a factor that is this power of the ratio of the ends.
 const SIZES_MARGIN: f64 = 0.06;
-/// Ratio of the largest to the smallest value above which a scale of sizes is logarithmic.
+/// A scale of sizes is logarithmic if the ratio of the largest to the smallest value is more than this.
 const DECADE: f64 = 10.0;
 /// Maximum distance of a value beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
 const MAX_OUTSIDE: f64 = 0.05;

@@ -158,8 +158,9 @@ fn write_x_labels(svg: &mut Writer, class: &str, labels: &[(Anchor, &Tick)]) {
     };
     aria_hidden_element(svg, Tag::Svg, &format!("axisrow {class}")).open();
     for (index, label) in labels.iter().enumerate() {
-        // As the picture gets narrower, labels are hidden in steps: first those with an odd index, then those whose index is an odd multiple
-        // of 2, then of 4, and so on. The first label is always shown. The neighbours of a label when it is hidden are `stride` indexes away.
+        // As the picture gets narrower, labels are hidden in steps: first the labels with an odd index, then the labels whose index is an odd
+        // multiple of 2, then of 4, and so on. The first label is always shown. When a label is hidden, its neighbours are `stride` indexes
+        // away.
         let stride = if index == 0 { labels.len() } else { 1 << index.trailing_zeros() };
         let previous = index.checked_sub(stride).and_then(|other| labels.get(other));
         let next = labels.get(index + stride);

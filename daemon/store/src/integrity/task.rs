@@ -208,7 +208,7 @@ async fn read_blocking<T: Send + 'static>(
     Ok(result.map_err(|_| sqlx::Error::WorkerCrashed)??)
 }
 
-/// Returns the first error that SQLite finds in the whole file, which it reads over a separate connection.
+/// Returns the first error that SQLite finds in the whole file. SQLite reads the file over a separate connection.
 ///
 /// # Errors
 /// When the file cannot be checked now, or `stop` was cancelled.

@@ -17,7 +17,7 @@ const GROUP_S: i64 = 3_600;
 /// ?1 incident, ?2 text.
 const UPDATE: &str = "UPDATE incident SET text = ?2 WHERE id = ?1";
 
-/// The limit because of which data was deleted.
+/// Limit that made retention delete data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Cause {
     /// The data was older than its period.

@@ -315,7 +315,7 @@ impl Entities {
 }
 
 impl Lookup {
-    /// Returns the id under which the reporter's run is stored, and the id under which it is reported if that differs.
+    /// Returns the id under which the reporter's run is stored. If the reporter uses another id for this run, also returns that id.
     fn ids(&self, run: RunId) -> (RunId, Option<RunId>) {
         let uuid = match self.reporters_run {
             Some(reporters_run) => reporters_run.uuid,

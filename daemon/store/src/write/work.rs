@@ -16,7 +16,7 @@ pub enum Work {
     Hello(Box<Introduction>),
     /// A host said goodbye, so that its runs have ended. Events in its spool may still follow.
     Goodbye(HostId),
-    /// A live update contains the name of a run of which the store has only iterations.
+    /// The name of a run, from a live update. So far the store has only iterations of this run.
     Name(Box<RunName>),
     /// A batch of events.
     Batch(Box<PreparedBatch>),

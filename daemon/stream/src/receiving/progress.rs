@@ -40,13 +40,13 @@ pub(super) struct Progress {
     mark: Option<Mark>,
     stored: Position,
     accepted: Position,
-    /// Last batch of which the connected agent is known to hold the same content: the agent compared the chains when it
-    /// was welcomed, or has sent the batch since then.
+    /// Number of the last batch that has the same content here and at the connected agent. This is known because the agent
+    /// compared the chains when it was welcomed, or because it has sent the batch since then.
     confirmed: u64,
     /// Accepted batches that are not both stored and confirmed, in ascending order. A gap is represented by its last
     /// number.
     pending: VecDeque<(u64, Chain)>,
-    /// Number from which on batches were requested again; `None` once the first requested batch arrives.
+    /// Number of the first batch that was requested again; `None` once this batch arrives.
     requested: Option<u64>,
     /// The last batch that arrived damaged, and the number of its damaged arrivals in a row.
     damaged: Option<(BatchHead, u32)>,

@@ -4,13 +4,13 @@ use peernet_clock::{MonoTime, Span};
 
 use super::Compression;
 
-/// Rate in bytes per second below which a link is slow. An agent at full speed produces a few megabytes of events per
+/// A link is slow if its rate in bytes per second is lower than this. An agent at full speed produces a few megabytes of events per
 /// second, which is little for a cable and too much for a poor radio link. Above this rate, compression would have no
 /// benefit and would use processor time of a host that is being measured.
 const SLOW_BYTES_PER_S: f64 = (4 << 20) as f64;
 
-/// Rate above which a link is no longer slow. It is well above `SLOW_BYTES_PER_S`, so that a link with a rate between the
-/// two does not switch compression repeatedly.
+/// A slow link stops being slow if its rate is higher than this. This limit is well above `SLOW_BYTES_PER_S`, so that a
+/// link with a rate between the two limits does not switch compression repeatedly.
 const FAST_BYTES_PER_S: f64 = 2.0 * SLOW_BYTES_PER_S;
 
 /// Minimum time of waiting for acknowledgements over which a rate is computed.

@@ -262,7 +262,7 @@ impl Sending {
         }
     }
 
-    /// Starts sending if the aggregator's last batch is the one with the chain `own_chain`, and leaves the stream otherwise.
+    /// Starts sending if the chain hash of the aggregator's last batch equals `own_chain`, and leaves the stream otherwise.
     fn compare_chains(
         &mut self,
         welcome: Welcome,

@@ -11,7 +11,7 @@ const MAX_WAITING_BATCHES: u64 = 64;
 /// Longest time that stored batches wait for their deletion.
 const MAX_WAIT: Span = Span::from_seconds(1);
 
-/// Number up to which batches are deleted from the spool, and the batches that wait for deletion.
+/// Deletion of batches from the spool: the number up to which batches are deleted, and the batches that wait for deletion.
 #[derive(Clone, Debug)]
 pub(super) struct Deletions {
     job: Job<Deleting>,

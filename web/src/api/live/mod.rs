@@ -203,7 +203,7 @@ struct Listener {
     ready: watch::Receiver<Readiness>,
     /// Earliest time of the next events.
     next_send: Instant,
-    /// Time up to which the listener received an earlier stream; `None` after the first events.
+    /// Time of the last event that the listener received on an earlier stream; `None` once events were sent on this stream.
     received_until: Option<WallTime>,
     /// Hash of the HTML last sent, by index of the topic and part of its page.
     sent_hashes: HashMap<(usize, &'static str), u64>,

@@ -54,8 +54,8 @@ pub(crate) fn unknown_labels(comparison: &Comparison) -> Vec<String> {
 }
 
 /// Returns the commands that download the runs from this dashboard and compare them by all their iterations. `host` is the address by
-/// which the browser reaches the dashboard. Returns `None` for fewer than two runs, and for an experiment, because its own command wrote
-/// its results to a folder.
+/// which the browser reaches the dashboard. Returns `None` for fewer than two runs. Also returns `None` for an experiment, because
+/// the command that ran the experiment wrote the results to a folder.
 pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
     let runs: Vec<String> = comparison.runs().map(|run| run.number.to_string()).collect();
     (comparison.experiment.is_none() && runs.len() > 1).then_some(())?;

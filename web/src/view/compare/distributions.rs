@@ -158,11 +158,12 @@ impl Quantity {
     }
 }
 
-/// Returns the distributions of the selected quantity. Without a selection, returns those of all quantities if they are at most
-/// [`MAX_PICTURES`], else those of the first measured quantity. `None` if nothing was measured and nothing is selected.
+/// Returns the distributions of the selected quantity. Without a selection, returns the distributions of all quantities if there are at
+/// most [`MAX_PICTURES`] distributions, else only those of the first measured quantity. `None` if nothing was measured and nothing is
+/// selected.
 ///
 /// # Errors
-/// Returns an error when the quantity is not a usual one and no run has it.
+/// Returns an error when the name of the quantity is not one of the usual names and no run has such a quantity.
 pub(crate) fn distributions(
     comparison: &Comparison,
     selected: Option<&str>,

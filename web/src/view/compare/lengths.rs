@@ -53,8 +53,8 @@ impl<'a> VaryingLengths<'a> {
         comparison.configurations.iter().filter_map(Self::of).collect()
     }
 
-    /// Returns the unit of lengths: its name, its factor from the measured value, the unit of the slope, and the measured length that the
-    /// slope is given for.
+    /// Returns the unit of lengths: its name, and the factor from the measured value to this unit. Also returns the unit of the slope: its
+    /// name, and the measured length for which the slope is given.
     fn unit(&self, longest: f64) -> (String, f64, &'static str, f64) {
         if is_tokens(self.length) {
             (self.length.replace(['-', '_'], " "), 1.0, "token", 1.0)

@@ -73,7 +73,7 @@ pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)>
 
 pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
 
-/// Groups configurations that differ only in the size of the payload. The size is given by the axis on which equal labels mean equal
+/// Groups configurations that differ only in the size of the payload. On the axis that sets the size, equal labels mean equal
 /// sizes. Returns a single group of all configurations if there is no such axis or there would be too many groups.
 pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
     let sets_the_size = |axis: &usize| {

@@ -126,7 +126,7 @@ pub(crate) fn throughput(comparison: &Comparison) -> Option<Throughput> {
     Some(Throughput { plot: Picture::of_scatter(&scatter, &label), rows, sentences })
 }
 
-/// Returns a horizontal line at the throughput of large messages, which follows from the delay of each further byte.
+/// Returns a horizontal line at the throughput of large messages. This throughput follows from the delay of each further byte.
 fn horizontal_line(
     comparison: &Comparison,
     way: &Name,

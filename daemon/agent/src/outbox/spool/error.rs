@@ -29,7 +29,7 @@ pub enum SpoolError {
     Io {
         /// Verb that says what was tried.
         action: &'static str,
-        /// File or folder on which it was tried.
+        /// File or folder of the failed operation.
         path: PathBuf,
         /// Error of the operating system.
         source: io::Error,

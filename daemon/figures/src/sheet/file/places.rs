@@ -15,7 +15,7 @@ const PLOT_DISTANCE: f64 = 5.0;
 const MIN_MARK_DISTANCE: f64 = 12.0;
 /// Maximum width of names at a vertical axis, points.
 pub const MOST_NAME: f64 = WIDTH * 0.47;
-/// Distance of names at a vertical axis below which they have small type, points.
+/// Names at a vertical axis have small type if their distance is less than this, points.
 const CLOSE: f64 = 12.0;
 /// Minimum height of a plot, points.
 const MIN_HEIGHT: f64 = 30.0;

@@ -21,9 +21,9 @@ use crate::database_error::{DatabaseError, is_damage};
 use crate::foreign_log::{ForeignLog, refuse_foreign_log_at};
 use crate::integrity::{PageCheck, has_table_list, log_path, recorded_damage};
 
-/// Free bytes of the disk below which the report names a problem.
+/// If fewer bytes of the disk are free, the report names a problem.
 const MIN_FREE_BYTES: u64 = 512 << 20;
-/// Bytes of the write-ahead log above which SQLite is probably kept from checkpointing it into the database.
+/// If the write-ahead log has more bytes, something probably keeps SQLite from checkpointing the log into the database.
 const LARGE_WAL_BYTES: u64 = 512 << 20;
 /// Advice for a damaged file.
 const REPAIR: &str = "stop the aggregator and run this again with --repair, which salvages all readable rows and keeps the \

@@ -204,8 +204,8 @@ impl Reconciliation<'_> {
 
     /// Deletes the iterations whose nodes are not numbered from 0 without a gap. Returns their number.
     ///
-    /// A row whose key was overwritten may look like a row of another tree. No unreadable range shows that the row is missing in its
-    /// own tree.
+    /// If the key of a row was overwritten, the row may look like a row of another tree. It is then missing in its own tree, but no range
+    /// of the file is unreadable.
     async fn delete_torn_trees(&mut self) -> Result<u64, sqlx::Error> {
         self.execute(
             "DELETE FROM iteration WHERE (run, number) IN (SELECT run, iteration FROM node GROUP BY run, iteration \
@@ -257,8 +257,8 @@ impl Reconciliation<'_> {
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
             let is_untrimmed = run.nodes_from == 0;
-            // The run's own counters were stored with its iterations. They are not usable for a run of which retention has deleted
-            // iterations, and for a substitute of a lost run. For these runs only the missing numbers show how many are lost.
+            // The run's own counters were stored with its iterations. They are not usable if retention has deleted iterations of
+            // the run, or if the run is a substitute of a lost run. For these runs only the missing numbers show how many iterations are lost.
             let lost = if is_untrimmed && run.counted > 0 {
                 run.counted - run.stored
             } else {
@@ -321,7 +321,7 @@ impl Reconciliation<'_> {
         Ok(())
     }
 
-    /// Counts the nodes of each host again. The count of a host of which retention has deleted nodes stays.
+    /// Counts the nodes of each host again. If retention has deleted nodes of a host, the count of this host stays unchanged.
     async fn recount_nodes(&mut self) -> Result<(), sqlx::Error> {
         let runs: Vec<(i64, i64, i64)> = sqlx::query_as(
             "SELECT pipeline.host, run.number, run.nodes_from FROM run JOIN pipeline ON pipeline.id = run.pipeline",

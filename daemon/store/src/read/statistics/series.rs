@@ -67,7 +67,7 @@ impl StoredWidths {
     /// coarsest stored width that divides the width of a point. Returns the width of a point and the stored width.
     ///
     /// A stored width of which buckets were deleted is skipped, so that all points of a line are made from one width. Buckets of an
-    /// hour are the exception: the remaining ones are used even if some were deleted.
+    /// hour are the exception: the remaining buckets are used even if some buckets were deleted.
     pub(super) fn choose(&self, max_points: usize) -> (i64, i64) {
         let complete_extent = self.0.iter().filter(|width| width.is_complete).find_map(|width| width.extent);
         let remaining_extent = || {

@@ -94,7 +94,7 @@ impl Allowance {
             // The allowance is at most halved at once: a single late echo may be due to a lost packet.
             self.bytes = self.bytes.min(reduced);
         } else {
-            // An allowance of which less than one part was unused counts as fully used.
+            // The allowance counts as fully used if less than one part of it was unused.
             let used = bytes + self.part_bytes();
             let doubled = if round_trip <= shortest + NEGLIGIBLE_QUEUEING { 2 * used } else { 2 * bytes };
             let increased =

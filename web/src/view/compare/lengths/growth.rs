@@ -3,7 +3,7 @@
 use peernet_analysis::answer_length::Growth;
 use peernet_statistics::number::{Estimate, SPACE, count};
 
-/// Describes the slope and its interval in a sentence. `what` names the unit of length, and `each` is its size in measured units.
+/// Describes the slope and its interval in a sentence. `what` names the unit of length, and `each` is the length of this unit in measured units.
 pub(super) fn sentence(growth: &Growth, what: &str, each: f64) -> String {
     let Growth { fit, interval } = growth;
     let (value, lo, hi) = (fit.slope.value * each, interval.0 * each, interval.1 * each);

@@ -19,7 +19,7 @@ pub(super) struct PendingPairs<P> {
     pairs: VecDeque<Pending<P>>,
 }
 
-/// A peer's stamps of a pair. The session over which they arrived may be over.
+/// A peer's stamps of a pair. The session over which the stamps arrived may have ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PeerAnswer {
     pub(super) peer: HostId,
@@ -63,7 +63,7 @@ impl<P> PendingPairs<P> {
         self.pairs.iter().map(|pending| pending.query_at).min()
     }
 
-    /// Handles an answer. Returns the pairs for which it has both messages.
+    /// Handles an answer of the peer. If the answer has both messages, removes and returns the pairs with the same key.
     pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
         let has_key = |pending: &Pending<P>| pending.key == answer.seen.key;
         if !answer.seen.is_complete() {
