@@ -190,7 +190,7 @@ impl Tree {
             return Err(TreeError::BaseMismatch { expected: delta.base as usize, actual: base });
         }
         let (transit_id, received_at) = delta.closed;
-        // A peer may close only the transit with which it received the tree: it must still be open.
+        // A peer may close only the transit with which it received the tree. This transit must still be open.
         match self.nodes.get(transit_id.index()).map(|node| &node.measure) {
             Some(Measure::Transit(transit)) if transit.received.is_none() => {}
             _ => return Err(TreeError::NotInFlight(transit_id.index())),

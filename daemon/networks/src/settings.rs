@@ -35,7 +35,7 @@ const SOCKET_BUFFER_BYTES_RANGE: (u64, u64) = (64 << 10, 1 << 30);
 pub struct SessionSettings {
     /// Time limit for opening a session, including the loading of the model on the cloud. Milliseconds.
     pub open_timeout_ms: u64,
-    /// Time limit for a connection to a listener that has neither a session nor a request for one. Milliseconds.
+    /// Time limit for a connection to a listener as long as the connection has no session and no request for a session. Milliseconds.
     pub hello_timeout_ms: u64,
     /// Interval at which a silent peer is asked for a heartbeat. Milliseconds.
     pub heartbeat_interval_ms: u64,

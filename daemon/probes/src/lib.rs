@@ -10,9 +10,9 @@
 //! - `prober` and `reflector`: sockets and timers of the two roles. `schedule` has the times of probes, and `refusal_log`
 //!   limits the log lines about refused probes.
 //!
-//! Probes must be answered by the process that serves the data. A process therefore draws a random number, which its
-//! reflector's answers and its sessions carry; answers with another number are refused. If no key is configured, a random
-//! key of the process, which peers get with their session, authenticates probes.
+//! Probes must be answered by the process that serves the data. A process therefore draws a random number. The answers
+//! of its reflector and its sessions carry this number, and answers with another number are refused. If no key is
+//! configured, a random key of the process authenticates probes; peers get this key with their session.
 
 #[doc(hidden)]
 pub mod fuzzing;

@@ -142,7 +142,7 @@ impl Connection {
         }
     }
 
-    /// Receives a line, without its line feed. A datagram is a line, with or without one.
+    /// Receives a line, without its line feed. Each datagram is one line and may end with a line feed.
     fn receive_line(&mut self, deadline: &Deadline) -> Result<Vec<u8>, SocketError> {
         // One byte more than the longest line, so that a longer datagram is not cut to a valid one.
         let mut buffer = vec![0; MAX_LINE_BYTES + 1];

@@ -34,7 +34,7 @@ use peernet_store::{AggregatorIncidentKind, StoreError};
 /// Interval of checking the database's files while no work arrives.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Size of SQLite's -wal file above which it is truncated as soon as no reader uses it: twice the usual size.
+/// If SQLite's -wal file is larger, it is truncated as soon as no reader uses it. Twice the usual size.
 const MAX_WAL_BYTES: u64 = 128 << 20;
 
 /// Largest number of tree nodes of a commit, unless `commit_nodes` is larger: a larger commit is no cheaper per node.

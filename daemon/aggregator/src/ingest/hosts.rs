@@ -1,8 +1,8 @@
 //! The known hosts: stored hosts with their secrets, and newcomers.
 //!
-//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. It exists only in memory and only
-//! while it is connected; its first batch makes it a stored host. Invented hosts therefore fill neither the database
-//! nor the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer is dropped. A
+//! A newcomer is a host whose hello was accepted and of which nothing is stored yet. A newcomer exists
+//! only in memory and only while it is connected; its first batch makes it a stored host. Therefore hosts that somebody
+//! invents do not fill the database or the pages. The number of newcomers is limited to `max_hosts`; beyond that, the oldest newcomer is dropped. A
 //! genuine agent has its first event stored within a second.
 
 use std::collections::HashMap;

@@ -1,9 +1,9 @@
 //! Formatting of durations.
 
 const DAY: u64 = 86_400;
-/// Duration from which days are given, seconds.
+/// Durations from this length on are given in days. Seconds.
 const MIN_DAYS: u64 = 10 * DAY;
-/// Duration from which years are given, seconds.
+/// Durations from this length on are given in years. Seconds.
 const MIN_YEARS: u64 = 3 * 365 * DAY;
 
 /// Formats a duration with one or two units that grow with it. Minutes are rounded up; hours, days and years are rounded down.

@@ -73,7 +73,7 @@ impl PreviousResultsGuard {
     /// When the results cannot be moved (73).
     pub(super) fn recover(results_dir: &Path) -> Result<(), Failure> {
         let mut folders: Vec<PathBuf> = leftover_folders(results_dir).collect();
-        // A folder with a record has all results of a run, so it is restored before folders without one.
+        // A folder with a record has all results of a run, so it is restored rather than a folder without a record.
         folders.sort_by_key(|folder| !folder.join(RECORD).is_file());
         let Some(previous_results) = folders.first() else { return Ok(()) };
         for other in &folders[1..] {

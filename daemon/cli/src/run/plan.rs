@@ -20,7 +20,7 @@ const MAX_LABEL: usize = 24;
 /// Maximum length of a folder's name without its number and repeat.
 const MAX_NAME: usize = 120;
 
-/// The runs in order, and everything from which they follow.
+/// The runs in order, and all data from which they are derived.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Plan {
     /// The experiment's name.

@@ -17,7 +17,8 @@ impl Relation {
             exchange.returned,
             self.settings.max_fresh_age,
         );
-        // The exchange must not count as a recent exchange for its own delays, but narrows their intervals.
+        // `is_fresh` is computed before the exchange is learned, because the exchange must not count as a recent exchange for
+        // its own delays. But the exchange narrows the intervals of these delays.
         let learned = self.learn(observation);
         let Exchange { sent, received, replied, returned, .. } = *exchange;
         if let LearnResult::Refused(refusal) = learned {

@@ -126,8 +126,8 @@ impl ShortestRoundTrips {
             }
             Some(_) => is_short,
             None => {
-                // On the clock before the jump, which stamped its departure, the exchange returned later by the amount by
-                // which it seems shorter.
+                // The exchange departed before the jump. Because of the jump it seems shorter than it was. By the clock before
+                // the jump, it returned later by this difference.
                 let delay = Span::from_nanos(deficit.saturating_add(max_explained));
                 self.ignore_short_until = is_short.then(|| point.returned + delay);
                 is_short

@@ -101,7 +101,7 @@ standard_names! {
 }
 
 /// Cloud or edge: from when a worker takes a sample until the computation of its batch starts.
-// The wire form contains it as text, as that of `ipc`.
+// The wire form contains this name as text, like the name `ipc`.
 pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 /// Cloud or edge: overhead of the communication with the worker process that runs the model's code, in both directions.
 // The wire form contains it as text, like names supplied by users.

@@ -16,8 +16,8 @@ pub(crate) enum TreeFrameError {
     Unreadable(#[from] wire::WireError),
 }
 
-/// Adds `upload` to a tree and returns the new node. The edge adds it to its own tree and the cloud to the copy that
-/// arrived, so that the node has the same position in both without being sent.
+/// Adds `upload` to a tree and returns the new node. The edge adds the node to its tree, and the cloud adds it to the
+/// copy of the tree that arrived. So the node has the same position in both trees without being sent.
 pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
     tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))

@@ -150,8 +150,8 @@ impl Session {
     /// Sends a sample and waits for the answer. Any number of requests may be in progress at once.
     ///
     /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
-    /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. Dropping the future cancels the
-    /// request, and so does the end of `timeout`; the cloud then stops computing where the model allows it.
+    /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. The request is cancelled if
+    /// the future is dropped or `timeout` ends. The cloud then stops computing if the model allows it.
     pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
         self.request_in_parts(recorder, sample, timeout, None).await
     }

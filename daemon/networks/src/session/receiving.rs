@@ -89,7 +89,7 @@ impl SessionState {
         }
     }
 
-    /// Ends a request of which the request message or the answer was lost. `what` says which.
+    /// Ends a request whose message or answer was lost. `what` names the lost one.
     fn lose_request(&self, loss: MessageLoss, what: &str) {
         let waiter = loss.tag.and_then(|request| self.requests.lose_request(request));
         if let Some(waiter) = waiter {

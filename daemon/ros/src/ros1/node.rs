@@ -143,7 +143,7 @@ impl Node {
         self.state.registrar.master().topic_types().await
     }
 
-    /// Returns those of `nodes` that are running and publish a topic, except this node. The master also lists nodes that
+    /// Returns the nodes among `nodes` that are running and publish a topic, except this node. The master also lists nodes that
     /// ended without unregistering. A node with this node's name counts until this node has registered something.
     ///
     /// # Errors
@@ -152,7 +152,7 @@ impl Node {
         self.running_nodes("getPublications", topic, nodes).await
     }
 
-    /// Returns those of `nodes` that are running and subscribe to a topic, except this node, as
+    /// Returns the nodes among `nodes` that are running and subscribe to a topic, except this node, as
     /// [`Node::running_publishers`] does.
     ///
     /// # Errors

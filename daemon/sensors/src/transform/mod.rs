@@ -75,7 +75,7 @@ fn transform_pictures(
     Ok(sample)
 }
 
-/// Returns the order of channels for the work on a part: its own for pixels, colour for files.
+/// Returns the format in which a part is processed: the format of the part for pixels, colour for files.
 fn working_format(part: &Part) -> PixelFormat {
     match part.description.media {
         MediaType::Pixels(format) => format,

@@ -15,7 +15,7 @@ use crate::statistics::DatagramStatistics;
 /// Shortest time after which a missing number counts as lost. The longest is twice that.
 const LOSS_DELAY: Span = Span::from_seconds(1);
 
-/// Number of the latest datagram numbers for which it is stored whether they arrived. A datagram with an older number is
+/// For this many of the latest datagram numbers, it is stored whether the datagram arrived. A datagram with an older number is
 /// not counted, because it may be a duplicate.
 const REMEMBERED_NUMBERS: u64 = 4_096;
 
@@ -114,7 +114,7 @@ impl ArrivalCounter {
         }
     }
 
-    /// Notes that the other end has sent all numbers below `next`, of which only the lower half is known.
+    /// Notes that the other end has sent all numbers below a number. `next` is the lower half of the bits of that number.
     pub(crate) fn note_sent(&mut self, next: u32, now: MonoTime) {
         self.count_losses(now);
         // An older heartbeat may arrive late.
@@ -143,7 +143,7 @@ impl ArrivalCounter {
         self.arrived.1 += 1;
     }
 
-    /// Notes that `count` more numbers were sent, of which none has arrived.
+    /// Notes that `count` more numbers were sent. None of them has arrived.
     fn advance(&mut self, count: u64) {
         self.next_number += count;
         // A larger jump reuses all bits, which need to be cleared only once.

@@ -40,8 +40,8 @@ impl PathMeasurement {
         self.arrivals.totals(now)
     }
 
-    /// Handles a report of the other end: the number of its next datagram, and the totals of this end's datagrams, of
-    /// which `sent` have been sent.
+    /// Handles a report of the other end: the number of its next datagram, and the totals of the datagrams of
+    /// this end. `sent` is the number of datagrams that this end has sent.
     ///
     /// # Errors
     /// If the totals are higher than `sent` allows.

@@ -109,7 +109,7 @@ struct UnfinishedMessage {
     deadline: Option<MonoTime>,
     /// Time at which the last new fragment arrived.
     progress_at: MonoTime,
-    /// Time at which it was known that the whole message had been sent.
+    /// Time since which this end knows that the whole message was sent.
     sent_at: Option<MonoTime>,
 }
 

@@ -27,7 +27,7 @@ use crate::transport::{Frames, ListenerEvent, Peer};
 // They are read into the stack and copied into frames, so that an idle connection has no buffer.
 const READ_BYTES: usize = 16 * 1024;
 
-/// Number of bytes of waiting PONGs above which reading pauses. It stops a peer that sends PINGs and reads nothing.
+/// Reading pauses while more bytes of PONGs wait. This stops a peer that sends PINGs and reads nothing.
 const MAX_QUEUED_PONG_BYTES: usize = 16 * 1024;
 
 /// Time limit for a peer to close its end after everything was sent to it.

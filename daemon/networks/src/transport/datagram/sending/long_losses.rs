@@ -8,13 +8,13 @@ const MIN_MESSAGES: u32 = 16;
 /// Shortest time over which these messages must extend.
 const MIN_DURATION: Span = Span::from_seconds(1);
 
-/// Observes messages of several datagrams, all but the last of which have the largest length.
+/// Observes messages of several datagrams. All datagrams of a message except the last have the largest length.
 #[derive(Debug, Default)]
 pub(super) struct LongLossDetector {
     losses: Option<LongLosses>,
 }
 
-/// Successive messages of several datagrams of which at most one arrived.
+/// Successive lost messages. Each had several datagrams, and at most one of its datagrams arrived.
 #[derive(Clone, Copy, Debug)]
 struct LongLosses {
     /// Number of these messages.
@@ -33,7 +33,7 @@ impl LongLossDetector {
         }
     }
 
-    /// Notes that a message was lost of which `received` fragments arrived. `lost_datagrams` is the number of
+    /// Notes that a message was lost. `received` of its `fragments` fragments arrived. `lost_datagrams` is the number of
     /// datagrams that the other end has reported as lost.
     pub(super) fn record_loss(&mut self, fragments: u32, received: u32, lost_datagrams: u64, now: MonoTime) {
         // A single fragment that arrived may be the last one, which is shorter than the others.

@@ -19,7 +19,7 @@ const GROWTH_AFTER_LOSS: f64 = 0.25;
 pub(super) struct CongestionWindow {
     max_window: u32,
     size: u32,
-    /// Size below which the window doubles with each round trip.
+    /// As long as the window is smaller than this, it doubles with each round trip.
     threshold: u32,
     /// Time of the last arrival.
     progress_at: MonoTime,

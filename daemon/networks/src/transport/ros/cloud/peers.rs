@@ -122,8 +122,8 @@ impl Peers {
         let (request, response) = (TopicPair::request(pipeline), TopicPair::response(pipeline));
         let kind = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
         let publisher = self.node.publish(&response.info, kind.clone(), queue_limits(&self.settings)).await?;
-        // A budget for this connection alone, so that an edge without a session takes no memory from sessions or from
-        // other edges without one.
+        // This connection has a separate budget, so that an edge without a session takes no memory from sessions, or from
+        // other edges without a session.
         let budget = MemoryBudget::new((MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES) as u64);
         let unadmitted_limits =
             ReceiveLimits { max_message_bytes: MAX_UNADMITTED_BYTES, budget: Arc::clone(&budget) };
