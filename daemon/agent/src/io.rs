@@ -2,9 +2,9 @@
 //!
 //! As in ZeroMQ the default is one thread, which carries some gigabytes per second. An iteration is several short
 //! tasks, each of which wakes the next. With a thread for each processor, as is usual in servers, each step may first
-//! wake another thread. On two processors that cost a third of all round trips at 1 kB, and while events were stored
-//! the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain stays
-//! on one processor.
+//! wake another thread. On two processors this reduced the round trips per second at 1 kB by a third. While events were
+//! stored, the p99 of the total was up to three times as long (`docs/measurements.md`). With one thread the whole chain
+//! stays on one processor.
 //!
 //! The outbox and the host's metrics run on other threads. So do the aggregator and the web server if they are in
 //! the same process. Therefore no batch and no page delays a sample.

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use crate::accuracy::Accuracy;
 use crate::rows::RowRef;
 
-/// Name of the node, and of the column, with the value 1 if an answer was not acted on, because the answer to a newer sample had been
-/// acted on or because its episode had ended. Absent otherwise.
+/// Name of the node, and of the column, that marks a superseded answer with the value 1. The actuator did not act on this answer, because
+/// it had acted on the answer to a newer sample, or because the episode had ended. Absent otherwise.
 pub const SUPERSEDED: &str = "superseded";
 /// Name of the node, and of the column, with the value 1 if the episode that ended with an iteration was a success, else 0.
 pub const EPISODE_SUCCESS: &str = "episode-success";

@@ -1,7 +1,7 @@
 //! Batches of consecutive values.
 //!
-//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If batches are longer than this correlation, their
-//! means are nearly independent, unlike single values (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
+//! Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. The means of batches that are longer than this
+//! correlation are nearly independent; single values are not (non-overlapping batch means, Schmeiser, *Batch size effects in the analysis of
 //! simulation output*, Operations Research 30, 1982).
 
 use std::ops::Range;

@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::signal::unix::SignalKind;
 use tokio::time::Instant;
 
-/// Time within which signals of one kind are one request: `timeout` signals a process and then its group, to which the process
-/// belongs.
+/// Signals of one kind within this time count as one request. For example, `timeout` signals a process and then its process group,
+/// so that the process gets two signals.
 const ONE_REQUEST: Duration = Duration::from_millis(500);
 
 /// Detection of signals that repeat a request.

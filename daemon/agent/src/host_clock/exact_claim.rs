@@ -6,8 +6,8 @@ use peernet_clock::{ClockFaults, DelaySource, Discipline, Interval, Span, WallTi
 const BOUND: Span = Span::from_micros(1);
 
 /// Returns a claim that contains the clock's error at `truth`. Unless the clock is stepped, the claim also contains the
-/// error at any time within `reach` before or after `truth`, because it is also used for messages that were stamped
-/// before it.
+/// error at any time within `reach` before or after `truth`.
+// The claim is also used for messages that were stamped before it was made.
 pub(super) fn exact_claim(description: &ClockFaults, truth: WallTime, reach: Span) -> Discipline {
     let current_error = description.wall_error_at(truth);
     let drift = Span::from_nanos((reach.nanos() as f64 * description.drift_ppm.abs() * 1e-6).ceil() as i64);

@@ -1,8 +1,8 @@
 //! The outbox: sends durable events and live updates to the aggregator.
 //!
-//! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes them
-//! from the queue, drives the sending end of the event stream (`peernet_stream::Sending`, a state machine that batches,
-//! numbers and resends), and owns the connection. A second task owns the [spool], the file in which batches are safe until
+//! Tasks add their events to the [`EventQueue`](crate::event_queue::EventQueue) and continue. The outbox task takes the
+//! events from the queue and owns the connection. It drives the sending end of the event stream (`peernet_stream::Sending`),
+//! a state machine that batches, numbers and resends. A second task owns the [spool], the file in which batches are safe until
 //! the aggregator has stored them. So neither the outbox nor a live update waits for a disk.
 //!
 //! A batch is sent after it was written to the spool. While the spool's disk fails, batches are sent from memory;

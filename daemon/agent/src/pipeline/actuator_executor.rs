@@ -11,8 +11,8 @@ use tokio::task::{JoinError, spawn_blocking};
 
 use super::progress::Position;
 
-/// Name of the value 1 of an iteration whose answer was not acted on, because the actuator had acted on the answer to a
-/// newer sample, or because the episode of its sample had ended. Absent otherwise.
+/// Name of the value that is 1 if the answer of an iteration was superseded: the actuator did not act on it, because it
+/// had acted on the answer to a newer sample, or because the episode had ended. Absent otherwise.
 const SUPERSEDED: Name = Name::from_static("superseded");
 /// Name of the reward that the actuator reported for an action.
 const REWARD: Name = Name::from_static("reward");

@@ -4,8 +4,8 @@
 //! machine of the inner loop, also without I/O, and `drive` waits for its events. `runner` sets a pipeline up, connects
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
-//! Before each episode the actuator and the sensor are reset, and before each other sample a simulated sensor is advanced
-//! by the time of the last iteration (`preparation`), both outside of all iterations. The feedback of the actuator may end an
+//! Before the first sample of an episode the actuator and the sensor are reset. Before each other sample a simulated
+//! sensor is advanced by the time of the last iteration. Both happen outside of iterations (`preparation`). The feedback of the actuator may end an
 //! episode early, and is summed up over the episode (`episode_scores`).
 //!
 //! The order of one iteration: `load` returns its intended start, which is the start of the root of its tree. `sensing`

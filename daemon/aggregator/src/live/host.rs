@@ -56,8 +56,8 @@ impl Host {
         }
     }
 
-    /// Processes another hello. After a start of a new process the values of the previous one remain, marked as away,
-    /// so that counters do not drop to zero for a moment.
+    /// Processes another hello. After the start of a new process the values of the previous process remain, marked as
+    /// away, so that counters do not drop to zero for a moment.
     pub(super) fn introduce(&mut self, mut description: HostDescription, process: u64, now: Stamp) {
         limits::limit_description(&mut description, &mut self.left_out);
         if self.description.name != description.name {

@@ -1,7 +1,7 @@
 //! Scores of a detector: mean average precision, and the overlap of found and labelled boxes.
 //!
-//! Average precision is the area under the curve of precision over recall, with the precision of each recall replaced by the largest
-//! precision at that or a higher recall (M. Everingham et al., *The PASCAL Visual Object Classes Challenge*, IJCV 88, 2010; all points,
+//! Average precision is the area under the curve of precision over recall. The precision at each recall is first replaced with
+//! the largest precision at this or a higher recall (M. Everingham et al., *The PASCAL Visual Object Classes Challenge*, IJCV 88, 2010; all points,
 //! as from 2010 on).
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -2,9 +2,9 @@
 
 /// Returns the mean block length of a stationary bootstrap of the mean of these values, at least 1.
 ///
-/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If they were drawn one by one, the interval would be
-/// too narrow. The length that minimises the error of the bootstrapped variance is that of Politis and White, *Automatic block-length
-/// selection for the dependent bootstrap* (Econometric Reviews 23, 2004), as corrected by Patton, Politis and White (Econometric Reviews 28,
+/// Consecutive latencies are correlated: a queue empties slowly, a processor stays warm. If latencies were drawn one by one, the interval
+/// would be too narrow. The returned length minimises the error of the bootstrapped variance (Politis and White, *Automatic block-length
+/// selection for the dependent bootstrap* Econometric Reviews 23, 2004, as corrected by Patton, Politis and White, Econometric Reviews 28,
 /// 2009). With the autocovariance R, the window λ, G = Σ λ(k/M) |k| R(k) and σ² = Σ λ(k/M) R(k), the length is (G² / σ⁴ · n)^⅓, at most 3 √n
 /// and n / 3. For independent values the length is about 1, and the bootstrap is the ordinary bootstrap.
 pub(super) fn length(values: &[f64]) -> f64 {
@@ -24,7 +24,7 @@ pub(super) fn length(values: &[f64]) -> f64 {
     if length.is_finite() { length.clamp(1.0, longest) } else { 1.0 }
 }
 
-/// Returns twice the lag after which there is no correlation, that is, after which five or more consecutive correlations lie within
+/// Returns twice the lag after which there is no correlation: at least five consecutive correlations after this lag lie within
 /// ±2 √(log₁₀ n / n). `None` if the values do not vary.
 fn window(centred: &[f64]) -> Option<usize> {
     let n = centred.len() as f64;

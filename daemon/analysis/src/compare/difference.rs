@@ -23,9 +23,9 @@ pub struct Difference {
 impl Difference {
     /// Returns the second mean minus the first.
     ///
-    /// The interval is that of Welch (Biometrika 34, 1947) for unequal variances. It is computed from the means of batches. The difference is
-    /// computed from the exact means, because batches need not have the same length and the mean of their means is then not quite the mean of
-    /// all values.
+    /// The interval is Welch's for unequal variances (Biometrika 34, 1947). It is computed from the means of batches. The difference is
+    /// computed from the exact means. Batches may differ in length, so the mean of their means may differ a little from the mean of all
+    /// values.
     pub fn between_means(first: &MeanEstimate, second: &MeanEstimate) -> Self {
         let value = second.mean - first.mean;
         let half_width = first.error().zip(second.error()).and_then(|(a, b)| half_width(&a, &b));

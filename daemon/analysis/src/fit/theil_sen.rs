@@ -11,9 +11,9 @@ const MAX_BISECTIONS: usize = 80;
 /// Returns the line whose slope is the median of the slopes of all pairs of points with different x (Theil 1950), and whose intercept is
 /// the median of the residuals of y. `None` when there are fewer than three points or all have the same x.
 ///
-/// The interval of the slope is that of Sen 1968, with his correction for equal x. Its ends are slopes of pairs, whose ranks follow from
-/// Kendall's statistic. The interval of the intercept combines the uncertainty of the slope and of the median (sign test), each at half the
-/// risk (Bonferroni). It is valid for any distribution of the deviations, as long as it is the same for all points.
+/// The interval of the slope is Sen's (1968), with his correction for equal x. Its ends are the slopes of two pairs. The ranks of these slopes
+/// follow from Kendall's statistic. The interval of the intercept combines the uncertainty of the slope and of the median (sign test), each at
+/// half the risk (Bonferroni). The intervals are valid for any distribution of the deviations that is the same for all points.
 ///
 /// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {

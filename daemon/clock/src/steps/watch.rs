@@ -21,7 +21,7 @@ pub enum Disturbance {
 /// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
 /// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a
 /// slew from the start.
-// The limit applies to a pair of hosts. Neither host knows how much the other one contributes, so that each may use the
+// The limit applies to a pair of hosts. No host knows how much the other host contributes, so that each may use the
 // whole limit. Exchanges between the two hosts detect what this check misses.
 #[derive(Debug)]
 pub struct ClockWatch {

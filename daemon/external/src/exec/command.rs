@@ -161,8 +161,8 @@ impl ExecConfig {
     pub(super) fn program_and_arguments(&self) -> (String, Vec<String>) {
         match &self.command {
             CommandLine::Shell(line) => {
-                // A shell that waits for its only program would keep the pipes open when the program closes them, and
-                // would turn the signal that kills the program into an exit status.
+                // A single program replaces the shell. A shell that waits for the program would keep the pipes open
+                // when the program closes them. It would also turn a signal that kills the program into an exit status.
                 let is_single =
                     single_program(line).is_some_and(|program| self.check_program(program).is_ok());
                 let line = if is_single { format!("exec {line}") } else { line.clone() };

@@ -234,8 +234,8 @@ impl Address {
         self.port
     }
 
-    /// Returns the name of the listener, in networks in which host and port belong to another program, which knows the
-    /// listener.
+    /// Returns the name of the listener if the address identifies the listener by a name; `None` if host and port of the
+    /// address belong to the listener.
     pub fn listener_name(&self) -> Option<&str> {
         self.name.as_deref()
     }

@@ -71,7 +71,7 @@ impl PageCheck {
     /// Returns the malformed pages that are in use.
     ///
     /// While an aggregator stores, a checkpoint may be in progress, so that the main file may mix pages of different times. Therefore
-    /// pages to which the log refers are also in use, and a page is returned only if it is malformed when it is read a second time.
+    /// pages to which the log refers count as in use, too. A page is returned only if it is still malformed when it is read again.
     /// The result may still contain pages that were moved during the pass; another pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;

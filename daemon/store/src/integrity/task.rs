@@ -25,7 +25,7 @@ const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
 const BYTES_PER_SECOND: u64 = 16 << 20;
 /// Instructions of SQLite's virtual machine between two checks whether to stop.
 const INSTRUCTIONS_PER_CHECK: i32 = 10_000;
-/// Number of passes in which a page must look malformed before SQLite checks the whole file, which takes far longer.
+/// SQLite checks the whole file only if a page looks malformed in this number of passes, because the check takes far longer than a pass.
 const MAX_PASSES: usize = 3;
 /// Pause between two passes.
 const PAUSE: Duration = Duration::from_secs(2);

@@ -297,8 +297,8 @@ statements! {
     CLOCK_EXCHANGES = concat!("SELECT at_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample WHERE link = ?1 AND window = ?2 AND at_ns > ?3 AND max_drift_ppm IS NOT NULL \
          ORDER BY at_ns LIMIT ?4");
-    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because its wall clock may
-    /// have been set back meanwhile. Parameters as in `CLOCK_EXCHANGES`.
+    /// A page of the exchanges of one window of free-running clocks, in the order of the edge's raw clock, because the wall clock of
+    /// the edge may have been set back within the window. Parameters as in `CLOCK_EXCHANGES`.
     CLOCK_EXCHANGES_BY_RAW = concat!("SELECT at_raw_ns AS time_ns, ", exchange_columns!(),
         " FROM clock_sample INDEXED BY clock_sample_by_raw WHERE link = ?1 AND window = ?2 AND at_raw_ns > ?3 \
          AND max_drift_ppm IS NOT NULL ORDER BY at_raw_ns LIMIT ?4");

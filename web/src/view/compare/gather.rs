@@ -67,9 +67,9 @@ impl CompareSelection {
 
 /// Loads a comparison: the statistics of all runs, from their roll-ups.
 ///
-/// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each 2 % between the smallest and the largest
-/// value, which is 3 kB if they differ by a factor of a thousand. The maximum number of runs with 30 names each takes 17 MB, and the
-/// configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
+/// The sketches of all runs are in memory at the same time. A sketch takes eight bytes for each step of 2 % from the smallest to the largest
+/// value. This is 3 kB if the two values differ by a factor of a thousand. The maximum number of runs with 30 names each takes 17 MB, and
+/// the configurations at most as much again. A sketch has a maximum size, so the worst case is ten times these 17 MB.
 ///
 /// # Errors
 /// Returns an error when a run or the experiment is not stored, or the store cannot be read.

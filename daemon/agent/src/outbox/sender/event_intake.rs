@@ -51,8 +51,8 @@ impl EventIntake {
         machine.tick(now);
     }
 
-    /// Offers the starts of the runs in progress again, because the aggregator's database has lost them and an iteration
-    /// is of little use without the start of its run.
+    /// Offers the starts of the runs in progress again, because the aggregator's database has lost these starts.
+    // An iteration is of little use without the start of its run.
     pub(super) fn repeat_run_starts(&self, machine: &mut Sending, now: Stamp) {
         for event in self.runs.start_events() {
             let pipeline =

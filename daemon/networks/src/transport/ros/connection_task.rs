@@ -333,8 +333,8 @@ impl<S: Sink> ConnectionTask<S> {
     }
 }
 
-/// Time for which the last messages of a peer are awaited after it has left one of the two topics, which have no common
-/// order.
+/// Time for which the last messages of a peer are awaited after the peer has left one of the two topics. Messages of the
+/// two topics have no common order.
 const LEAVE_TIMEOUT: Duration = Duration::from_millis(500);
 
 async fn receive(subscriber: &mut Option<Box<dyn SessionSubscriber>>) -> Result<TopicMessage, NodeFailure> {

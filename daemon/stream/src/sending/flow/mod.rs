@@ -2,8 +2,8 @@
 //!
 //! Data that was handed to the connection cannot be overtaken: on a slow link, a window of batches in the socket's
 //! buffer would delay every later live update by a minute. Both lanes therefore hand over no more than an *allowance*.
-//! It starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the aggregator
-//! from time to time; its delay shows how long the bytes before the request took. This is delay-based congestion control as in
+//! The allowance starts with a few kilobytes and follows the capacity of the path. The agent requests an echo from the
+//! aggregator from time to time. The delay of the echo shows how long the bytes before the request took. This is delay-based congestion control as in
 //! LEDBAT (RFC 6817), with the rate of delivery as in BBR (draft-ietf-ccwg-bbr): the allowance is the amount that
 //! crosses in the shortest round trip plus a short queue.
 //!
