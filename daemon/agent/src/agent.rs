@@ -66,8 +66,8 @@ struct Parts {
 }
 
 impl Agent {
-    /// Checks a configuration without starting it, and returns its problems: names, files, folders, models, ports.
-    /// Blocks while it reads them.
+    /// Checks a configuration without starting an agent, and returns the problems that it finds in names, files, folders,
+    /// models and ports. Blocks while it reads the files.
     pub fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
         check(config, clock)
     }
@@ -274,8 +274,8 @@ impl RunningAgent {
         &self.host.name
     }
 
-    /// Returns the description of the host for the aggregator. Reads its hardware and the folders of models, so it is
-    /// too slow to be called once a second.
+    /// Returns the description of the host for the aggregator. Reads the hardware of the host and the folders of
+    /// models, so this is too slow to be called once a second.
     pub fn description(&self) -> HostDescription {
         describe_host(&self.host, &self.bank, &self.serve_addresses)
     }

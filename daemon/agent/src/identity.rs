@@ -65,8 +65,8 @@ pub fn host_id(state_dir: &Path) -> Result<HostId, IdentityError> {
     read_or_create(state_dir, ID_FILE, existing_id, || HostId::random().to_string())
 }
 
-/// Returns the secret in the file `host-secret` in `state_dir`, which proves to the aggregator that the host id
-/// belongs to this agent; creates it if it does not exist yet, as [`host_id`] does.
+/// Returns the secret in the file `host-secret` in `state_dir`. The secret proves to the aggregator that the host id
+/// belongs to this agent. Creates the file if it does not exist yet, as [`host_id`] does.
 ///
 /// # Errors
 /// When the folder cannot be used, or the file holds something else.

@@ -6,7 +6,7 @@ use std::path::Path;
 
 /// An exclusive lock on a file, released when this is dropped or the process ends in any way.
 ///
-/// The file is not removed: if it were, two processes could lock two different files of the same name.
+/// The file is not removed. Otherwise two processes could lock two different files of the same name.
 #[derive(Debug)]
 pub(crate) struct FileLock {
     _file: File,

@@ -29,7 +29,7 @@ impl Insert {
 
     /// Executes the statement for all rows; `bind` adds one row's values in the order of the columns.
     ///
-    /// SQLite works on its own thread: while it executes one statement, the values of the next one are bound.
+    /// SQLite works on a separate thread: while it executes a statement, the values of the next statement are bound.
     pub(crate) fn run<'a, R: 'a>(
         &'a self,
         connection: &'a mut SqliteConnection,

@@ -106,8 +106,8 @@ pub(crate) fn hardware_name(hardware: &Hardware) -> String {
 }
 
 /// Describes a host's wall clock relative to the wall clock of the aggregator. Returns a text for the table, and an explanation. Processes
-/// of one machine report the same boot id, but copies of a virtual machine do so, too. A clock that differs by a second or more is therefore described as a
-/// different clock.
+/// of one machine report the same boot id, but copies of a virtual machine do so, too. A clock that differs by a second or more is
+/// therefore described as a different clock.
 pub(crate) fn clock_words(theirs: &ClockIdentity, ours: &ClockIdentity, ahead: Span) -> (String, String) {
     if theirs == ours {
         return ("the aggregator's".to_owned(), "it reads the same clock as the aggregator".to_owned());

@@ -36,7 +36,7 @@ const VIRTUAL_PRODUCTS: [&str; 17] = [
 ];
 
 /// Grades the kind of the machine. A virtual machine or a container has the grade unknown, because it shares its hardware
-/// with others that are not visible from inside.
+/// with other machines or containers that are not visible from inside.
 pub(super) fn machine_kind(settings: &InspectionSettings) -> Finding {
     const ABOUT: &str = "machine";
     let products = products(&settings.sys);

@@ -127,7 +127,7 @@ enum AnswerState {
     Current,
     /// chrony has not answered since the step.
     Stepped,
-    /// chrony still repeats the measurement of this time, which it made before the step.
+    /// chrony still repeats a measurement that it made before the step; the time of this measurement.
     Repeating(String),
 }
 

@@ -68,7 +68,7 @@ impl Second {
     /// because a bound widens by the drift since then.
     pub(super) fn add_exchange(&mut self, exchange: &Exchange, max_drift_ppm: f64) {
         let drift = |age: Span| Span::from_nanos((age.nanos() as f64 * max_drift_ppm * 1e-6).ceil() as i64);
-        // Both bounds are compared at the same time: the older one has widened by the drift since then.
+        // The two bounds are compared for one time. Until then the older bound has widened by the drift.
         let is_lower_than =
             |best: &Exchange| exchange.upper() + drift(best.sent - exchange.sent) < best.upper();
         if self.upper.as_ref().is_none_or(is_lower_than) {

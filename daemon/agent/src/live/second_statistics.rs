@@ -127,7 +127,7 @@ impl Summaries {
         index + 1
     }
 
-    /// Returns the index of a name, which is added if it is new; `None` if it is new and there are [`MAX_NAMES`] names.
+    /// Returns the index of a name. Adds a new name; returns `None` if there are [`MAX_NAMES`] names already.
     fn find_or_add(&mut self, hint: usize, name: &Name) -> Option<usize> {
         let index = match self.0.get(hint) {
             Some((existing_name, _)) if existing_name == name => Some(hint),

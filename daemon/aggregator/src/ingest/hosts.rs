@@ -125,7 +125,7 @@ impl Hosts {
         is_due
     }
 
-    /// Replaces the host's secret by the one in the database.
+    /// Replaces the host's secret with the secret in the database.
     pub(super) fn set_secret(&mut self, host: HostId, secret: Option<HostSecret>) {
         if let Some(stored) = self.stored_hosts.get_mut(&host) {
             stored.secret = secret;

@@ -39,7 +39,7 @@ impl Routes {
 
     /// Records that a host's hello was accepted on a connection.
     pub(super) fn insert(&mut self, host: HostId, connection: ConnectionId) {
-        // The host may have opened a new connection before the old one was noticed to be lost.
+        // The host may have opened a new connection before the loss of the old connection was noticed.
         let former = self.connections.insert(host, connection);
         self.admissions.push(Admission::Admit(connection));
         self.demote(former);

@@ -74,7 +74,7 @@ pub(crate) async fn run(
     let sender = listener.sender();
     let mut expiry_interval = tokio::time::interval(EXPIRY_INTERVAL);
     expiry_interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    // One line per interval instead of one per message, which a hostile peer could use to fill the log.
+    // One line is written per interval. With one line per message a hostile peer could fill the log.
     let mut reported = RejectedCounts::default();
     loop {
         tokio::select! {

@@ -176,9 +176,8 @@ pub struct OverTimeAxes {
 }
 
 impl OverTimeAxes {
-    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run, the axis of latencies a little above the
-    /// largest latency.
-    /// `None` if no run has a bucket.
+    /// Returns axes for these runs. Both axes begin at zero. The time axis ends at the end of the longest run, the axis of latencies a
+    /// little above the largest latency. `None` if no run has a bucket.
     pub fn of(runs: &[StagesOverTime]) -> Option<Self> {
         let max = |value: fn(&StagesOverTime) -> f64| runs.iter().map(value).fold(0.0, f64::max);
         let top = max(StagesOverTime::largest_latency) * (1.0 + MARGIN);

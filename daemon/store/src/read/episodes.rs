@@ -84,11 +84,11 @@ fn steps(row: &Row) -> Option<i64> {
     (steps > step && steps * episode == earlier_iterations).then_some(steps)
 }
 
-/// Returns the number of the first stored iteration of each episode but the first. All are found by bisection at the same
-/// time, so that the number of queries depends on the length of the run by its logarithm only.
+/// Returns the number of the first stored iteration of each episode, except for the first episode. The numbers are found by
+/// one common bisection, so the number of queries grows only with the logarithm of the run's length.
 async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i64>, StoreError> {
     // Numbers before and at the first iteration that belongs to the episode or to a later one. Retention deletes the
-    // oldest iterations, so that a missing one is before those that are stored.
+    // oldest iterations, so a missing iteration is before the stored iterations.
     let mut ends: Vec<(i64, i64)> = (1..=last.episode).map(|_| (0, last.number)).collect();
     while ends.iter().any(|(before, at)| before + 1 < *at) {
         let middles: Vec<i64> = ends.iter().map(|(before, at)| before + (at - before) / 2).collect();

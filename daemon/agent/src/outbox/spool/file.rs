@@ -121,7 +121,7 @@ impl SpoolFile {
                     (size, previous_chain) = (size + batch.body.len(), Some(batch.chain));
                     loaded.batches.push(batch);
                 }
-                // A missing batch is the end of the list, unless it is the first one.
+                // A missing batch ends the list, unless it is the first batch of the list.
                 Ok(Err(BatchDamage::Missing)) if !loaded.batches.is_empty() => break,
                 Ok(Err(batch_damage)) => {
                     loaded.damage = Some(self.damage_text(number, batch_damage));

@@ -26,7 +26,7 @@ pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool"
 
 /// Longest wait for another program that reads the file.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-/// Number of pages in SQLite's log after which it is moved to the file: 1 MiB.
+/// SQLite's log is moved to the file when it has this number of pages: 1 MiB.
 const LOG_PAGES: &str = "256";
 /// Length to which the log is truncated after a large transaction, in bytes.
 const LOG_BYTES: &str = "8388608";

@@ -15,7 +15,7 @@ impl IngestSession {
     /// Processes a hello. Nothing about the host changes until its identity is proven.
     pub(super) fn handle_hello(&mut self, from: &Peer, mut hello: Hello, now: Stamp) {
         let host = hello.host.id;
-        // Cut to the size that is displayed, because it is kept before the host has proven its identity.
+        // The description is cut to the size that is displayed, because it is kept before the host has proven its identity.
         limits::limit_description(&mut hello.host, &mut 0);
         let reason = Receiving::version_refusal(&hello)
             .or_else(|| self.routes.limit_refusal(from.connection, host))

@@ -280,7 +280,7 @@ async fn salvage(
     let result = fill(&mut connection, old, now, progress).await.map_err(failed)?;
     assign_id(&mut connection).await.map_err(failed)?;
     connection.close().await.map_err(failed)?;
-    // A failing disk could damage the new file, too, and the old one is about to be replaced.
+    // A failing disk could damage the new file, too, and the new file is about to replace the old file.
     if let Some(what) = find_damage_with_sqlite(new, &CancellationToken::new()).await.map_err(failed)? {
         return Err(RepairError::Failing { path: new.to_owned(), what });
     }

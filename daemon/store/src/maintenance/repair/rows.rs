@@ -148,7 +148,7 @@ impl Table {
             let last = rows.last().or(last_written.as_ref());
             let is_ordered = row.as_ref().zip(last).is_none_or(|(row, last)| self.precedes(last, row));
             if !is_ordered {
-                // The keys of a tree ascend. One of these two rows was overwritten, and it is unknown which, so neither is copied.
+                // The keys of a tree ascend. One of these two rows was overwritten. It is unknown which of them, so neither row is copied.
                 rows.pop();
             }
             let before = rows.last().or(last_written.as_ref()).map(|row| self.key(row));

@@ -190,7 +190,7 @@ fn combine(earlier: Option<OneWayDelay>, new: OneWayDelay) -> OneWayDelay {
     let usable_bounds = |delay: OneWayDelay| delay.bounds.filter(|_| delay.verdict != Verdict::Inconsistent);
     let (earlier_bounds, new_bounds) = match (usable_bounds(earlier), usable_bounds(new)) {
         (Some(earlier_bounds), Some(new_bounds)) => (earlier_bounds, new_bounds),
-        // The new judgement knows nothing, so the earlier one is better.
+        // The new judgement has no bounds, so the earlier judgement is better.
         (Some(_), None) if new.verdict == Verdict::Unsynchronised => return earlier,
         _ => return new,
     };
