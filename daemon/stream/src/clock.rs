@@ -179,7 +179,7 @@ pub struct LinkLive {
     pub peer: HostId,
     /// Name of the cloud.
     pub peer_name: Slug,
-    /// Kinds of network in use. The network of the link is [`network`](Self::network). At most [`MAX_NETWORKS`].
+    /// Kinds of network that the link uses, at most [`MAX_NETWORKS`]. This version sends one: [`network`](Self::network).
     #[serde(deserialize_with = "at_most::<MAX_NETWORKS, _, _>")]
     pub networks: Vec<String>,
     /// Pipelines that use the link, at most [`MAX_PIPELINES`].

@@ -69,7 +69,7 @@ pub struct SentUnspooled {
     pub batched: u64,
     /// Number of dropped events that gaps have reported, like [`super::Totals::reported_drops`].
     pub reported_drops: u64,
-    /// Number of events in batches since the spool was created, including gaps.
+    /// Number of events in all batches since the spool was created, including the gap events.
     pub events: u64,
 }
 
