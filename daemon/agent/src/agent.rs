@@ -313,8 +313,8 @@ impl RunningAgent {
         self.tap.as_ref().map_or(0, EventTap::missed_events)
     }
 
-    /// Returns the current live update. It contains every pipeline with the seconds that the aggregator does not have
-    /// yet, the links, the clock, the host's metrics and the counts of events.
+    /// Returns the current live update. It contains every pipeline with the one-second summaries that the aggregator does
+    /// not have yet, the links, the clock, the host's metrics and the counts of events.
     pub fn live_update(&self) -> LiveUpdate {
         let accounting = self.parts.outbox.as_ref().map(Outbox::accounting).unwrap_or_default();
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0

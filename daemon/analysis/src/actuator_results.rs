@@ -14,8 +14,8 @@ pub const SUPERSEDED: &str = "superseded";
 pub const EPISODE_SUCCESS: &str = "episode-success";
 /// Name of the node, and of the column, with the return of the episode that ended with an iteration: the sum of its rewards.
 pub const EPISODE_RETURN: &str = "episode-return";
-/// Values that belong to an episode. They count whatever the outcome of the iteration is with which the episode ended, and also if it was
-/// a warm-up step; the agent records none for the episodes of the warm-up.
+/// Values that belong to an episode. They are stored with the last iteration of the episode. They count even if that iteration has no
+/// answer or was a warm-up step. The agent records no such values for the episodes of the warm-up.
 pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
 /// Reports of the actuator after each action, whose means over actions mean little: the values of the episodes say what they add up to.
 pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];

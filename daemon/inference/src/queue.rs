@@ -16,6 +16,7 @@ pub(crate) struct Queue<T> {
 
 struct State<T> {
     waiting: VecDeque<T>,
+    /// Number of items that idle consumers take as soon as the items arrive.
     idle: usize,
     closed: bool,
 }
@@ -76,7 +77,7 @@ impl<T> Queue<T> {
     pub(crate) fn pop_more(&self, items: &mut Vec<T>, size: usize, timeout: Duration) {
         let missing = size.saturating_sub(items.len());
         let mut state = self.lock();
-        // This consumer takes all of them at once, so that the queue has room for them.
+        // This consumer takes all missing items as soon as they arrive, so the queue admits as many more items.
         state.idle += missing;
         let is_short = |state: &mut State<T>| state.waiting.len() < missing && !state.closed;
         let waited = self.changed.wait_timeout_while(state, timeout, is_short);

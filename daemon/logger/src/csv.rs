@@ -76,7 +76,7 @@ impl Columns {
     }
 
     /// Creates columns for nodes down to a level only; the root's children have level 1.
-    // The table of the published program has `sensing`, but not its parts.
+    // The program that was published with the paper writes a table with nodes of level 1 only: `sensing`, but not its parts.
     pub fn with_max_level(level: usize) -> Self {
         Self { max_level: Some(level), ..Self::default() }
     }

@@ -116,10 +116,12 @@ struct DepartingReply {
     ahead: Interval,
 }
 
-/// A comparison of the two clocks: the difference wall clock minus free-running clock, and a time after it was read.
+/// A comparison of the wall clock with the free-running clock.
 #[derive(Clone, Copy, Debug)]
 struct ClockComparison {
+    /// Time just after the comparison.
     at: RawTime,
+    /// Difference wall clock minus free-running clock.
     ahead: Interval,
 }
 

@@ -72,8 +72,8 @@ impl DatabaseLock {
         }
     }
 
-    /// Returns the locked file for reading: no other descriptor of it may be closed while SQLite has the file open. The caller
-    /// has to drop it before the lock.
+    /// Returns the locked file for reading. The caller has to drop the returned value before the lock.
+    // Readers use this descriptor, because SQLite loses its own locks on a file when the process closes any other descriptor of it.
     pub(crate) fn file(&self) -> Arc<File> {
         Arc::clone(&self.file)
     }

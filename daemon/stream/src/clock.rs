@@ -193,7 +193,7 @@ pub struct LinkLive {
     pub edge: Option<HostClock>,
     /// Clock of the cloud.
     pub cloud: Option<HostClock>,
-    /// Sample of the last second, or of its elapsed part.
+    /// Sample of the last complete second, or of the current second so far if the last one has no sample.
     pub now: ClockSample,
     /// Open connections, one per pipeline, at most [`MAX_PIPELINES`]. Since version 6 of the event stream.
     #[serde(default, deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]

@@ -58,7 +58,7 @@ pub struct SettledEvents {
     pub last: Option<WallTime>,
 }
 
-/// A batch that was sent and is not in the spool. All counts include its last event.
+/// A batch that was sent and is not in the spool. All counts are as of the end of this batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SentUnspooled {
     /// Process that sent the batch ([`super::Hello::process`]).
@@ -130,8 +130,8 @@ impl SubmittedEvents {
 }
 
 impl CountedEvents {
-    /// Returns the gaps for `lost` events. `accounted` is the number of events that are not in the spool but were stored by
-    /// the aggregator or reported as lost; their runs are unknown.
+    /// Returns the gaps for `lost` events. `accounted` is a number of events that need no gap although they are not in the
+    /// spool: the aggregator has stored them, or they were reported as lost. Their runs are unknown.
     pub(super) fn gaps(&self, settled: &SettledEvents, accounted: u64, lost: u64) -> Vec<Gap> {
         let mut unassigned = lost;
         let gap = |pipeline, run, count, to: WallTime| {

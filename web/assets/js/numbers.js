@@ -25,7 +25,7 @@ const NUMBERS = (() => {
     fixed,
     // Three significant digits, however small.
     significant: (value) => fixed(value, decimals(value, 3)),
-    // Three significant digits with at most two decimals, for sentences and figures.
+    // Three significant digits with at most two decimals, for sentences and drawings.
     figure: (value) => fixed(value, Math.min(2, decimals(value, 3))),
     count: (value) => group(String(value)),
     // Label of an axis. Its value is round, so trailing zeros are removed.

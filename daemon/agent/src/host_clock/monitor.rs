@@ -61,7 +61,7 @@ impl HostClockMonitor {
         let readings = self.clock.readings();
         let disturbances = self.watch.compare(readings);
         // The clock itself begins a new epoch after a step. After a slew or a sleep the new epoch begins here, because
-        // earlier claims no longer hold.
+        // the earlier bounds on the error of the wall clock no longer hold.
         if !disturbances.is_empty() && self.clock.wall_epoch() == self.wall_epoch {
             self.clock.begin_wall_epoch();
         }

@@ -9,8 +9,8 @@ use peernet_stream::{Outcome, OutcomeCounts, Second};
 /// pipeline has no deadline.
 pub(crate) const DEADLINE_MISSED: Name = Name::from_static("deadline-missed");
 
-/// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the episode
-/// and counts whatever the outcome of the iteration is: the last answer of an episode may be lost.
+/// Name of the value that is 1 if the episode that ended with an iteration was a success, else 0. It belongs to the episode,
+/// so it counts even if the last answer of the episode is lost.
 pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts as
 /// [`EPISODE_SUCCESS`] does.

@@ -19,7 +19,7 @@ const REWARD: Name = Name::from_static("reward");
 /// Name of the value that is 1 if the actuator reported that the episode is a success so far, and 0 if it reported that
 /// it is not.
 const SUCCESS: Name = Name::from_static("success");
-/// Name of the value 1 of the action with which the episode ended. Absent otherwise.
+/// Name of a value that is 1 for the last action of an episode, and absent for all other actions.
 const EPISODE_ENDED: Name = Name::from_static("episode-ended");
 
 /// Reason why an actuator did not act on an answer, or was not reset.

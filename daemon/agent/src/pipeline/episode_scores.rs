@@ -67,7 +67,7 @@ impl EpisodeScores {
 }
 
 impl EpisodeResult {
-    /// Adds the result to the tree of the iteration with which the episode ended, `end` after its start.
+    /// Adds the result to the tree of the episode's last iteration, at the time `end` after the start of that iteration.
     pub(super) fn record(&self, tree: &mut Tree, end: Span) {
         let mut add = |name, value| tree.add(NodeId::ROOT, name, end, Measure::Value(value, Unit::NONE));
         if let Some(success) = self.success {

@@ -203,8 +203,8 @@ impl Placement {
 
     /// Inspects this host. Returns its conditions and the peer's conditions, which the peer reported when the session opened.
     ///
-    /// `is_continuation` is `true` while the pipeline measures: the competing threads are then counted only once, so
-    /// that the inspection does not sleep.
+    /// `is_continuation` is `true` if the run directly continues another run. The pipeline then measures during the
+    /// inspection, so the competing threads are counted only once and the inspection does not sleep.
     pub(super) async fn conditions(
         &self,
         context: &PipelineContext,

@@ -73,8 +73,8 @@ impl PictureObjects {
 /// Scores of a detector over one or several pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DetectionScores {
-    /// Mean of the average precisions of all classes at an overlap of [`MATCHING_IOU`], from 0 to 1. A class that is found and not
-    /// labelled has 0; 1 if nothing is labelled and nothing found.
+    /// Mean of the average precisions of all classes at an overlap of [`MATCHING_IOU`], from 0 to 1. A class that is found but
+    /// not labelled has an average precision of 0. The mean is 1 if nothing is labelled and nothing is found.
     pub map_50: f64,
     /// Mean overlap of the labelled objects that were found, from [`MATCHING_IOU`] to 1; `None` if none was.
     pub mean_iou: Option<f64>,
@@ -87,11 +87,11 @@ pub struct DetectionScores {
 impl DetectionScores {
     /// Computes the scores over all objects of all pictures.
     pub fn of(pictures: &[PictureObjects]) -> Self {
-        let boxes = |picture: &PictureObjects| {
+        let classes_of = |picture: &PictureObjects| {
             let found = picture.found.iter().map(|(found, _)| &found.class);
             picture.labelled.iter().map(|object| &object.class).chain(found).cloned().collect::<Vec<_>>()
         };
-        let classes: BTreeSet<String> = pictures.iter().flat_map(boxes).collect();
+        let classes: BTreeSet<String> = pictures.iter().flat_map(classes_of).collect();
         let mut overlaps = Vec::new();
         let mut precisions = 0.0;
         for class in &classes {

@@ -10,8 +10,8 @@ use crate::order::SortedValues;
 /// Number of resamples. The ends of a 95 % interval are then the 50th values from both sides.
 const RESAMPLES: usize = 2000;
 /// Maximum number of pieces of a run. Neighbouring values of a longer run are joined to pieces before the bootstrap, so that a draw takes the
-/// same time for a run of any length. With this number the width of an interval is known to 2 %, as precisely as [`RESAMPLES`] resamples
-/// determine the ends.
+/// same time for a run of any length. With this number of pieces the error of an interval's width is about 2 %. The finite number of
+/// [`RESAMPLES`] resamples causes an error of the same size.
 const MAX_PIECES: usize = 2000;
 
 /// Values of pooled runs.

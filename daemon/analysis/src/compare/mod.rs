@@ -49,7 +49,7 @@ const FIRST_TOKEN: &str = "inference_time-to-first-token";
 /// Default seed of the bootstrap, so that the same runs give the same figures.
 pub const SEED: u64 = 1;
 
-/// Share of iterations with a known delay below which a note reports the share.
+/// If a delay is known for less than this share of the iterations, a note reports the share.
 const MIN_KNOWN_SHARE: f64 = 0.95;
 
 /// Treatment of repeats of one configuration.
@@ -107,7 +107,7 @@ pub struct Line {
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Number of starts of an open loop, by their outcome. The rates are not set.
+    /// Numbers of actual and of skipped starts of an open loop. The rates are `None`.
     pub starts: Starts,
     /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],

@@ -6,7 +6,8 @@ use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
 
 use super::Column;
 
-/// Column of the number of starts of an open loop that were skipped before an iteration, because the pipeline was too far behind.
+/// Column that counts skipped starts: the starts of an open loop that were skipped before this iteration, because the pipeline was too
+/// far behind.
 pub const SKIPPED_STARTS: &str = "skipped-starts";
 /// Column of the time from the scheduled to the actual start, in an open loop: a part of `unattributed`.
 pub const LATENESS: &str = "lateness";

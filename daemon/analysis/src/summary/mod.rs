@@ -29,7 +29,7 @@ pub struct Summary {
     pub misses: Option<Misses>,
     /// Superseded answers, and success and return of the episodes.
     pub actuator: ActuatorResults,
-    /// Number of starts of an open loop, by their outcome.
+    /// Numbers of actual and of skipped starts of an open loop.
     pub starts: Starts,
     /// Quality of the delays.
     pub clocks: Clocks,

@@ -13,7 +13,7 @@ pub struct Load {
     pub hz: Option<f64>,
 }
 
-/// Number of starts by their outcome, without the warm-up.
+/// Numbers of actual and of skipped starts, without the warm-up, and the rates.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Starts {
     /// Configured starts per second; `None` in a closed loop, and if the rate is not known.

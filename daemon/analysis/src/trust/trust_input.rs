@@ -30,7 +30,7 @@ pub struct TrustInput {
     pub conditions: Vec<Condition>,
     /// Number of iterations by outcome.
     pub counts: Counts,
-    /// Number of starts of an open loop, by their outcome.
+    /// Numbers of actual and of skipped starts of an open loop.
     pub starts: Starts,
     /// Measurements that are missing.
     pub missing: Vec<MissingEvents>,

@@ -18,7 +18,7 @@ pub(super) struct Record {
     pub(super) name: Slug,
     /// Random id of this execution, the same for all its runs.
     pub(super) id: String,
-    /// The file that it was read from.
+    /// Path of the file that describes the experiment.
     pub(super) file: String,
     /// Version of the program that planned it.
     pub(super) version: String,
@@ -63,8 +63,8 @@ impl Record {
         Self { format: FORMAT, name: plan.name.clone(), id, file, version, states, plan }
     }
 
-    /// Returns whether each run has its state, its configuration and a plain folder name: a folder outside the experiment must never
-    /// be removed.
+    /// Returns whether each run has its state, its configuration and a plain folder name.
+    // The folder of a run is removed before the run is measured again. With a plain name it cannot lie outside the experiment's folder.
     pub(super) fn is_sound(&self) -> bool {
         let Plan { runs, configurations, .. } = &self.plan;
         let is_plain = |folder: &str| {

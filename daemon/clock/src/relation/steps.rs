@@ -5,11 +5,12 @@ use crate::{Exchange, ExchangeObservation, RawTime, Span};
 /// Number of answers in a row with the same lower epoch after which the peer counts as restarted.
 // If there are fewer, they are late answers that a later answer overtook.
 const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
-/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the edge.
-// It is short, because the stamps themselves may have been set back. Longer exchanges show the step against the
-// monotonic clock.
+/// An exchange is excluded only if it was sent at most this long before the return of the exchange that reported a step of
+/// the edge.
+// The time is short, because the stamps themselves may have been set back. An exchange that took longer needs no
+// exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
-/// Longest time between the start of an excluded exchange and the return of the exchange that reported a step of the cloud.
+/// The same limit for a step of the cloud.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.

@@ -57,7 +57,7 @@ impl Sensor for Text {
         Ok(Some(Sample::from_part(Description::unshaped(MediaType::Text), text.into())))
     }
 
-    /// Generating a long text takes longer than waking a thread.
+    // A long text is generated on another thread, because generating it takes longer than waking that thread.
     fn blocks(&self) -> bool {
         self.length > 4096
     }

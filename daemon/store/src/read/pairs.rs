@@ -48,8 +48,8 @@ impl NameValues {
         }
     }
 
-    /// Returns the value that a row of `data.csv` has. For a standard name this is the sum, as in `stages-total`. For a user's name it
-    /// is the value of the first node, because each further node has its own column.
+    /// Returns the value that a row of `data.csv` has. For a standard name this is the sum, as in `stages-total`. For a name
+    /// that a user defined it is the value of the first node, because each further node has its own column.
     fn value(&self, is_standard: bool) -> Option<f64> {
         if is_standard { self.sum } else { self.first.and_then(|(_, value)| value) }
     }

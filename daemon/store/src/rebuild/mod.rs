@@ -12,12 +12,12 @@ use crate::rollups::{Rollups, Scope, WHOLE_RUN, WIDTHS_S};
 /// Progress of a rebuild.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rebuilt {
-    /// Number of finished runs.
+    /// Number of runs whose rebuild is complete.
     pub runs: u64,
     /// Number of successful iterations that were read, without the warm-up.
     pub iterations: u64,
-    /// Number of finished runs of which retention has deleted nodes. Their statistics over the whole run, and buckets of which nodes
-    /// are deleted, are left unchanged.
+    /// Number of those runs of which retention has deleted nodes. Their statistics over the whole run are left unchanged, and also the
+    /// buckets of which nodes are deleted.
     pub in_part: u64,
 }
 
@@ -44,7 +44,7 @@ const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(
 /// every few hundred iterations, and after each run.
 ///
 /// # Errors
-/// When the database cannot be read or written. Finished runs stay finished.
+/// When the database cannot be read or written. Runs whose rebuild is complete keep their new statistics.
 pub(crate) async fn rebuild(
     connection: &mut SqliteConnection,
     run: Option<i64>,

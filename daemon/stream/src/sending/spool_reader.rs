@@ -63,9 +63,9 @@ impl SpoolScan {
 
 /// A gap in the file: batches that should be in it and are missing, because they were deleted or the medium failed.
 ///
-/// The first batch after the gap is lost, too: its chain cannot be checked, because the chain of the batch before it is
-/// unknown. But its own chain is known, so that the stream continues with the second batch after the gap. The hello states
-/// this, and the aggregator records the missing batches.
+/// The first batch after the gap is lost, too. The chain hash stored with this batch cannot be verified, because the chain
+/// hash of the batch before it is unknown. But later batches can be verified against this stored hash, so the stream
+/// continues with the second batch after the gap. The hello states so, and the aggregator records the missing batches.
 #[derive(Clone, Copy, Debug)]
 enum SpoolGap {
     /// The end of the gap is not known yet; it is searched for from this number on.

@@ -172,7 +172,7 @@ impl<'a> Subject<'a> {
         Self { assumptions, ..self }
     }
 
-    /// Returns the clocks that are related.
+    /// Returns the kind of clock whose offset is shown: the clocks of the assumptions, or the wall clocks without assumptions.
     pub(crate) fn clocks(&self) -> RelatedClocks {
         self.assumptions.map_or(RelatedClocks::Wall, |assumptions| assumptions.clocks)
     }

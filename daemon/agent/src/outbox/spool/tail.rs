@@ -110,8 +110,8 @@ pub(super) async fn unresolved_counter(
 }
 
 /// Determines which events the previous process lost, records them, and starts a new counter. The record is one
-/// transaction, so that each loss is reported once, whenever a process is killed. Without shared memory events are not
-/// counted. A copy of a spool does not use the counts of the original spool, whose agent reports the losses itself.
+/// transaction, so that each loss is reported exactly once, no matter at which moment a process is killed. If shared memory
+/// is unavailable, events are not counted. A copy of a spool does not use the counts of the original spool, whose agent reports the losses itself.
 pub(super) async fn start_counter(
     connection: &mut SqliteConnection,
     state: &mut SpoolState,
@@ -141,8 +141,8 @@ pub(super) async fn start_counter(
         EventCounter::default()
     });
     sqlx::query("BEGIN IMMEDIATE").execute(&mut *connection).await?;
-    // The name of the new counter is part of the transaction: a process that is killed afterwards is counted by its
-    // successor.
+    // The name of the new counter is part of the transaction. If this process is killed after the commit, the next process
+    // finds the counter and reads the count from it.
     let result = match write(connection, state, lost_events.is_none(), &counter).await {
         Ok(()) => sqlx::query("COMMIT").execute(&mut *connection).await.map(drop),
         error => error,

@@ -245,7 +245,7 @@ impl<'a> Observation<'a> {
     fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
-                // Missing messages have no iteration. The next complete one records their counts.
+                // Missing messages have no iteration. The next iteration with both messages records their counts.
                 let unpaired_counts = std::mem::take(&mut self.unpaired_counts);
                 let host = &runner.context.host;
                 if let Some(peer) = &mut self.peer {

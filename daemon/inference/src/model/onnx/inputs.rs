@@ -23,7 +23,7 @@ struct InputBuffer {
     input: Input,
     /// Conversion of a picture; `None` for arrays and constants.
     preprocessor: Option<PicturePreprocessor>,
-    /// The numbers of all samples of the largest batch; of a constant that all samples share, once.
+    /// Numbers of all samples of the largest batch. If all samples share a constant, it is contained once.
     numbers: Numbers,
     /// Shape in the next run of the session.
     shape: Vec<usize>,
@@ -44,14 +44,14 @@ impl ModelInputs {
     /// takes one part ignores further ones.
     pub(super) fn fill(&mut self, index: usize, sample: &Sample) -> Result<(), InputError> {
         self.transforms[index] = None;
-        let taken = || self.inputs.iter().filter(|buffer| buffer.takes_part());
-        let (actual, expected) = (sample.parts.len(), taken().count());
+        let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());
+        let (actual, expected) = (sample.parts.len(), part_buffers().count());
         // A model of one input ignores further parts, such as the depth beside a picture.
         if actual < expected || (expected > 1 && actual > expected) {
             if actual == 0 {
                 return Err(InputError::NoPayload);
             }
-            let names: Vec<&str> = taken().map(|buffer| buffer.input.name.as_str()).collect();
+            let names: Vec<&str> = part_buffers().map(|buffer| buffer.input.name.as_str()).collect();
             return Err(InputError::Parts { actual, expected, names: names.join(", ") });
         }
         let buffers = self.inputs.iter_mut().filter(|buffer| buffer.takes_part());

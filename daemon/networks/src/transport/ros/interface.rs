@@ -81,7 +81,7 @@ pub(super) struct TopicMessage {
 pub(super) enum TopicPurpose {
     /// Requests for connections.
     Sessions,
-    /// Companions of messages.
+    /// Companions: messages that carry the frames of one message, except for a payload that is published on its own topic.
     Companions,
     /// Payloads, which other programs may display.
     Payloads,
@@ -126,7 +126,7 @@ pub(super) trait SessionNode: Debug + Send + Sync {
 
     /// Returns the size of this node's socket buffers, in bytes. The other end does not send longer payload messages.
     /// `None` if payloads of any length arrive. Such a node also knows which nodes receive its messages, so that
-    /// those nodes need not confirm it.
+    /// those nodes need not confirm that they do.
     fn receive_buffer_bytes(&self) -> Option<usize>;
 
     /// Returns the largest number of bytes of frames in one companion.
@@ -173,7 +173,7 @@ pub(super) trait SessionPublisher: Debug + Send + Sync {
     /// Publishes messages as [`publish`](Self::publish) does. Returns the outcome for one node.
     fn publish_to(&self, node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure>;
 
-    /// Returns the reason why a node subscribes to the topic and receives nothing, with advice.
+    /// Returns why `node` receives nothing although it subscribes to the topic, with advice; `None` if no reason is known.
     fn refusal(&self, node: &str) -> Option<String>;
 }
 
@@ -191,7 +191,7 @@ pub(super) trait SessionSubscriber: Debug + Send {
     /// Returns whether messages of a node arrive.
     fn is_connected(&self, node: &str) -> bool;
 
-    /// Returns the nodes that publish the topic as well and whose messages do not arrive here.
+    /// Returns the further nodes that publish the topic, whose messages do not arrive here.
     fn other_publishers(&self) -> Vec<Arc<str>> {
         Vec::new()
     }

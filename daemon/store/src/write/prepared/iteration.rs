@@ -9,7 +9,7 @@ use super::{AnchorRow, BatchBuilder, BatchError, IterationRow, NodeRow, RunPart,
 use crate::extent::Extent;
 use crate::rollups::Quantity;
 
-/// Name of the agent's node with the number of starts of an open loop that were skipped before an iteration.
+/// Name of the node that counts skipped starts: the starts of an open loop that the agent skipped before this iteration.
 const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl BatchBuilder {
@@ -45,7 +45,7 @@ impl BatchBuilder {
                 lo,
                 hi,
             });
-            // A value of an episode counts whatever the outcome of the iteration was with which the episode ended.
+            // The values of an episode count even if the last iteration of the episode has no answer.
             if is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()) {
                 self.summaries.record(run, name, Quantity::Value, second_s, value);
             }

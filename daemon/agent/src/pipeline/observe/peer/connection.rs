@@ -169,7 +169,7 @@ impl PeerConnector {
             OpenFailure::Refused(error) => {
                 PeerProblem { is_refusal: true, text: with_advice(error.to_string()) }
             }
-            // Unreachable: a remote placement loads no model of this host.
+            // These failures cannot occur here, because a remote placement loads no model on this host.
             OpenFailure::Model(_) | OpenFailure::Panicked => {
                 let text = format!("cannot open a session with {}", self.remote.peer);
                 PeerProblem { is_refusal: false, text }

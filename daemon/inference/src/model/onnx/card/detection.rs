@@ -138,7 +138,7 @@ impl Layout {
         }
     }
 
-    /// Returns the keys that name outputs and their function, in addition to those of all layouts.
+    /// Returns the keys that a card of this layout may have besides the keys of all layouts: names of outputs, and the activation function.
     const fn keys(self) -> &'static [&'static str] {
         match self {
             Self::Yolov5 | Self::Yolov8 => &["name", "activation"],
@@ -177,7 +177,7 @@ impl TryFrom<DetectionTable> for Detection {
 }
 
 impl DetectionTable {
-    /// Checks that only keys of the layout are there, and the numbers.
+    /// Checks that the table has only keys of its layout, and that its numbers are in range.
     fn check_keys(&self) -> Result<(), CardError> {
         let present = [
             ("name", self.name.is_some()),

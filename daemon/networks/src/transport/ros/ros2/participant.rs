@@ -7,7 +7,8 @@ use peernet_ros::ros2::{ParticipantId, Ros2Node, Ros2Settings};
 
 use crate::transport::ros::interface::NodeFailure;
 
-/// Participants of this process. Their publishers on the topics of a pipeline belong to its earlier connections.
+/// Participants of this process. On a pipeline's topics there may still be publishers of this process's earlier connections; they are
+/// not taken for another program.
 static LOCAL_PARTICIPANTS: Mutex<BTreeSet<ParticipantId>> = Mutex::new(BTreeSet::new());
 
 fn local_participants() -> MutexGuard<'static, BTreeSet<ParticipantId>> {
@@ -74,7 +75,7 @@ impl Participant {
         self.caveat.as_deref()
     }
 
-    /// Leaves the domain at once.
+    /// Starts to leave the domain, and does not wait until the participant has left it.
     pub(super) fn leave(&self) {
         let node = self.lock().take();
         local_participants().remove(&self.id);
