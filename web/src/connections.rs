@@ -38,7 +38,7 @@ use crate::fair_slots::{FairSlots, Slot, SlotRefusal};
 const MAX_BUFFER_BYTES: usize = 64 << 10;
 /// Maximum size of the request line and all headers together, bytes.
 const MAX_HEADER_BYTES: usize = 64 << 10;
-/// Delay before the next `accept` after one that failed because file descriptors or memory were exhausted.
+/// Delay before the next `accept` if the last `accept` failed because file descriptors or memory were exhausted.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_secs(1);
 /// Maximum number of live streams of one client address. Each makes the server compute an update four times a second.
 const MAX_STREAMS_PER_ADDRESS: usize = 32;
@@ -218,7 +218,7 @@ async fn serve(
     let result = tokio::select! {
             result = connection.as_mut() => result,
             () = stop.cancelled() => {
-    // `graceful_shutdown` closes an idle connection. It would wait for the rest of a header of which a part has arrived.
+    // `graceful_shutdown` closes an idle connection. But if a part of a header has arrived, it would wait for the rest of that header.
                 if !has_received_request.load(Ordering::Relaxed) {
                     return;
                 }

@@ -24,14 +24,14 @@ pub(crate) struct FairSlots {
 struct HeldSlots {
     next_id: u64,
     count: usize,
-    /// For each slot the token that ends its use, oldest slot first.
+    /// For each address its slots, oldest first. The token of a slot ends the use of this slot.
     by_address: HashMap<AddressGroup, BTreeMap<u64, CancellationToken>>,
 }
 
 /// Reason why a slot is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SlotRefusal {
-    /// The address holds this number of slots, the maximum of one address.
+    /// The address holds this number of slots, which is the maximum for one address.
     AddressLimitReached(usize),
     /// All slots (this number) are taken, and no address has at least two slots more than the requesting address.
     AllSlotsTaken(usize),

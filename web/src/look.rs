@@ -39,7 +39,7 @@ pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)
 }
 
-/// Returns the label of an entry of the key, which includes the other stages of the same colour.
+/// Returns the label of an entry of the colour key. The label also names the other stages of the same colour.
 pub(crate) fn entry(name: &str) -> &str {
     match name {
         "encode" => "encode, ipc",

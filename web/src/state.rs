@@ -69,8 +69,8 @@ impl AppState {
         self.aggregator.store()
     }
 
-    /// Counts a failure of a request. Returns the number of occurrences since it was last logged, or `None` if it was logged less than a
-    /// minute ago.
+    /// Counts a failure of a request. Returns how often this failure occurred since it was last logged, or `None` if it was logged less than
+    /// a minute ago.
     pub(crate) fn count_failure(&self, failure: &str) -> Option<u64> {
         let mut failure_log = self.failure_log.lock().unwrap_or_else(PoisonError::into_inner);
         failure_log.times_to_log(failure, None, self.clock.mono())

@@ -38,7 +38,7 @@ pub fn varies(shortest: f64, longest: f64) -> bool {
 const MIN_ITERATIONS: usize = 60;
 /// Maximum number of iterations that a line is computed from. The slopes of all pairs of these are half a million.
 const MAX_ITERATIONS: usize = 1_000;
-/// Maximum width of the interval of a slope that is reported as one number, as a share of the slope.
+/// If the interval of a slope is wider than this share of the slope, the slope is not reported as one number.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
 /// Growth of latency with the length of answers: a line through single iterations.
@@ -52,8 +52,8 @@ pub struct Growth {
 
 impl Growth {
     /// Returns the line whose slope is the median of the slopes of all pairs of iterations, given as length and latency. This slope is
-    /// robust against long tails of the latencies and any distribution of the lengths. Of very many iterations it takes an evenly spread
-    /// part. `None` if there are too few.
+    /// robust against long tails of the latencies and any distribution of the lengths. If there are very many iterations, an evenly
+    /// spread part of them is used. `None` if there are too few.
     pub fn from_iterations(iterations: &[(f64, f64)]) -> Option<Self> {
         (iterations.len() >= MIN_ITERATIONS).then_some(())?;
         let step = iterations.len().div_ceil(MAX_ITERATIONS);

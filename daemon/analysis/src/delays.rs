@@ -34,8 +34,8 @@ impl DelaySummary {
         self.count
     }
 
-    /// Returns the median of the medians of all seconds, each weighted by its number of delays. Its bounds are those of the second that it
-    /// comes from. `None` if no second has a median.
+    /// Returns the median of the medians of all seconds, each weighted by its number of delays. The result has the bounds of the
+    /// second that it comes from. `None` if no second has a median.
     pub fn median(&self) -> Option<DelayPoint> {
         let mut medians = self.medians.clone();
         medians.sort_unstable_by_key(|(point, _)| point.value);

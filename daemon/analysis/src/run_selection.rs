@@ -69,7 +69,7 @@ pub enum Exclusion {
     Unfinished(RunState),
     /// The run with this index measured the same repeat later.
     MeasuredAgain(usize),
-    /// The results are a copy of those with this index: both are of the same run.
+    /// The results are a copy of the results with this index. Both are results of the same run.
     CopyOf(usize),
 }
 
@@ -97,7 +97,7 @@ pub struct Candidate {
     pub sequence: i64,
     /// True if a user names the run, so that its progress does not matter.
     pub is_named: bool,
-    /// Rank of the results. If there are several results of one run, those with the lowest rank count.
+    /// Rank of the results. If there are several results of one run, the results with the lowest rank are used.
     pub rank: u8,
 }
 

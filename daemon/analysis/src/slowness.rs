@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::rows::LATENESS;
 
-/// Name of both directions of the network, for runs in which only their sum is known.
+/// Name of the sum of upload and download, for runs in which only the sum is known.
 pub const BOTH_DIRECTIONS: &str = "upload + download";
 
 /// Ratios of a total to the median of its run that are the usual variation.
@@ -70,7 +70,7 @@ pub struct IterationTimes<'a> {
     pub lateness: Option<f64>,
     /// Part of the total that does not belong to a stage.
     pub unattributed: Option<f64>,
-    /// Duration of both directions of the network, if only their sum is known.
+    /// Sum of the durations of upload and download, if only the sum is known.
     pub both_ways: Option<f64>,
 }
 
@@ -84,8 +84,8 @@ impl Medians {
         self.0.iter().find(|(node, _)| node == name).map(|(_, median)| *median)
     }
 
-    /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because its delays are never known, the time of
-    /// both is computed from the medians of the total and the other stages.
+    /// Returns the sum of the medians of `upload` and `download`. If neither has a median, because no delay is known, the sum is
+    /// computed from the medians of the total, of the other stages and of the unattributed time.
     pub fn both_ways(&self) -> Option<f64> {
         let medians = [stage::UPLOAD, stage::DOWNLOAD].into_iter().filter_map(|name| self.median(&name));
         let medians: Vec<f64> = medians.collect();
@@ -96,7 +96,7 @@ impl Medians {
         Some(both_ways(self.median(&stage::TOTAL)?, others, self.median(&stage::UNATTRIBUTED)?))
     }
 
-    /// Returns the ratio of a total to the median total of the run; `None` if one of both is not known or the median is 0.
+    /// Returns the ratio of a total to the median total of the run; `None` if the total or the median is not known, or the median is 0.
     pub fn ratio_to_median(&self, total: Option<f64>) -> Option<f64> {
         let median = self.median(&stage::TOTAL).filter(|median| *median > 0.0)?;
         Some(total? / median)

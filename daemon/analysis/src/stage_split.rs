@@ -5,7 +5,7 @@ use peernet_logger::{Name, stage};
 use crate::rows::LATENESS;
 use crate::slowness::{self, BOTH_DIRECTIONS};
 
-/// Share of the total below which the rest beyond the stages is a rounding error.
+/// If the time in no stage is less than this share of the total, it is a rounding error.
 const MIN_REST_SHARE: f64 = 1e-9;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
@@ -21,11 +21,12 @@ pub struct StageSplit {
 pub type CountAndMean = (u64, f64);
 
 impl StageSplit {
-    /// Splits the mean of the total. `mean_of` returns the values of a node, `None` if it has none. `sent` is the number of iterations that
-    /// sent a message to the other host, and the number that received one: some of their delays may be unknown. Empty without a total.
+    /// Splits the mean of the total. `mean_of` returns the values of a node, `None` if it has none. `sent` holds the number of iterations
+    /// that sent a message to the other host, and the number of iterations that received a message from it. The delays of some of these
+    /// messages may be unknown. The result is empty without a total.
     ///
     /// A stage that an iteration does not have took no time. An unknown delay counts as the mean of the known ones. If neither direction is
-    /// known, because the clocks are not related, their sum replaces both; it needs no clock relation.
+    /// known, because the clocks are not related, the sum of upload and download replaces both. The sum needs no clock relation.
     pub fn new(sent: [u64; 2], mean_of: impl Fn(&str) -> Option<CountAndMean>) -> Self {
         let Some((iterations, total)) = mean_of(&stage::TOTAL) else { return Self::default() };
         let mean = |name: &Name| {

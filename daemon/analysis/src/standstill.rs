@@ -22,9 +22,9 @@ pub struct RunExtent {
     pub slowest_s: f64,
 }
 
-/// Returns the length of the standstill of a run, seconds. It is the longest pause between the times in `busy`, in which iterations
-/// started, and the end of the run. `None` if this pause is at most half of the run, ten minutes, or the slowest iteration. The beginning
-/// of the run does not count, because it may be the warm-up.
+/// Returns the length of the standstill of a run, seconds. Iterations started in the time ranges of `busy`. The standstill is the longest
+/// pause between these ranges, or between the last range and the end of the run. `None` unless this pause is longer than half of the run,
+/// than ten minutes, and than the slowest iteration. The beginning of the run does not count, because it may be the warm-up.
 pub fn standstill(run: &RunExtent, busy: impl IntoIterator<Item = (WallTime, WallTime)>) -> Option<f64> {
     if run.iterations < MIN_ITERATIONS {
         return None;

@@ -67,7 +67,7 @@ impl Bank {
         }
     }
 
-    /// Adds a key, with which facts identify programs' arguments by fingerprints.
+    /// Adds a key for fingerprints. Facts then identify the arguments of programs by fingerprints made with this key.
     #[must_use]
     pub fn with_fingerprints(mut self, key: FingerprintKey) -> Self {
         self.fingerprints = Some(key);
@@ -187,7 +187,7 @@ impl Bank {
         }
         let pool = self.load_entry(&entry);
         if pool.is_err() {
-            // The next request reads the files again, which may have been corrected.
+            // The next request reads the files again, because the user may have corrected them.
             cache.discard(&entry);
         }
         pool

@@ -12,7 +12,7 @@ use crate::{Job, Requester};
 pub struct Batching {
     /// Largest number of requests.
     pub max_size: usize,
-    /// Longest time that the first request waits for further ones.
+    /// Longest time for which the first request of a batch waits for further requests.
     pub max_wait: Duration,
 }
 

@@ -59,7 +59,7 @@ async fn export(
     let run = app.store().run(number).await?.ok_or_else(|| WebError::no_run(number))?;
     let name = format!("{}-{number}.csv", run.summary.pipeline);
     // A chunk is read from the store only when the client has taken the previous chunk, so that a long run is never in memory as a whole.
-    // The first chunk is the header row. Its columns are known only after a scan of all iterations, since each may add one.
+    // The first chunk is the header row. All iterations are scanned before it, because each iteration may add a column.
     let chunks = stream::try_unfold(None, move |progress| {
         let (app, run) = (app.clone(), run.summary.clone());
         async move {

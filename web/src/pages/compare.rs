@@ -90,7 +90,7 @@ struct Compare {
 /// The configuration that others are compared with, and their differences from it.
 struct Baseline {
     name: String,
-    /// Names of the configurations, each with the number of its first run, which selects it. `true` for the baseline.
+    /// Name of each configuration; number of its first run, by which the configuration is selected; and `true` for the baseline.
     choices: Vec<(String, i64, bool)>,
     address: Address,
     others: Vec<OtherRow>,

@@ -10,7 +10,7 @@ use super::Update;
 use crate::error::WebError;
 use crate::state::{App, AppState};
 
-/// Registration of a page. Each page's file has one, and the list in `pages/mod.rs` names it.
+/// Registration of a page. The file of each page defines one `PageKind`, and the list in `pages/mod.rs` names it.
 pub(crate) struct PageKind {
     /// Routes of the page.
     pub routes: fn() -> Router<App>,

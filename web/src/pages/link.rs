@@ -46,7 +46,7 @@ pub(super) const PAGE: PageKind = PageKind {
 const TOPIC: &str = "link";
 /// Maximum number of points of the chart.
 const MAX_POINTS: u32 = 360;
-/// Number of newest incidents that are searched for those of the link.
+/// Incidents of the link are searched for among this number of newest incidents.
 const SEARCHED_INCIDENTS: u32 = 1_000;
 /// Maximum number of incidents that are listed.
 const MAX_INCIDENTS: usize = 8;

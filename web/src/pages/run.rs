@@ -143,7 +143,7 @@ struct Distribution {
     plot: Option<Picture>,
     views: [(&'static str, String, bool); 2],
     scales: [(&'static str, String, bool); 2],
-    /// Query parameters of view and scale. They are appended to the link of a stage, so that the link keeps both.
+    /// Query parameters of view and scale. They are appended to the link of a stage, so that the linked page has the same view and scale.
     view_query: String,
 }
 

@@ -14,9 +14,9 @@ use super::counted;
 use crate::picture::Picture;
 use crate::zone::Zone;
 
-/// Lag of storage behind measurement above which a note is shown.
+/// A note is shown if storage lags behind measurement by more than this.
 pub(crate) const FAR_BEHIND: Span = Span::from_seconds(5);
-/// Fill level above which a spool is reported as nearly full.
+/// A spool is reported as nearly full if at least this share of its limit is used.
 const NEARLY_FULL: f64 = 0.95;
 /// Possible reasons why events were lost. The gaps of a run name the actual reason.
 const LOST: &str = "dropped because the agent's spool was full, or lost when the agent was killed";

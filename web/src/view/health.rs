@@ -16,7 +16,7 @@ use crate::zone::Zone;
 
 /// Maximum number of notes that are shown. Of further notes only the number is shown.
 const MAX_NOTES: usize = 5;
-/// Share of lost iterations above which a note is shown.
+/// A note is shown if more than this share of the iterations has no answer.
 const MIN_WARNED_LOSS: f64 = 0.001;
 
 /// Title and notes.

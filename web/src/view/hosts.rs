@@ -65,7 +65,7 @@ impl RefusedLine {
 /// Number of points of a sparkline: one every five seconds for ten minutes.
 const POINTS: usize = 120;
 const POINT_INTERVAL_S: f64 = 5.0;
-/// Time between two points above which the host counts as absent between them.
+/// If more time than this is between two points, the host counts as absent between them.
 const MIN_ABSENCE: Span = Span::from_seconds(15);
 
 fn history(

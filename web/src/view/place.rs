@@ -19,7 +19,7 @@ pub(crate) fn route(host: &str, placement: &Placement) -> String {
     }
 }
 
-/// Returns the model of a local pipeline, or network and mean payload of a remote one: `resnet on board`, `zmq-tcp · 1.23 MB`.
+/// Returns the model of a local pipeline, or network and mean payload of a remote pipeline: `resnet on board`, `zmq-tcp · 1.23 MB`.
 pub(crate) fn details(placement: &Placement, window: Option<&Window>) -> String {
     match placement.kind {
         PlacementKind::Local => format!("{} on board", placement.model),

@@ -119,7 +119,7 @@ impl Stored<'_> {
         [episodes::summary(self.episodes), unanswered, standstill].into_iter().flatten().collect()
     }
 
-    /// Returns the length of a standstill, seconds. `None` without one, and if events of the run are missing.
+    /// Returns the length of a standstill, seconds. `None` without a standstill, and if events of the run are missing.
     pub(crate) fn standstill(&self) -> Option<f64> {
         let summary = &self.run.summary;
         let points = &self.series.stages.first()?.points;

@@ -48,9 +48,9 @@ impl Stack {
         Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
     }
 
-    /// Returns the stack of one iteration. If a direction of the network is unknown, the stack has the sum of both directions instead.
+    /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both instead.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
-        // The sum of both directions contains a direction that is known by itself, so that direction is left out.
+        // The sum contains upload and download, so that a direction that is known by itself is left out.
         let is_separate =
             |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
         let mut parts: Vec<(Name, f64)> = row.stages.iter().filter(is_separate).cloned().collect();

@@ -114,7 +114,7 @@ struct UnaccountedTime {
 }
 
 impl UnaccountedTime {
-    /// Splits the total as the API does: by the sum of both directions that the agent measured, which a step of a clock does not change.
+    /// Splits the total as the API does: by the sum of upload and download that the agent measured. A step of a clock does not change the sum.
     fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
         let row = &detail.row;
         let has_unknown_delay =

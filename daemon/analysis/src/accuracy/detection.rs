@@ -13,7 +13,7 @@ use serde::Deserialize;
 /// objects.
 pub const DETECTION_SCORES: [&str; 2] = ["map-50", "mean-iou"];
 
-/// Ratio of intersection to union from which on a box is at the place of a labelled object.
+/// A box is at the place of a labelled object if the ratio of their intersection to their union is at least this.
 pub const MATCHING_IOU: f64 = 0.5;
 
 /// Box of an object, labelled or found.

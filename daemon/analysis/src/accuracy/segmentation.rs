@@ -62,8 +62,8 @@ impl Default for SegmentedPixels {
 }
 
 impl SegmentedPixels {
-    /// Adds the pixels of a picture. The answer's picture may have another size than the mask, in the same proportions: the class of a
-    /// pixel of the mask is compared with that of the answer's pixel in which its centre lies.
+    /// Adds the pixels of a picture. The answer's picture may have another size than the mask, in the same proportions. The centre
+    /// of each pixel of the mask lies in a pixel of the answer; the classes of these two pixels are compared.
     pub fn add(&mut self, mask: ClassMap<'_>, answer: ClassMap<'_>) {
         let index = |at: usize, from: usize, to: usize| (2 * at + 1) * to / (2 * from);
         let columns: Vec<usize> = (0..mask.width).map(|x| index(x, mask.width, answer.width)).collect();

@@ -28,14 +28,14 @@ pub struct Clocks {
 }
 
 impl Clocks {
-    /// Summarises the seconds of the clock relation and the iterations of the study, both in order of time.
+    /// Summarises the samples of the clock relation (one per second) and the iterations of the study. Both are in order of time.
     pub(super) fn new(seconds: &[ClockSample], samples: &[Sample]) -> Self {
         let round_trips = seconds.iter().filter_map(|second| second.round_trip);
         let offset = |sample: &Sample| {
             let up = sample.up.as_ref().filter(|up| up.seconds().is_some())?;
             Some((up.delay.raw - up.delay.value?).seconds())
         };
-        // The counter belongs to one relation and starts at zero again after the peer came back. Only its increases count.
+        // Each clock relation counts its own restarts. When the peer comes back, a new relation starts at zero. Only increases are added up.
         let restarts = seconds.iter().map(|second| u64::from(second.exchanges.restarts));
         let previous = std::iter::once(0).chain(restarts.clone());
         let reported_steps: u64 =

@@ -82,9 +82,9 @@ pub struct Claim {
     pub payload_bytes: u64,
     /// Bounds of the delay of the smallest payload, seconds: median of the lower bounds and median of the upper bounds.
     pub bounds: (f64, f64),
-    /// Bounds of the delay of an empty message, seconds. They are the bounds of the smallest payload minus the time that its bytes take
-    /// according to the slope. They are widened by the 95 % margin of the median delay on both sides, because the median is an estimate, too.
-    /// They are never negative.
+    /// Bounds of the delay of an empty message, seconds. They are the bounds of the smallest payload, minus the time that the bytes of
+    /// this payload take according to the slope. Both ends are moved outwards by the 95 % margin of the median delay, because the median is
+    /// an estimate, too. The bounds are never negative.
     pub at_zero: (f64, f64),
 }
 

@@ -53,7 +53,7 @@ struct InterceptCheck {
     name: &'static str,
     intercept: Estimate,
     claim: Claim,
-    /// Distance from the median delay of the smallest payload to the farther of its bounds.
+    /// Distance from the median delay of the smallest payload to its lower or its upper bound, whichever is farther. Seconds.
     max_error: f64,
 }
 

@@ -22,7 +22,7 @@ pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     ORDER.iter().map(Name::as_str).chain(others).collect()
 });
 
-/// Differences of one line of a comparison to another, stage by stage. Seconds.
+/// Differences between two lines of a comparison, stage by stage. Seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Differences {
     /// Name of the line that is the reference.
@@ -46,8 +46,8 @@ pub struct StageDifference {
     pub medians: (f64, f64),
     /// Median of the other line minus the median of the baseline.
     pub median: Difference,
-    /// Further error of the difference, which the interval does not contain, because the clock offset is only known within bounds. It is the sum
-    /// of the mean half widths of the bounds of both lines. `None` for stages that a single clock measured.
+    /// Further error of the difference, because the clock offset is only known within bounds. The interval does not include this error. It is
+    /// the sum of two means: the mean half width of the bounds in each of the two lines. `None` for stages that a single clock measured.
     pub clocks: Option<f64>,
 }
 

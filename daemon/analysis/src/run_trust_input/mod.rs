@@ -38,7 +38,7 @@ fn load(record: &RunRecord) -> Load {
     record.pipeline.get("load").and_then(|load| Load::deserialize(load).ok()).unwrap_or_default()
 }
 
-/// Compares a run with its limits. The iterations of the run are its rows and those that have no row, which the record counts.
+/// Compares a run with its limits. Its iterations are its rows, and further iterations without a row, whose number is in the record.
 fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     let counts = Counts::from_rows(rows, record.counts.unseen);
     let progress = Progress {
@@ -49,8 +49,8 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }
 
-/// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` for a run that was
-/// complete, that ended by itself before its limit, or whose end is not known.
+/// Describes the end of a run that was ended early or broke off: `was interrupted after 57 of 120 iterations`. `None` if the run
+/// was complete, if it ended by itself before its limit, or if its end is not known.
 pub(crate) fn early_end(record: &RunRecord, rows: &Rows) -> Option<String> {
     match (record.reason.failure(), ended_early(record, rows)) {
         (Some(reason), Some(early)) => Some(format!("broke off {}: {reason}", early.progress_text())),

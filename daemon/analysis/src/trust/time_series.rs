@@ -11,11 +11,12 @@ use crate::order::SortedValues;
 const MIN_BEGINNING_VALUES: u64 = 20;
 /// Maximum number of blocks of a run. The first block is its beginning.
 const MAX_BLOCKS: u64 = 200;
-/// Minimum change of the median from the first half of a run to the second, as a share of the first, that is reported.
+/// Minimum change of the median from the first half of a run to the second that is reported, as a share of the median of the first half.
 pub(super) const MIN_NOTABLE_CHANGE: f64 = 0.05;
 /// Standard deviation of a normal distribution divided by its median absolute deviation (MAD).
 const MAD_TO_STD: f64 = 1.4826;
-/// Distance above the median, in deviations computed from the MAD, above which a value is an outlier (Iglewicz and Hoaglin 1993).
+/// A value is an outlier if it exceeds the median by more than this number of deviations, which are computed from the MAD (Iglewicz and
+/// Hoaglin 1993).
 const OUTLIER_DEVIATIONS: f64 = 3.5;
 /// Minimum deviation, as a share of the median: the resolution of the stored quantiles.
 const MIN_RELATIVE_DEVIATION: f64 = 0.01;

@@ -15,9 +15,9 @@ use crate::rows::{LATENESS, Outcome, RowRef, Rows};
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
 const REPLAYED_FACT: &str = "Replayed";
 
-/// Node with the time by which the inner model of drawn latencies took longer than drawn.
+/// Name of the node with the overrun: the time by which the inner model took longer than the latency that was drawn for the iteration.
 pub const OVERRUN: &str = "overrun";
-/// Its column in `data.csv`.
+/// Column of the overrun in `data.csv`.
 const OVERRUN_COLUMN: &str = "inference_overrun";
 
 /// Function that returns the message of a row in one direction.
@@ -60,7 +60,7 @@ pub struct TrustInput {
     pub unknown_labels: Option<UnknownLabels>,
     /// Distribution from which the latencies of the model are drawn; `None` if they are measured.
     pub replayed: Option<String>,
-    /// Average time by which the inner model of drawn latencies took longer than drawn; seconds. `None` without one.
+    /// Mean time by which the inner model took longer than the drawn latencies, seconds. `None` without an inner model.
     pub overrun: Option<f64>,
 }
 
@@ -113,7 +113,7 @@ impl TrustInput {
         let counted = || rows.iter().filter(|row| row.is_counted());
         let time_series =
             |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
-        // Both means cover the same iterations: those whose unattributed time is known, for which both delays must be known.
+        // Both means cover the same iterations: those whose unattributed time is known. It is known only if both delays are known.
         let with_unattributed = || counted().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
             let values = || with_unattributed().filter_map(|row| row.value(column));

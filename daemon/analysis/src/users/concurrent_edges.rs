@@ -5,8 +5,8 @@ use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
 
-/// Groups the edges that measured the same repeat of the same configuration of an experiment, which they did at the same time. Groups and
-/// edges keep the order of the input.
+/// Groups the edges that measured the same repeat of the same configuration of an experiment. The edges of a group measured at the same
+/// time. Groups and edges keep the order of the input.
 pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     let mut groups: Vec<Vec<&Loaded>> = Vec::new();
     for edge in edges {
@@ -24,8 +24,8 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     groups
 }
 
-/// Returns the share of each edge and the totals of all edges, from the time in which all edges were measuring. `None` if there is no such
-/// time. For a single edge, this time is its whole run, and all its totals count.
+/// Returns the share of each edge and the totals of all edges. Only the time in which all edges were measuring is used. `None` if there is
+/// no such time. For a single edge, the whole run and all its totals are used.
 pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
     let rows: Vec<Vec<RowRef<'_>>> =
         edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();

@@ -12,8 +12,8 @@ pub struct Curve<'a> {
 }
 
 impl<'a> Curve<'a> {
-    /// Returns the curves of the lines. Lines that differ only in their number of edges form one curve. The axis of the number of edges is
-    /// found by its labels, which contain the number. All other axes with different labels distinguish the curves.
+    /// Returns the curves of the lines. Lines that differ only in their number of edges form one curve. The axis whose labels
+    /// contain the number of edges is not part of a curve's name. All other axes with different labels distinguish the curves.
     pub fn from_users(users: &'a Users) -> Vec<Self> {
         let Users { axes: names, lines } = users;
         let axis_of_edges = axis_of_edges(users);

@@ -56,7 +56,7 @@ impl CacheEntry {
     }
 }
 
-/// Sizes and modification times of a model's files, which show that files were replaced.
+/// Sizes and modification times of a model's files. A change shows that files were replaced.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct FilesStamp(Vec<Option<(u64, SystemTime)>>);
 

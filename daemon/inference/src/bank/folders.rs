@@ -28,9 +28,9 @@ pub struct ModelOnDisk {
     pub name: Slug,
     /// The folder with `model.onnx` and its card `model.toml`.
     pub folder: PathBuf,
-    /// Summary of the card, or the error of the model that shows without loading it.
+    /// Summary of the card, or an error of the model that is found without loading the model.
     pub card: Result<CardSummary, LoadError>,
-    /// Folder of another model of this name, which takes precedence because its folder is searched first.
+    /// Folder of another model with the same name. The other model takes precedence, because its folder is searched first.
     pub shadowed_by: Option<PathBuf>,
 }
 
@@ -124,8 +124,8 @@ impl ModelOnDisk {
         Ok(Self::read(name, folder))
     }
 
-    /// Returns the configuration of this model on a device with one worker, like that of a `[[model]]` table; every other key has its
-    /// default.
+    /// Returns the configuration of this model with one worker on `device`, as a `[[model]]` table would give it. All other keys have
+    /// their defaults.
     pub fn configuration(&self, device: &str) -> ModelConfig {
         BankConfig::default().model(&self.name, &self.folder, device)
     }

@@ -24,7 +24,7 @@ pub struct UnloadedModel {
 /// Reason for unloading a model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UnloadReason {
-    /// The largest number of models was loaded when this one was requested.
+    /// The model was unloaded to make room for this requested model, because the largest number of models was loaded.
     MakesRoomFor(Slug),
     /// The files of the model have changed.
     FilesChanged,

@@ -29,7 +29,7 @@ const MAX_WORKERS: usize = 256;
 /// Largest number of samples that wait for one model.
 const MAX_QUEUE: usize = 65_536;
 
-/// Kind of model, implemented by the keys that it has in addition to the shared ones.
+/// Kind of model. It is implemented for the type that holds the own keys of the kind; the shared keys are in [`SharedKeys`].
 pub trait ModelKind {
     /// Returns the shared keys that a model of this kind has; `name` is one of them. Default: all.
     ///

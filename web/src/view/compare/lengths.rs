@@ -90,7 +90,7 @@ fn is_included(value: f64) -> bool {
     Summary::accepts(value)
 }
 
-/// Reads a sample of the iterations of each configuration that is drawn. The same share of each of its runs is read.
+/// Reads a sample of the iterations of each configuration that is drawn. From each run of a configuration the same share is read.
 ///
 /// # Errors
 /// Returns an error when the store cannot be read.
@@ -108,7 +108,8 @@ pub(crate) async fn answers(store: &Store, comparison: &Comparison) -> Result<Ve
             is_whole: true,
         };
         for run in &varying_configuration.configuration.runs {
-            // Warm-up and iterations without an answer are read as well, so that a run with room for all of them is read whole.
+            // `value_pairs` also reads warm-up and iterations without an answer. If the answered iterations of all runs fit into the limit, a run
+            // is therefore read with the larger limit `MAX_READ`, so that it is read whole.
             let limit = if all_answered <= max_read {
                 MAX_READ
             } else {

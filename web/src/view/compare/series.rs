@@ -26,7 +26,7 @@ const MIN_POINTS: u64 = 20;
 const SAMPLES_PER_POINT: u64 = 60;
 /// Minimum number of points of a drawn run. With fewer points the drawn length of a run is too inexact.
 const MIN_DRAWN_POINTS: usize = 3;
-/// Number of points below which the caption states the length of a run. The drawn length is inexact by up to a point at each end.
+/// If a run has fewer points, the caption states the length of the run, because the drawn length is inexact by up to a point at each end.
 const MIN_EXACT_POINTS: f64 = 5.0;
 
 /// Stored data of a run over time.

@@ -252,7 +252,7 @@ impl<'a> Subject<'a> {
         let first_unsettled =
             settled.iter().position(|point| !is_settled(point) || point.window != settled[0].window);
         let is_whole_history = self.history().len() == settled.len();
-        // Some delays of the second in which the relation was established are from before that time. The whole second is excluded.
+        // In the second in which the relation was established, some delays are older than the relation. The whole second is excluded.
         let settled_count = first_unsettled.unwrap_or(settled.len() + usize::from(!is_whole_history));
         if settled_count > 1 && !self.same_clock() {
             settled.truncate(settled_count - 1);
@@ -260,8 +260,8 @@ impl<'a> Subject<'a> {
         Delays::of(way, settled)
     }
 
-    /// Returns the verdict of the whole link. It is the verdict of the offset, or `Limited` if the verdict of the offset is `Ok` but delays
-    /// are too short for its bound.
+    /// Returns the verdict of the whole link. This is the verdict of the offset, with one exception: if the verdict of the offset is `Ok` but
+    /// delays are short compared with the bounds of the offset, it is `Limited`.
     pub(crate) fn verdict(&self) -> Option<Verdict> {
         let offset_verdict = match (self.same_clock(), self.offset()) {
             (true, _) => Verdict::Ok,

@@ -185,7 +185,7 @@ fn describe_narrowing(offset: &Offset) -> String {
     format!("the offset {} narrows it", others.join(" and "))
 }
 
-/// Half the width of a bound from which a time daemon is recommended. A daemon seldom claims a smaller error.
+/// A time daemon is recommended if half the width of a bound is more than this. A daemon seldom claims a smaller error.
 const BEST_CLAIM: Span = Span::from_micros(50);
 
 /// Returns advice to narrow the bound of this link.

@@ -7,9 +7,9 @@ use peernet_stream::Grade;
 use super::{finding, percent, with_advice};
 use crate::trust::{Clocks, Finding, TrustInput};
 
-/// Share of unusable or limited delays from which the delays as a whole are graded like them.
+/// If at least this share of the delays is unusable, the grade is bad. If at least this share is limited, the grade is doubtful.
 const MAJORITY_SHARE: f64 = 0.5;
-/// Share of unusable or stale delays up to which they do not change a median.
+/// Up to this share, unusable or stale delays do not affect the grade, because so few delays do not change a median.
 const NEGLIGIBLE_SHARE: f64 = 0.01;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {

@@ -7,13 +7,13 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
 
-/// Share of iterations without an answer, and of skipped starts, above which the finding is doubtful.
+/// The finding is doubtful if more than this share of the iterations has no answer, or more than this share of the starts was skipped.
 const NOTABLE_SHARE: f64 = 0.001;
-/// Share of iterations without an answer, and of skipped starts, above which the latency of the answered iterations is misleading.
+/// Above this share of unanswered iterations, or of skipped starts, the latency of the answered iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
-/// Share of missing events from which the received events no longer represent the whole run.
+/// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;
-/// Share of the configured limit below which a run is too short for its purpose.
+/// A run that reached less than this share of its configured limit is too short for its purpose.
 const MIN_REACHED_SHARE: f64 = 0.5;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {

@@ -5,9 +5,9 @@ use peernet_stream::Grade;
 use super::{finding, ms, percent, with_advice};
 use crate::trust::{Finding, TrustInput};
 
-/// Share of the mean total from which the overrun of the inner model is mentioned.
+/// A finding reports the overrun of the inner model if it is at least this share of the mean total.
 const NOTABLE_OVERRUN: f64 = 0.01;
-/// Share of the mean total from which the latencies are those of the inner model rather than of the distribution.
+/// If the overrun is at least this share of the mean total, the latencies come from the inner model rather than from the distribution.
 const MAX_OVERRUN: f64 = 0.1;
 
 /// Returns the findings about drawn latencies; none if the latencies of the model are measured.

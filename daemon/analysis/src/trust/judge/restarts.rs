@@ -6,7 +6,8 @@ use peernet_stream::Grade;
 use super::{finding, iterations, ms, percent, with_advice};
 use crate::trust::{Finding, Restarts, TrustInput};
 
-/// Share of the time of all iterations from which restarts are doubtful. It is the same limit as for the contribution of outliers to the mean.
+/// Restarts are doubtful if they took at least this share of the time of all iterations. Outliers have the same limit: their contribution
+/// to the mean.
 const MAX_INFLUENCE: f64 = 0.05;
 /// Maximum number of iterations in the list of a finding.
 const MAX_NAMED: usize = 5;

@@ -8,21 +8,21 @@ use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
 
-/// Change of the median from the first half to the second, as a share of the first, from which one number for the whole run is meaningless.
+/// If the median changes by at least this share from the first half to the second, one number for the whole run is meaningless.
 const STRONG_DRIFT: f64 = 0.2;
-/// Relative change below which both medians are printed as the same number.
+/// If the relative change is smaller, the medians of both halves are printed as one number.
 const MIN_VISIBLE_CHANGE: f64 = 0.000_5;
-/// Probability above which a trend is attributed to chance.
+/// If the probability of the trend by chance is at least this, the trend is attributed to chance.
 const MAX_CHANCE: f64 = 0.05;
 /// Share by which the first iterations may take longer than the rest.
 const MAX_COLD_EXCESS: f64 = 0.1;
-/// Share of the mean from which the contribution of outliers is doubtful.
+/// The finding is doubtful if outliers contribute at least this share of the mean.
 const MAX_INFLUENCE: f64 = 0.05;
-/// Share of the total outside of all stages from which the finding is doubtful.
+/// The finding is doubtful if at least this share of the total lies outside of all stages.
 const MAX_UNATTRIBUTED_SHARE: f64 = 0.05;
-/// Share of the total outside of all stages from which the finding is bad.
+/// The finding is bad if at least this share of the total lies outside of all stages.
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
-/// Time outside of all stages that is negligible whatever its share, seconds.
+/// A shorter time outside of all stages is negligible, even if it is a large share of the total. Seconds.
 const NEGLIGIBLE_SECONDS: f64 = 100e-6;
 /// Minimum number of iterations for a judgement of the series.
 const MIN_ITERATIONS: u64 = 100;

@@ -21,9 +21,9 @@ pub(super) fn data_file(path: &Path) -> PathBuf {
     if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() }
 }
 
-/// Reads the latencies in a column of a `data.csv`, seconds, from the iterations that statistics include: those with an
-/// answer that are not warm-up. A file without these columns, such as one of the published program, has only such
-/// iterations.
+/// Reads the latencies in a column of a `data.csv`, seconds, from the iterations that statistics include: iterations with
+/// an answer that are not warm-up. A file without columns for outcome and warm-up has only such iterations; for example, a
+/// file of the program that was published with the paper.
 ///
 /// # Errors
 /// If the file cannot be read, has no such column, or the column has no latency.

@@ -28,9 +28,9 @@ const REPLAYED: &str = "Replayed";
 
 /// Latency that was drawn for an iteration, below `inference`, seconds.
 const DRAWN_LATENCY: Name = Name::from_static("drawn-latency");
-/// Time of the inner model, below `inference`; its own stages are below this node.
+/// Node below `inference`: the time of the inner model. The stages of the inner model are below this node.
 const INNER_MODEL: Name = Name::from_static("inner-model");
-/// Time by which the inner model took longer than the drawn latency, below `inference`, seconds; 0 if it was faster.
+/// Node below `inference`: the time by which the inner model took longer than the drawn latency, seconds; 0 if it was faster.
 const OVERRUN: Name = Name::from_static("overrun");
 
 /// Keys of a model of `kind = "distribution"`. One of `data`, `histogram` and `mean_ms` names the distribution.
@@ -194,7 +194,7 @@ impl Model for Distribution {
             (REPLAYED.to_owned(), format!("inference is drawn from {distribution}, seed {}", self.seed)),
         ];
         facts.extend(self.data_hash.iter().map(|hash| (format!("{REPLAYED} SHA-256"), hash.clone())));
-        // The answers are those of the inner model, and so are its classes and its hash.
+        // The inner model computes the answers, so this model also has the classes and the hash of the inner model.
         facts.extend(self.inner.iter().flat_map(|inner| inner.facts()).map(|(name, text)| match &*name {
             "Model" => ("Inner model".to_owned(), text),
             _ => (name, text),

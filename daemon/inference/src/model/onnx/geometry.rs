@@ -8,7 +8,7 @@ use peernet_sample::{Part, PixelFormat};
 use super::card::{CentreCrop, PictureSource, Resize};
 use super::picture::InputError;
 
-/// Steps that change a picture's orientation and size, with their buffers, which are reused for the next picture.
+/// Steps that change a picture's orientation and size. Their buffers are reused for the next picture.
 pub(super) struct Geometry {
     orientation: Orientation,
     resize: Option<Resize>,

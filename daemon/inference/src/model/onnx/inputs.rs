@@ -40,8 +40,8 @@ impl ModelInputs {
     /// Fills the inputs of the sample at `index` of the batch from its parts, in the order of the card.
     ///
     /// # Errors
-    /// If the sample has fewer or more parts than the model takes, or if a part is not what its input is made from. A model that
-    /// takes one part ignores further ones.
+    /// If the sample has fewer or more parts than the model takes, or if an input cannot be made from its part. A model that takes
+    /// one part ignores further parts.
     pub(super) fn fill(&mut self, index: usize, sample: &Sample) -> Result<(), InputError> {
         self.transforms[index] = None;
         let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());

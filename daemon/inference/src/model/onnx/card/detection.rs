@@ -8,7 +8,7 @@ use super::output::{Activation, check_labels};
 /// Score above which an object is reported, by default.
 const SCORE_THRESHOLD: f64 = 0.25;
 
-/// Overlap above which the box with the lower score is dropped, by default, of models without suppression of their own.
+/// Default of `iou_threshold` for models that do not suppress overlapping boxes themselves.
 const IOU_THRESHOLD: f64 = 0.45;
 
 /// Number of objects in an answer by default.
@@ -27,9 +27,9 @@ pub(in crate::model::onnx) struct Detection {
     pub(in crate::model::onnx) labels: Vec<String>,
     /// Objects with a higher score are reported.
     pub(in crate::model::onnx) score_threshold: f32,
-    /// Ratio of intersection to union above which the box with the lower score is dropped, among boxes of one class; `None` to drop none.
+    /// If two boxes of one class have a higher ratio of intersection to union, the box with the lower score is dropped. `None` to drop none.
     pub(in crate::model::onnx) iou_threshold: Option<f32>,
-    /// Largest number of objects in an answer, those with the highest scores.
+    /// Largest number of objects in an answer. Objects with the highest scores are reported.
     pub(in crate::model::onnx) max_detections: usize,
 }
 

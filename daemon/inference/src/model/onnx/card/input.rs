@@ -62,7 +62,7 @@ pub(super) struct InputTable {
 }
 
 impl Input {
-    /// Converts and checks the tables of a card; `shared` is the preprocessing of pictures without one of their own.
+    /// Converts and checks the tables of a card; `shared` is the preprocessing of pictures whose table has no preprocessing.
     pub(super) fn from_tables(
         tables: Vec<InputTable>,
         shared: Option<&Preprocessing>,

@@ -146,14 +146,14 @@ impl Card {
         let CardFile { name, description, version, input, preprocessing, output, provenance, .. } = file;
         let inputs = Input::from_tables(input.0, preprocessing.as_ref())?;
         let card = Self { name, description, version, inputs, task: task(output)?, provenance };
-        // Boxes and pixels of an answer are those of a picture.
+        // The boxes or pixels of an answer relate to a picture, so there must be a picture.
         if matches!(card.task, Task::Detection(_) | Task::Segmentation(_)) && card.picture().is_none() {
             return Err(CardError::PictureTask(card.task.name()));
         }
         Ok(card)
     }
 
-    /// Returns the first input that is a picture. Boxes and pixels of an answer are those of this picture.
+    /// Returns the first input that is a picture. The boxes or pixels of an answer relate to this picture.
     pub(super) fn picture(&self) -> Option<&PictureSource> {
         self.inputs.iter().find_map(Input::picture)
     }

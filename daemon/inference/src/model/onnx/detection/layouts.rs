@@ -7,7 +7,7 @@ use crate::model::onnx::outputs::{Output, OutputError, Outputs};
 /// Reader of candidates with a score above the threshold, as the card defines.
 pub(super) struct Candidates<'a> {
     detection: &'a Detection,
-    /// Factors that make the numbers of a box pixels of the input, in both directions.
+    /// Factors from the numbers of a box to pixels of the input, horizontal and vertical.
     unit: (f32, f32),
     found: Vec<Candidate>,
 }
@@ -214,7 +214,8 @@ fn first_four(numbers: &[f32]) -> [f32; 4] {
     [numbers[0], numbers[1], numbers[2], numbers[3]]
 }
 
-/// Returns the position of the largest number, the first of equal ones, and the number. Without numbers, 0 and minus infinity.
+/// Returns the index of the largest score, and this score. Of equal scores it takes the first. Returns 0 and minus infinity if there are
+/// no scores.
 fn best(scores: &[f32]) -> (usize, f32) {
     let mut best = (0, f32::NEG_INFINITY);
     for (class, score) in scores.iter().enumerate() {
