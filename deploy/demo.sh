@@ -42,7 +42,8 @@ failed() {
 answers() { (exec 3<>"/dev/tcp/${listen%:*}/${listen##*:}") 2>/dev/null; }
 
 if answers; then
-    echo "demo: another program listens on $listen; stop it, or change [web] listen in $configs/aggregator.toml" >&2
+    echo "demo: another program listens on $listen; stop it, or copy $configs/{aggregator,cloud,edge}.toml to a folder, change the ports there," \
+        "and run: deploy/demo.sh $peernetd FOLDER" >&2
     exit 1
 fi
 

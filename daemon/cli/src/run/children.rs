@@ -116,7 +116,7 @@ pub(super) async fn execute(
                 exits[index] = Some(exited);
             }
             Some((index, output)) = receiver.recv() => handle(index, output, &mut show),
-            () = signals.next() => {
+            _ = signals.next() => {
                 let (signal, message) = ending.request(Instant::now());
                 show(ChildEvent::Ending(&message));
                 send(&pids, signal);

@@ -282,7 +282,7 @@ async fn is_confirmed(signals: &mut Signals) -> bool {
     });
     tokio::select! {
         answer = answer => answer.unwrap_or(false),
-        () = signals.next() => false,
+        _ = signals.next() => false,
     }
 }
 

@@ -7,7 +7,7 @@ use peernet_tests::root;
 /// Commands, with the file that executes them and the words by which it does. Differences from the documents: fewer
 /// iterations; random weights, which need no download; a package that is installed in a disposable copy of the
 /// machine.
-pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 15] = [
+pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 16] = [
     (
         &[
             "PEERNet --server --name cluster --network zmq-tcp --network-config net_config.yaml --model-name efficientnet_v2_s --device cuda:6 --iterations 10005",
@@ -66,6 +66,11 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 15] = [
         "deploy/debian/test.sh",
         "    peernetd run /usr/share/doc/peernet/examples/all-in-one.toml ",
     ),
+    (
+        &["cp -r /usr/share/peernet/models/quality-control/pictures /var/lib/peernet/pictures"],
+        "deploy/debian/test.sh",
+        "    cp -r /usr/share/peernet/models/quality-control/pictures /var/lib/peernet/pictures\n",
+    ),
     (&["apt remove peernet"], "deploy/debian/test.sh", "dpkg --remove peernet\n"),
     (&["apt purge peernet"], "deploy/debian/test.sh", "dpkg --purge peernet\n"),
     (
@@ -88,6 +93,8 @@ pub(super) const NEVER_EXECUTED: [(&str, &[&str]); 6] = [
             "systemctl daemon-reload",
             "systemctl start peernet-aggregator",
             "systemctl stop peernet-aggregator",
+            "systemctl start peernet-agent",
+            "systemctl stop peernet-agent",
         ],
     ),
     (

@@ -5,7 +5,9 @@ use peernet_tests::truth::query_database;
 use peernet_tests::{Document, DocumentedCommands, ProcessEnd, wait_until};
 use serde_json::Value;
 
-pub(crate) const COMMANDS: [&str; 19] = [
+use crate::experiments::{Results, column};
+
+pub(crate) const COMMANDS: [&str; 20] = [
     "peernetd check /etc/peernet/agent.toml",
     "peernetd check FILE",
     "peernetd check FILE…",
@@ -19,6 +21,7 @@ pub(crate) const COMMANDS: [&str; 19] = [
     "peernet calibrate 10.0.0.2",
     "peernet calibrate PEER",
     "peernet recompute 12",
+    PLACEMENTS,
     "peernetd doctor --config /etc/peernet/aggregator.toml",
     "peernetd doctor --config /etc/peernet/agent.toml",
     BACKUP,
@@ -27,6 +30,7 @@ pub(crate) const COMMANDS: [&str; 19] = [
     CLEAR,
 ];
 
+const PLACEMENTS: &str = "peernet run --only Where=local --only Where=cloud --set pipeline.placement.peer=tcp://10.0.0.2:5551 /usr/share/doc/peernet/examples/experiments/demo.toml";
 const BACKUP: &str =
     "peernetd backup --config /etc/peernet/aggregator.toml /backup/peernet-$(date +%F).sqlite";
 const REPAIR: &str = "peernetd doctor --repair --config /etc/peernet/aggregator.toml";
@@ -36,14 +40,13 @@ const CLEAR: &str = "peernetd clear-host-secret --config /etc/peernet/aggregator
 /// Arguments of a calibration of some seconds.
 const SHORT_CALIBRATION: &str = "calibrate --sizes 100,1kB,10kB --repeats 20 --quiet";
 
-/// Installs the three files of docs/two-machines.md on the machines that it names, which share one host name and clock here.
+/// Installs the three files of docs/two-machines.md on the machines that it names, which share one clock here.
 pub(crate) fn install(machines: &DocumentedCommands) {
     let document = Document::read("docs/two-machines.md");
     let files = document.indented("put-it-on-two-machines", 7);
     let [aggregator, cloud, robot, ..] = &*files else { panic!("it has three files: {files:#?}") };
-    let agent = |name: &str| {
-        let state = format!("state_dir = \"/var/lib/peernet/agent\"\nclock_identity = \"{name}\"");
-        format!("[agent]\nname = \"{name}\"\n{state}")
+    let agent = |clock: &str| {
+        format!("[agent]\nstate_dir = \"/var/lib/peernet/agent\"\nclock_identity = \"{clock}\"")
     };
     machines.install(machines.cloud(), "/etc/peernet/aggregator.toml", aggregator, &[]);
     let models_folder = ("/usr/share/peernet/models", "models");
@@ -111,6 +114,7 @@ fn readme_commands_work_on_two_machines() {
         machines.on_edge("peernetd doctor --config /etc/peernet/agent.toml", &[]).wait_for_end(),
     );
     assert!(spool.contains("stream"), "{spool}");
+    compare_placements(&machines);
     let recomputed = assert_success(machines.on_cloud("peernet recompute 12", &[("12", "1")]).wait_for_end());
     assert!(recomputed.contains("upload") && recomputed.contains("download"), "{recomputed}");
     back_up_and_rebuild(&machines, || assert_eq!(aggregator.stop().code(), 0));
@@ -153,6 +157,18 @@ fn calibrate(machines: &DocumentedCommands) {
         let study: Value = serde_json::from_slice(&study).expect("it is JSON");
         assert_eq!((&study["setting"]["cloud"], &study["counts"]["failed"]), (&"cloud".into(), &0.into()));
     }
+}
+
+/// Measures the experiment of the package on the robot, whose agent has stopped, against the model on the cloud.
+fn compare_placements(machines: &DocumentedCommands) {
+    let experiment = Document::read("configs/experiments/demo.toml").text;
+    machines.write("demo.toml", &experiment.replace("episodes = 4", "episodes = 2").replace("= 25", "= 6"));
+    let file = ("/usr/share/doc/peernet/examples/experiments/demo.toml", "demo.toml");
+    let log = assert_success(machines.on_edge(PLACEMENTS, &[file]).wait_for_end());
+    assert!(log.contains("total (measured)"), "{log}");
+    let results = Results::of(machines.folder().join("results/demo"));
+    assert_eq!(results.stages().iter().filter(|stage| *stage == "finished").count(), 6);
+    assert_eq!(column(&results.folder.join("compare.csv"), "Where"), ["local", "cloud", "cloud"]);
 }
 
 /// Makes a backup while the database is written to, and rebuilds roll-ups while it is not.

@@ -5,8 +5,11 @@ use peernet_tests::{Api, DocumentedCommands};
 use super::{Results, column, wait_for_runs};
 
 /// Documented commands that this test executes.
-pub(crate) const COMMANDS: [&str; 2] =
-    ["peernetd run configs/cloud.toml", "peernet run configs/experiments/demo.toml"];
+pub(crate) const COMMANDS: [&str; 3] = [
+    "peernetd run configs/aggregator.toml",
+    "peernetd run configs/cloud.toml",
+    "peernet run configs/experiments/demo.toml",
+];
 
 /// Returns the order of the runs, and the sizes of the pictures of each run that sends them unchanged.
 fn run_order_and_sizes(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
@@ -44,7 +47,7 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
             ("[experiment]", "[experiment]\naggregator = \"tcp://10.0.0.2:5550\""),
         ],
     );
-    let aggregator = machines.run_on(machines.cloud(), "peernetd run configs/aggregator.toml");
+    let aggregator = machines.on_cloud("peernetd run configs/aggregator.toml", &[]);
     let cloud = machines.on_cloud("peernetd run configs/cloud.toml", &[]);
     cloud.wait_for("ready");
     let results = Results::of(machines.folder().join("results/demo"));
