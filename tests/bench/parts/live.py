@@ -35,7 +35,7 @@ def measure(quick: bool) -> Section:
         f"A pipeline of {PROBE_HZ} iterations a second; the live figures of the aggregator are asked for every 10 ms over "
         "HTTP. Lag: from the end of an iteration to the first answer that counts it."
     )
-    table = Table("meanwhile", "iterations", "p50, ms", "p99, ms", "most, ms", "nodes/s stored")
+    table = Table("meanwhile", "iterations", "p50, ms", "p99, ms", "max, ms", "other nodes/s stored")
     for name, lags, stored in (_nothing(quick), _load(quick), _catching_up(section, quick)):
         ordered = sorted(lags)
         if not ordered:

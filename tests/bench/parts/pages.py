@@ -32,7 +32,7 @@ def measure(quick: bool) -> Section:
         f"Each page and API resource 20 times, from the request to the compressed answer, with a database that contains a run of "
         f"{nodes:,} nodes, and with one of at most 1,000,000; milliseconds."
     )
-    table = Table("page", "small, median", "most", "large, median", "most", "ratio")
+    table = Table("page", "small, median", "max", "large, median", "max", "ratio")
     for name, *figures in rows:
         table.row(name, *(f"{figure:.2f}" for figure in figures))
     section.table(table)
