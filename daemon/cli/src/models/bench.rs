@@ -19,8 +19,11 @@ use crate::foreground::Progress;
 
 /// Stages of a model, in their order.
 const STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+/// Name of a quantile, and the function that returns it.
+type NamedQuantile = (&'static str, fn(&SortedValues) -> Option<f64>);
+
 /// Reported quantiles.
-const QUANTILES: [(&str, fn(&SortedValues) -> Option<f64>); 3] =
+const QUANTILES: [NamedQuantile; 3] =
     [("p50", SortedValues::median), ("p95", SortedValues::p95), ("p99", SortedValues::p99)];
 
 /// Arguments of `peernet models bench`.

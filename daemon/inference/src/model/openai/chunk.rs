@@ -76,11 +76,10 @@ impl Usage {
 /// Returns the text of a server's error: `message` of the object `error`, `error` itself, or the whole text.
 pub(super) fn error_text(error: &Value) -> String {
     let message = |error: &Value| error.get("message").and_then(Value::as_str).map(str::to_owned);
-    let text = match error {
+    match error {
         Value::String(text) => text.clone(),
         error => message(error).unwrap_or_else(|| error.to_string()),
-    };
-    text
+    }
 }
 
 /// Returns the text of a server's error from the body of its answer.

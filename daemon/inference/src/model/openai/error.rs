@@ -66,14 +66,14 @@ impl RequestError {
         match &mut self {
             Self::Status { text, retry_after, .. } => {
                 clean(text);
-                retry_after.as_mut().map(clean);
+                retry_after.iter_mut().for_each(clean);
             }
             Self::Connect(text)
             | Self::NotStreamed(text)
             | Self::Tls { reason: text, .. }
             | Self::Connection { reason: text, .. }
             | Self::Stream(StreamError::Server { text, .. } | StreamError::Chunk { reason: text, .. }) => {
-                clean(text)
+                clean(text);
             }
             Self::FirstToken(_)
             | Self::Token { .. }
