@@ -232,7 +232,7 @@ pub struct IterationRow {
     /// `total` divided by the run's median of `total`.
     pub factor: Option<f64>,
     /// Causes of the slow iteration, the largest excess first: stages, `lateness`, `unattributed`, or
-    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if it took no longer than the run's median.
+    /// [`BOTH_DIRECTIONS`](peernet_analysis::slowness::BOTH_DIRECTIONS). Empty if it took less than 1.05 times the run's median.
     pub causes: Vec<Cause>,
     /// Seconds per stage, in the order of the stages; several nodes of one stage are added up.
     pub stages: Vec<(Name, f64)>,

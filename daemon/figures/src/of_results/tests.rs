@@ -3,6 +3,7 @@
 mod extremes;
 mod holes;
 mod missing;
+mod scores;
 
 use peernet_stream::ExperimentPlace;
 
@@ -214,64 +215,6 @@ fn accuracy_is_drawn_against_latency() {
         accuracy::drawings(&[placed("l", "local", 9.0)])
             .is_err_and(|missing| missing.to_string().contains("top-1"))
     );
-}
-
-#[test]
-fn scores_of_pictures_are_drawn_against_latency() {
-    let scored = |model: &str, names: &'static [&'static str]| {
-        let record = placed(model, "local", 1.0).record;
-        let run = run(100, |number| {
-            let score = (number % 2) as f64;
-            [("total", 20.0)].into_iter().chain(names.iter().map(|name| (*name, score))).collect()
-        });
-        Loaded { record, ..run }
-    };
-    let detector = scored("d", &["map-50", "mean-iou"]);
-    let segmenter = scored("s", &["mean-iou"]);
-    let drawings = accuracy::drawings(&[detector, segmenter]).expect("there are scores");
-    let found: Vec<(&str, &str)> = drawings
-        .iter()
-        .map(|drawing| {
-            let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-            let [score] = &figure.scores[..] else { panic!("one model has the score: {figure:?}") };
-            let [low, mean, high] = score.estimate.expect("is scored");
-            assert!(low < mean && mean < high && (0.4..0.6).contains(&mean), "{score:?}");
-            (drawing.stem.as_ref(), score.label.as_str())
-        })
-        .collect();
-    assert_eq!(found, [("map-50", "d, local"), ("mean-iou", "s, local")]);
-    let AnyFigure::Accuracy(figure) = &drawings[1].figure else { panic!("points") };
-    let svg = file::svg(&figure.figure());
-    assert!(
-        svg.contains("Mean IoU of a picture, %") && figure.figure().words().contains("(Student)"),
-        "{svg}"
-    );
-}
-
-#[test]
-fn success_of_episodes_is_drawn_against_latency() {
-    let with_episodes = |model: &str, total: f64, successes: u64| {
-        let record = placed(model, "local", 1.0).record;
-        let run = run(100, |number| {
-            let mut values = vec![("total", total)];
-            if number % 20 == 0 {
-                values.push(("episode-success", f64::from(number / 20 <= successes)));
-            }
-            values
-        });
-        Loaded { record, ..run }
-    };
-    let runs = [with_episodes("s", 20.0, 5), with_episodes("m", 600.0, 2), placed("l", "local", 9.0)];
-    let drawings = accuracy::drawings(&runs).expect("there are episodes");
-    let [drawing] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
-    assert_eq!(drawing.stem, "success");
-    let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
-    let scores: Vec<_> = figure.scores.iter().map(|one| (one.label.as_str(), one.estimate)).collect();
-    let estimate = |right| Score::estimate_of_counts(right, 5);
-    assert_eq!(scores, [("s, local", estimate(5)), ("m, local", estimate(2))]);
-    assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
-    let svg = file::svg(&figure.figure());
-    assert!(svg.contains("Successful episodes, %") && svg.contains("success, %"), "{svg}");
 }
 
 #[test]

@@ -23,8 +23,8 @@ pub struct StageStatistics {
     pub is_stage: bool,
     /// The figures.
     pub figures: QuantityStatistics,
-    /// Sum of the name's values divided by the sum of `total`, 0 to 1; `None` if the name is no duration. The share of a child is also
-    /// part of its parent's share.
+    /// Share of the name in the mean of `total`, 0 to 1; `None` if the name is no duration. An unknown delay counts as the mean of the known
+    /// delays. The share of a child is also part of its parent's share.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<DelayAccuracy>,

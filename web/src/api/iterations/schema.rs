@@ -37,7 +37,7 @@ pub(crate) struct IterationSummary {
     pub blame: Option<SlowPart>,
     /// Causes of a slow iteration: the parts that exceed their own medians most, largest excess first, until they explain 80 % of the
     /// excess of `total`. A part is a stage, `lateness`, `unattributed` (without lateness), or `upload + download`. Empty if the
-    /// iteration took no longer than the run's median.
+    /// iteration took less than 1.05 times the run's median.
     pub causes: Vec<SlowPart>,
     /// Seconds per stage, in their order.
     pub stages: Vec<StageTime>,

@@ -19,11 +19,11 @@ use super::scripted_server::tls_stream;
 use super::*;
 use crate::listener::run_cancelled_by;
 
-/// Variable with the file of trusted authorities. It is set for a process of its own, because a process of several tests
-/// cannot change its environment.
+/// Variable with the file of trusted authorities. It is set for a separate process, because a process of several tests cannot
+/// change its environment.
 const VARIABLE: &str = "SSL_CERT_FILE";
 
-/// Runs `test` in a process of its own, with the path of the file of trusted authorities.
+/// Runs `test` in a separate process, with the path of the file of trusted authorities.
 fn with_file_of_authorities(name: &str, test: impl FnOnce(&Path)) {
     if let Some(file) =
         std::env::var_os(VARIABLE).map(PathBuf::from).filter(|file| file.ends_with("tls-test.pem"))
