@@ -69,14 +69,16 @@ def run_experiment(
 
 
 @contextmanager
-def cloud(folder: Path, port: int, models: str, *, program: Path = PEERNETD) -> Iterator[Program]:
+def cloud(
+    folder: Path, port: int, models: str, *, program: Path = PEERNETD, environment: dict[str, str] | None = None
+) -> Iterator[Program]:
     """Runs an agent that offers the models of these `[[model]]` tables on a port of the loopback interface."""
     file = folder / f"cloud-{port}.toml"
     file.write_text(
         f'[agent]\nname = "cloud-{port}"\nstate_dir = "{folder}/cloud-{port}-state"\n'
         f'[serve]\nlisten = "tcp://127.0.0.1:{port}"\n{models}'
     )
-    environment = {"ORT_DYLIB_PATH": str(ONNX_RUNTIME)}
+    environment = {"ORT_DYLIB_PATH": str(ONNX_RUNTIME), **(environment or {})}
     with Program([program, "run", file], folder / f"cloud-{port}.log", folder=folder, environment=environment) as it:
         it.wait_until("it listens", lambda: _listens(it, port))
         yield it

@@ -61,6 +61,6 @@ mod tests {
         let sample = example_sample(folder.path()).expect("the card is right");
         assert_eq!(sample.parts.len(), 3);
         let card = Card::parse(POLICY).expect("is right");
-        ModelInputs::new(&card.inputs, 1, |_| false).fill(0, &sample).expect("fits");
+        ModelInputs::new(&card.inputs, 1, |_| false).fill(&[&sample]).remove(0).expect("fits");
     }
 }

@@ -20,6 +20,17 @@ pub(super) struct Geometry {
     resized: Picture,
     padded: Picture,
     cropped: Picture,
+    /// Buffer that holds the picture in the size of the input.
+    last: LastStep,
+}
+
+/// Step that changed a picture last.
+#[derive(Clone, Copy)]
+enum LastStep {
+    Decode,
+    Resize,
+    Pad,
+    Crop,
 }
 
 /// Relation between the pixels of a sample's picture and those of the model's input.
@@ -60,15 +71,13 @@ impl Geometry {
             resized: Picture::default(),
             padded: Picture::default(),
             cropped: Picture::default(),
+            last: LastStep::Decode,
         }
     }
 
-    /// Reads a picture and applies the steps. Returns the picture in the size of the input.
-    pub(super) fn apply(
-        &mut self,
-        part: &Part,
-        format: PixelFormat,
-    ) -> Result<(&Picture, PictureTransform), InputError> {
+    /// Reads a picture and applies the steps. Afterwards [`picture`](Self::picture) returns it in the size of the input.
+    pub(super) fn apply(&mut self, part: &Part, format: PixelFormat) -> Result<PictureTransform, InputError> {
+        self.last = LastStep::Decode;
         read_part(part, format, &mut self.decoded)?;
         if self.orientation == Orientation::Exif {
             turn_upright(part, &mut self.decoded)?;
@@ -81,18 +90,21 @@ impl Geometry {
             if (width, height) != original {
                 self.resizer.resize(picture, width, height, scaling, &mut self.resized)?;
                 picture = &self.resized;
+                self.last = LastStep::Resize;
             }
         }
         let resized = size(picture);
         if let Some(padding) = self.resize.and_then(|resize| padding(resize, resized)) {
             pad(picture, padding, &mut self.padded)?;
             picture = &self.padded;
+            self.last = LastStep::Pad;
             offset = (padding.x as f32, padding.y as f32);
         }
         if let Some(centre) = self.crop {
             let rectangle = rectangle(centre, picture);
             crop(picture, rectangle, &mut self.cropped)?;
             picture = &self.cropped;
+            self.last = LastStep::Crop;
             offset.0 -= rectangle.x.unwrap_or_default() as f32;
             offset.1 -= rectangle.y.unwrap_or_default() as f32;
         }
@@ -102,7 +114,17 @@ impl Geometry {
         }
         let ratio = |resized: u32, original: u32| resized as f32 / original as f32;
         let scale = (ratio(resized.0, original.0), ratio(resized.1, original.1));
-        Ok((picture, PictureTransform { picture: original, input: expected, scale, offset }))
+        Ok(PictureTransform { picture: original, input: expected, scale, offset })
+    }
+
+    /// Returns the picture of the last [`apply`](Self::apply) that succeeded.
+    pub(super) fn picture(&self) -> &Picture {
+        match self.last {
+            LastStep::Decode => &self.decoded,
+            LastStep::Resize => &self.resized,
+            LastStep::Pad => &self.padded,
+            LastStep::Crop => &self.cropped,
+        }
     }
 }
 
@@ -170,10 +192,9 @@ mod tests {
     #[test]
     fn letterbox_centres_picture_in_grey() {
         let mut geometry = geometry((4, 4), "resize = { mode = 'letterbox', width = 4, height = 4 }");
-        let (picture, transform) =
-            geometry.apply(&grey(8, 2, vec![200; 16]), PixelFormat::Grey8).expect("fits");
+        let transform = geometry.apply(&grey(8, 2, vec![200; 16]), PixelFormat::Grey8).expect("fits");
         // Half the size is 4 × 1: one row above it and two below.
-        let rows: Vec<&[u8]> = picture.pixels().chunks(4).collect();
+        let rows: Vec<&[u8]> = geometry.picture().pixels().chunks(4).collect();
         assert_eq!(rows, [[114; 4], [200; 4], [114; 4], [114; 4]]);
         assert_eq!(transform.to_picture((0.0, 1.0)), (0.0, 0.0));
         assert_eq!(transform.to_picture((4.0, 2.0)), (8.0, 2.0));
@@ -184,7 +205,8 @@ mod tests {
         let resize =
             "resize = { mode = 'letterbox', width = 4, height = 4, fill = 0, position = 'top-left' }";
         let mut geometry = geometry((4, 4), resize);
-        let (picture, transform) = geometry.apply(&grey(1, 2, vec![7, 7]), PixelFormat::Grey8).expect("fits");
+        let transform = geometry.apply(&grey(1, 2, vec![7, 7]), PixelFormat::Grey8).expect("fits");
+        let picture = geometry.picture();
         assert!(picture.pixels().chunks(4).all(|row| row == [7, 7, 0, 0]), "{:?}", picture.pixels());
         assert_eq!(transform.to_picture((2.0, 4.0)), (1.0, 2.0));
     }
@@ -193,7 +215,7 @@ mod tests {
     fn crop_moves_points_back_by_its_margin() {
         let mut geometry =
             geometry((2, 2), "resize = { mode = 'shortest', size = 2 }\ncrop = { width = 2, height = 2 }");
-        let (_, transform) = geometry.apply(&grey(12, 4, vec![0; 48]), PixelFormat::Grey8).expect("fits");
+        let transform = geometry.apply(&grey(12, 4, vec![0; 48]), PixelFormat::Grey8).expect("fits");
         // Resized to 6 × 2, of which the middle two columns remain.
         assert_eq!(transform.to_picture((0.0, 0.0)), (4.0, 0.0));
         assert_eq!(transform.to_picture((2.0, 2.0)), (8.0, 4.0));
@@ -204,7 +226,7 @@ mod tests {
         fn corners_of_any_picture_map_back(width in 1u32..400, height in 1u32..400) {
             let mut geometry = geometry((64, 48), "resize = { mode = 'letterbox', width = 64, height = 48 }");
             let part = grey(width, height, vec![0; (width * height) as usize]);
-            let (_, transform) = geometry.apply(&part, PixelFormat::Grey8).expect("fits");
+            let transform = geometry.apply(&part, PixelFormat::Grey8).expect("fits");
             for corner in [(0.0, 0.0), (width as f32, height as f32)] {
                 let (x, y) = transform.to_input(corner);
                 prop_assert!((-0.01..=64.01).contains(&x) && (-0.01..=48.01).contains(&y), "{x} {y}");

@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use ort::session::SessionInputValue;
 use peernet_sample::{Description, MediaType, Part, Sample};
+use rayon::prelude::*;
 
 use super::card::{Input, Source};
 use super::geometry::PictureTransform;
@@ -14,15 +15,15 @@ use super::picture::{InputError, PicturePreprocessor};
 /// All inputs of a model, for one sample or for a batch. Buffers are reused.
 pub(super) struct ModelInputs {
     inputs: Vec<InputBuffer>,
-    /// For each sample of the batch, the relation of its first picture to its input.
+    /// For each sample of the largest batch, one preprocessor for each input that takes a picture.
+    preprocessors: Vec<Vec<PicturePreprocessor>>,
+    /// For each row of the batch, the relation of its first picture to its input.
     transforms: Vec<Option<PictureTransform>>,
 }
 
 /// One input with its numbers.
 struct InputBuffer {
     input: Input,
-    /// Conversion of a picture; `None` for arrays and constants.
-    preprocessor: Option<PicturePreprocessor>,
     /// Numbers of all samples of the largest batch. If all samples share a constant, it is contained once.
     numbers: Numbers,
     /// Shape in the next run of the session.
@@ -34,16 +35,36 @@ impl ModelInputs {
     /// for each sample if `is_batched`.
     pub(super) fn new(inputs: &[Input], max_size: usize, is_batched: impl Fn(&Input) -> bool) -> Self {
         let buffer = |input: &Input| InputBuffer::new(input, if is_batched(input) { max_size } else { 1 });
-        Self { inputs: inputs.iter().map(buffer).collect(), transforms: vec![None; max_size] }
+        let preprocessors =
+            || inputs.iter().filter_map(Input::picture).map(PicturePreprocessor::new).collect();
+        Self {
+            preprocessors: std::iter::repeat_with(preprocessors).take(max_size).collect(),
+            inputs: inputs.iter().map(buffer).collect(),
+            transforms: vec![None; max_size],
+        }
     }
 
-    /// Fills the inputs of the sample at `index` of the batch from its parts, in the order of the card.
+    /// Fills the inputs from the parts of the samples, in the order of the card: the samples that can be used have the first rows,
+    /// in their order. Returns for each sample whether it can be used.
     ///
     /// # Errors
-    /// If the sample has fewer or more parts than the model takes, or if an input cannot be made from its part. A model that takes
-    /// one part ignores further parts.
-    pub(super) fn fill(&mut self, index: usize, sample: &Sample) -> Result<(), InputError> {
-        self.transforms[index] = None;
+    /// Of a sample: if it has fewer or more parts than the model takes, or if an input cannot be made from its part. A model that
+    /// takes one part ignores further parts.
+    pub(super) fn fill(&mut self, samples: &[&Sample]) -> Vec<Result<(), InputError>> {
+        let mut results: Vec<_> = samples.iter().map(|sample| self.check_parts(sample)).collect();
+        self.read_pictures(samples);
+        let mut row = 0;
+        for (index, (result, sample)) in results.iter_mut().zip(samples).enumerate() {
+            if result.is_ok() {
+                *result = self.fill_row(row, sample, index);
+                row += usize::from(result.is_ok());
+            }
+        }
+        results
+    }
+
+    /// Checks that a sample has as many parts as the model takes.
+    fn check_parts(&self, sample: &Sample) -> Result<(), InputError> {
         let part_buffers = || self.inputs.iter().filter(|buffer| buffer.takes_part());
         let (actual, expected) = (sample.parts.len(), part_buffers().count());
         // A model of one input ignores further parts, such as the depth beside a picture.
@@ -54,23 +75,56 @@ impl ModelInputs {
             let names: Vec<&str> = part_buffers().map(|buffer| buffer.input.name.as_str()).collect();
             return Err(InputError::Parts { actual, expected, names: names.join(", ") });
         }
-        let buffers = self.inputs.iter_mut().filter(|buffer| buffer.takes_part());
-        for (position, (buffer, part)) in buffers.zip(&sample.parts).enumerate() {
-            let transform = buffer.fill(index, part).map_err(|error| match expected {
+        Ok(())
+    }
+
+    /// Reads the pictures of all samples and brings them to the sizes of their inputs: files on several threads, because decoding
+    /// takes most of the time before inference.
+    fn read_pictures(&mut self, samples: &[&Sample]) {
+        let takes_picture: Vec<bool> =
+            self.inputs.iter().filter(|buffer| buffer.takes_part()).map(InputBuffer::takes_picture).collect();
+        let mut unread: Vec<(&mut PicturePreprocessor, &Part)> = Vec::new();
+        for (preprocessors, sample) in self.preprocessors.iter_mut().zip(samples) {
+            let parts = sample.parts.iter().zip(&takes_picture).filter(|(_, takes_picture)| **takes_picture);
+            unread.extend(preprocessors.iter_mut().zip(parts.map(|(part, _)| part)));
+        }
+        let files = unread.iter().filter(|(_, part)| is_file(part)).count();
+        // One file, and pixels, which are only copied, stay on this thread: to wake another would take longer.
+        if files > 1 {
+            unread.into_par_iter().for_each(|(preprocessor, part)| preprocessor.read(part));
+        } else {
+            unread.into_iter().for_each(|(preprocessor, part)| preprocessor.read(part));
+        }
+    }
+
+    /// Fills a row of all inputs from a sample, whose pictures were read by the preprocessors at `index`.
+    fn fill_row(&mut self, row: usize, sample: &Sample, index: usize) -> Result<(), InputError> {
+        self.transforms[row] = None;
+        let mut preprocessors = self.preprocessors[index].iter_mut();
+        let mut buffers: Vec<_> = self.inputs.iter_mut().filter(|buffer| buffer.takes_part()).collect();
+        let count = buffers.len();
+        for (position, (buffer, part)) in buffers.iter_mut().zip(&sample.parts).enumerate() {
+            let preprocessor = if buffer.takes_picture() { preprocessors.next() } else { None };
+            let range = buffer.range(row);
+            let filled = match preprocessor {
+                Some(preprocessor) => preprocessor.normalise(&mut buffer.numbers, range).map(Some),
+                None => buffer.fill_from_array(range, part).map(|()| None),
+            };
+            let transform = filled.map_err(|error| match count {
                 1 => error,
                 _ => {
                     let input = buffer.input.name.clone();
                     InputError::Part { number: position + 1, input, error: Box::new(error) }
                 }
             })?;
-            self.transforms[index] = self.transforms[index].or(transform);
+            self.transforms[row] = self.transforms[row].or(transform);
         }
         Ok(())
     }
 
-    /// Returns the relation between the first picture of the sample at `index` and its input; `None` without a picture.
-    pub(super) fn transform(&self, index: usize) -> Option<&PictureTransform> {
-        self.transforms[index].as_ref()
+    /// Returns the relation between the first picture of a row and its input; `None` without a picture.
+    pub(super) fn transform(&self, row: usize) -> Option<&PictureTransform> {
+        self.transforms[row].as_ref()
     }
 
     /// Returns the inputs of the first `size` samples for a run of the session, by name and without a copy.
@@ -88,8 +142,7 @@ impl InputBuffer {
         if let Source::Constant(values) = &input.source {
             numbers.fill(values);
         }
-        let preprocessor = input.picture().map(PicturePreprocessor::new);
-        Self { input: input.clone(), preprocessor, numbers, shape: input.shape.clone() }
+        Self { input: input.clone(), numbers, shape: input.shape.clone() }
     }
 
     /// Returns the name and the numbers for the next run of the session.
@@ -106,16 +159,17 @@ impl InputBuffer {
         self.numbers.len() > self.input.count()
     }
 
-    fn fill(&mut self, index: usize, part: &Part) -> Result<Option<PictureTransform>, InputError> {
-        let count = self.input.count();
-        let range = index * count..(index + 1) * count;
-        match &mut self.preprocessor {
-            Some(preprocessor) => preprocessor.preprocess(part, &mut self.numbers, range).map(Some),
-            None => self.fill_from_array(part, range).map(|()| None),
-        }
+    fn takes_picture(&self) -> bool {
+        self.input.picture().is_some()
     }
 
-    fn fill_from_array(&mut self, part: &Part, range: Range<usize>) -> Result<(), InputError> {
+    /// Returns the range of the numbers of a row.
+    fn range(&self, row: usize) -> Range<usize> {
+        let count = self.input.count();
+        row * count..(row + 1) * count
+    }
+
+    fn fill_from_array(&mut self, range: Range<usize>, part: &Part) -> Result<(), InputError> {
         let Part { description, bytes } = part;
         if description.media != MediaType::Tensor {
             return Err(InputError::NotAnArray(description.media.iana().into_owned()));
@@ -136,6 +190,11 @@ impl InputBuffer {
     }
 }
 
+/// Returns whether a part is a file that has to be decoded.
+fn is_file(part: &Part) -> bool {
+    matches!(part.description.media, MediaType::Jpeg | MediaType::Png)
+}
+
 /// Returns type and shape of an array: `f32 [1, 7]`.
 fn text(Description { shape, element, .. }: &Description) -> String {
     let element = element.map_or_else(String::new, |element| format!("{element:?} ").to_lowercase());
@@ -144,6 +203,7 @@ fn text(Description { shape, element, .. }: &Description) -> String {
 
 #[cfg(test)]
 mod tests {
+    use peernet_imaging::{Encoding, Picture, encode};
     use peernet_sample::{ElementType, PixelFormat};
 
     use super::super::card::Card;
@@ -176,7 +236,7 @@ mod tests {
     #[test]
     fn parts_fill_inputs_in_order_of_card() {
         let mut inputs = ModelInputs::new(&Card::parse(POLICY).expect("is right").inputs, 1, |_| false);
-        inputs.fill(0, &sample(parts())).expect("fits");
+        inputs.fill(&[&sample(parts())]).remove(0).expect("fits");
         let numbers: Vec<&Numbers> = inputs.inputs.iter().map(|buffer| &buffer.numbers).collect();
         assert_eq!(
             numbers,
@@ -196,7 +256,7 @@ mod tests {
         let mut refusal = |change: &dyn Fn(&mut Vec<Part>)| {
             let mut changed = parts();
             change(&mut changed);
-            inputs.fill(0, &sample(changed)).expect_err("does not fit").to_string()
+            inputs.fill(&[&sample(changed)]).remove(0).expect_err("does not fit").to_string()
         };
         let other = |part: Part| move |parts: &mut Vec<Part>| parts[1] = part.clone();
         for (error, expected) in [
@@ -230,9 +290,27 @@ mod tests {
     #[test]
     fn payload_without_picture_is_refused() {
         let mut inputs = ModelInputs::new(&changed("", "").expect("is right").inputs, 1, |_| false);
-        let mut fill = |sample: &Sample| inputs.fill(0, sample).expect_err("wrong").to_string();
+        let mut fill = |sample: &Sample| inputs.fill(&[sample]).remove(0).expect_err("wrong").to_string();
         assert_eq!(fill(&sample(Vec::new())), "it has no payload");
         let plain = Sample::from_part(Description::bytes(), vec![0; 4].into());
         assert_eq!(fill(&plain), "it is plain bytes, not a picture");
+    }
+
+    #[test]
+    fn pictures_of_a_batch_have_rows_in_order_of_samples_that_fit() {
+        let card = changed("", "").expect("is right");
+        let file = |grey: u8| {
+            let picture = Picture::new(PixelFormat::Grey8, 2, 1, vec![grey, grey]).expect("fits");
+            sample(vec![encode(&picture, Encoding::Png).expect("fits")])
+        };
+        let mut damaged = file(0);
+        damaged.parts[0].bytes = damaged.parts[0].bytes.slice(..20);
+        let batch = [file(4), damaged, sample(Vec::new()), file(10), file(8)];
+        let mut inputs = ModelInputs::new(&card.inputs, batch.len(), |_| true);
+        let results = inputs.fill(&batch.each_ref());
+        assert_eq!(results.iter().map(Result::is_ok).collect::<Vec<_>>(), [true, false, false, true, true]);
+        // (4 × 0.5 − 1) / 2 = 0.5, and so on.
+        let Numbers::Float32(numbers) = &inputs.inputs[0].numbers else { panic!("has floats") };
+        assert_eq!(numbers[..6], [0.5, 0.5, 2.0, 2.0, 1.5, 1.5]);
     }
 }

@@ -66,6 +66,8 @@ fn counted(parts: usize) -> String {
 pub(super) struct PicturePreprocessor {
     geometry: Geometry,
     normalisation: PixelNormalisation,
+    /// Result of the last reading, until the picture is converted.
+    transform: Result<PictureTransform, InputError>,
 }
 
 /// Conversion of a picture's bytes to numbers.
@@ -85,18 +87,30 @@ struct Channel {
 
 impl PicturePreprocessor {
     pub(super) fn new(source: &PictureSource) -> Self {
-        Self { geometry: Geometry::new(source), normalisation: PixelNormalisation::new(source) }
+        Self {
+            geometry: Geometry::new(source),
+            normalisation: PixelNormalisation::new(source),
+            transform: Err(InputError::NoPayload),
+        }
     }
 
-    /// Converts the picture in a part to the numbers of an input at `range`. Returns the relation between the two.
-    pub(super) fn preprocess(
+    /// Reads the picture in a part and brings it to the size of the input.
+    pub(super) fn read(&mut self, part: &Part) {
+        self.transform = self.geometry.apply(part, self.normalisation.format);
+    }
+
+    /// Converts the picture that was read last to the numbers of an input at `range`. Returns the relation between the two.
+    ///
+    /// # Errors
+    /// If it could not be read.
+    pub(super) fn normalise(
         &mut self,
-        part: &Part,
         numbers: &mut Numbers,
         range: Range<usize>,
     ) -> Result<PictureTransform, InputError> {
-        let (picture, transform) = self.geometry.apply(part, self.normalisation.format)?;
-        for_elements!(numbers, elements => self.normalisation.apply(picture.pixels(), &mut elements[range]));
+        let transform = std::mem::replace(&mut self.transform, Err(InputError::NoPayload))?;
+        let pixels = self.geometry.picture().pixels();
+        for_elements!(numbers, elements => self.normalisation.apply(pixels, &mut elements[range]));
         Ok(transform)
     }
 }
@@ -163,7 +177,8 @@ mod tests {
         let input = &card.inputs[0];
         let mut numbers = Numbers::zeros(input.data_type, input.count());
         let mut preprocessor = PicturePreprocessor::new(input.picture().expect("is one"));
-        preprocessor.preprocess(part, &mut numbers, 0..input.count())?;
+        preprocessor.read(part);
+        preprocessor.normalise(&mut numbers, 0..input.count())?;
         Ok(numbers)
     }
 

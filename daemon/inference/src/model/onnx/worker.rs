@@ -8,6 +8,7 @@ use peernet_sample::Sample;
 
 use super::inputs::ModelInputs;
 use super::outputs::{OutputError, Outputs, Row};
+use super::picture::InputError;
 use super::{Plan, UNKNOWN_LABEL, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
@@ -51,17 +52,14 @@ impl OnnxWorker {
 
     /// Fills the inputs. Returns for each sample whether it can be computed; those that can have the first rows, in their order.
     fn preprocess(&mut self, samples: &[&Sample]) -> Vec<Result<(), InferenceError>> {
-        let mut row = 0;
-        let fill = |sample: &&Sample| {
-            self.inputs.fill(row, sample).map_err(|error| InferenceError::Input {
+        let failed = |(result, sample): (Result<(), InputError>, &&Sample)| {
+            result.map_err(|error| InferenceError::Input {
                 model: self.plan.name.to_string(),
                 sample: sample.source.clone(),
                 reason: error.to_string(),
-            })?;
-            row += 1;
-            Ok(())
+            })
         };
-        samples.iter().map(fill).collect()
+        self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
     }
 
     /// Computes the answers of the first rows, one for each recorder. The outer error is an error of the whole run.
