@@ -2,7 +2,7 @@
 
 use peernet_clock::SharedClock;
 pub use peernet_external::exec::ExecConfig;
-use peernet_external::exec::{FingerprintKey, Program, ReplyNotes, Request, Role};
+use peernet_external::exec::{FingerprintKey, Program, ProgramCallError, ReplyNotes, Request, Role};
 use peernet_external::hide_values;
 use peernet_logger::{Name, Recorder, Unit, stage};
 
@@ -12,13 +12,14 @@ use crate::{Action, Actuator, ActuatorError, ActuatorKind, Feedback};
 struct Exec {
     command: String,
     program: Program,
+    resets: bool,
 }
 
 impl ActuatorKind for ExecConfig {
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError> {
         let command = self.command.to_string();
         match Program::start(self, Role::Actuator, &format!("actuator {command}"), clock) {
-            Ok(program) => Ok(Box::new(Exec { command, program })),
+            Ok(program) => Ok(Box::new(Exec { command, program, resets: self.resets })),
             Err(error) => Err(ActuatorError::Program { command, error }),
         }
     }
@@ -45,15 +46,20 @@ impl ActuatorKind for ExecConfig {
 
     fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
         // This check does not run the program.
-        Self::check(self).map_err(ActuatorError::Command)
+        Self::check(self, Role::Actuator).map_err(ActuatorError::Command)
+    }
+}
+
+impl Exec {
+    fn failed(&self, error: ProgramCallError) -> ActuatorError {
+        ActuatorError::Program { command: self.command.clone(), error }
     }
 }
 
 impl Actuator for Exec {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let request = Request::Answer { answer: action.answer, source: action.source };
-        let failed = |error| ActuatorError::Program { command: self.command.clone(), error };
-        let program_call = self.program.call(request).map_err(failed)?;
+        let program_call = self.program.call(request).map_err(|error| self.failed(error))?;
         if let Some((from, to)) = program_call.restart_interval() {
             recorder.record_timer(stage::ACTUATION_RESTART, from, to);
         }
@@ -69,6 +75,14 @@ impl Actuator for Exec {
         }
         let ReplyNotes { reward, success, episode_ended, .. } = program_call.notes;
         Ok(Feedback { episode_ended, success, reward })
+    }
+
+    fn resets(&self) -> bool {
+        self.resets
+    }
+
+    fn reset(&mut self) -> Result<(), ActuatorError> {
+        self.program.reset().map_err(|error| self.failed(error))
     }
 
     fn blocks(&self) -> bool {
@@ -147,6 +161,25 @@ mod tests {
         };
         assert_eq!(act(), Feedback { reward: Some(0.1), ..Feedback::default() });
         assert_eq!(act(), Feedback { episode_ended: true, success: Some(true), reward: Some(0.2) });
+    }
+
+    #[test]
+    fn program_is_reset_before_each_episode() {
+        let script = "n=0; while read -r word bytes rest; do case $word in \
+                      reset) n=$((n + 1)); if [ $n = 2 ]; then echo error the gripper is stuck; continue; fi;; \
+                      *) head -c \"$bytes\" > /dev/null; echo reward $n;; esac; echo done; done";
+        let exec = ExecConfig { resets: true, ..ExecConfig::new(CommandLine::Shell(script.to_owned())) };
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut actuator = ActuatorConfig::Exec(exec).build(&clock).expect("sh is there");
+        assert!(actuator.resets());
+        let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
+        actuator.reset().expect("is reset");
+        let error = actuator.reset().expect_err("is stuck").to_string();
+        assert!(error.contains("the gripper is stuck"), "{error}");
+        actuator.reset().expect("a later reset may succeed");
+        let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
+        let feedback = actuator.act(Action::first(&answer, "door"), &mut recorder).expect("acts");
+        assert_eq!(feedback.reward, Some(3.0));
     }
 
     #[test]

@@ -54,12 +54,15 @@ pub struct ExecConfig {
     /// Environment variables of the program.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub env: BTreeMap<String, String>,
+    /// `true` if the program, a sensor or an actuator, is reset before each episode. Default: `false`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub resets: bool,
 }
 
 impl ExecConfig {
     /// Returns the configuration of a command with the defaults.
     pub fn new(command: CommandLine) -> Self {
-        Self { command, timeout_ms: ten_seconds(), folder: None, env: BTreeMap::new() }
+        Self { command, timeout_ms: ten_seconds(), folder: None, env: BTreeMap::new(), resets: false }
     }
 
     /// Returns the longest time for one reply.
@@ -70,8 +73,11 @@ impl ExecConfig {
     /// Checks the configuration without running the program.
     ///
     /// # Errors
-    /// If the program cannot be run with this configuration.
-    pub fn check(&self) -> Result<(), CommandError> {
+    /// If the program cannot be run with this configuration in this role.
+    pub fn check(&self, role: Role) -> Result<(), CommandError> {
+        if self.resets && role == Role::Model {
+            return Err(CommandError::ModelResets);
+        }
         if self.timeout_ms.get() > MAX_TIMEOUT_MS {
             return Err(CommandError::Timeout { timeout_ms: self.timeout_ms });
         }
@@ -220,7 +226,7 @@ mod tests {
     fn command_is_shell_line_or_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
         assert_eq!(words.program_and_arguments(), ("cat".to_owned(), vec!["-u".to_owned()]));
-        assert_eq!((words.check(), words.timeout()), (Ok(()), Span::from_seconds(10)));
+        assert_eq!((words.check(Role::Actuator), words.timeout()), (Ok(()), Span::from_seconds(10)));
         let line = read("command = 'while read x; do :; done'\ntimeout_ms = 5").expect("reads");
         assert_eq!(line.program_and_arguments().1, ["-c", "while read x; do :; done"]);
         assert!(read("comand = 'x'").is_err() && read("command = 3").is_err());
@@ -320,8 +326,9 @@ mod tests {
             ("command = 'x'\nfolder = '/no/such/folder'", "/no/such/folder"),
             ("command = 'x'\nenv = { 'a=b' = 'c' }", "a=b"),
             ("command = 'x'\ntimeout_ms = 86400001", "86400000"),
+            ("command = 'x'\nresets = true", "a model has no episodes"),
         ] {
-            let error = read(text).expect("reads").check().expect_err(text);
+            let error = read(text).expect("reads").check(Role::Model).expect_err(text);
             assert!(error.to_string().contains(part), "{error}");
         }
     }

@@ -74,6 +74,9 @@ pub enum CommandError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
+    /// A model cannot be reset.
+    #[error("resets = true is for sensors and actuators; a model has no episodes")]
+    ModelResets,
     /// The working directory does not exist.
     #[error("its working directory {} is not a folder", .0.display())]
     NotAFolder(PathBuf),

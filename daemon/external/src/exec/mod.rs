@@ -12,6 +12,8 @@
 //! from an actuator  done | error TEXT
 //! ```
 //!
+//! A sensor or an actuator may be sent `reset` before an episode, and replies with `done | error TEXT`.
+//!
 //! `part` instead of `sample` or `answer` announces that another part of the same sample follows. Before its reply a
 //! program may write lines that begin with `version`, `stage` or `value`, a sensor also with `sequence`, `label` or
 //! `source`, and an actuator with `reward`, `success` or `episode-ended`.

@@ -55,7 +55,7 @@ impl Program {
         name: &str,
         clock: &SharedClock,
     ) -> Result<Self, ProgramCallError> {
-        config.check()?;
+        config.check(role)?;
         let (program, arguments) = config.program_and_arguments();
         let mut environment = config.env.clone();
         environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());
@@ -154,6 +154,14 @@ impl Program {
         }
     }
 
+    /// Prepares a sensor or an actuator for an episode.
+    ///
+    /// # Errors
+    /// As [`call`](Self::call); a later reset may succeed.
+    pub fn reset(&mut self) -> Result<(), ProgramCallError> {
+        self.call(Request::Reset).map(drop)
+    }
+
     fn restart(&mut self) -> Result<Process, ProgramCallError> {
         if let Some(left) = self.restart_backoff.remaining_delay(self.clock.mono()) {
             return Err(ProgramCallError::RestartDelayed {
@@ -200,7 +208,10 @@ fn send_and_receive(
     let pieces = request.pieces();
     let slices: Vec<&[u8]> = pieces.iter().map(Bytes::as_ref).collect();
     process.write(&slices, until)?;
-    let mut assembler = ReplyAssembler::new(role);
+    let mut assembler = match request {
+        Request::Reset => ReplyAssembler::for_reset(role),
+        _ => ReplyAssembler::new(role),
+    };
     let mut input = ReplyInput::Line;
     loop {
         input = match input {

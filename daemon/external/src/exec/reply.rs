@@ -68,7 +68,7 @@ pub struct Reply {
 pub enum ReplyOutcome {
     /// A sample or an answer.
     Parts(Vec<Part>),
-    /// The actuator has acted.
+    /// The actuator has acted, or the program was reset.
     Done,
     /// The sensor has no more samples.
     End,
@@ -114,6 +114,8 @@ pub enum ReplyInput {
 #[derive(Debug)]
 pub struct ReplyAssembler {
     role: Role,
+    /// `true` if the request was a reset: its reply has no notes and no sample.
+    is_reset: bool,
     notes: ReplyNotes,
     parts: Vec<Part>,
     line_count: usize,
@@ -139,12 +141,18 @@ impl ReplyAssembler {
     pub fn new(role: Role) -> Self {
         Self {
             role,
+            is_reset: false,
             notes: ReplyNotes::default(),
             parts: Vec::new(),
             line_count: 0,
             bytes: 0,
             pending_part: None,
         }
+    }
+
+    /// Creates the assembler for the reply of a program in the given role to a reset.
+    pub fn for_reset(role: Role) -> Self {
+        Self { is_reset: true, ..Self::new(role) }
     }
 
     /// Processes a line, without its `\n`.
@@ -168,6 +176,9 @@ impl ReplyAssembler {
                     return Err(FramingError::Version(version));
                 }
             }
+            ("error", _) => return Ok(self.finish(ReplyOutcome::Error(printable_lines(rest).into_owned()))),
+            ("done", _) if self.is_reset => return Ok(self.finish(ReplyOutcome::Done)),
+            _ if self.is_reset => return Err(self.unknown_word(line)),
             ("stage", role) => {
                 let (name, span) = parse_stage(rest).ok_or_else(|| form_error(STAGE_FORM))?;
                 notes.stages.push((check_name(name, role == Role::Model)?, span));
@@ -176,7 +187,6 @@ impl ReplyAssembler {
                 let (name, number, unit) = parse_value(rest).ok_or_else(|| form_error(VALUE_FORM))?;
                 notes.values.push((check_name(name, false)?, number, unit.to_owned()));
             }
-            ("error", _) => return Ok(self.finish(ReplyOutcome::Error(printable_lines(rest).into_owned()))),
             ("sequence", Role::Sensor) => {
                 notes.sequence = Some(rest.parse().map_err(|_| form_error("sequence NUMBER"))?);
             }
@@ -260,6 +270,7 @@ impl ReplyAssembler {
 
     fn unknown_word(&self, line: &str) -> FramingError {
         let words = match self.role {
+            _ if self.is_reset => "done, error, version (in reply to reset)",
             Role::Sensor => "answer, part, end, error, stage, value, sequence, label, source, version",
             Role::Model => "answer, part, partial, error, stage, value, version",
             Role::Actuator => "done, error, stage, value, reward, success, episode-ended, version",

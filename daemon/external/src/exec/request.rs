@@ -22,6 +22,8 @@ pub enum Request<'a> {
         /// Origin of the sample.
         source: &'a str,
     },
+    /// Asks a sensor or an actuator to prepare for an episode.
+    Reset,
 }
 
 impl Request<'_> {
@@ -30,6 +32,7 @@ impl Request<'_> {
         match self {
             Self::Next => vec![Bytes::from_static(b"next\n")],
             Self::Sample(sample) => sample_pieces("sample", sample, &sample.source),
+            Self::Reset => vec![Bytes::from_static(b"reset\n")],
             Self::Answer { answer, source } => sample_pieces("answer", answer, source),
         }
     }
@@ -76,6 +79,7 @@ mod tests {
             "answer 5 text/plain - x\nhello"
         );
         assert_eq!(written(Request::Next), "next\n");
+        assert_eq!(written(Request::Reset), "reset\n");
     }
 
     #[test]

@@ -52,7 +52,7 @@ impl ModelKind for ExecConfig {
 
     fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         // This check does not run the program.
-        Self::check(&on_device(self, shared))
+        Self::check(&on_device(self, shared), Role::Model)
             .map_err(|reason| failed(self, shared, ProgramCallError::Command(reason)))
     }
 

@@ -17,6 +17,7 @@ struct Exec {
     command: String,
     facts: Vec<(String, String)>,
     program: Program,
+    resets: bool,
     /// Sequence number of the last sample, if the program numbers its samples.
     last_sequence: Option<u64>,
 }
@@ -27,12 +28,12 @@ impl SensorKind for ExecConfig {
         let facts = self.facts(Role::Sensor);
         let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
-        Ok(Box::new(Exec { command, facts, program, last_sequence: None }))
+        Ok(Box::new(Exec { command, facts, program, resets: self.resets, last_sequence: None }))
     }
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
         // This check does not run the program.
-        Self::check(self).map_err(|reason| {
+        Self::check(self, Role::Sensor).map_err(|reason| {
             SensorError::Config(format!("cannot run the program of an exec sensor: {reason}"))
         })
     }
@@ -92,6 +93,14 @@ impl Sensor for Exec {
         self.record_notes(&program_call.notes, recorder, program_call.started_at);
         let ReplyNotes { source, label, .. } = program_call.notes;
         Ok(Some(Sample { parts, source: source.unwrap_or_default(), label }))
+    }
+
+    fn resets(&self) -> bool {
+        self.resets
+    }
+
+    fn reset(&mut self) -> Result<(), SensorError> {
+        self.program.reset().map_err(|error| self.failed(error))
     }
 
     fn facts(&self) -> Vec<(String, String)> {

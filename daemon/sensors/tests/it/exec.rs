@@ -31,6 +31,22 @@ fn samples_labels_and_drops_come_from_the_program() {
 }
 
 #[test]
+fn program_is_reset_before_each_episode() {
+    let script = "n=0; while read -r word; do n=$((n + 1)); \
+                  if [ $word = reset ]; then n=0; echo done; else echo answer 1; printf $n; fi; done";
+    let exec = ExecConfig { resets: true, ..ExecConfig::new(CommandLine::Shell(script.to_owned())) };
+    let mut sensor = SensorConfig::Exec(exec).open(&real_clock()).expect("sh is there");
+    assert!(sensor.resets());
+    let mut next = |resets: bool| {
+        if resets {
+            sensor.reset().expect("is reset");
+        }
+        sensor.sample(&mut recorder()).expect("gives one").expect("goes on").parts[0].bytes.clone()
+    };
+    assert_eq!([next(true), next(false), next(true)], ["1", "2", "1"]);
+}
+
+#[test]
 fn failure_names_program_and_next_sample_retries() {
     let folder = tempfile::tempdir().expect("can be made");
     let mark = folder.path().join("mark");

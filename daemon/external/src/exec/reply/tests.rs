@@ -115,6 +115,18 @@ fn roles_accept_different_words() {
 }
 
 #[test]
+fn reset_is_replied_to_with_done_or_error() {
+    for role in [Role::Sensor, Role::Actuator] {
+        let outcome = |line: &[u8]| ReplyAssembler::for_reset(role).push_line(line);
+        let reply = |outcome| ReplyInput::Reply(Reply { notes: ReplyNotes::default(), outcome });
+        assert_eq!(outcome(b"done"), Ok(reply(ReplyOutcome::Done)));
+        assert_eq!(outcome(b"error stuck"), Ok(reply(ReplyOutcome::Error("stuck".to_owned()))));
+        let wrong = outcome(b"answer 3").expect_err("is no sample").to_string();
+        assert!(wrong.contains("in reply to reset"), "{wrong}");
+    }
+}
+
+#[test]
 fn errors_show_the_expected_form() {
     for (written, part) in [
         ("hello\n", "standard error"),
