@@ -79,6 +79,7 @@ impl Sensor for Synthetic {
         Ok(Some(Sample::from_part(Description::bytes(), payload)))
     }
 
+    // A sample is a slice of the buffer and copies no bytes.
     fn blocks(&self) -> bool {
         false
     }

@@ -42,6 +42,8 @@ impl Transform for CropTransform {
         let Self { crop: rectangle, picture } = self;
         transform_pictures(sample, "crop", |part| {
             read_part(part, working_format(part), picture)?;
+            // A new buffer for each sample, because it becomes the part. The buffer of the decoded picture is used
+            // again.
             let mut cropped = Picture::default();
             crop(picture, *rectangle, &mut cropped)?;
             Ok(cropped.into_part())

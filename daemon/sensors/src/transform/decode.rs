@@ -37,6 +37,7 @@ struct Decode {
 impl Transform for Decode {
     fn apply(&mut self, sample: Sample, _log: &mut Recorder) -> Result<Sample, SensorError> {
         transform_pictures(sample, "decode", |part| {
+            // Pixels have no EXIF tag, so that they are never turned.
             if let MediaType::Pixels(_) = part.description.media {
                 return Ok(part.clone());
             }

@@ -16,10 +16,12 @@ const MAX_HASHED_BYTES: u64 = 256 << 20;
 /// of more than [`MAX_HASHED_BYTES`] bytes, of the list of sizes and names (`stat -c '%s  %n'`).
 pub(super) fn describe_files<'a>(files: impl Iterator<Item = (&'a OsStr, &'a Path)>) -> String {
     let mut files: Vec<_> = files.collect();
+    // File systems list the files of a folder in any order, but copies of a data set must have equal hashes.
     files.sort_unstable();
     let count = files.len();
     let count = if count == 1 { "1 file".to_owned() } else { format!("{count} files") };
     hash_files(&files, MAX_HASHED_BYTES).map_or_else(
+        // A fact never stops a run: a file that cannot be read fails its own sample, with the same error.
         |error| format!("{count}, no SHA-256: {error}"),
         |(bytes, words)| format!("{count}, {bytes} bytes, {words}"),
     )

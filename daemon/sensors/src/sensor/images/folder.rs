@@ -43,6 +43,7 @@ pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, SensorError> {
             }
         }
     }
+    // `read_dir` has no defined order, but every run must see the pictures in the same order.
     found.sort_unstable();
     Ok(found)
 }

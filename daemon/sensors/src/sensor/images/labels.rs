@@ -104,6 +104,8 @@ impl Row {
 /// If the file cannot be used or contains no label, or if the given file does not exist.
 pub(super) fn read(folder: &Path, given: Option<&Path>) -> Result<Option<(Labels, PathBuf)>, SensorError> {
     let file = given.map_or_else(|| folder.join(LABELS_FILE), Path::to_owned);
+    // Nobody asked for this file, so that its reading must not block, as that of a named pipe would. A file that the
+    // user names may be a pipe.
     if given.is_none() && file.exists() && !is_file(&file) {
         return Err(SensorError::Read { path: file, error: io::Error::other("it is not a regular file") });
     }

@@ -114,6 +114,7 @@ impl Label {
     fn classes(&self) -> Vec<&str> {
         match self {
             Self::Class(class) => vec![class],
+            // A mask has only the numbers of classes.
             Self::Mask(_) => Vec::new(),
             Self::Objects(objects) => objects.iter().map(|object| object.label.as_str()).collect(),
         }
@@ -159,6 +160,7 @@ impl Images {
             shuffle: (config.order == Order::Shuffled).then(|| StdRng::seed_from_u64(config.seed)),
             repeat: config.repeat,
         };
+        // The first round is shuffled, too: `sample` shuffles only before later rounds.
         images.shuffle();
         Ok(images)
     }

@@ -148,6 +148,7 @@ impl Ros {
             StampClock::Host => OneWayDelay::same_clock(raw),
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
+        // Nodes start by the monotonic clock of this host, in which the capture time is not known.
         let sent = Stamp { wall: stamp, mono: recorder.clock().mono(), ..Stamp::default() };
         let node = recorder.start_transit(CAPTURE_DELAY, sent);
         recorder.end_transit(node, received);
