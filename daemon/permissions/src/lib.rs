@@ -29,6 +29,8 @@ const SUFFIXES: [&str; 6] = ["", "-wal", "-shm", "-lock", "-reserve", "-condemne
 ///
 /// Must be called before threads are started, because the umask belongs to the process.
 pub fn create_without_others() {
+    // The umask can only be read by replacing it. Until the second call it is strict, so that no file is open to
+    // others.
     let before = umask(Mode::from_raw_mode(0o077));
     umask(before | Mode::from_raw_mode(OTHERS));
 }
@@ -93,6 +95,7 @@ pub fn log_changes(changed: &[PathBuf]) {
 /// Removes the permissions of other users from a path, and logs a failure. Returns whether the path was changed.
 fn restrict(path: &Path) -> bool {
     try_restrict(path).unwrap_or_else(|error| {
+        // Files such as `-wal` exist only at times.
         if error.kind() != ErrorKind::NotFound {
             tracing::warn!(%error, "cannot remove the permissions of other users from {}", path.display());
         }
