@@ -153,6 +153,7 @@ impl Prober {
         self.check_stamps().await;
         let mut schedule = Schedule::new(*rate_hz.borrow_and_update(), self.clock.mono());
         let mut buffer = vec![0; MAX_REPLY_BYTES + usize::from(self.config.padding_bytes)];
+        // After its sender is gone, `changed` returns at once each time, which would be a busy loop.
         let mut rate_is_fixed = false;
         loop {
             let mut pending_results = PendingResults::default();
@@ -227,6 +228,7 @@ impl Prober {
         match ProbeSocket::open_for_target(self.config.target, self.config.stamps, self.clock.clone()) {
             Ok(socket) => {
                 self.socket = socket;
+                // Tokens count the packets of one socket.
                 self.awaited_departures.clear();
             }
             Err(error) => {
@@ -259,6 +261,7 @@ impl Prober {
         let read = self.clock.stamp();
         let (from, target) = (received.source, self.config.target);
         // A packet from another address is not an answer, even if its contents match.
+        // The flow label and the scope of an IPv6 address may differ.
         if from.port() != target.port() || from.ip() != target.ip() {
             pending_results.push(ProbeResult::Refused("not from the target"));
             return;

@@ -17,6 +17,7 @@ use crate::stamp::uncertainty::ORDER_TOLERANCE;
 use crate::{Key, ReflectorCounters, Refusal, StampSource};
 
 /// Largest packet of UDP. Bytes.
+// An answer is written into its request and has the same length, so that no request may be cut.
 const MAX_PACKET_BYTES: usize = 65_535;
 
 /// Number of successive errors after which the socket counts as lost.
@@ -26,6 +27,7 @@ const MAX_FAILURES: u32 = 100;
 const MAX_AWAITED_DEPARTURES: usize = 1024;
 
 /// Largest number of remembered comparisons of the two clocks.
+// A request that waited in the socket has a stamp from before the comparisons for the answers ahead of it.
 const MAX_COMPARISONS: usize = 8;
 
 /// Configuration of a reflector.
@@ -190,6 +192,7 @@ impl Reflector {
         let mut buffer = vec![0; MAX_PACKET_BYTES];
         let mut failures = 0;
         let mut peers = self.peers.subscribe();
+        // A new receiver counts the present value as seen. Peers may have been set before this call.
         peers.mark_changed();
         loop {
             let error = tokio::select! {

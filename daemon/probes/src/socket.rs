@@ -138,6 +138,8 @@ impl ProbeSocket {
                 Ok(Some(false)) => return self.disable_kernel_stamps(),
                 // The clock was set meanwhile, or the packet has no stamp. Another packet is tried.
                 Ok(None) => {}
+                // Without a result the stamps are used. `SenderState::receive` still finds stamps of another clock by
+                // the order of events.
                 Err(error) => {
                     tracing::debug!(%error, "failed to compare the kernel's stamps with the clock");
                     return;
@@ -153,6 +155,7 @@ impl ProbeSocket {
 
     /// Uses only the program's stamps from now on.
     pub(crate) fn disable_kernel_stamps(&mut self) {
+        // One warning for the process, because each link has a socket.
         static LOGGED: Once = Once::new();
         LOGGED.call_once(|| {
             tracing::warn!(

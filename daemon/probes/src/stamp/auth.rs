@@ -11,9 +11,11 @@ use sha2::Sha256;
 pub const CODE_BYTES: usize = 16;
 
 /// Shortest key. Bytes.
+// A shorter key would be easier to guess than the code.
 const MIN_KEY_BYTES: usize = 16;
 
 /// Largest key file, bytes.
+// The path may lead to a file without an end, such as /dev/zero.
 const MAX_FILE_BYTES: u64 = 4096;
 
 /// A key that both ends share. Its `Debug` form hides it.
@@ -69,6 +71,7 @@ impl Key {
 
         let read_error = |error| KeyError::Read { path: path.to_owned(), error };
         let file = std::fs::File::open(path).map_err(read_error)?;
+        // Of the open file: the path may lead to another file by now.
         let mode = file.metadata().map_err(read_error)?.permissions().mode() & 0o7777;
         if mode & 0o077 != 0 {
             return Err(KeyError::OpenToOthers { path: path.to_owned(), mode });

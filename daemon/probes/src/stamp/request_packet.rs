@@ -29,6 +29,7 @@ impl RequestPacket {
         if config.clocks == RelatedClocks::Raw {
             tlv::push(&mut bytes, tlv::RAW_STAMPS, &RawStamps::default().to_value());
         }
+        // Before the code, which then covers the octets. Every implementation returns padding.
         let nonce_range = (config.with_nonce && config.key.is_some()).then(|| {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &[0; NONCE_BYTES]);
             bytes.len() - NONCE_BYTES..bytes.len()
@@ -36,6 +37,7 @@ impl RequestPacket {
         if config.key.is_some() {
             tlv::push(&mut bytes, tlv::HMAC, &[0; CODE_BYTES]);
         }
+        // Only padding may follow the code (RFC 8972, section 4.8).
         if config.padding_bytes > 0 {
             tlv::push(&mut bytes, tlv::EXTRA_PADDING, &vec![0; usize::from(config.padding_bytes)]);
         }

@@ -194,6 +194,8 @@ impl SenderState {
     /// Records that the request was sent. Returns the number of earlier probes that are dropped for it and were not
     /// answered.
     pub fn record_sent(&mut self, departure: Departure) -> usize {
+        // Counted here and not in `request`: a request that was not sent must leave no gap, because `find_probe`
+        // counts.
         self.next_sequence = departure.sequence.wrapping_add(1);
         let excess = self.pending.len().saturating_sub(MAX_PENDING - 1);
         let lost = self.drop_oldest(excess);

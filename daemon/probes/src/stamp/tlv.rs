@@ -72,6 +72,7 @@ pub fn headers(tlvs: &[u8]) -> impl Iterator<Item = TlvHeader> + '_ {
 /// Appends a TLV with the flags of a sender.
 pub fn push(packet: &mut Vec<u8>, kind: u8, value: &[u8]) {
     let length = u16::try_from(value.len()).expect("values of a sender are small");
+    // A reflector that does not know TLVs returns the flag as it is, which is then true (RFC 8972, section 4).
     packet.extend_from_slice(&[UNRECOGNISED, kind]);
     packet.extend_from_slice(&length.to_be_bytes());
     packet.extend_from_slice(value);
