@@ -126,6 +126,7 @@ impl Program {
         match result {
             Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
+                // A reply that reports an error is a success as well: the program follows the framing and still runs.
                 self.restart_backoff.record_success();
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
@@ -136,6 +137,7 @@ impl Program {
             Err(error) => {
                 // The program is killed before the delay starts, so that it cannot disturb the next process.
                 let error = match error {
+                    // The program has not failed, so that its restart is not delayed.
                     ProgramCallError::Cancelled => {
                         drop(process);
                         return Err(error);

@@ -10,6 +10,7 @@ use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
+// Statistics group nodes by name: the figures of a program would be mixed with PEERNet's own.
 const RESERVED_NAMES: [&str; 39] = [
     "iteration",
     "sensing",
@@ -250,6 +251,7 @@ impl ReplyAssembler {
         if words.next().is_some() {
             return Err(None);
         }
+        // Checked before the bytes arrive, because the reader allocates the announced length.
         self.bytes = self.bytes.saturating_add(bytes);
         if self.bytes > MAX_BYTES {
             return Err(Some(FramingError::TooLarge(self.bytes)));

@@ -40,6 +40,7 @@ impl Request<'_> {
 
 /// Returns the parts of a sample as pieces, each after a line that announces it.
 fn sample_pieces(word: &str, sample: &Sample, source: &str) -> Vec<Bytes> {
+    // A line feed in the name would end the line.
     let source = printable_line(source);
     let source = if source.trim().is_empty() { NOTHING } else { &source };
     let Some((last, other_parts)) = sample.parts.split_last() else {

@@ -92,6 +92,7 @@ impl Watcher {
         let mut command = Command::new("/bin/sh");
         command.args(["-c", WATCHER_SCRIPT, "peernet-watcher"]).process_group(group).current_dir("/");
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
+        // Any thread may start it: it needs no parent-death signal, because it ends with its standard input.
         let mut child = command.spawn()?;
         Ok(Self { _stdin: child.stdin.take(), child })
     }

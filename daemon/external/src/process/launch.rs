@@ -62,6 +62,8 @@ impl Launch {
         unsafe {
             command.pre_exec(move || {
                 if let Some(file) = &inherited_file {
+                    // Close-on-exec is removed in the child only: processes that other threads start do not inherit
+                    // the file.
                     fcntl_setfd(file, FdFlags::empty())?;
                 }
                 set_parent_process_death_signal(Some(Signal::KILL))?;

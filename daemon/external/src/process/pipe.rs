@@ -123,6 +123,7 @@ pub(super) fn write(
 ) -> Result<(), PipeError> {
     let mut slices: Vec<IoSlice<'_>> = parts.iter().map(|part| IoSlice::new(part)).collect();
     let mut remaining = slices.as_mut_slice();
+    // Removes empty parts at the beginning: if all parts are empty, nothing is written.
     IoSlice::advance_slices(&mut remaining, 0);
     while !remaining.is_empty() {
         match rustix::io::writev(fd, &remaining[..remaining.len().min(MAX_SLICES_PER_WRITE)]) {

@@ -187,6 +187,7 @@ impl Process {
     /// process, if any.
     fn reap(&mut self, fault: Option<Fault>) {
         if self.status.is_none() {
+            // Asked before the group is killed: SIGKILL can also come from the system when memory runs out.
             let has_ended = self.exits_within(Span::ZERO);
             self.status = self.group.finish();
             let by_kill = self.status.is_some_and(|status| status.signal() == Some(Signal::KILL.as_raw()));

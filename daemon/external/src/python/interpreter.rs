@@ -83,6 +83,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
     let (module, _) = config.module_and_path()?;
     let launch = launch(config, config.object.clone(), None)?;
     let module_folder = launch.folder.clone().unwrap_or_default();
+    // To find a submodule, Python imports its parents, which is the user's code.
     let top_package = module.split('.').next().unwrap_or(module);
     if module_folder.join(format!("{top_package}.py")).is_file() || module_folder.join(top_package).is_dir() {
         return Ok(());
@@ -93,6 +94,7 @@ pub(super) fn check(config: &PythonConfig, clock: &SharedClock) -> Result<(), Py
         |reason: String| PythonError::Start { object: config.object.clone(), python: python.clone(), reason };
     let search = Launch { arguments, ..launch };
     let mut process = Process::start(&search, clock).map_err(PythonError::Process)?;
+    // The process writes nothing; reading waits for its end, within the time limit.
     match process.read_exact(1, clock.mono() + MODULE_SEARCH_TIMEOUT) {
         Err(ProcessError::ProcessEnd(ended)) if ended.is_success() => Ok(()),
         Err(ProcessError::ProcessEnd(ended)) if ended.status.and_then(|status| status.code()) == Some(1) => {

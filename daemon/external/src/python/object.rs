@@ -160,6 +160,7 @@ impl PythonObject {
                 call_result
             }
             Err(error) => {
+                // A call during the delay is no further failure and must not extend the delay.
                 if !matches!(error, PythonError::RestartDelayed { .. }) {
                     self.restart_backoff.record_failure(ended_at);
                     self.last_failure = error.to_string();

@@ -70,6 +70,7 @@ impl SharedMemory {
         if end > self.map.len() {
             // The other side may have extended the file for a reply that it did not finish.
             if (end as u64) > self.file.metadata()?.len() {
+                // Rounded up, so that parts of slowly growing size do not need a new mapping for each call.
                 self.file.set_len(end.next_power_of_two() as u64)?;
             }
             self.map = MmapRaw::map_raw(&*self.file)?;

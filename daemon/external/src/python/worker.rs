@@ -130,6 +130,7 @@ impl Worker {
 
     /// Returns the bytes of a part, from the shared memory or from the pipe.
     fn read_part(&mut self, part: &PartHead, deadline: MonoTime) -> Result<Bytes, WorkerError> {
+        // At most `MAX_BYTES`: `receive_reply` has checked the sum of all parts.
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, deadline)?) };
         let bytes = self.shared_memory.read_part(at, length).map_err(WorkerError::Memory)?;
