@@ -182,6 +182,7 @@ async fn serve(
     state: &mut WriterState,
 ) -> ServeEnd {
     let mut check_interval = tokio::time::interval(CHECK_INTERVAL);
+    // A commit may take longer than the interval; checks that were missed need not be made up for.
     check_interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
     // Retention starts at once: limits may have changed while the aggregator was stopped.
     let (mut commits, mut retention_step) = (0_u64, Step::More);

@@ -73,6 +73,7 @@ pub(crate) async fn run(
 ) -> Result<(), Failure> {
     let sender = listener.sender();
     let mut expiry_interval = tokio::time::interval(EXPIRY_INTERVAL);
+    // After a stall, one pass is enough.
     expiry_interval.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     // One line is written per interval. With one line per message a hostile peer could fill the log.
     let mut reported = RejectedCounts::default();

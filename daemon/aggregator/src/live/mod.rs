@@ -164,6 +164,7 @@ impl LiveTracker {
         let shown_runs: HashSet<(HostId, RunId)> =
             self.hosts.iter().flat_map(|(id, host)| host.runs().map(|run| (*id, run))).collect();
         self.numbers.retain(|run, _| shown_runs.contains(run));
+        // With more numbers left, each of the next runs would soon cause this search again.
         if self.numbers.len() > MAX_RUN_NUMBERS / 2 {
             self.numbers.clear();
         }
