@@ -25,6 +25,7 @@ impl<'de, const MAX: usize, T: Deserialize<'de>> Visitor<'de> for Bounded<MAX, T
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Vec<T>, A::Error> {
+        // Grows with the items that are there: the length that precedes them is only a claim of the peer.
         let mut list = Vec::new();
         while let Some(item) = items.next_element()? {
             if list.len() == MAX {

@@ -34,6 +34,7 @@ impl PartAssembler {
     pub(super) fn add(&mut self, part: &Part) -> Option<Bytes> {
         if part.offset == 0 {
             self.forget(part.host);
+            // Grows with the parts that arrive: the total length is only a claim of the peer.
             self.incomplete.insert(part.host, IncompleteBatch { total: part.total, bytes: Vec::new() });
         }
         let incomplete = self.incomplete.get_mut(&part.host)?;

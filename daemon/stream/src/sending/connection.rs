@@ -38,6 +38,7 @@ impl Sending {
     /// Handles a message from the aggregator.
     pub fn on_message(&mut self, message: &ToAgent, now: Stamp) -> Option<Notice> {
         match message {
+            // A message of a connection that has ended meanwhile.
             _ if matches!(self.session.state, ConnectionState::Down) => {}
             // Answers to messages of a stream that has been left, or is being left.
             ToAgent::Challenge { stream, .. }

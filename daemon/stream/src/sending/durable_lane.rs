@@ -41,6 +41,7 @@ impl DurableLane {
     pub(super) fn new(config: SendingConfig, max_bytes: u64) -> Self {
         Self {
             config,
+            // Until the welcome states the window, which it does before the first batch.
             window: 1,
             compression: CompressionControl::new(config.compression),
             flow: FlowControl::new(max_bytes),

@@ -345,6 +345,8 @@ impl EventSpooler {
     /// Returns the next deletion or append. `leaves_stream` is `true` while the stream is being left: stored batches must
     /// then be deleted first.
     pub(super) fn next(&mut self, leaves_stream: bool, now: MonoTime) -> Option<Action> {
+        // Deletions come first: they free space in the file, and some appends may only follow a deletion
+        // ([`Self::has_unspooled_stored`]).
         self.start_deletion(leaves_stream, now).or_else(|| self.append(now))
     }
 

@@ -174,6 +174,7 @@ impl FlowControl {
         let answered = self.echoes.answer(position);
         self.record_arrival(position, now);
         let Some(EchoRequest { at, bytes_ahead, .. }) = answered else { return };
+        // Rates are bytes divided by this time, so that it must not be zero.
         let round_trip = (now - at).max(Span::from_millis(1));
         self.round_trip.observe_echo(position, round_trip, now);
         // If nothing was in flight before the request, its echo measures the path, but no rate.

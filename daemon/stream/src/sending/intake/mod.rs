@@ -140,6 +140,7 @@ impl Intake {
             }
         }
         self.totals.submitted.last = Some(now.wall);
+        // Last, because the end of a run removes its pipeline, which a loss above needs.
         self.runs.observe(event);
     }
 
@@ -186,6 +187,7 @@ impl Intake {
     fn reserve(&self) -> Usage {
         let events = self.config.reserve_events;
         // The same share of bytes and of events, so that neither is exhausted before the other.
+        // At most an eighth, so that a small configuration still has capacity for iterations.
         let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
         let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }
@@ -271,6 +273,7 @@ impl Intake {
         self.unnumbered.push(UnnumberedBatch {
             since: since.wall,
             events,
+            // Without unused capacity: the limits of memory count the length only.
             body: Bytes::from(body.into_boxed_slice()),
             totals: self.totals.clone(),
         });
