@@ -121,6 +121,7 @@ impl IncomingQueue {
         let message = queue.messages.pop_front()?;
         queue.bytes -= message.bytes.len();
         drop(queue);
+        // All waiting tasks: the space of one long message may be enough for several.
         self.space_freed.notify_waiters();
         Some(message)
     }

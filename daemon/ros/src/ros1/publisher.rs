@@ -207,6 +207,7 @@ impl PublishedTopic {
         if self.publication.is_latching {
             state.latched_message = Some((message.clone(), prefix));
         }
+        // A copy, so that the topic is not locked while messages are written to sockets.
         state.connections.clone()
     }
 

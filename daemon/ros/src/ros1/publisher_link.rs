@@ -183,6 +183,7 @@ impl PublisherLink {
         &self,
         topic: &SubscribedTopic,
     ) -> Result<(TcpStream, FrameBuffer, Arc<PublisherInfo>), LinkError> {
+        // Asked again for each connection, because a publisher that was restarted has another port.
         let (host, port) = self.request_topic(topic).await?;
         let result = timeout(HANDSHAKE_TIMEOUT, TcpStream::connect((host.as_str(), port))).await;
         let result = result.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));

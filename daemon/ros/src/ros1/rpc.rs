@@ -99,6 +99,7 @@ async fn exchange(uri: &RpcUri, xml: Bytes) -> Result<Bytes, RpcError> {
     let request = Request::builder()
         .method(Method::POST)
         .uri(uri.path())
+        // HTTP/1.1 requires it (RFC 9112, section 3.2), and a bare connection of hyper does not add it.
         .header(HOST, format!("{}:{}", uri_host(uri.host()), uri.port()))
         .header(USER_AGENT, concat!("peernet/", env!("CARGO_PKG_VERSION")))
         .header(CONTENT_TYPE, "text/xml")

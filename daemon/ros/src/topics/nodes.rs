@@ -60,6 +60,7 @@ pub(super) async fn open_on_ros1<T>(
     clock: &SharedClock,
     open: impl AsyncFn(&Node) -> Result<T, NodeError>,
 ) -> Result<(T, Arc<SharedNode>), TopicError> {
+    // Locked until the node is open, so that two callers at the same time share one.
     let mut nodes = ROS1_NODES.lock().await;
     nodes.retain(|node| node.strong_count() > 0);
     for shared_node in
@@ -85,6 +86,7 @@ pub(super) async fn open_on_ros1<T>(
 
 /// Returns the ROS 2 node. It joins the domain of the environment at the first call.
 pub(super) async fn ros2_node() -> Result<Arc<Ros2Node>, TopicError> {
+    // Locked until the node has joined, so that two callers at the same time share one.
     let mut shared = ROS2_NODE.lock().await;
     if let Some(node) = shared.upgrade() {
         return Ok(node);

@@ -41,6 +41,7 @@ pub(super) fn qos_policies(role: EndpointRole, qos: &QosProfile) -> QosPolicies 
     };
     let limits = ResourceLimits {
         max_samples: sample_limit,
+        // A topic without keys has one instance.
         max_instances: 1,
         max_samples_per_instance: sample_limit,
     };

@@ -373,6 +373,7 @@ async fn follow_discovery(listener: DomainParticipantStatusListener, state: Arc<
             let ignored_before = discovery.ignored();
             discovery.apply(event);
             let ignored = discovery.ignored();
+            // A line whenever the number has doubled: every host on the network can announce objects.
             if ignored > ignored_before && ignored.is_power_of_two() {
                 tracing::warn!(
                     ignored,

@@ -21,6 +21,7 @@ impl SequenceTracker {
     pub(super) fn record(&mut self, writer: EndpointId, sequence: i64, counts: &mut ReceiveCounts) -> u64 {
         let Some(highest) = self.highest.get_mut(&writer) else {
             if self.highest.len() >= Self::MAX_WRITERS {
+                // Whichever it is, its publisher counts as new from now on, and no message is counted wrongly.
                 self.highest.pop_first();
             }
             self.highest.insert(writer, sequence);
