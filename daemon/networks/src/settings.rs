@@ -85,6 +85,7 @@ impl Default for SessionSettings {
             max_in_flight_bytes: 512 * 1024 * 1024,
             max_unfinished_bytes: 128 * 1024 * 1024,
             max_sessions: 256,
+            // With its headers it is below IPv6's minimum MTU, 1,280 bytes (RFC 8200, section 5).
             datagram_bytes: 1_200,
             max_send_bits_per_second: 0,
             reassembly_timeout_ms: 100,

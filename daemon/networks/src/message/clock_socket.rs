@@ -47,6 +47,7 @@ impl FromStr for ClockSocketName {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let digits = text.strip_prefix(PREFIX).ok_or(InvalidClockSocketName)?;
+        // `from_str_radix` alone would also accept a sign and capital letters.
         let are_valid = digits.len() == 2 * Self::BYTES
             && digits.bytes().all(|digit| matches!(digit, b'0'..=b'9' | b'a'..=b'f'));
         let number = u128::from_str_radix(digits, 16).map_err(|_| InvalidClockSocketName)?;

@@ -72,6 +72,7 @@ impl RequestBudget {
         let fits =
             |used: u64| (used == 0 || used.saturating_add(bytes) <= self.max_bytes).then(|| used + bytes);
         self.used
+            // Relaxed is enough: only the sum counts, and no other memory depends on it.
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
             .map_err(|used| BudgetExceeded { used, bytes, max_bytes: self.max_bytes })?;
         let share = Arc::new(BudgetShare { budget: Arc::clone(self), bytes });

@@ -217,6 +217,7 @@ pub(crate) fn absorb(
     set_raw_stamps(recorder.tree_mut(), departed.upload, up);
     let last = recorder.tree().nodes().len() - 1;
     let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
+    // `download` was appended last, and the first part right before it.
     let first_part = has_parts.then(|| NodeId(last - 1));
     Ok(Some(Absorbed { download: NodeId(last), first_part, observation }))
 }

@@ -120,6 +120,7 @@ pub(crate) async fn handshake(
         let reason = match frames {
             Ok(Ok(EdgeEvent::Message(frames))) => {
                 counters.count_received(Sizes::from_frames(&frames).total());
+                // An unreadable message is not the answer, which may still come; the deadline ends the wait.
                 let Some(Ok(header)) = frames.first().map(|frame| Header::decode(frame)) else { continue };
                 match classify_answer(header) {
                     HelloOutcome::Accepted(accepted) => {

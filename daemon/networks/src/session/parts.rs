@@ -53,6 +53,7 @@ impl ArrivedParts {
     pub(super) fn add(&mut self, number: u32, departure: Departure, arrived: Stamp) -> Option<u32> {
         self.count += 1;
         self.first.get_or_insert(FirstPart { departure, arrived });
+        // On networks of datagrams, parts may overtake each other.
         self.through = self.through.max(number.saturating_add(1));
         let is_due = self.through - self.acknowledged >= ACKNOWLEDGE_AFTER;
         is_due.then(|| {

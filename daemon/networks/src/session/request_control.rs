@@ -54,6 +54,7 @@ impl RequestControl {
     /// Notes that the edge has read the parts before number `through`. Ignores numbers of parts that were never sent.
     pub(crate) fn acknowledge(&self, through: u32) {
         let mut state = self.state();
+        // A higher number would make the subtraction in `next_part` overflow.
         state.read = state.read.max(through.min(state.sent));
         self.changed.notify_all();
     }

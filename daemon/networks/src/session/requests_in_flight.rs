@@ -123,6 +123,7 @@ impl RequestsInFlight {
             close_reason.get_or_insert_with(|| reason.clone());
             is_first
         });
+        // Last, because a request that waits for a slot then reads the reason.
         self.slots.close();
     }
 

@@ -86,6 +86,7 @@ pub(super) struct PendingRequest<'a> {
 impl Drop for PendingRequest<'_> {
     fn drop(&mut self) {
         let is_unanswered = self.state.requests.cancel_request(self.request);
+        // A cloud of an older version does not know the message and would count it as malformed.
         if is_unanswered && self.is_sent && self.state.terms.version >= PARTIAL_REPLIES_SINCE {
             let session = self.state.terms.session;
             self.state.send_control(&Header::Cancel(Cancel { session, request: self.request }));

@@ -97,6 +97,7 @@ fn sock_diag_request(addresses: &ConnectionAddresses) -> Vec<u8> {
         },
     };
     let mut header = NetlinkHeader::default();
+    // Without NLM_F_DUMP the kernel looks up one connection and does not list all (sock_diag(7)).
     header.flags = NLM_F_REQUEST;
     let mut message = NetlinkMessage::new(header, SockDiagMessage::InetRequest(request).into());
     message.finalize();

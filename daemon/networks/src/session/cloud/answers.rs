@@ -100,6 +100,7 @@ pub(super) fn encode_part(
     let RequestKey { session, request, .. } = key;
     let header = Header::PartialReply(PartialReply { session, request, part: number, departure, sample });
     let mut frames = Vec::with_capacity(2 + part.parts.len());
+    // Frame 1 is empty, so that the payload begins at frame 2 as in every message.
     frames.extend([header.encode()?, Bytes::new()]);
     frames.extend(part.parts.iter().map(|part| part.bytes.clone()));
     Ok(frames)

@@ -91,6 +91,7 @@ enum Slot {
     /// No fragment has arrived. The number has been known since this time.
     Missing { since: MonoTime },
     /// A part of the message has arrived.
+    // Boxed, because a connection may have many slots without a fragment, which are then small.
     Unfinished(Box<UnfinishedMessage>),
     /// The message was delivered or counted as lost.
     Settled,

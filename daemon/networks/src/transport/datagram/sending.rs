@@ -24,6 +24,7 @@ use crate::transport::{Frames, MessageLoss, SendFailure};
 const MAX_RETRANSMITTED_BYTES: u32 = 64 * 1024;
 
 /// Largest number of bytes of datagrams that are sent at once.
+// The system takes datagrams that are sent together (UDP_SEGMENT) as one, which has at most 65,507 bytes over IPv4.
 const MAX_BATCH_BYTES: usize = 60_000;
 
 /// Datagrams that are sent together. All but the last have the same length.

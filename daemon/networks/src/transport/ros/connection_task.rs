@@ -71,6 +71,7 @@ impl<S: Sink> ConnectionTask<S> {
     pub(super) async fn run(self, goodbye: &str) {
         let channel = Arc::clone(&self.channel);
         self.run_until_end(goodbye).await;
+        // Senders may still hold the channel. A message to a closed connection is an error.
         channel.lock().end("the connection was closed here".to_owned());
     }
 

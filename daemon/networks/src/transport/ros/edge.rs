@@ -53,6 +53,8 @@ pub(crate) async fn dial(
     let id = uuid::Uuid::new_v4().simple().to_string();
     let hello = context.hello;
     let prefix = edge_node_prefix(hello.name.as_str(), hello.pipeline.as_str());
+    // Each connection has another name, because a master shuts a node down when another one registers with its name.
+    // `strip_connection_id` recognizes the eight digits.
     let name = format!("{prefix}{}", &id[..8]);
     let node = open_node(address, &name, settings, context.clock).await?;
     // The guard ends the node even if opening the connection fails, so that the master is informed.

@@ -18,6 +18,7 @@ pub(super) fn pack(info: &mut MessageInfo, frames: &[Bytes], has_payload: bool) 
         frames.iter().enumerate().filter(|(index, _)| !(has_payload && *index == PAYLOAD_FRAME));
     let companion_frames: Vec<&Bytes> = companion_frames.map(|(_, frame)| frame).collect();
     info.frames = match companion_frames[..] {
+        // A single frame is shared; several have to be copied into one buffer.
         [single_frame] => single_frame.clone(),
         _ => {
             let mut joined = BytesMut::with_capacity(companion_frames.iter().map(|frame| frame.len()).sum());

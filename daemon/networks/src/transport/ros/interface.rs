@@ -215,6 +215,7 @@ pub(super) fn end_in_background(node: Arc<dyn SessionNode>, time_limit: Duration
         Ok(runtime) => {
             runtime.spawn(async move { node.end(time_limit).await });
         }
+        // Outside a runtime, nothing can send the remaining messages in the background.
         Err(_) => node.close(),
     }
 }

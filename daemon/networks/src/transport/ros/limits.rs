@@ -24,6 +24,7 @@ pub(super) const INFO_OVERHEAD_BYTES: usize = 4 * 1024;
 pub(super) fn connection_limits(settings: &SessionSettings, node: &dyn SessionNode) -> ConnectionLimits {
     ConnectionLimits {
         max_message_bytes: settings.max_message_bytes,
+        // One for each request in flight, and 16 for the messages that open and close sessions.
         max_incomplete: settings.max_in_flight as usize + 16,
         confirms_payloads: node.receive_buffer_bytes().is_some(),
         pairing_timeout: node.payload_timeout().map_or(PAIRING_TIMEOUT, Span::from),

@@ -29,6 +29,7 @@ fn find_address_with(
     let environment = Environment::from_variables(|name| variable(name).map(OsString::from));
     let master = environment.map_err(|error| ListenerLookupError(error.to_string()))?.master;
     let host =
+        // In a URI an IPv6 address has brackets (RFC 3986, section 3.2.2).
         if master.host().contains(':') { format!("[{}]", master.host()) } else { master.host().to_owned() };
     Ok(format!("ros1://{host}:{}/{name}", master.port()))
 }

@@ -32,6 +32,7 @@ pub(super) fn strip_connection_id(node: &str) -> Option<&str> {
 pub(super) fn to_ros_name(text: &str) -> String {
     let replace = |char: char| if char.is_ascii_alphanumeric() { char } else { '_' };
     let replaced: String = text.chars().map(replace).collect();
+    // A name in ROS does not begin with a digit, and a name in ROS 1 begins with a letter.
     match replaced.starts_with(|first: char| first.is_ascii_alphabetic()) {
         true => replaced,
         false => format!("p{replaced}"),

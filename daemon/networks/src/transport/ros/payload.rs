@@ -83,6 +83,7 @@ pub(super) fn encode(
         }
         PayloadType::Bytes => {
             let size = u32::try_from(data.len()).map_err(|_| EncodeError::TooLong { length: data.len() })?;
+            // This type has no header, so that the label carries the connection and the stamp.
             let label = format!("{} {}", header.frame_id, header.stamp.as_nanos());
             let dim = vec![MultiArrayDimension { label, size, stride: size }];
             UInt8MultiArray { layout: MultiArrayLayout { dim, data_offset: 0 }, data }.encode(form)

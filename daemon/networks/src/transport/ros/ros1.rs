@@ -69,6 +69,7 @@ impl Ros1Node {
         let types = self.node.topic_types().await?;
         let expected = MessageInfo::DEFINITION.name;
         for topic in [&topics.request.info, &topics.response.info] {
+            // The master keeps the type of a topic that nobody uses any more. `*` is any type.
             let is_used = !state.publishers_of(topic).is_empty() || !state.subscribers_of(topic).is_empty();
             let other_type =
                 types.iter().find(|(name, kind)| name == topic && kind != expected && kind != "*");

@@ -235,6 +235,7 @@ impl<M: Machine> Port<M> {
         }
         let mut state = self.lock();
         state.machine.abandon();
+        // These datagrams would be sent before the goodbye, or prevent it if the socket still accepts nothing.
         state.blocked = None;
         self.flush(&mut state);
         drop(state);

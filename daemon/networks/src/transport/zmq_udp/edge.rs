@@ -42,6 +42,7 @@ pub(crate) async fn dial(
     let resolved = tokio::net::lookup_host(address.authority()).await;
     let resolved = resolved.map_err(|error| unreachable_failure(&error))?.next();
     let peer = resolved.ok_or_else(|| DialFailure::Unreachable("the name has no address".into()))?;
+    // Not connected to the cloud, which may send from another port (as a RADIO does) and may get another address.
     let socket = UdpPort::bind(SocketAddr::new(unspecified_address(peer), 0), socket_bytes(settings));
     let socket = socket.map_err(|error| unreachable_failure(&error))?;
     // A closed port of the cloud then ends the connection at once and not by silence.

@@ -157,6 +157,7 @@ impl UdpPort {
             self.state.recv((&self.socket).into(), &mut slices, &mut meta)
         })?;
         for (meta, buffer) in meta.iter().zip(buffers.0.chunks_exact(BUFFER_BYTES)).take(count) {
+            // An empty datagram has no chunk below, but counts as an invalid packet.
             if meta.len == 0 {
                 handle_datagram(meta.addr, meta.dst_ip, &[]);
             }

@@ -101,6 +101,7 @@ impl Driver {
             messages: VecDeque::new(),
             has_delivered: false,
             is_ready: false,
+            // The library queues its greeting when it is created.
             has_output: true,
         }
     }
@@ -259,6 +260,7 @@ impl Driver {
         if codec.zmtp.peer_minor() == 0 || codec.zmtp.has_pending_transmit() {
             return;
         }
+        // With a TTL of 0 the peer's own settings determine when it gives up the connection.
         let ping = Command::Ping { ttl_deciseconds: 0, context: bytes::Bytes::new() };
         if let Err(error) = codec.zmtp.send_command(&ping) {
             tracing::debug!(%error, "cannot send a heartbeat");

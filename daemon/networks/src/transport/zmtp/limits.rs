@@ -44,11 +44,13 @@ impl ListenerLimits {
     /// Returns the largest number of open connections of one remote address: half of all. This machine's own addresses
     /// are exempt.
     pub(super) const fn max_per_address(&self) -> usize {
+        // One address alone cannot take all places.
         at_least_one(self.max_connections / 2)
     }
 
     /// Returns the largest number of open connections that are not admitted: half of all.
     pub(super) const fn max_unadmitted(&self) -> usize {
+        // Half of the places stay for connections with a session.
         at_least_one(self.max_connections / 2)
     }
 

@@ -61,6 +61,7 @@ impl Shutdown {
 
     /// Handles the confirmation of the goodbye.
     pub(super) fn confirm(&mut self) {
+        // A confirmation before this end's goodbye is invalid and must not end the connection.
         if !self.is_open() {
             self.phase = Phase::Closed;
         }

@@ -58,8 +58,10 @@ impl Peers {
         (refusal_publisher, deliveries): (Box<dyn SessionPublisher>, mpsc::Sender<Delivery>),
         tasks: CloudTasks,
     ) -> Self {
+        // A message of the largest length must fit even if the other setting is smaller.
         let budget = MemoryBudget::new(settings.max_unfinished_bytes.max(settings.max_message_bytes));
         let admitted_limits = ReceiveLimits { max_message_bytes: largest_message(&settings), budget };
+        // Half of the places stay for edges with a session.
         let max_unadmitted = (max_connections / 2)
             .min(MAX_ALL_UNADMITTED_BYTES / (MAX_UNADMITTED_BYTES * MAX_UNADMITTED_MESSAGES));
         let table = ConnectionTable::new(max_connections, max_unadmitted);

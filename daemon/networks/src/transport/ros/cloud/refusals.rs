@@ -37,6 +37,7 @@ impl Refusals {
         let mut throttle = self.throttle.lock().unwrap_or_else(PoisonError::into_inner);
         let is_due = throttle.times_to_log(reason, address, self.clock.mono()).is_some();
         drop(throttle);
+        // Published each time, because an edge waits for the refusal of its own connection.
         self.publish(hello, reason);
         if is_due {
             self.report(hello, edge, reason);

@@ -57,6 +57,7 @@ impl Sink for CloudSink {
         let connection = self.peer.connection;
         let (delivered_event, memory_reservations) = match event {
             Event::Hello => {
+                // Each hello is answered: a welcome is lost if the edge has not yet found this publisher.
                 channel.announce(MessageInfo::WELCOME);
                 return None;
             }

@@ -31,6 +31,7 @@ impl OutgoingSequence {
         self.last_stamp = if wall <= MAX_STAMP { wall.max(min_stamp) } else { min_stamp };
         let sequence = self.next_number();
         let stamp = Time::from_nanos(self.last_stamp);
+        // The field of the header has 32 bits. Receivers use `sequence`.
         let seq = u32::try_from(sequence & u64::from(u32::MAX)).unwrap_or_default();
         let header = Header { seq, stamp, frame_id: self.connection.clone() };
         MessageInfo { header, kind, sequence, request: MessageInfo::NO_REQUEST, ..MessageInfo::default() }
@@ -69,6 +70,7 @@ impl IncomingSequence {
     pub(super) fn receive(&mut self, number: u64) {
         let next_expected = self.next_expected.unwrap_or(number);
         self.missing += number.saturating_sub(next_expected);
+        // The peer chooses the number, which may be the largest one.
         self.next_expected = Some(number.saturating_add(1).max(next_expected));
     }
 

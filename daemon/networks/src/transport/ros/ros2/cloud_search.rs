@@ -14,6 +14,7 @@ use crate::transport::ros::interface::{EdgeTopics, NodeFailure};
 use crate::transport::ros::names::sessions_topic;
 
 /// Time for which another cloud with the same name is searched.
+// Discovery takes less than a second where multicast works.
 const OTHER_CLOUD_SEARCH_TIME: Duration = Duration::from_secs(1);
 
 /// Time for which other programs that use the topics of a pipeline are searched after the cloud was found.
@@ -134,6 +135,7 @@ async fn wait_for_discovery(
     let condition = async {
         while !holds() {
             if changes.changed().await.is_err() {
+                // Discovery has ended. The time limit ends the wait.
                 std::future::pending::<()>().await;
             }
         }

@@ -145,6 +145,7 @@ impl PublisherState {
                 }
                 Err(true) => break,
                 Err(false) => {
+                    // The task ends only while the queue is empty, so that all queued messages are sent first.
                     if stop.run_until_cancelled(changed).await.is_none() {
                         break;
                     }

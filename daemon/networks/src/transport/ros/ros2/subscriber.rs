@@ -169,6 +169,7 @@ impl SubscriberTask {
                 return kind;
             }
             if changes.changed().await.is_err() {
+                // Discovery has ended. The task is aborted with its subscriber.
                 std::future::pending::<()>().await;
             }
         }
