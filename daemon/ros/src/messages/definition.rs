@@ -23,6 +23,7 @@ impl MessageDefinition {
     pub fn full_text(&self) -> String {
         let mut full = self.text.to_owned();
         for dependency in self.dependencies {
+            // genmsg writes this line between definitions, and readers of bags split the text there.
             let line = "=".repeat(80);
             // Writing to a String cannot fail.
             let _ = write!(full, "\n{line}\nMSG: {}\n{}", dependency.name, dependency.text);

@@ -69,6 +69,7 @@ impl Header {
 }
 
 impl Field for Header {
+    // Without `seq`, which ROS 2 does not have.
     const MIN_BYTES: usize = Time::MIN_BYTES + String::MIN_BYTES;
 
     fn write(&self, writer: &mut Writer) -> Result<(), EncodeError> {

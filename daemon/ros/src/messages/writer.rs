@@ -42,6 +42,7 @@ pub enum EncodeError {
 /// Bytes of one encoded message, in consecutive segments.
 #[derive(Clone, Debug)]
 pub struct EncodedMessage {
+    // Shared, because the queue of each subscriber has the message.
     segments: Arc<[Bytes]>,
     length: usize,
 }

@@ -101,6 +101,7 @@ impl Publisher {
                 delivery = match offer_outcome {
                     OfferOutcome::Accepted => Delivery::Accepted,
                     OfferOutcome::Full => Delivery::Full,
+                    // A node that has reconnected has two connections until the older one is removed.
                     OfferOutcome::Closed => delivery,
                 };
             }
@@ -224,6 +225,7 @@ impl PublishedTopic {
 
     pub(super) fn counts(&self) -> SendCounts {
         let state = self.state();
+        // Under the lock, so that a connection that ends meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.connections.iter().for_each(|connection| sum.add(&connection.counts()));
         sum

@@ -109,6 +109,7 @@ impl PublisherLink {
 
     pub(super) fn set_listed(&self, is_listed: bool) {
         self.state().is_listed = is_listed;
+        // Leaves a permit during an attempt, so that the delay after the attempt ends at once.
         self.listing_changed.notify_one();
     }
 

@@ -181,6 +181,7 @@ impl Registrar {
     /// Registers a topic that the master does not know any more.
     async fn reregister(&self, registration: &Registration) -> Result<(), NodeError> {
         let uris = self.call_register(registration).await?;
+        // For a publisher the answer lists subscribers, which connect by themselves.
         if registration.role == Role::Subscriber
             && let Some(subscribed) = self.topics.find_subscribed(&registration.topic)
         {

@@ -199,6 +199,7 @@ fn bus_statistics(node: &NodeState) -> Value {
         });
         [(&*topic.subscription.topic).into(), connections.collect::<Vec<Value>>().into()].into()
     });
+    // Numbers of requests, of received bytes and of sent bytes, as the slave API requires.
     let services = Value::from([0.into(), 0.into(), 0.into()]);
     [publishers.collect::<Vec<Value>>().into(), subscribers.collect::<Vec<Value>>().into(), services].into()
 }

@@ -276,6 +276,7 @@ impl SubscribedTopic {
 
     pub(super) fn counts(&self) -> ReceiveCounts {
         let state = self.state();
+        // Under the lock, so that a publisher that leaves meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.links.values().for_each(|link| sum.add(&link.status().counts));
         sum
@@ -322,6 +323,7 @@ impl SubscribedTopic {
     /// Removes a publisher if the master does not list it any more or the subscriber stops. Returns whether the publisher
     /// was removed.
     pub(super) fn remove_if_ended(&self, link: &PublisherLink) -> bool {
+        // Locked before the check, so that the master's list cannot add the publisher again before it is removed.
         let mut state = self.state();
         if link.is_listed() && !self.stop.is_cancelled() {
             return false;

@@ -81,6 +81,7 @@ impl FromStr for ParticipantId {
 
     fn from_str(text: &str) -> Result<Self, InvalidParticipantId> {
         let mut id = [0; 12];
+        // Slicing below needs single-byte characters, and `from_str_radix` would accept a sign.
         if text.len() != 2 * id.len() || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
             return Err(InvalidParticipantId);
         }

@@ -13,6 +13,7 @@ use crate::ros1::{Environment, Node, NodeError};
 use crate::ros2::{Ros2Node, Ros2Settings};
 
 /// Runtime that serves the sockets of all nodes. It has one thread, which exists as long as the process.
+// Not `new_current_thread`, whose tasks run only while a caller blocks in it.
 static RUNTIME: LazyLock<io::Result<Runtime>> =
     LazyLock::new(|| Builder::new_multi_thread().worker_threads(1).thread_name("ros").enable_all().build());
 

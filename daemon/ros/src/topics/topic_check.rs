@@ -43,6 +43,7 @@ pub fn check_name(version: RosVersion, topic: &str) -> Result<String, TopicError
     match version {
         RosVersion::Ros1 => {
             let environment = Environment::from_process()?;
+            // The node's name only matters for names that begin with `~`.
             Ok(NodeName::new(&environment.namespace, "peernet")?.resolve(topic)?)
         }
         RosVersion::Ros2 => {

@@ -80,6 +80,7 @@ impl ConnectionHeader {
             let length = usize::try_from(u32::from_le_bytes(*prefix)).map_err(|_| HeaderError::TooShort)?;
             let (field, rest) = rest.split_at_checked(length).ok_or(HeaderError::TooShort)?;
             let field = std::str::from_utf8(field).map_err(|_| HeaderError::NotUtf8)?;
+            // The first `=` separates: a value may contain more, such as the constants of a definition.
             let (name, value) = field.split_once('=').ok_or(HeaderError::NoSeparator)?;
             fields.insert(name.to_owned(), value.to_owned());
             frame = rest;

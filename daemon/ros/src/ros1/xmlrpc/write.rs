@@ -53,6 +53,7 @@ fn write_value(xml: &mut String, value: &Value) {
             let _ = write!(xml, "<boolean>{}</boolean>", u8::from(*is_true));
         }
         Value::Double(number) => {
+            // `Debug` keeps the decimal point of a whole number, which `Display` omits.
             let _ = write!(xml, "<double>{number:?}</double>");
         }
         Value::Text(text) => {
