@@ -19,6 +19,7 @@ impl Chain {
     /// Returns the chain of the next batch, which has `events` events with the wire form `body`.
     pub fn next(self, events: u32, body: &[u8]) -> Self {
         // The only part of variable length comes last, so that the parts cannot be divided in two ways.
+        // The number of events is covered as well: only the chain protects the head that states it.
         let digest = Sha256::new().chain_update(self.0).chain_update(events.to_be_bytes()).chain_update(body);
         let (chain, _) =
             digest.finalize().0.split_first_chunk().map(|(head, rest)| (*head, rest)).unwrap_or_default();

@@ -38,6 +38,7 @@ pub const MAX_MESSAGE_BYTES: usize = 4 * 1024 * 1024;
 pub(super) const BATCH_HEAD_BYTES: usize = 2 + 16 + 16 + 8 + 8 + 16 + 16 + 8 + 4 + 4;
 
 /// Deepest nesting of MessagePack values. Nodes do not count: a tree is one byte string.
+// The decoder recurses for each level, and the peer chooses the depth.
 const MAX_NESTING: usize = 32;
 
 /// First byte of a batch's frame.

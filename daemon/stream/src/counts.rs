@@ -142,6 +142,7 @@ impl CountedEvents {
         for CountedRun { run, pipeline, events, last } in &self.runs {
             let count = events
                 .saturating_sub(settled.events.events_of(*run))
+                // Each run may have all of them, because their runs are unknown. The rest is reported without a run.
                 .saturating_sub(accounted)
                 .min(unassigned);
             unassigned -= count;

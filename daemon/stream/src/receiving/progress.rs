@@ -129,6 +129,7 @@ impl Progress {
             self.accept(number, head.chain, head.events_through());
             Arrival::Accept
         } else {
+            // The batch is of another history. The hello compares the chains of both ends.
             Arrival::Unknown(ToAgent::Unknown)
         }
     }

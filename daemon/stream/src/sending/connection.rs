@@ -67,6 +67,7 @@ impl Sending {
                 self.lane.record_echo(*bytes, now.mono);
             }
             ToAgent::Refused { reason } => self.handle_refusal(reason, now.mono),
+            // In the other states a hello is due or was just answered.
             ToAgent::Unknown if self.is_up() => self.schedule_hello(now.mono),
             ToAgent::Unknown => {}
         }

@@ -232,6 +232,7 @@ impl Intake {
     }
 
     fn report(&mut self, gap: Gap, now: Stamp) {
+        // The buffer may hold an accepted event, which is appended after this report.
         let event = std::mem::take(&mut self.encoded);
         let count = gap.count;
         codec::encode_into(&mut self.encoded, &Event::Gap(gap));
