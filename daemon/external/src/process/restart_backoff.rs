@@ -26,6 +26,7 @@ impl RestartBackoff {
         let delay = match self.consecutive_failures {
             0 => Span::ZERO,
             consecutive_failures => {
+                // Ten doublings already exceed `MAX_DELAY`; more would overflow at some point.
                 Span::from_nanos(Self::FIRST_DELAY.nanos() << consecutive_failures.saturating_sub(1).min(10))
                     .min(Self::MAX_DELAY)
             }

@@ -43,6 +43,7 @@ impl SharedMemory {
             Err(Errno::INVAL) => create(flags)?,
             file => file?,
         };
+        // `SEAL` forbids further seals, with which the other side could prevent growing or writing.
         fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::SEAL)?;
         let file = File::from(file);
         file.set_len(INITIAL_BYTES as u64)?;
