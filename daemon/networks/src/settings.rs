@@ -26,6 +26,7 @@ const TIME_MS_RANGE: (u64, u64) = (10, MAX_TIME_MS);
 const CLOSE_TIMEOUT_MS_RANGE: (u64, u64) = (0, MAX_TIME_MS);
 const IN_FLIGHT_BYTES_RANGE: (u64, u64) = (4 << 10, MAX_IN_FLIGHT_BYTES);
 const UNFINISHED_BYTES_RANGE: (u64, u64) = (64 << 10, MAX_IN_FLIGHT_BYTES);
+// libzmq neither sends nor receives longer datagrams (`MAX_UDP_MSG`).
 const DATAGRAM_BYTES_RANGE: (u64, u64) = (512, 8_192);
 const SOCKET_BUFFER_BYTES_RANGE: (u64, u64) = (64 << 10, 1 << 30);
 

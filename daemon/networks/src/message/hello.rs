@@ -202,6 +202,7 @@ fn deserialize_text_pairs<'de, D: Deserializer<'de>>(
 /// Deserializes at most [`MAX_CONDITIONS`] conditions and makes their texts printable, because they are shown on
 /// terminals and pages.
 fn deserialize_conditions<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Condition>, D::Error> {
+    // Counted afterwards: the limit of the header bounds the memory of the list.
     let conditions: Vec<Condition> = Vec::deserialize(deserializer)?;
     if conditions.len() > MAX_CONDITIONS {
         return Err(D::Error::custom(format_args!("more than {MAX_CONDITIONS} conditions")));

@@ -272,6 +272,7 @@ impl Server {
                 session,
                 request: number,
                 departure: None,
+                // Not read: without a departure a reply has no stamps.
                 arrival_epoch: 0,
                 outcome,
                 arrived_raw: None,

@@ -35,6 +35,7 @@ impl MemoryBudget {
             reserved_bytes.checked_add(bytes).filter(|reserved_bytes| *reserved_bytes <= self.limit)
         };
         self.reserved_bytes
+            // Relaxed is enough: only the sum counts, and no other memory depends on it.
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, fits)
             .map(drop)
             .map_err(|_| BudgetExhausted)

@@ -152,6 +152,7 @@ impl DialState {
     /// Handles a packet from the cloud's address.
     pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
+            // Only the first cookie: a duplicated one would restart the count of attempts.
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None

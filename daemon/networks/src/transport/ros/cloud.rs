@@ -186,6 +186,7 @@ impl CloudReceiver for RosCloudReceiver {
 
     fn close(mut self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()> {
         Box::pin(async move {
+            // Further deliveries are of no use, and the tasks must not wait until they are received.
             self.deliveries.close();
             while self.deliveries.try_recv().is_ok() {}
             self.tasks.close(linger).await;

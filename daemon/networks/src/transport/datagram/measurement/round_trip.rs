@@ -54,6 +54,7 @@ impl RoundTripEstimator {
             None => (nanos, nanos / 2),
             Some((smoothed, variation)) => {
                 let (smoothed, variation) = (smoothed.nanos(), variation.nanos());
+                // Before the smoothed value changes, as RFC 6298 requires (section 2.3).
                 let variation = variation + ((smoothed - nanos).abs() - variation) / 4;
                 (smoothed + (nanos - smoothed) / 8, variation)
             }

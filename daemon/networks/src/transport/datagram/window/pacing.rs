@@ -28,6 +28,7 @@ impl Pacer {
     pub(super) fn record_sent(&mut self, bytes: u32, now: MonoTime) {
         if let Some(rate) = self.bytes_per_second {
             let nanos = u64::from(bytes).saturating_mul(1_000_000_000) / rate;
+            // A pause gives no credit; otherwise a long burst would follow it.
             self.next_at = self.next_at.max(now) + Span::from_nanos(i64::try_from(nanos).unwrap_or(i64::MAX));
         }
     }
