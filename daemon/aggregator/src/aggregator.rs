@@ -23,8 +23,7 @@ use peernet_store::{OpenError, RetentionConfig, Store, StoreError};
 
 /// Capacity of the channel of events to the live state's task. That task never waits, so a short channel is enough.
 const LIVE_EVENT_CAPACITY: usize = 1_024;
-/// Capacity of the channel of store events to the ingest task.
-// The ingest task never waits for the database, so that the writer waits for this channel only briefly.
+/// Capacity of the channel of store events to the ingest task. Short, because that task never waits for the database.
 const STORE_EVENT_CAPACITY: usize = 16;
 /// Capacity of the channel of requests to the writer's task.
 const WRITER_REQUEST_CAPACITY: usize = 16;
@@ -296,7 +295,6 @@ impl RunningAggregator {
 /// Returns the message of a task's panic.
 fn panic_message(error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return "cancelled".to_owned() };
-    // The payload of `panic!` is a `String` if the message has arguments, otherwise a `&str`.
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message").to_owned()
 }
