@@ -24,6 +24,7 @@ impl ActuatorKind for ExecConfig {
         }
     }
 
+    // Any reply of the program may end the episode; the configuration does not say whether one will.
     fn ends_episodes(&self) -> bool {
         true
     }

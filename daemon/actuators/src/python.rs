@@ -26,6 +26,7 @@ impl ActuatorKind for PythonConfig {
         true
     }
 
+    // The object itself states its facts, so that they are known only after it is created.
     fn facts(&self) -> Vec<(String, String)> {
         Vec::new()
     }

@@ -13,6 +13,7 @@ use super::line::{self, MAX_LINE_BYTES};
 use crate::{Feedback, SocketError};
 
 /// Largest number of bytes that are read and discarded before an answer is sent.
+// A controller that sends without pause would otherwise delay the action for ever.
 const MAX_DISCARDED_BYTES: usize = 1 << 20;
 
 /// Deadline of an action.
@@ -90,6 +91,7 @@ impl Connection {
                     self.received.extend_from_slice(&buffer[..read]);
                     break;
                 }
+                // Empty datagrams count as well, so that a stream of them ends the loop.
                 Ok(read) => discarded += read.max(1),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
@@ -211,6 +213,8 @@ fn open_channel(protocol: Protocol, address: SocketAddr, deadline: &Deadline) ->
         }
         Protocol::Tcp => {
             let stream = TcpStream::connect_timeout(&address, deadline.remaining()?)?;
+            // Nagle's algorithm (RFC 896) would hold a short line back until the previous one is
+            // acknowledged.
             stream.set_nodelay(true)?;
             Ok(Channel::Tcp(stream))
         }

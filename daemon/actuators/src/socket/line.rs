@@ -24,7 +24,7 @@ struct ActionLine<'a> {
 /// Returns the line for an action, with its line feed.
 pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
     let Action { answer, source, iteration, episode, step } = *action;
-    // The JSON form of an array has at least one byte for each byte of its elements; so memory is bounded.
+    // The JSON form has at least one byte for each element, and an element has at most eight bytes. So memory is bounded.
     if answer.payload_bytes() > 8 * MAX_LINE_BYTES as u64 {
         return Err(SocketError::AnswerLength { limit: MAX_LINE_BYTES });
     }
@@ -42,6 +42,7 @@ pub(super) fn encode(action: &Action<'_>) -> Result<Vec<u8>, SocketError> {
 /// Reads a line of feedback: the number of its iteration, if the line has one, and the feedback.
 pub(super) fn decode(line: &[u8]) -> Result<(Option<u64>, Feedback), serde_json::Error> {
     let mut document: Option<Map<String, Value>> = serde_json::from_slice(line)?;
+    // Removed, because `Feedback` denies unknown keys.
     let iteration = document.as_mut().and_then(|document| document.remove("iteration"));
     let feedback = document.map(|document| serde_json::from_value(Value::Object(document))).transpose()?;
     Ok((iteration.map(serde_json::from_value).transpose()?, feedback.unwrap_or_default()))

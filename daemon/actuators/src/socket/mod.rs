@@ -87,6 +87,7 @@ impl Socket {
     fn send(&mut self, action: &Action<'_>) -> Result<Feedback, SocketError> {
         let line = line::encode(action)?;
         let deadline = self.deadline();
+        // Taken, so that each error below leaves no connection.
         let idle = match self.connection.take() {
             Some(mut connection) => connection.is_open(self.config.feedback)?.then_some(connection),
             None => None,
