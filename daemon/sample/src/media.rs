@@ -26,9 +26,11 @@ impl MediaType {
 
     /// Returns the media type with that name; case is ignored.
     pub fn from_iana(name: &str) -> Self {
+        // Names of media types are not case-sensitive (RFC 2045, section 5.1).
         let lower = name.to_ascii_lowercase();
         match lower.as_str() {
             "application/octet-stream" => Self::Bytes,
+            // `image/jpg` is not registered, but some programs write it.
             "image/jpeg" | "image/jpg" => Self::Jpeg,
             "image/png" => Self::Png,
             RGB8 => Self::Pixels(PixelFormat::Rgb8),
