@@ -15,6 +15,7 @@ use crate::{ImageError, Picture};
 /// If the file is no such PNG file, is damaged or truncated, or is too large.
 pub fn decode_class_mask(file: &[u8]) -> Result<Picture, ImageError> {
     let damaged = |error: DecodingError| wrong(printable_line(&error.to_string()).trim_end_matches('.'));
+    // Not with the crate `image`, which replaces the numbers of a palette by its colours.
     let mut reader = png::Decoder::new(Cursor::new(file)).read_info().map_err(damaged)?;
     let (width, height) = (reader.info().width, reader.info().height);
     check_size(u64::from(width), u64::from(height))?;

@@ -22,6 +22,7 @@ pub struct Crop {
 /// If the rectangle is empty or reaches beyond the picture.
 pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), ImageError> {
     let Crop { width, height, x, y } = crop;
+    // An empty rectangle would make `chunks_exact_mut` panic.
     check_size(u64::from(width), u64::from(height))?;
     let (picture_width, picture_height) = (picture.width(), picture.height());
     let x = x.unwrap_or_else(|| picture_width.saturating_sub(width) / 2);

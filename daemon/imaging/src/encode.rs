@@ -42,6 +42,7 @@ pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError>
 
 fn write_jpeg(picture: &Picture, quality: u8, file: &mut Vec<u8>) -> Result<(), ImageError> {
     let failed = |reason: String| encoding_error("jpeg", picture, reason);
+    // JPEG stores the length of a side in 16 bits (ITU-T T.81, B.2.2).
     let side = |pixels: u32| u16::try_from(pixels).map_err(|_| failed("a side is too long".to_owned()));
     let colours = match picture.format() {
         PixelFormat::Rgb8 => jpeg_encoder::ColorType::Rgb,

@@ -32,6 +32,7 @@ impl Orientation {
 /// If the header of the file cannot be read.
 pub fn turn_upright(part: &Part, picture: &mut Picture) -> Result<(), ImageError> {
     let exif = match &part.description.media {
+        // The pixel format has no effect, because only the header is read.
         MediaType::Jpeg => open_jpeg(&part.bytes, PixelFormat::Rgb8)?.decoder.exif().cloned(),
         MediaType::Png => open_png(&part.bytes)?.decoder.exif_metadata().ok().flatten(),
         _ => None,

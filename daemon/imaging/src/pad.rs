@@ -25,6 +25,7 @@ pub struct Padding {
 pub fn pad(picture: &Picture, padding: Padding, target: &mut Picture) -> Result<(), ImageError> {
     let Padding { width, height, x, y, fill } = padding;
     check_size(u64::from(width), u64::from(height))?;
+    // An empty picture would make `chunks_exact` panic.
     check_size(u64::from(picture.width()), u64::from(picture.height()))?;
     let is_inside = |start: u32, length: u32, of: u32| start.checked_add(length).is_some_and(|end| end <= of);
     if !is_inside(x, picture.width(), width) || !is_inside(y, picture.height(), height) {
