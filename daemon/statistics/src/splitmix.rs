@@ -24,6 +24,7 @@ impl SplitMix64 {
 
     /// Returns a number that is uniform in the half-open interval from 0 to 1.
     pub fn unit(&mut self) -> f64 {
+        // A double has 53 significant bits, so that every result is exact and none is rounded up to 1.
         (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
@@ -36,6 +37,7 @@ impl SplitMix64 {
     /// Returns a number with mean 0 and standard deviation 1 that is nearly normally distributed (Irwin–Hall, twelve
     /// terms).
     pub fn normal(&mut self) -> f64 {
+        // The variance of a uniform number is 1/12, so that twelve of them need no scaling.
         (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
     }
 }

@@ -49,6 +49,7 @@ impl Summary {
     /// Returns the number below which the fraction `q` of all numbers lies. It is never outside of the observed extremes.
     /// `None` without numbers.
     pub fn quantile(&self, q: f64) -> Option<f64> {
+        // The midpoint of the outermost bin may lie beyond the extreme.
         self.sketch.quantile(q).map(|value| value.max(self.moments.min).min(self.moments.max))
     }
 

@@ -7,6 +7,7 @@ pub fn length(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return NONE.to_owned();
     }
+    // From here on, one decimal would be rounded to `10.0`.
     if seconds < 9.95 {
         return format!("{}{SPACE}s", measured(seconds, 1));
     }

@@ -10,6 +10,7 @@ const TENTH_OF_MICROSECOND: usize = 4;
 const MIN_DISTINGUISHABLE_MS: f64 = 1e-6;
 
 /// Duration below which two decimals of a millisecond would show only one significant digit.
+// From here on, three significant digits are rounded to at least `0.100`.
 const SHORT_DURATION_MS: f64 = 0.099_95;
 
 /// Smallest number of decimals in a column of values with a bound or deviation.
@@ -29,6 +30,7 @@ pub fn milliseconds(seconds: f64) -> String {
 
 /// Formats a duration with its unit: in ms, or in s if it is 1,000 ms or more.
 pub fn duration(seconds: f64) -> Quantity {
+    // From 0.9995 s on, the number of milliseconds would be rounded to `1,000`.
     if seconds.abs() < 0.999_5 { short_duration(seconds) } else { Quantity::new(figure(seconds), "s") }
 }
 

@@ -38,6 +38,7 @@ impl fmt::Display for Quantity {
 pub fn percent(share: f64) -> String {
     let value = share * 100.0;
     match value {
+        // Each limit is where the decimals of the line would be rounded up to one more digit: `1.00`, `10.0`.
         value if value < 0.995 => measured(value, 2),
         value if value < 9.95 => fixed(value, 1),
         value => fixed(value, 0),
@@ -53,6 +54,7 @@ pub fn share(share: f64) -> String {
 pub fn rate(hz: f64) -> String {
     match hz {
         0.0 => "0".to_owned(),
+        // As in `percent`, the limits are where rounding would add a digit.
         hz if hz < 9.995 => fixed(hz, 2),
         hz if hz < 999.95 => fixed(hz, 1),
         hz => fixed(hz, 0),
@@ -92,6 +94,7 @@ pub fn bytes(value: f64) -> Quantity {
     }
     let mut value = value;
     let mut unit = 0;
+    // From 999.5 on, three significant digits would be rounded to `1,000`.
     while value >= 999.5 && unit + 1 < UNITS.len() {
         value /= 1e3;
         unit += 1;

@@ -55,6 +55,7 @@ impl Bins {
     #[cold]
     fn add_uncovered(&mut self, key: i32, count: u64) {
         self.extend_range(key, key);
+        // A key below the stored range is counted in the lowest bin.
         let index = (key.max(self.first) - self.first) as usize;
         self.counts[index] += count;
     }
@@ -103,6 +104,7 @@ impl Bins {
             let collapsed = ((lowest - self.first) as usize).min(self.counts.len());
             let sum: u64 = self.counts.drain(..collapsed).sum();
             self.first = lowest;
+            // All bins may have been merged; their sum needs one.
             self.counts.resize(self.counts.len().max(1), 0);
             self.counts[0] += sum;
         } else if lowest < self.first {

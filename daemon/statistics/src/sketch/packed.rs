@@ -84,6 +84,7 @@ impl Reader<'_> {
             let byte = *self.bytes.get(self.position).ok_or(PackedError::Damaged(self.position))?;
             self.position += 1;
             let bits = u64::from(byte & 0x7f);
+            // The tenth byte has room for one bit only.
             if shift == 63 && bits > 1 {
                 break;
             }
