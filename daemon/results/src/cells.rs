@@ -125,5 +125,6 @@ pub(crate) fn pad_rows(from: &Path, to: &Path, header: &Header) -> io::Result<()
         bytes.clear();
     }
     out.write_all(&bytes)?;
+    // The caller renames the copy over the original; after a power failure, an unsynced copy could be empty.
     out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()
 }

@@ -37,6 +37,7 @@ pub(crate) fn finish(folder: &Path, record: &RunRecord, rows: &Rows) -> Result<W
     let fallback = tempfile::Builder::new().prefix("peernet-results-").tempdir();
     let fallback = fallback
         .map_err(|error| combine_errors(&write_error, &std::env::temp_dir(), &error.to_string()))?
+        // The folder must outlive the program, because the user finds the results there.
         .keep();
     match write_files(&fallback, record, rows) {
         Ok(files) => Ok(WrittenResults { folder: fallback, files, write_error: Some(write_error) }),

@@ -55,6 +55,7 @@ fn record(path: &Path) -> Result<Option<RunRecord>, FolderError> {
 
 /// Returns a record for rows without a record file, with the facts that follow from the path and the rows.
 fn record_without_file(path: &Path, rows: &Rows, has_warm_up_flags: bool) -> RunRecord {
+    // A path such as `.` has no name of its own.
     let name = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     let name = if path.is_file() { name.file_stem() } else { name.file_name() };
     let name = name.unwrap_or_default().to_string_lossy().into_owned();

@@ -77,8 +77,9 @@ impl RowWriter {
         }
         self.header.write_row(&mut self.pending, row);
         self.rows.1 += 1;
-        // The absolute difference, because a clock that was set back must not stop the writing.
+        // Bytes that the last attempt left do not count; on a full disk, each row would otherwise try again.
         let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
+        // The absolute difference, because a clock that was set back must not stop the writing.
         if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
             self.flush();
             self.written_at = row.at;
