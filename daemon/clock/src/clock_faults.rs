@@ -125,6 +125,7 @@ impl ClockFaults {
     fn true_wall_without_steps(&self, shown_wall: WallTime) -> WallTime {
         let without_offset = shown_wall - self.offset;
         let elapsed = (without_offset - self.since).nanos() as f64;
+        // Solved for the true time: shown − true is drift × true elapsed, and only the shown time is known.
         let drift = elapsed - elapsed / (1.0 + self.drift_ppm * 1e-6);
         without_offset - Span::from_nanos(drift.round() as i64)
     }

@@ -78,6 +78,7 @@ impl ClockIdentity {
 /// Returns the random number of this process, drawn at the first call.
 fn process_number() -> u64 {
     static PROCESS: OnceLock<u64> = OnceLock::new();
+    // The keys of `RandomState` are random, and no further library is needed for one number.
     *PROCESS.get_or_init(|| RandomState::new().hash_one(std::process::id()))
 }
 

@@ -18,6 +18,7 @@ pub(super) fn push(hull: &mut Vec<Point>, next: Point, half_limit: f64) {
         hull.pop();
     }
     match hull.last() {
+        // Two points at one time would make the slope of their edge infinite.
         Some(last) if last.x == next.x && last.bound <= next.bound => return,
         Some(last) if last.x == next.x => _ = hull.pop(),
         _ => {}

@@ -6,6 +6,7 @@ use crate::band::{Band, Bounds, Contradiction};
 use crate::{RawTime, Span};
 
 /// Number of agreeing suspects that prove an unreported step.
+// A single wrong stamp must not discard the window.
 const MIN_SUSPECTS_FOR_STEP: u64 = 4;
 
 /// Two unreported steps within this time prove a violated limit. The limit counts as violated for the same time after the

@@ -159,6 +159,8 @@ impl Relation {
     ) -> OneWayDelay {
         let raw = received - sent;
         let at = edge_time(direction, sent, received);
+        // After a restart there is no offset until an exchange is accepted, although the clocks were related
+        // before.
         let is_near_step = refusal == Refusal::Stepped || self.estimate_before_restart.is_some();
         if is_near_step || self.combined_offset(at).is_some() {
             OneWayDelay::stepped(raw, DelaySource::None)

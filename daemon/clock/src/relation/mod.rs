@@ -292,6 +292,7 @@ impl Relation {
     /// Starts a new window after a step of a clock.
     fn restart(&mut self) {
         self.contradictions.suspects.clear();
+        // A second report of the same step must not replace the estimate before it.
         let Some(newest) = self.windows.current().newest() else { return };
         self.estimate_before_restart = Some(self.estimate_at(newest));
         self.windows.restart(self.windows.new_band());

@@ -86,6 +86,8 @@ impl OffsetSources {
                 is_consistent: false,
             });
         };
+        // The proof prevails over a band that is as narrow: with it as source, a delay is the exact
+        // difference.
         let source = if source != DelaySource::SameClock && bounds == band {
             DelaySource::InBand
         } else if bounds == other {

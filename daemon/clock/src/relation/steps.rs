@@ -11,6 +11,7 @@ const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 // exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
 /// The same limit for a step of the cloud.
+// Long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.

@@ -144,6 +144,7 @@ impl Windows {
     /// Returns the number of exchanges of the current window, and of the window before it if a suspected jump separates
     /// them.
     pub(super) fn exchanges(&self) -> u64 {
+        // Otherwise a suspected jump would make delays `stale`, although both windows bound them.
         self.current.exchanges() + self.past.back().map_or(0, |past| past.band.exchanges())
     }
 
