@@ -148,6 +148,7 @@ impl Columns {
                 labels.reverse();
                 let mut path = labels.join("_");
                 if segment.has_children {
+                    // The program that was published with the paper names such columns so.
                     path.push_str("_val");
                 }
                 let mut header = path.clone();

@@ -121,6 +121,7 @@ impl From<Slug> for String {
 
 impl fmt::Display for Slug {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Not `write_str`, which ignores the width and alignment of a format.
         f.pad(&self.0)
     }
 }

@@ -3,6 +3,8 @@
 //! A recorder stays within them: it leaves nodes out and counts them. A received tree that exceeds them is refused.
 
 /// Largest number of levels of a tree, including the root's.
+// The level of a node is computed from its ancestors, so that this limits the work for each node of a hostile
+// tree.
 pub const MAX_DEPTH: usize = 32;
 
 /// Largest number of nodes of a tree.

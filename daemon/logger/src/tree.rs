@@ -240,6 +240,7 @@ impl Tree {
             return (HostIndex(index as u8), anchor.wall - self.anchors[index].wall);
         }
         self.anchors.push(anchor.clone());
+        // Two trees within their limits have fewer than 256 hosts; `check` refuses the sum afterwards.
         (HostIndex((self.anchors.len() - 1) as u8), Span::ZERO)
     }
 

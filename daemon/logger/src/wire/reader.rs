@@ -9,8 +9,10 @@ use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawSta
 
 /// Length of the shortest node.
 // The length of the remaining input divided by this length limits the capacity that is reserved for nodes.
+// One byte each for the array, its parent, its name, its host, its start and its kind.
 const MIN_NODE_BYTES: usize = 6;
 /// Length of the shortest anchor. It limits the capacity that is reserved for anchors.
+// The array, the head and the 16 bytes of the host, and one byte for the time: 1 + 2 + 16 + 1.
 const MIN_ANCHOR_BYTES: usize = 20;
 
 /// Position in the wire form of a tree or a tree delta.
@@ -66,6 +68,7 @@ impl<'a> Reader<'a> {
     pub(super) fn position(&mut self, expected: &'static str) -> ReadResult<u32> {
         let number = self.uint(expected)?;
         match u32::try_from(number) {
+            // The limit itself is valid, because the length of a full tree is read here as well.
             Ok(position) if position as usize <= MAX_NODES => Ok(position),
             _ => {
                 let found = usize::try_from(number).unwrap_or(usize::MAX);
@@ -179,6 +182,7 @@ impl<'a> Reader<'a> {
         let measure = match (self.uint("a kind")?, length) {
             (0, 5) => Measure::Container,
             (1, 6) => Measure::Timer(self.optional(|reader| reader.span("a duration"))?),
+            // Releases before 0.3 write no raw stamps, and neither does a tree whose message is in flight.
             (2, 8) => Measure::Transit(Box::new(self.transit()?)),
             (2, 10) => {
                 let transit = self.transit()?;

@@ -135,6 +135,7 @@ fn delay(out: &mut Vec<u8>, delay: &OneWayDelay) {
     optional(out, delay.value, span);
     optional(out, delay.bounds.map(|bounds| bounds.lo), span);
     optional(out, delay.bounds.map(|bounds| bounds.hi), span);
+    // Positions in `ALL`: variants may be appended to both types, but never moved.
     uint(out, delay.source as u64);
     uint(out, delay.verdict as u64);
 }
