@@ -40,6 +40,7 @@ fn origin(from_environment: bool) -> String {
 
 /// Installs a log that is used until the configuration has been read.
 pub(crate) fn install_temporary() -> tracing::subscriber::DefaultGuard {
+    // An invalid level is reported later: `check` examines the same variable.
     let filter = EnvFilter::try_from_env(VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     subscriber(filter).set_default()
 }

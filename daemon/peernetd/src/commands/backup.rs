@@ -47,6 +47,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
         };
         Failure::new(exit, error)
     };
+    // The handlers come before the copy: an unhandled signal would leave a partial file behind.
     let signals = |kind| signal(kind).map_err(|error| Failure::new(Exit::Unavailable, error));
     let (mut interrupts, mut terminations) =
         (signals(SignalKind::interrupt())?, signals(SignalKind::terminate())?);
@@ -63,6 +64,7 @@ async fn copy(database: &Path, target: &Path) -> Result<FinishedCopy, Failure> {
                 bar.finish_and_clear();
                 return result.map_err(failure);
             }
+            // The loop goes on until the copy has removed its partial file.
             _ = interrupts.recv() => stop.cancel(),
             _ = terminations.recv() => stop.cancel(),
             _ = progress_timer.tick() => {

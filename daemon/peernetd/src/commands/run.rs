@@ -32,6 +32,7 @@ pub(crate) fn run(file: &Path) -> Exit {
             return Exit::Configuration;
         }
     };
+    // The log of a thread takes precedence over the log of the process, which is installed next.
     drop(temporary);
     if let Err(error) = log::install(&configuration.log) {
         print_to_stderr(format_args!("{}: {}", file.display(), error_line(&error)));

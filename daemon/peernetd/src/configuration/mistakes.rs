@@ -14,6 +14,7 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer, Error};
 /// Largest number of mistakes that are reported for one file.
 const MAX_MISTAKES: usize = 100;
 /// Beginning of the message of serde about a missing key.
+// serde reports a missing key as text only.
 const MISSING: &str = "missing field";
 
 /// A key that cannot be deserialised, with the error.
