@@ -206,6 +206,7 @@ impl Bank {
         let (name, device, loaded_at) = (pool.name().clone(), pool.device(), pool.loaded_at());
         let memory_before = resident_memory();
         pool.shutdown();
+        // The pool owns the model, so that its memory is released before the second reading.
         drop(pool);
         let memory_released =
             memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));
@@ -260,6 +261,7 @@ impl Bank {
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
         let entries = self.all_entries();
+        // One place for each model: a thread that ends late must not wait for a receiver.
         let (done, ended) = mpsc::sync_channel(entries.len());
         let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
@@ -275,6 +277,7 @@ impl Bank {
                 tracing::error!(%error, "cannot start a thread to end a model");
             }
         }
+        // If a thread did not start, the channel closes with the others, and nothing is waited for in vain.
         drop(done);
         while !running.is_empty() {
             let remaining = (deadline - self.clock.mono()).nanos().max(0).unsigned_abs();

@@ -219,6 +219,7 @@ impl Execution {
             match thread.spawn(move || slot.serve(&jobs)) {
                 Ok(handle) => handles.push(handle),
                 Err(error) => {
+                    // Otherwise the threads that have started would wait for jobs for ever.
                     queue.close();
                     return Err(LoadError::Thread { model: name.to_string(), reason: error.to_string() });
                 }

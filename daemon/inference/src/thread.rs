@@ -43,6 +43,7 @@ impl WorkerSlot {
         let started_at = self.clock.mono();
         let is_batching = self.model.batching().is_on();
         for job in &mut jobs {
+            // A request of a batch may arrive after the first request was taken.
             let left_queue_at = if is_batching { taken_at.max(job.received) } else { started_at };
             job.recorder.record_timer(stage::QUEUE, job.received, left_queue_at);
             if is_batching {

@@ -38,8 +38,9 @@ impl CacheEntry {
 
     /// Returns whether the pool is not in use. The caller must be the only holder of the entry.
     pub(super) fn is_idle(&self) -> bool {
-        // Counted by references to the pool, so that users need not return a model, and cannot forget to.
+        // The lock is held while the model loads.
         let Ok(pool) = self.pool.try_lock() else { return false };
+        // Counted by references to the pool, so that users need not return a model, and cannot forget to.
         pool.as_ref().is_none_or(|pool| Arc::strong_count(pool) == 1)
     }
 

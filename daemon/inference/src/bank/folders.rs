@@ -115,6 +115,7 @@ impl ModelOnDisk {
 
     fn in_folder(folder: &Path) -> Result<Self, LoadError> {
         let wrong = |reason: String| LoadError::File { file: folder.to_owned(), reason };
+        // A path such as `./` has no name of its own.
         let folder = folder.canonicalize().map_err(|error| wrong(error.to_string()))?;
         if !is_model(&folder) {
             return Err(wrong("the folder contains neither model.onnx nor model.toml".to_owned()));

@@ -72,6 +72,7 @@ impl ModelCache {
     pub(super) fn discard(&self, failed: &Arc<CacheEntry>) {
         // Other callers may be retrying at this moment; then the last of them removes the entry.
         self.lock().retain(|entry| {
+            // Two references: that of the list and that of the caller.
             !(Arc::ptr_eq(entry, failed) && Arc::strong_count(entry) == 2 && entry.is_idle())
         });
     }
@@ -88,6 +89,7 @@ impl ModelCache {
             let (value, most) = (value as u64, most as u64);
             errors.push(("most_loaded", LoadError::AboveLimit { key: "most_loaded", value, most }));
         }
+        // The limits depend on the table only, so that any model shows them.
         let probe = self.config.model(&Slug::any(), Path::new("."), "cpu");
         if let Err(LoadError::AboveLimit { key, value, most }) = probe.check_limits() {
             errors.push((key, LoadError::AboveLimit { key, value, most }));

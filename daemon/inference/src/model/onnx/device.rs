@@ -59,6 +59,7 @@ impl Device {
             Self::TensorRt(index) => ep::TensorRT::default().with_device_id(*index).build(),
             Self::OpenVino(name) => ep::OpenVINO::default().with_device_type(name).build(),
         };
+        // Without it, `ort` logs the error and runs the model on the CPU.
         Some(provider.error_on_failure())
     }
 

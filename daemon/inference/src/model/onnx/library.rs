@@ -98,6 +98,8 @@ impl Runtime {
         library: PathBuf,
         origin: &'static str,
     ) -> Result<Self, LibraryError> {
+        // To create the environment already sends an event; both programs therefore set
+        // `ORT_DISABLE_TELEMETRY` as well.
         let environment =
             builder.with_name("peernet").with_telemetry(false).with_logger(Arc::new(log)).build().map_err(
                 |error| LibraryError::Unusable {

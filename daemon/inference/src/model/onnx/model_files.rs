@@ -152,9 +152,11 @@ impl ModelReader {
                 self.at.checked_add(length)
             }
             5 => self.at.checked_add(4),
+            // Groups (types 3 and 4) do not exist in proto3.
             _ => return Err(ModelFileError::Form("it has a field of an unknown type")),
         };
         match field_end {
+            // The number before the field may itself cross the end.
             Some(field_end) if field_end <= end && self.at <= end => Ok((tag >> 3, field_end)),
             _ => Err(ModelFileError::Form("a field is longer than its message")),
         }
@@ -191,6 +193,7 @@ impl ModelReader {
     fn skip_to(&mut self, end: u64) -> Result<(), ModelFileError> {
         let length = i64::try_from(end - self.at)
             .map_err(|_| ModelFileError::Form("a field is longer than a file can be"))?;
+        // `seek` would discard the buffer after each field.
         self.file.seek_relative(length)?;
         self.at = end;
         Ok(())

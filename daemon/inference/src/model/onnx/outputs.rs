@@ -97,6 +97,7 @@ impl<'a, 'run> Outputs<'a, 'run> {
         let mut output = Output { name, shape, data_type, value, row: self.row };
         let batch = self.row.batch;
         match output.shape.first_mut() {
+            // The output of a single sample may lack the dimension of the batch.
             _ if batch == 1 => {}
             Some(rows) if *rows == batch => *rows = 1,
             _ => {

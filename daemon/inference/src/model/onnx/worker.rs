@@ -129,6 +129,7 @@ impl Worker for OnnxWorker {
             .into_iter()
             .map(|result| result.and_then(|()| answers.next().unwrap_or_else(|| Err(self.no_answer()))))
             .collect();
+        // All stages are closed, so that the value is below the root, where the edge looks for it.
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
             if label.is_some_and(|label| !self.plan.has_classes_of(label)) {

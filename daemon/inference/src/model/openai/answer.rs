@@ -10,6 +10,7 @@ const MAX_TEXT_BYTES: usize = 1 << 20;
 /// Largest number of bytes of a stream: a chunk with one token has some hundred bytes.
 const MAX_STREAM_BYTES: usize = 256 << 20;
 /// Largest number of chunks with tokens.
+// Each chunk has a stamp of 8 bytes in memory.
 const MAX_CHUNKS: usize = 1 << 20;
 /// Data of the event that ends the stream.
 const DONE: &str = "[DONE]";
@@ -101,6 +102,7 @@ impl StreamedAnswer {
         if self.byte_count > MAX_STREAM_BYTES {
             return Err(StreamError::TooLong("256 MiB"));
         }
+        // Taken out, because the closure borrows the rest of the answer.
         let mut events = std::mem::take(&mut self.events);
         let result = events.receive(bytes, |data| self.receive_event(at, data, &mut receive_text));
         self.events = events;

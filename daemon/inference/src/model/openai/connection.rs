@@ -55,6 +55,7 @@ impl Connector {
             .map_err(|error| format!("TLS cannot be set up: {error}"))?
             .with_root_certificates(trusted_roots()?)
             .with_no_client_auth();
+        // `exchange` speaks HTTP/1 only.
         config.alpn_protocols = vec![b"http/1.1".to_vec()];
         Ok(Self { host, port, tls: Some(Tls { connector: TlsConnector::from(Arc::new(config)), name }) })
     }

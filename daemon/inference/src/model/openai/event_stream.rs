@@ -72,6 +72,7 @@ impl EventStream {
         if line.is_empty() {
             self.line.clear();
             let mut data = std::mem::take(&mut self.data);
+            // The standard removes the last line feed, and dispatches no event without data.
             return Ok(data.pop().map(|_| data));
         }
         let (name, value) = match line.iter().position(|byte| *byte == b':') {
@@ -79,6 +80,7 @@ impl EventStream {
             None => (line, &line[line.len()..]),
         };
         if name == b"data" {
+            // The standard removes one space after the colon, not all of them.
             let value = value.strip_prefix(b" ").unwrap_or(value);
             if self.data.len() + value.len() > MAX_EVENT_BYTES {
                 return Err(EventTooLong);

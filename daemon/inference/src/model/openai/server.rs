@@ -112,6 +112,7 @@ impl Server {
                 let response =
                     sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
                 match response.status() {
+                    // Any other status shows that the server is there; some servers have no list of models.
                     StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Err(status_error(response).await),
                     _ => Ok(()),
                 }

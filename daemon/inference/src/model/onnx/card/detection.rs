@@ -6,6 +6,7 @@ use super::CardError;
 use super::output::{Activation, check_labels};
 
 /// Score above which an object is reported, by default.
+// The defaults of YOLOv5's `detect.py`, for both thresholds.
 const SCORE_THRESHOLD: f64 = 0.25;
 
 /// Default of `iou_threshold` for models that do not suppress overlapping boxes themselves.

@@ -172,6 +172,7 @@ impl Rounding {
     /// Returns the number of pixels before the crop if `margin` pixels are left over.
     pub(in crate::model::onnx) const fn before(self, margin: u32) -> u32 {
         match self {
+            // Half of an odd margin lies between k and k + 1, and k is odd if the remainder is 3.
             Self::HalfEven if margin % 4 == 3 => margin / 2 + 1,
             _ => margin / 2,
         }

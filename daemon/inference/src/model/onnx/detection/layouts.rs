@@ -90,6 +90,7 @@ impl<'a> Candidates<'a> {
         let (boxes, scores) = numbers.split_at(4 * count);
         // Class by class, because the scores of one class are contiguous.
         let mut best = vec![(0, f32::NEG_INFINITY); count];
+        // A model may return no candidates, and `chunks_exact(0)` panics.
         for (class, scores) in scores.chunks_exact(count.max(1)).enumerate() {
             for (best, score) in best.iter_mut().zip(scores) {
                 if *score > best.1 {
@@ -189,6 +190,7 @@ impl<'a> Candidates<'a> {
     /// Returns the number of a class that an output has as a number.
     fn class(&self, name: &str, class: f32) -> Result<usize, OutputError> {
         let labels = self.labels();
+        // The cast saturates and drops fractions; the comparison below lets only whole numbers pass.
         let number = class as usize;
         if number < labels && number as f32 == class {
             Ok(number)
