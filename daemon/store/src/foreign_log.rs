@@ -49,6 +49,7 @@ pub(crate) fn assign_new_id(file: &File) -> io::Result<()> {
 }
 
 fn random_id() -> i32 {
+    // Not 0, which means that a file has no id.
     ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
 }
 

@@ -53,6 +53,8 @@ impl Insert {
             while let Some((statement, arguments)) = current {
                 let query = sqlx::query_with(AssertSqlSafe(Arc::clone(statement)), arguments);
                 let (executed, following) =
+                    // The query is polled first, so that SQLite's thread has work while the next values are
+                    // bound.
                     tokio::join!(biased; query.execute(&mut *connection), async { next() });
                 executed?;
                 current = following?;

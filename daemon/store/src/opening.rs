@@ -156,6 +156,7 @@ impl OpenDatabase {
         let Self { writer, check, lock } = self;
         check.stop().await;
         let closed = writer.close().await;
+        // Last, because closing this descriptor releases the locks that SQLite holds on the file.
         drop(lock);
         closed
     }

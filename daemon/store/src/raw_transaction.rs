@@ -7,6 +7,8 @@ use sqlx::SqliteConnection;
 
 /// Begins a transaction that writes.
 pub(crate) async fn begin(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+    // After a plain BEGIN, the write lock is taken by the first write. It fails at once, without a wait, if
+    // another connection has written since the first read.
     sqlx::query("BEGIN IMMEDIATE").execute(connection).await.map(drop)
 }
 

@@ -56,6 +56,8 @@ impl Readers {
         let pool = SqlitePoolOptions::new()
             .max_connections(connections)
             .acquire_timeout(ACQUIRE_TIMEOUT)
+            // A connection to a file does not break while it waits; a test before each use would only take
+            // time.
             .test_before_acquire(false)
             .after_connect(move |connection, _| deadline.clone().set(connection))
             .before_acquire(move |connection, _| {

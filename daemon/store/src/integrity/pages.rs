@@ -87,6 +87,7 @@ impl PageFile {
             bytes => usize::from(bytes),
         };
         let usable_bytes = page_bytes.saturating_sub(usize::from(header[20]));
+        // The file format does not allow a usable size below 480 bytes.
         if header[..16] != *MAGIC || !page_bytes.is_power_of_two() || page_bytes < 512 || usable_bytes < 480 {
             return Ok(None);
         }
@@ -190,6 +191,7 @@ impl PageFile {
             let Some(bytes) = read(trunk)? else { return Ok(None) };
             free.push(trunk);
             let leaves = be32(&bytes, 4) as usize;
+            // Two numbers precede the leaves: the next trunk page, and the number of leaves.
             if leaves > self.usable_bytes / 4 - 2 {
                 return Ok(None);
             }
@@ -212,6 +214,7 @@ impl BtreePage {
         };
         let cells = usize::from(be16(&bytes, start + 3));
         let content_offset = match be16(&bytes, start + 5) {
+            // 65,536 does not fit into the two bytes of the field.
             0 => 65_536,
             offset => usize::from(offset),
         };
@@ -268,6 +271,7 @@ impl BtreePage {
     /// Returns how many bytes of a record of that length are on the page itself.
     fn local_bytes(&self, record_bytes: usize) -> usize {
         let usable = self.usable_bytes;
+        // The numbers are those of the file format (section 1.6 of its description).
         let max_local =
             if self.kind == PageKind::TableLeaf { usable - 35 } else { (usable - 12) * 64 / 255 - 23 };
         if record_bytes <= max_local {
@@ -329,6 +333,7 @@ pub(crate) fn column_bytes(code: i64) -> Option<usize> {
         1..=4 => usize::try_from(code).ok()?,
         5 => 6,
         6 | 7 => 8,
+        // The file format reserves 10 and 11.
         12.. => usize::try_from((code - 12) / 2).ok()?,
         _ => return None,
     })

@@ -186,6 +186,7 @@ async fn read_pages(
         return Ok(vec![1]);
     };
     let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
+    // After a slow read, the missed ticks would otherwise follow in a burst, faster than the rate.
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut has_more = true;
     while has_more {

@@ -116,6 +116,7 @@ pub(crate) async fn iteration(
         .map_err(readers.failed(WHAT))?;
     let Some(row) = row else { return Ok(None) };
     let trees = tree::trees(readers, run, &[(number, wall(row.started_ns))]).await?;
+    // Retention may have deleted the tree after the row was read.
     let Some((tree, hosts)) = trees.into_iter().flatten().next() else { return Ok(None) };
     let run_figures = statistics::statistics_by_name(readers, run).await?;
     let medians = medians(&run_figures);

@@ -156,6 +156,7 @@ impl Rollups {
                 let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }
+            // In the order of the table's primary key, so that neighbouring rows are on the same page.
             rows[first_row..].sort_unstable_by_key(RollupRow::key);
             growing.shrink(self.transaction);
             self.bytes += growing.bytes();

@@ -114,6 +114,7 @@ impl From<sqlx::Error> for Refusal {
         const DATA_ERRORS: [u32; 4] = [18, 19, 20, 25];
         let code = error.as_database_error().and_then(|error| error.code()?.parse::<u32>().ok());
         let is_data_error = matches!(error, sqlx::Error::Encode(_))
+            // The lowest byte of an extended result code is the primary one.
             || code.is_some_and(|code| DATA_ERRORS.contains(&(code & 0xff)));
         if is_data_error { Self::Batch(error.to_string()) } else { Self::Database(error) }
     }

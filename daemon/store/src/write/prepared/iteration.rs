@@ -33,6 +33,7 @@ impl BatchBuilder {
             let name = self.names.position(id.index(), &node.name, &node.measure);
             let value = node.measure.value().unwrap_or(f64::NAN);
             let bounds = bounds(&node.measure);
+            // SQLite stores NaN as NULL.
             let (lo, hi) = bounds.unwrap_or((f64::NAN, f64::NAN));
             self.batch.nodes.push(NodeRow {
                 iteration: index,
