@@ -64,6 +64,7 @@ fn read_key(folder: &Path) -> Result<Option<[u8; BYTES]>, IdentityError> {
 
 fn parse(text: &str) -> Option<[u8; BYTES]> {
     let mut key = [0; BYTES];
+    // `from_str_radix` alone would accept a sign.
     if text.len() != 2 * BYTES || !text.bytes().all(|digit| digit.is_ascii_hexdigit()) {
         return None;
     }

@@ -59,6 +59,8 @@ fn runnable_threads(settings: &InspectionSettings) -> Option<u32> {
 fn own_threads(settings: &InspectionSettings) -> u32 {
     let threads = list_entries(&settings.proc.join("self/task"), "").into_iter();
     let is_runnable = |path: &std::path::PathBuf| {
+        // The state follows the name in parentheses. The name itself may contain a parenthesis, so the last
+        // one counts.
         read_text(&path.join("stat")).is_some_and(|stat| {
             stat.rsplit(')').next().is_some_and(|rest| rest.trim_start().starts_with('R'))
         })

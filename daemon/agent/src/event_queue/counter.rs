@@ -47,6 +47,7 @@ const MAGIC: &[u8; 8] = b"PNcount3";
 /// First bytes of a file of an earlier version, which does not contain the identity of its spool.
 const MAGIC_WITHOUT_OWNER: &[u8; 8] = b"PNcount2";
 /// Length in bytes of the header, and of each of the run records after it. No record crosses the border of a page.
+// A record with the longest name (64 bytes) takes 105 bytes. A page is a multiple of the next power of two.
 const RECORD_BYTES: usize = 128;
 /// Offset of the total in the header.
 const TOTAL_OFFSET: u64 = 8;
@@ -253,6 +254,7 @@ fn create_file(name: &str) -> io::Result<File> {
 fn open_owned_file(name: &str) -> Option<File> {
     // Opening must not block if another user created a FIFO of this name.
     let flags = i32::try_from((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits()).ok()?;
+    // The name comes from the spool. Its last component alone cannot lead out of the folder.
     let path = Path::new(SHARED_MEMORY).join(Path::new(name).file_name()?);
     let file = File::options().read(true).custom_flags(flags).open(path).ok()?;
     let metadata = file.metadata().ok()?;

@@ -153,6 +153,7 @@ impl QueueReceiver {
 impl Overflow {
     /// Returns the number of dropped events whose gaps were not taken yet.
     pub(crate) fn dropped(&self) -> u64 {
+        // A drop that is not visible yet is taken by the next call.
         self.dropped.load(Ordering::Relaxed)
     }
 
@@ -171,6 +172,7 @@ impl Overflow {
     fn count(&self, pipeline: Option<&Slug>, run: Option<RunId>) {
         let now = self.clock.wall();
         let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        // Counted under the lock, so that `take_gaps` subtracts no drop before it is added.
         self.dropped.fetch_add(1, Ordering::Relaxed);
         let gap = gaps.entry((pipeline.cloned(), run)).or_insert_with(|| Gap {
             pipeline: pipeline.cloned(),

@@ -7,6 +7,7 @@ use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 use super::claim::{Claim, GROWTH_PPM, SourceReport};
 
 /// Reference id of a chronyd that follows only its own clock (`local`).
+// 127.127.1.1 in hexadecimal.
 const LOCAL: &str = "7F7F0101";
 /// Default of chrony's option `maxclockerror`, parts per million. chrony widens its bound at this rate in addition to the
 /// measured rates.

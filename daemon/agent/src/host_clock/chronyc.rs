@@ -98,6 +98,7 @@ impl Chronyc {
     async fn run_command(&self) -> io::Result<(ExitStatus, String, String)> {
         let mut child = Command::new(&self.command)
             .args(&self.arguments)
+            // Without `-n`, chronyc looks up names of addresses, which may take long.
             .args(["-n", "-c", "tracking"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -106,6 +107,7 @@ impl Chronyc {
             .kill_on_drop(true)
             .spawn()?;
         let (output, errors) = (child.stdout.take(), child.stderr.take());
+        // Both at once: the command would block if the pipe that is not read became full.
         let (output, errors) = tokio::try_join!(first_line(output), first_line(errors))?;
         Ok((child.wait().await?, output, errors))
     }

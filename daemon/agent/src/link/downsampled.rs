@@ -24,6 +24,7 @@ impl<T: Copy> Downsampled<T> {
         if self.count.is_multiple_of(self.stride) {
             if self.values.len() == MAX_VALUES {
                 let mut index = 0;
+                // Exactly the multiples of the doubled stride remain, so the values stay evenly spaced.
                 self.values.retain(|_| {
                     index += 1;
                     index % 2 == 1

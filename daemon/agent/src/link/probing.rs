@@ -41,6 +41,7 @@ async fn run_over_session(
     let id = session.id;
     let authenticated = link.shared.probes.key_for(&session).is_some();
     let (mut peer_clock, mut own_clock) = (session.clock.clone(), link.shared.host.host_clock.clone());
+    // The newest announcements may have arrived earlier, and count as changes here.
     peer_clock.mark_changed();
     own_clock.mark_changed();
     let (results, mut received_results) = mpsc::channel(RESULT_CAPACITY);

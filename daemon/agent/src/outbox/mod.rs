@@ -153,6 +153,7 @@ fn sending_config(config: &AgentConfig) -> SendingConfig {
         window: WINDOW,
         spool_bytes: spool.limit_bytes.get(),
         memory,
+        // A small configured memory must still have room for iterations.
         reserve_events: RESERVE.min(memory.events / 8),
         compression: spool.compression.into(),
         // Pauses before batches are sent again to an aggregator whose queue is full; longer than the round trip of any

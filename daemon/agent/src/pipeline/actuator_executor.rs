@@ -95,6 +95,7 @@ impl ActuatorExecutor {
         origin: SampleOrigin<'_>,
         answer: &Sample,
     ) -> (Recorder, Result<Feedback, ActError>) {
+        // An owned guard, because the thread below takes it along.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !ordered_actuator.accepts(&origin) {
             log.value(SUPERSEDED, 1.0, Unit::NONE);

@@ -260,6 +260,7 @@ impl<'a> PipelineLoop<'a> {
 
     /// Returns the end of the pause after failures; `None` if the loop does not pause.
     fn paused_until(&self, now: MonoTime) -> Option<MonoTime> {
+        // `None` is less than any time.
         self.backoff.paused_until(now).max(self.preparation_backoff.paused_until(now))
     }
 

@@ -92,6 +92,7 @@ impl SensorExecutor {
         if !chain.sensor.blocks() && chain.transforms.is_empty() {
             return Ok(Self::Inline(chain));
         }
+        // With a capacity of 0, `try_send` would fail while the thread does not wait for a request yet.
         let (requests, received) = sync_channel(1);
         thread::Builder::new().name(pipeline.to_string()).spawn(move || serve_requests(chain, &received))?;
         Ok(Self::Thread(requests))

@@ -45,6 +45,7 @@ impl StartTimer {
     pub(crate) async fn wait_until(&mut self, at: MonoTime) -> io::Result<()> {
         // Only the difference is given to the kernel, because `at` may be a time of a clock with injected faults.
         let remaining = at - self.clock.mono();
+        // A time of 0 would disarm the kernel's timer.
         if remaining.nanos() <= 0 {
             return Ok(());
         }

@@ -172,6 +172,7 @@ impl<F: Fn(Result<(), NotProven>)> Prover<'_, F> {
                 }
             };
             tokio::select! {
+                // An answer that has arrived may renew the proof, so it goes before the expiry.
                 biased;
                 output = &mut future => return output,
                 () = expiry => {

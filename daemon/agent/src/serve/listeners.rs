@@ -21,6 +21,7 @@ impl Listeners {
     /// listener's port was lost. Cancel-safe.
     pub(super) async fn next(&mut self) -> (usize, Option<Incoming>) {
         let Self { listeners, next_index } = self;
+        // The usual case, without the allocations that the wait for several listeners needs.
         if let [alone] = listeners.as_mut_slice() {
             return (0, alone.next().await);
         }

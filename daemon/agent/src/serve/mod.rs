@@ -161,6 +161,7 @@ async fn serve_sessions(
     let mut stopping = std::pin::pin!(stop.cancelled());
     loop {
         tokio::select! {
+            // Messages come last, because they may follow each other without a pause.
             biased;
             () = &mut stopping => break,
             Some(loaded) = loading.join_next() => match loaded {
@@ -333,6 +334,7 @@ impl Server {
             return;
         };
         let served = peer.counters.as_ref().map(|(requests, served)| {
+            // The counter is also read by this task only.
             requests.fetch_add(1, Ordering::Relaxed);
             Arc::clone(served)
         });

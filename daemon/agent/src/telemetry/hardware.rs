@@ -35,6 +35,7 @@ fn system() -> String {
 fn gpus(proc: &Path) -> Vec<String> {
     let entries = fs::read_dir(proc.join("driver/nvidia/gpus")).into_iter().flatten();
     let mut cards: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
+    // The folders have the addresses on the bus as names.
     cards.sort_unstable();
     let cards: Vec<String> = cards
         .iter()

@@ -29,6 +29,8 @@ pub(crate) async fn run(
 ) {
     let mut sampler = Sampler::new(clock, bank);
     let mut ticks = tokio::time::interval(INTERVAL);
+    // Missed ticks would otherwise follow at once, but a share of CPU time needs some time between two
+    // readings.
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {
         // The metrics are read on a blocking thread, because the temperature sensors of some boards take milliseconds to answer.

@@ -54,6 +54,7 @@ impl Sampler {
             metrics.temperature_celsius = temperatures
                 .iter()
                 .filter_map(sysinfo::Component::temperature)
+                // sysinfo returns NaN for a sensor that it cannot read.
                 .filter(|celsius| celsius.is_finite())
                 .max_by(f32::total_cmp)
                 .map(f64::from);

@@ -164,6 +164,7 @@ impl Sender {
                     self.intake.offer(&mut self.machine, &event, self.clock.stamp());
                     self.drain_queue();
                 }
+                // Only wakes the loop, which then checks the time of the shutdown.
                 () = &mut alarm, if shutdown.is_some() => {}
             }
             if shutdown.is_some() {

@@ -29,6 +29,7 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
     let first_seconds = now.unix_seconds();
     let new_path =
         (first_seconds..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
+    // The file comes last: SQLite would apply a log that stayed behind to the next spool.
     for suffix in ["-wal", "-shm", ""] {
         match fs::rename(with_suffix(spool, suffix), with_suffix(&new_path, suffix)) {
             Err(error) if error.kind() != io::ErrorKind::NotFound || suffix.is_empty() => return Err(error),

@@ -113,6 +113,7 @@ async fn run(
     let mut syncing = Syncing::new(file.log());
     loop {
         tokio::select! {
+            // Orders come last, because they may follow each other without a pause.
             biased;
             result = syncing.wait(), if syncing.is_running() => log_failed_sync(&file, result),
             _ = ticks.tick() => {

@@ -86,6 +86,7 @@ impl<'a> Observation<'a> {
     pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
+        // Not polled before its time is set, which is when the agent stops.
         let mut drain_deadline = pin!(tokio::time::sleep(Duration::ZERO));
         let mut ending: Option<SessionEnded> = None;
         let mut problem: Option<String> = None;

@@ -180,6 +180,8 @@ impl Source {
 /// Returns the name of a pipeline's node, unique per host and pipeline: a second node of the same name would end the
 /// first one.
 pub(super) fn node_name(host: &Slug, pipeline: &Slug) -> String {
+    // ROS allows only letters, digits and underscores in a name. The first word is fixed, because a name must
+    // begin with a letter.
     let words = ["peernet", host.as_str(), pipeline.as_str()];
     let parts =
         words.iter().flat_map(|word| word.split(|character: char| !character.is_ascii_alphanumeric()));

@@ -40,6 +40,7 @@ impl Ros1Topic {
         Ok(TopicMessage {
             received,
             length: bytes.len(),
+            // A node that sets no stamp leaves it 0.
             stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
             sequence,
             missing: sequence.map_or(0, |sequence| self.gaps.record(&publisher.uri, sequence)),

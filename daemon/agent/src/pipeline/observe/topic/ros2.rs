@@ -80,6 +80,7 @@ impl Ros2Topic {
         if !self.discovery.has_changed().unwrap_or(false) {
             return Ok(());
         }
+        // Before the publishers are read, so that a later change is not missed.
         self.discovery.mark_unchanged();
         let publishers = self.node.publishers_of(&self.name);
         let current = self.subscription.as_ref().map(|subscription| subscription.type_name.as_str());
@@ -179,7 +180,9 @@ fn message_from_sample(sample: &ReceivedSample, clock: &SharedClock) -> TopicMes
     TopicMessage {
         received: stamp_of(clock.apply_faults(sample.received_time), clock.stamp()),
         length: sample.payload.len(),
+        // A node that sets no stamp leaves it 0.
         stamp: header.map(|header| header.stamp.as_nanos()).filter(|stamp| *stamp != 0),
+        // The header of ROS 2 has no sequence number.
         sequence: None,
         missing: sample.missing_before,
     }
