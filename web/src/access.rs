@@ -31,6 +31,7 @@ fn parse_host(authority: &str) -> Option<&str> {
 
 /// Returns whether a text is a number from 0 to 65535 without a sign.
 fn is_port(text: &str) -> bool {
+    // `parse` alone would accept a plus sign.
     text.bytes().all(|digit| digit.is_ascii_digit()) && text.parse::<u16>().is_ok()
 }
 
@@ -87,9 +88,12 @@ pub(crate) async fn reject_cross_site_changes(request: Request, next: Next) -> R
 fn is_own_page_or_program(headers: &HeaderMap) -> bool {
     let text = |name: HeaderName| headers.get(name).map(|value| value.to_str().unwrap_or_default());
     let site = text(HeaderName::from_static("sec-fetch-site"));
+    // `none`: the user entered the address or opened a bookmark.
     if site.is_some_and(|site| !matches!(site, "same-origin" | "none")) {
         return false;
     }
+    // Browsers send `Sec-Fetch-Site` only over HTTPS and to this machine, so the origin is checked in
+    // addition.
     let Some(origin) = text(ORIGIN) else { return true };
     let authority = origin.split_once("://").map(|(_, authority)| authority);
     authority.is_some_and(|authority| text(HOST).is_some_and(|host| authority.eq_ignore_ascii_case(host)))

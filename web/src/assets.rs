@@ -76,6 +76,7 @@ static ASSETS: LazyLock<Assets> = LazyLock::new(|| {
 });
 
 fn gzip(bytes: &[u8]) -> Option<Bytes> {
+    // The best compression is slow, but an asset is compressed only once.
     let mut encoder = GzEncoder::new(Vec::with_capacity(bytes.len() / 2), Compression::best());
     encoder.write_all(bytes).ok()?;
     encoder.finish().ok().map(Bytes::from)
@@ -106,6 +107,7 @@ pub(crate) async fn serve(
     let gzipped = asset.gzipped.as_ref().filter(|_| headers.get_all(ACCEPT_ENCODING).iter().any(accepts));
     let headers_of_asset = [
         (CONTENT_TYPE, asset.content_type),
+        // The address contains a hash of the contents, so the contents of an address never change.
         (CACHE_CONTROL, "public, max-age=31536000, immutable"),
         (VARY, "accept-encoding"),
     ];

@@ -84,6 +84,7 @@ pub(crate) async fn accept(
     stop: CancellationToken,
     limits: Limits,
 ) {
+    // One address may have all connections, because it loses them as soon as others need them.
     let slots = FairSlots::new(limits.connections, usize::MAX);
     let stream_slots = FairSlots::new(limits.streams, limits.streams_per_address);
     let tasks = TaskTracker::new();
@@ -95,9 +96,11 @@ pub(crate) async fn accept(
         let serve = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
         tasks.spawn(async move {
             evict.run_until_cancelled(serve).await;
+            // Last, so that there are never more open connections than slots.
             drop(slot);
         });
     }
+    // New connections are refused while the open ones finish.
     drop(listener);
     tasks.close();
     if tokio::time::timeout(limits.grace_period, tasks.wait()).await.is_err() {
@@ -205,9 +208,11 @@ async fn serve(
     let has_received_request = AtomicBool::new(false);
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(stream_slots.clone());
+        // Also read by this task only.
         has_received_request.store(true, Ordering::Relaxed);
         router.clone().oneshot(request)
     });
+    // Browsers use HTTP/2 only over TLS, which this server does not have.
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_timeout)

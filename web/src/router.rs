@@ -38,7 +38,10 @@ pub(crate) fn build_router(app: App) -> Router {
     let header = |name: HeaderName, value| {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
     };
+    // The fonts are compressed already.
     let compress_predicate = DefaultPredicate::new().and(NotForContentType::const_new("font/"));
+    // Each layer encloses the layers above it: `render_error` sees the errors of all layers above, and the
+    // headers are in every answer.
     Router::new()
         .merge(pages::routes())
         .merge(api::routes())

@@ -33,10 +33,12 @@ impl ServerNames {
 
     /// Returns whether requests that address `host` are answered.
     pub(crate) fn contains(&self, host: &str) -> bool {
+        // A dot at the end only says that the name is complete.
         let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
         let address = name.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(&name);
         address.parse::<IpAddr>().is_ok()
             || name == "localhost"
+            // Such names mean this machine (RFC 6761, section 6.3).
             || name.ends_with(".localhost")
             || self.0.iter().any(|own_name| own_name.eq_ignore_ascii_case(&name))
     }

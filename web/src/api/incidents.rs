@@ -46,6 +46,7 @@ async fn list(
     let limit = parse_bounded("limit", query.limit.as_deref(), 100, 1..=1_000)?;
     let Query { before, kind, host, .. } = query;
     let rows = app.store().incidents(&IncidentFilter { limit, before, kind, host }).await?;
+    // Whether more rows follow a full page is not known: the next page may be empty.
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.id);
     Ok(Json(IncidentList { incidents: rows.iter().map(Incident::from).collect(), next }))
 }

@@ -69,6 +69,7 @@ impl Collector for Scrape {
                 Kind::Gauge => MetricType::Gauge,
             };
             let mut family = encoder.encode_descriptor(metric.name, metric.help, Some(&unit), kind)?;
+            // The callback cannot return an error, so the first one is kept here.
             let mut result = Ok(());
             (metric.samples)(self, &mut |values, sample| {
                 if result.is_err() {

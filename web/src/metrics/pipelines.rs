@@ -38,6 +38,7 @@ pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
                 ("timeout", counts.timeout),
             ];
             for (outcome, count) in outcomes {
+                // Not a counter, because the count of a window also falls.
                 sink(&[host, name, outcome, label], Sample::Size(count));
             }
         }

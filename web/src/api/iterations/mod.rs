@@ -78,6 +78,7 @@ async fn list(
     let after = query.after.unwrap_or(0).max(run.summary.nodes_from);
     let filter = IterationFilter { after, limit, without_answer: query.unsuccessful };
     let rows = app.store().iterations(number, &filter).await?;
+    // Whether more rows follow a full page is not known: the next page may be empty.
     let next = rows.last().filter(|_| rows.len() == limit as usize).map(|row| row.number);
     Ok(Json(IterationList { iterations: rows.iter().map(IterationSummary::from).collect(), next }))
 }

@@ -108,6 +108,8 @@ async fn find_key(app: &AppState, link_name: &str) -> Result<(LinkKey, WallTime)
 
 /// Returns the live links, and the stored links that are not live.
 async fn all_links(app: &AppState) -> Result<Vec<Link>, WebError> {
+    // Read before the live state: a link that is reported for the first time meanwhile is then in the live
+    // state.
     let stored = app.store().links().await?;
     let snapshot = app.live_state();
     let mut links: Vec<Link> = snapshot.links.iter().map(|link| Link::from(&**link)).collect();

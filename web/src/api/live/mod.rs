@@ -277,6 +277,7 @@ impl Listener {
                 Ok(mut update) => {
                     // A chart changes once a second, and figures change up to four times a second. Unchanged parts are not sent again.
                     update.parts.retain(|(id, html)| {
+                        // Only the hash is kept, so that a listener does not hold a copy of its page.
                         let hash = hash(html);
                         self.sent_hashes.insert((index, *id), hash) != Some(hash)
                     });

@@ -70,6 +70,7 @@ async fn list(
     };
     let filter = RunFilter { pipeline, host, limit, before: query.before };
     let runs = app.store().runs(&filter).await?;
+    // Whether more rows follow a full page is not known: the next page may be empty.
     let next = runs.last().filter(|_| runs.len() == limit as usize).map(|run| run.number);
     Ok(Json(RunList { runs: runs.iter().map(Run::from).collect(), next }))
 }
