@@ -229,6 +229,7 @@ impl UnfinishedCopy {
         })?;
         self.is_published = true;
         let folder = target.parent().unwrap_or(target);
+        // A new name is on the disk only when its folder is synced (fsync(2)).
         File::open(folder).and_then(|folder| folder.sync_all()).map_err(write_error)?;
         Ok(bytes)
     }

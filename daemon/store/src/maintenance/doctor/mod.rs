@@ -95,6 +95,7 @@ pub async fn examine(database: &Path, settings: Examination) -> Result<Report, D
             if report.has_current_schema(&mut connection).await {
                 contents::read(&mut report, &mut connection, settings.now).await;
             }
+            // Everything was read, so an error while closing does not matter.
             let _ = connection.close().await;
         }
         Ok((mut connection, kind)) => {

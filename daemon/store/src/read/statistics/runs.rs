@@ -25,6 +25,7 @@ pub(crate) async fn statistics(readers: &Readers, runs: &[i64]) -> Result<Vec<Ru
             _ => statistics.add_half_widths(name, &summary),
         }
     }
+    // Returns the connection to the pool, so that the next query does not need a second one.
     drop(rows);
     let verdicts: Vec<(i64, String, i64, i64)> = sqlx::query_as(sql::VERDICTS)
         .bind(&run_list)
