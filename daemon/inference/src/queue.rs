@@ -56,6 +56,7 @@ impl<T> Queue<T> {
             return Err((item, Rejection::Full));
         }
         state.waiting.push_back(item);
+        // Before the notification, so that the woken consumer does not wait for the lock.
         drop(state);
         self.changed.notify_one();
         Ok(())

@@ -67,6 +67,7 @@ impl Connector {
     pub(super) async fn connect(&self) -> Result<Box<dyn Connection>, RequestError> {
         let failed = |error: io::Error| RequestError::Connect(error.to_string());
         let stream = TcpStream::connect((self.host.as_str(), self.port)).await.map_err(failed)?;
+        // Nagle's algorithm (RFC 896) could hold the end of a request back until its start is acknowledged.
         stream.set_nodelay(true).map_err(failed)?;
         let Some(Tls { connector, name }) = &self.tls else { return Ok(Box::new(stream)) };
         match connector.connect(name.clone(), stream).await {
