@@ -61,6 +61,7 @@ pub(crate) fn run(file: &Path) -> Exit {
         tracing::error!("{failure}");
         failure.exit
     });
+    // Dropping the runtime would wait for blocking calls without a limit.
     runtime.shutdown_timeout(BLOCKING_THREADS_TIMEOUT);
     exit
 }
@@ -70,6 +71,7 @@ async fn run_parts(configuration: Configuration) -> Result<Exit, Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     let clock = configuration.clock().map_err(|error| unavailable(error.into()))?;
     let agent_clock = configuration.agent_clock(&clock).map_err(|error| unavailable(error.into()))?;
+    // Before the parts, so that a signal that arrives while they start is not lost.
     let mut lifecycle =
         Lifecycle::new(&configuration.lifecycle).map_err(|error| unavailable(error.into()))?;
 
