@@ -13,7 +13,7 @@ use super::table::{Sample, Sink};
 const MAX_HOSTS: usize = 4_096;
 /// Maximum number of pipelines in one answer; each makes at most 49 lines.
 const MAX_PIPELINES: usize = 1_000;
-/// Maximum number of links in one answer; each makes three lines.
+/// Maximum number of links in one answer; each makes four lines.
 const MAX_LINKS: usize = 4_096;
 /// Maximum number of connections in one answer; each makes at most 16 lines.
 const MAX_CONNECTIONS: usize = 1_000;
