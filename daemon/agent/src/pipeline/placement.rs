@@ -372,6 +372,7 @@ impl From<OpenError> for OpenFailure {
         match error {
             error @ (OpenError::Unreachable { .. }
             | OpenError::TimedOut { .. }
+            | OpenError::Ended { .. }
             | OpenError::Unanswered { .. }) => Self::Unreachable(error),
             error @ (OpenError::Refused { .. } | OpenError::Incompatible { .. }) => Self::Refused(error),
         }

@@ -33,7 +33,17 @@ pub enum OpenError {
         /// Time that was waited. Milliseconds.
         waited_ms: u64,
     },
-    /// The other end identified itself as a cloud and did not answer.
+    /// The other end identified itself as a cloud and closed the connection instead of answering.
+    #[error(
+        "the cloud at {address} closed the connection before it answered the request for a session ({reason}); it may have been stopped, or killed while it loaded the model, for example because its memory was full; its log says why, and this edge tries again"
+    )]
+    Ended {
+        /// Address of the cloud.
+        address: Address,
+        /// Reason why the connection ended.
+        reason: String,
+    },
+    /// The other end identified itself as a cloud and did not answer in time.
     #[error(
         "the cloud at {address} did not answer the request for a session: {reason}; does its log say why{}",
         Self::LOADING
@@ -41,7 +51,7 @@ pub enum OpenError {
     Unanswered {
         /// Address of the cloud.
         address: Address,
-        /// Time that was waited, or the reason why the connection ended.
+        /// Time that was waited.
         reason: String,
     },
     /// The cloud does not serve the requested model or device, or has reached a limit of sessions.
@@ -116,8 +126,7 @@ pub(crate) async fn handshake(
     let mut remarks = Vec::new();
     loop {
         let frames = timeout_at(deadline, connection.receiver.receive()).await;
-        // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
-        let reason = match frames {
+        let error = match frames {
             Ok(Ok(EdgeEvent::Message(frames))) => {
                 counters.count_received(Sizes::from_frames(&frames).total());
                 // An unreadable message is not the answer, which may still come; the deadline ends the wait.
@@ -146,14 +155,17 @@ pub(crate) async fn handshake(
                 counters.count_malformed();
                 continue;
             }
-            Ok(Err(disconnected)) => disconnected.to_string(),
-            Err(_) => format!("no answer arrived within {waited_ms} ms"),
+            // An aggregator, or a cloud that has too many sessions to open, closes the connection without an answer.
+            _ if !connection.peer_is_cloud => OpenError::TimedOut { address: address.clone(), waited_ms },
+            Ok(Err(disconnected)) => {
+                OpenError::Ended { address: address.clone(), reason: disconnected.to_string() }
+            }
+            Err(_) => {
+                let reason = format!("no answer arrived within {waited_ms} ms");
+                OpenError::Unanswered { address: address.clone(), reason }
+            }
         };
-        let address = address.clone();
-        return Err(match connection.peer_is_cloud {
-            true => OpenError::Unanswered { address, reason },
-            false => OpenError::TimedOut { address, waited_ms },
-        });
+        return Err(error);
     }
 }
 

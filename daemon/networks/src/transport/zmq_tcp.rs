@@ -35,6 +35,10 @@ pub(crate) const ADDRESS_FORM: AddressForm = AddressForm::HostPort;
 /// This network works on every host.
 pub(crate) const HOST_CHECKS: HostChecks = HostChecks::NONE;
 
+/// Identity in the ZMTP handshake of a cloud's port, since version 0.3 of the program. It distinguishes a cloud that has not
+/// answered from another program, for example an aggregator, which listens with a ROUTER, too.
+const CLOUD_IDENTITY: &str = "peernet-serve";
+
 /// Smallest payload frame that is read from the kernel straight into a separate buffer. Bytes.
 const DIRECT_READ_BYTES: usize = 16 * 1024;
 
@@ -114,9 +118,12 @@ pub(crate) async fn dial(
     let socket = Socket::try_new(SocketType::Dealer, options).map_err(unreachable_failure)?;
     let mut monitor = socket.monitor();
     socket.connect(address.to_string()).await.map_err(unreachable_failure)?;
-    let addresses = loop {
+    let (addresses, peer_is_cloud) = loop {
         match monitor.recv().await {
-            Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => break addresses(&peer),
+            Ok(MonitorEvent::HandshakeSucceeded { peer, .. }) => {
+                let identity = peer.peer_identity.as_deref();
+                break (addresses(&peer), identity == Some(CLOUD_IDENTITY.as_bytes()));
+            }
             Ok(MonitorEvent::HandshakeFailed { reason, .. }) => {
                 return Err(DialFailure::Unreachable(format!(
                     "the program at this address does not speak ZMTP ({reason})"
@@ -132,9 +139,8 @@ pub(crate) async fn dial(
         }
     };
     let receiver = DealerReceiver { socket: socket.clone(), monitor, end_reason: None };
-    // `peer_is_cloud` is `false`, because every ROUTER accepts the connection, also the ROUTER of an aggregator.
     let sender = Box::new(DealerSender { socket, addresses });
-    Ok(EdgeConnection { sender, receiver: Box::new(receiver), peer_is_cloud: false })
+    Ok(EdgeConnection { sender, receiver: Box::new(receiver), peer_is_cloud })
 }
 
 /// Returns the addresses of both ends of a connection, as the library reports them.
@@ -245,7 +251,8 @@ pub(crate) async fn bind(
     ports: NonZeroUsize,
     _clock: &SharedClock,
 ) -> Result<BoundPort, BindFailure> {
-    let listener = ZmtpListener::bind(&address.authority(), limits(settings, ports)).await?;
+    let listener =
+        ZmtpListener::bind_as(CLOUD_IDENTITY, &address.authority(), limits(settings, ports)).await?;
     let bound = listener.address();
     let sender = Box::new(listener.sender());
     let (address, receiver) = (address.with_ip(bound.ip(), bound.port()), Box::new(listener));

@@ -15,7 +15,13 @@ pub(crate) struct FakeCloud {
 
 impl FakeCloud {
     pub(crate) async fn start() -> Self {
-        let socket = Socket::new(SocketType::Router, Options::default());
+        Self::start_with_identity("").await
+    }
+
+    /// Starts a cloud with an identity in the ZMTP handshake.
+    pub(crate) async fn start_with_identity(identity: &'static str) -> Self {
+        let options = Options::default().identity(Bytes::from_static(identity.as_bytes()));
+        let socket = Socket::new(SocketType::Router, options);
         let endpoint = socket.bind("tcp://127.0.0.1:0").await.expect("a free port");
         let socket = socket.identity_routing().expect("a router");
         Self { socket, address: endpoint.to_string().parse().expect("an address") }

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use peernet_networks::{BindError, CloseReason, Listener, NetworkKind, OpenError, SessionSettings};
 
+use crate::fake_cloud::FakeCloud;
 use crate::support::{
     Cloud, TestNetwork, accepted, clock, echo, hello, open, over_every_network,
     over_every_network_with_ports, settings, unused_address, within,
@@ -102,14 +103,35 @@ async fn cloud_that_does_not_answer_times_out(network: TestNetwork) {
     let unanswered = cloud.next_open().await;
     let error = within(edge).await.expect("no panic").expect_err("no answer");
     let address = cloud.address();
-    let expected = match network.scheme() {
-        "tcp" => OpenError::TimedOut { address, waited_ms },
-        // The other end has identified itself as a cloud.
-        _ => OpenError::Unanswered { address, reason: format!("no answer arrived within {waited_ms} ms") },
-    };
-    assert_eq!(error, expected);
+    let reason = format!("no answer arrived within {waited_ms} ms");
+    assert_eq!(error, OpenError::Unanswered { address, reason });
     assert_eq!(cloud.next_closed().await.0, unanswered.session);
     assert!(!unanswered.accept(accepted(cloud.host)), "the edge is gone");
+}
+
+/// Opens a session at a ROUTER with this identity, which ends after the request for the session arrived.
+async fn open_at_router_that_ends(identity: &'static str) -> OpenError {
+    let router = FakeCloud::start_with_identity(identity).await;
+    let address = router.address.clone();
+    let edge = tokio::spawn(async move { open(&address, hello(), settings()).await });
+    router.receive_message().await;
+    drop(router);
+    within(edge).await.expect("no panic").expect_err("no answer")
+}
+
+#[tokio::test]
+async fn cloud_that_dies_while_loading_is_named() {
+    let error = open_at_router_that_ends("peernet-serve").await;
+    assert!(matches!(error, OpenError::Ended { .. }), "{error:?}");
+    let text = error.to_string();
+    assert!(text.contains("killed while it loaded the model") && !text.contains("aggregator"), "{text}");
+}
+
+#[tokio::test]
+async fn port_without_identity_may_be_no_cloud() {
+    let error = open_at_router_that_ends("").await;
+    assert!(matches!(error, OpenError::TimedOut { .. }), "{error:?}");
+    assert!(error.to_string().contains("port of an aggregator"), "{error}");
 }
 
 async fn port_in_use_is_reported_with_advice(network: TestNetwork) {

@@ -7,6 +7,7 @@ use std::net::SocketAddr;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use bytes::Bytes;
 use omq_proto::proto::connection::{Connection, ConnectionConfig, Role};
 use omq_proto::{Message, Payload, SocketType};
 use tokio::net::tcp::OwnedWriteHalf;
@@ -83,9 +84,11 @@ impl ZmtpConnection {
         writer: OwnedWriteHalf,
         permit: OwnedSemaphorePermit,
         limits: &ListenerLimits,
+        identity: &'static str,
         output: &Arc<MemoryBudget>,
     ) -> Self {
         let config = ConnectionConfig::new(Role::Server, SocketType::Router)
+            .identity(Bytes::from_static(identity.as_bytes()))
             .max_message_size(limits.max_message_bytes);
         let codec = Codec {
             zmtp: Connection::new(config),

@@ -52,6 +52,8 @@ pub struct ZmtpSender {
 struct ListenerState {
     table: ConnectionTable,
     limits: ListenerLimits,
+    /// Identity of the handshake, which tells peers what listens here; empty for none.
+    identity: &'static str,
     budgets: Budgets,
     rejections: Arc<RejectionCounts>,
     stop: CancellationToken,
@@ -73,6 +75,15 @@ impl ZmtpListener {
     /// # Errors
     /// If the port is in use or the address does not belong to this machine.
     pub async fn bind(authority: &str, limits: ListenerLimits) -> Result<Self, BindFailure> {
+        Self::bind_as("", authority, limits).await
+    }
+
+    /// Does the same as [`bind`](Self::bind), with an identity (RFC 37 of ZeroMQ, "Identity") that tells peers what listens here.
+    pub(crate) async fn bind_as(
+        identity: &'static str,
+        authority: &str,
+        limits: ListenerLimits,
+    ) -> Result<Self, BindFailure> {
         let listener = listen(authority).await.map_err(|error| bind_failure(&error))?;
         let address = listener.local_addr().map_err(|error| bind_failure(&error))?;
         let budgets = Budgets {
@@ -83,6 +94,7 @@ impl ZmtpListener {
         let state = Arc::new(ListenerState {
             table: ConnectionTable::new(limits.clone()),
             limits,
+            identity,
             budgets,
             rejections: Arc::new(RejectionCounts::new(address.to_string())),
             stop: CancellationToken::new(),
@@ -228,7 +240,8 @@ async fn accept_connections(
         let (reader, writer) = stream.into_split();
         let new_connection = |id| {
             let output = &state.budgets.output;
-            Arc::new(ZmtpConnection::new(id, address, writer, permit, &state.limits, output))
+            let (limits, identity) = (&state.limits, state.identity);
+            Arc::new(ZmtpConnection::new(id, address, writer, permit, limits, identity, output))
         };
         match state.table.insert(AddressGroup::from_address(address), new_connection) {
             Ok(InsertedConnection { connection, replaced }) => {
