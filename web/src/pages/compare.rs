@@ -151,7 +151,7 @@ async fn show(
 fn assemble(
     shell: Shell,
     comparison: &Comparison,
-    (means, baseline): (&RunMeans, usize),
+    (means, baseline): (&RunMeans, Option<usize>),
     distributions: Option<Distributions>,
     host: &str,
 ) -> Compare {

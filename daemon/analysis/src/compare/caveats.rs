@@ -8,9 +8,9 @@ use super::render::with_name;
 use super::{LATENCIES, Line, MIN_KNOWN_SHARE};
 use crate::loaded::Loaded;
 use crate::rows::RowRef;
-use crate::trust::{Starts, replayed_latencies};
+use crate::trust::{Starts, publication_caveats, replayed_latencies};
 
-/// Returns sentences about skipped starts, incomplete folders, and numbers that are missing without a reason.
+/// Returns sentences about runs that cannot be published as they are, skipped starts, incomplete folders, and numbers that are missing without a reason.
 pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let incomplete: Vec<String> = runs
         .iter()
@@ -18,8 +18,10 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         .collect();
     let missing_numbers: Vec<String> =
         lines.iter().flat_map(|line| describe_missing_numbers(runs, line)).collect();
-    let mut sentences: Vec<String> =
-        skipped_starts(lines.iter().map(|line| (line.name(), line.starts))).into_iter().collect();
+    let reports =
+        runs.iter().filter_map(|run| Some((run.folder.display().to_string(), run.record.trust.as_ref()?)));
+    let mut sentences = publication_caveats(reports);
+    sentences.extend(skipped_starts(lines.iter().map(|line| (line.name(), line.starts))));
     sentences.extend(replayed(runs, lines));
     if !incomplete.is_empty() {
         sentences.push(format!("Incomplete results: {}.", incomplete.join("; ")));
@@ -91,6 +93,7 @@ fn is_missing(row: RowRef<'_>, name: &str) -> bool {
 mod tests {
     use super::super::tests::paper;
     use crate::compare::{Comparison, is_compared};
+    use crate::trust::{Publish, Report, TrustInput};
 
     #[test]
     fn too_large_number_is_not_reported_as_infinite() {
@@ -106,6 +109,18 @@ mod tests {
         let sentence = "Without a number in data.csv, or with one beyond ±10¹⁴⁰, and left out of the mean: sensing of cuda:0, lan 1 of 100 iterations.";
         let text = Comparison::new(&runs).text();
         assert!(text.contains(sentence), "{text}");
+    }
+
+    #[test]
+    fn unpublishable_run_is_noted_below_table() {
+        let mut runs = paper();
+        let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
+        let report = Report::new(&input);
+        assert_eq!(report.verdict, Publish::No);
+        runs[1].record.trust = Some(report);
+        let text = Comparison::new(&runs).text();
+        assert!(text.contains("cannot be published: ") && text.contains("the trust report"), "{text}");
+        assert!(!Comparison::new(&paper()).text().contains("be published"));
     }
 
     #[test]

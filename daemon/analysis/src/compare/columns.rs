@@ -137,7 +137,7 @@ impl Column {
                     labels.filter(|label| *label != EMPTY_CELL).collect::<Vec<_>>().join(", ")
                 }
             };
-            let name = if name == EMPTY_CELL { "the others".to_owned() } else { name };
+            let name = if name == EMPTY_CELL { self.name_without_label(columns, index) } else { name };
             match values.iter_mut().find(|(value, _)| value == label) {
                 Some((_, names)) if names.contains(&name) => {}
                 Some((_, names)) => names.push(name),
@@ -148,6 +148,17 @@ impl Column {
             let texts = values.iter().map(|(value, names)| format!("{value} ({})", names.join("; ")));
             format!("{}: {}", self.axis, texts.collect::<Vec<_>>().join(", "))
         })
+    }
+
+    /// Returns the name of a configuration for which the naming column has no label: its other labels if it is the only one of this kind,
+    /// else `the others`.
+    fn name_without_label(&self, columns: &[Self], index: usize) -> String {
+        let naming_column = columns.iter().find(|column| column.determines(self));
+        let alone = naming_column
+            .is_some_and(|column| column.labels.iter().filter(|label| *label == EMPTY_CELL).count() == 1);
+        let labels = columns.iter().map(|column| column.labels[index].as_str());
+        let name = labels.filter(|label| *label != EMPTY_CELL).collect::<Vec<_>>().join(", ");
+        if alone && !name.is_empty() { name } else { "the others".to_owned() }
     }
 
     /// Returns whether the labels of this column determine the labels of another column: equal labels here mean equal labels there.

@@ -16,10 +16,15 @@ use crate::rows::RowRef;
 /// Stages in their order. The names are stored in a static, so that [`STAGES`] can borrow them.
 static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
+/// Returns the names of the stages, in their order.
+pub(super) fn stage_names() -> impl Iterator<Item = &'static str> {
+    ORDER.iter().map(Name::as_str)
+}
+
 /// Stages that two lines of a comparison may both have.
 pub(super) static STAGES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
     let others = ["stages-total", "unattributed", "total", "lateness"];
-    ORDER.iter().map(Name::as_str).chain(others).collect()
+    stage_names().chain(others).collect()
 });
 
 /// Differences between two lines of a comparison, stage by stage. Seconds.

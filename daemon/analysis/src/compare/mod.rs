@@ -52,6 +52,9 @@ pub const SEED: u64 = 1;
 /// If a delay is known for less than this share of the iterations, a note reports the share.
 const MIN_KNOWN_SHARE: f64 = 0.95;
 
+/// A note lists the stages without a column that take at least this share of the sum of all stages.
+const MIN_HIDDEN_SHARE: f64 = 0.01;
+
 /// Treatment of repeats of one configuration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Repeats<'a> {
@@ -111,6 +114,9 @@ pub struct Line {
     pub starts: Starts,
     /// Latencies in the order of [`LATENCIES`]; `None` if no counted iteration has the latency.
     pub latencies: [Option<Latency>; LATENCIES.len()],
+    /// Stages without a latency in [`LATENCIES`] that take a notable part of the sum of all stages: name, and mean over all counted
+    /// iterations in seconds. An iteration without the stage counts as 0.
+    pub hidden_stages: Vec<(&'static str, f64)>,
     /// Time from the request to a language model until its first token; `None` for other models.
     pub first_token: Option<Latency>,
     /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
@@ -186,6 +192,7 @@ impl Line {
             actuator: ActuatorResults::default(),
             starts: Starts::default(),
             latencies: [None; LATENCIES.len()],
+            hidden_stages: Vec::new(),
             first_token: None,
             accuracies: [None; ACCURACIES.len()],
             unknown_labels: None,
@@ -231,6 +238,13 @@ impl Line {
         };
         self.latencies = LATENCIES.map(latency);
         self.first_token = latency(FIRST_TOKEN);
+        let sum = |latency: Latency| latency.mean * latency.count as f64;
+        let sum_of_stages = self.latency("stages-total").map_or(0.0, sum);
+        let without_column = differences::stage_names().filter(|name| !LATENCIES.contains(name));
+        let hidden = without_column
+            .filter_map(|name| Some((name, sum(latency(name)?))))
+            .filter(|(_, sum)| *sum > 0.0 && *sum >= MIN_HIDDEN_SHARE * sum_of_stages);
+        self.hidden_stages = hidden.map(|(name, sum)| (name, sum / self.count as f64)).collect();
     }
 
     /// Returns an accuracy by its name in [`ACCURACIES`].

@@ -186,6 +186,10 @@ impl Comparison {
              stages, including stages without a column; the paper calls it Total."
                 .to_owned(),
         ];
+        let hidden: Vec<String> = self.lines.iter().filter_map(Line::hidden_stages_text).collect();
+        if !hidden.is_empty() {
+            notes.push(format!("Stages without a column, means in ms: {}.", hidden.join("; ")));
+        }
         if self.lines.iter().any(|line| line.first_token.is_some()) {
             let text = "First token: from the request to a language model until the first token of its answer, a part of inference.";
             notes.push(text.to_owned());
@@ -313,6 +317,16 @@ impl Line {
     /// Returns a text about the line after the name of the line.
     pub(super) fn with_name(&self, text: &str) -> String {
         with_name(&self.name(), text)
+    }
+
+    /// Returns the text with the stages that have no column; `None` if they take no notable part of the sum of all stages.
+    fn hidden_stages_text(&self) -> Option<String> {
+        let stage = |(name, seconds): &(&str, f64)| {
+            let ms = seconds * 1e3;
+            format!("{name} {}", fixed(ms, decimals(ms, 3).min(MAX_MS_DECIMALS)))
+        };
+        let stages: Vec<String> = self.hidden_stages.iter().map(stage).collect();
+        (!stages.is_empty()).then(|| self.with_name(&stages.join(", ")))
     }
 
     /// Returns the text with the smallest and the largest mean of the repeats; `None` for a single repeat.

@@ -97,6 +97,22 @@ They also differ in where: local (orin), remote (cuda:0)."
 }
 
 #[test]
+fn stages_without_column_are_listed_below_table() {
+    let mut runs = paper();
+    runs[1].rows.change(|row| {
+        row.values.push(("preprocessing".into(), 0.005));
+        row.values.push(("queue".into(), 1e-6));
+        let total = row.values.iter_mut().find(|(name, _)| name == "stages-total").expect("a sum");
+        total.1 += 0.005;
+    });
+    let text = Comparison::new(&runs).text();
+    assert!(
+        text.contains("\nStages without a column, means in ms: cuda:0, lan: preprocessing 5.00.\n"),
+        "{text}"
+    );
+}
+
+#[test]
 fn every_format_has_every_line() {
     let comparison = Comparison::new(&paper());
     let markdown = comparison.markdown();

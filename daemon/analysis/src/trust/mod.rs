@@ -10,6 +10,7 @@
 mod ended_early;
 mod judge;
 mod load;
+mod publication;
 mod restarts;
 #[cfg(test)]
 pub(crate) mod testing;
@@ -22,6 +23,7 @@ mod trust_input;
 pub(crate) use ended_early::measured_seconds;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use load::{Load, Starts, start_rate};
+pub use publication::publication_caveats;
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
 pub use trust_input::{Clocks, Counts, MissingEvents, OVERRUN, TrustInput, replayed_latencies};

@@ -3,6 +3,7 @@
 use peernet_analysis::accuracy::{UNKNOWN_LABEL, UnknownLabels};
 use peernet_analysis::compare::skipped_starts;
 use peernet_analysis::run_selection::RunState;
+use peernet_analysis::trust::publication_caveats;
 use peernet_statistics::number::count;
 use peernet_stream::OutcomeCounts;
 
@@ -11,9 +12,12 @@ use super::Comparison;
 /// Address of the dashboard in commands if the Host header of the request has characters that a shell could interpret.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:8040";
 
-/// Returns the caveats about the means: unfinished runs, skipped starts, and iterations without an answer.
+/// Returns the caveats: runs that cannot be published as they are, unfinished runs, skipped starts, and iterations without an answer.
 pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
     let configurations = &comparison.configurations;
+    let report = |run: i64| comparison.trust_by_run.get(&run);
+    let reports = comparison.runs().filter_map(|run| Some((format!("#{}", run.number), report(run.number)?)));
+    let publication = publication_caveats(reports);
     let unfinished: Vec<String> = comparison
         .runs()
         .map(|run| (run.number, RunState::from_end_reason(run.reason.as_ref())))
@@ -40,7 +44,7 @@ pub(crate) fn caveats(comparison: &Comparison) -> Vec<String> {
             )
         })
     });
-    unfinished.into_iter().chain(skipped).chain(unanswered).collect()
+    publication.into_iter().chain(unfinished).chain(skipped).chain(unanswered).collect()
 }
 
 /// Returns a sentence for each configuration with samples whose label is not a class of its model.
@@ -72,6 +76,7 @@ pub(crate) fn commands(comparison: &Comparison, host: &str) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::trust::{Report, TrustInput};
     use peernet_logger::Name;
     use peernet_stream::PlacementKind::Local;
 
@@ -107,6 +112,15 @@ mod tests {
                     configured rate: B: 73 of 200 starts (36.5 %).";
         let unanswered = "B: 37 of 127 iterations have no answer; the figures are those of the others.";
         assert_eq!(caveats(&comparison(vec![one, other])), [text, unanswered]);
+    }
+
+    #[test]
+    fn unpublishable_run_is_a_caveat() {
+        let mut two = comparison((0..2).map(|at| configuration(at, Local, 1.0, 1e3)).collect());
+        let input = TrustInput { failure: Some("the cloud is gone".to_owned()), ..TrustInput::default() };
+        two.trust_by_run.insert(2, Report::new(&input));
+        let sentences = caveats(&two);
+        assert!(sentences[0].contains("cannot be published: #2 ("), "{sentences:?}");
     }
 
     #[test]

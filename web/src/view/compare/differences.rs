@@ -63,8 +63,9 @@ impl StageDifference {
 }
 
 impl Differences {
-    /// Compares all configurations with the configuration at index `baseline`.
-    pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: usize) -> Self {
+    /// Compares all configurations with the configuration at index `baseline`. Without an index this is the best configuration, as in
+    /// `peernet compare`, or the first if none is the best.
+    pub(crate) fn of(comparison: &Comparison, means: &RunMeans, baseline: impl Into<Option<usize>>) -> Self {
         let names = compared_stages();
         let all = &comparison.configurations;
         let estimate = |one: &Configuration, name: &Name| {
@@ -74,6 +75,15 @@ impl Differences {
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
+        // A run without a model has no total, and is not ranked with pipelines.
+        let is_ranked = |index: &usize| {
+            let (one, any_computes) = (&all[*index], all.iter().any(|one| one.computes));
+            one.figures(&stage::TOTAL).is_some() && one.computes == any_computes
+        };
+        let ranked = (0..all.len()).filter(is_ranked).map(|index| (index, estimates[index][0].clone()));
+        let ranking = Ranking::from_means(&ranked.collect::<Vec<_>>());
+        let best = || ranking.as_ref().map_or(0, |ranking| ranking.best);
+        let baseline = baseline.into().unwrap_or_else(best);
         let stages = |index: usize| {
             let mean = |index: usize, name: &Name| all[index].figures(name).map(|figures| figures.mean);
             let stage = |(stage_index, name): (usize, &Name)| {
@@ -88,13 +98,7 @@ impl Differences {
             (index, names.iter().enumerate().filter_map(stage).collect())
         };
         let others = (0..all.len()).filter(|index| *index != baseline).map(stages).collect();
-        // A run without a model has no total, and is not ranked with pipelines.
-        let is_ranked = |index: &usize| {
-            let (one, any_computes) = (&all[*index], all.iter().any(|one| one.computes));
-            one.figures(&stage::TOTAL).is_some() && one.computes == any_computes
-        };
-        let ranked = (0..all.len()).filter(is_ranked).map(|index| (index, estimates[index][0].clone()));
-        Self { baseline, others, ranking: Ranking::from_means(&ranked.collect::<Vec<_>>()) }
+        Self { baseline, others, ranking }
     }
 
     /// Returns the difference of the mean total of a configuration to the baseline.

@@ -3,11 +3,14 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::compare::{Column, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
+use peernet_analysis::trust::Report;
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
 use peernet_stream::Placement;
 
+use super::differences::CONCURRENT_READS;
 use super::differing::DifferingSettings;
 use super::names::configuration_names;
 use super::{Comparison, Configuration, ExcludedRun, Setting, order};
@@ -104,6 +107,7 @@ pub(crate) async fn load_comparison(
     };
     let numbers: Vec<i64> = details.iter().map(|detail| detail.summary.number).collect();
     let statistics = store.statistics(&numbers).await?;
+    let trust_by_run = trust_reports(store, &numbers).await?;
     let computing = ComputingPlacements::load(store, &details).await?;
     let DifferingSettings { axes, values, settings, long_settings } = if experiment.is_some() {
         DifferingSettings::of_experiment(&details)
@@ -154,9 +158,20 @@ pub(crate) async fn load_comparison(
         long_settings,
         configurations,
         statistics_by_run,
+        trust_by_run,
         left_out,
         is_truncated,
     })
+}
+
+/// Judges whether each run can be published. A run that was deleted in the meantime has no report.
+async fn trust_reports(store: &Store, runs: &[i64]) -> Result<HashMap<i64, Report>, WebError> {
+    let judge = |run: i64| async move {
+        let Some(detail) = store.run(run).await? else { return Ok::<_, WebError>(None) };
+        Ok(Some((run, Report::new(&store.trust_input(&detail).await?))))
+    };
+    let reports = futures::stream::iter(runs.iter().copied()).map(judge).buffered(CONCURRENT_READS);
+    reports.try_filter_map(|report| async move { Ok(report) }).try_collect().await
 }
 
 /// Splits the runs of an experiment into compared runs, in their order, and excluded runs.

@@ -41,7 +41,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_analysis::deadline::Misses;
-use peernet_analysis::trust::Starts;
+use peernet_analysis::trust::{Report, Starts};
 use peernet_statistics::Summary;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
@@ -63,6 +63,8 @@ pub(crate) struct Comparison {
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,
+    /// Report of each run on whether it can be published, by its number.
+    pub trust_by_run: HashMap<i64, Report>,
     /// Excluded runs of the experiment, oldest first.
     pub left_out: Vec<ExcludedRun>,
     /// `true` if the experiment has more runs than are compared.
@@ -152,17 +154,16 @@ impl Configuration {
 }
 
 impl Comparison {
-    /// Returns the index of the baseline: the configuration of the run with the number `run`. If no number is given, it is the first
-    /// configuration.
+    /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.
     ///
     /// # Errors
     /// When the run is not compared.
-    pub(crate) fn baseline(&self, run: Option<&str>) -> Result<usize, WebError> {
-        let Some(text) = run.filter(|text| !text.is_empty()) else { return Ok(0) };
+    pub(crate) fn baseline(&self, run: Option<&str>) -> Result<Option<usize>, WebError> {
+        let Some(text) = run.filter(|text| !text.is_empty()) else { return Ok(None) };
         let index_of = |number: i64| {
             self.configurations.iter().position(|one| one.runs.iter().any(|run| run.number == number))
         };
-        text.trim_start_matches('#').parse().ok().and_then(index_of).ok_or_else(|| {
+        text.trim_start_matches('#').parse().ok().and_then(index_of).map(Some).ok_or_else(|| {
             WebError::BadRequest(format!(
                 "query parameter baseline: {text:?} is not the number of a compared run"
             ))

@@ -79,6 +79,7 @@ pub(crate) fn comparison(configurations: Vec<Configuration>) -> Comparison {
         long_settings,
         configurations,
         statistics_by_run,
+        trust_by_run: HashMap::new(),
         left_out,
         is_truncated: false,
     }
@@ -249,11 +250,19 @@ fn baseline_is_named_by_one_of_its_runs() {
     let index_of = |run| two.baseline(run).map_err(|error| error.to_string());
     assert_eq!(
         (index_of(None), index_of(Some("")), index_of(Some("2")), index_of(Some("#1"))),
-        (Ok(0), Ok(0), Ok(1), Ok(0))
+        (Ok(None), Ok(None), Ok(Some(1)), Ok(Some(0)))
     );
     for wrong in ["3", "A"] {
         assert!(index_of(Some(wrong)).is_err_and(|text| text.contains("baseline") && text.contains(wrong)));
     }
+}
+
+#[test]
+fn best_configuration_is_the_baseline_unless_one_is_chosen() {
+    let three = scaled(&[2.0, 1.0, 3.0]);
+    let baseline = |chosen: Option<usize>| Differences::of(&three, &totals(&three, 20), chosen).baseline;
+    assert_eq!([baseline(None), baseline(Some(0)), baseline(Some(2))], [1, 0, 2]);
+    assert_eq!(Differences::of(&three, &RunMeans::new(), None).baseline, 0, "none is the best");
 }
 
 #[test]

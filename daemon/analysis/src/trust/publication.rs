@@ -1,0 +1,97 @@
+//! Sentences about which of several runs can be published, for comparisons of runs.
+
+use std::collections::BTreeSet;
+
+use peernet_stream::Grade;
+
+use super::{Publish, Report};
+
+/// Largest number of runs that a sentence names.
+const MAX_NAMED_RUNS: usize = 8;
+
+/// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats. Each run is
+/// given by its name and its report. Empty if all of them can be published as they are.
+pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<String> {
+    let runs: Vec<(String, &Report)> = runs.into_iter().collect();
+    let sentence = |verdict: Publish, grade: Grade, meaning: &str| {
+        let of_verdict: Vec<&(String, &Report)> =
+            runs.iter().filter(|(_, report)| report.verdict == verdict).collect();
+        (!of_verdict.is_empty()).then_some(())?;
+        let named = of_verdict.iter().take(MAX_NAMED_RUNS);
+        let mut names: Vec<String> =
+            named.map(|(name, report)| format!("{name} ({})", subjects(report, grade))).collect();
+        if of_verdict.len() > MAX_NAMED_RUNS {
+            names.push(format!("and {} more", of_verdict.len() - MAX_NAMED_RUNS));
+        }
+        let count = match (of_verdict.len(), runs.len()) {
+            (1, 1) => "The run".to_owned(),
+            (count, all) => format!("{count} of {all} runs"),
+        };
+        Some(format!(
+            "{count} {meaning}: {}; the trust report of each run has the reasons and the advice.",
+            names.join(", ")
+        ))
+    };
+    let sentences = [
+        sentence(Publish::No, Grade::Bad, "cannot be published"),
+        sentence(Publish::WithRemarks, Grade::Doubtful, "can be published only with caveats"),
+    ];
+    sentences.into_iter().flatten().collect()
+}
+
+/// Returns the subjects of the findings of a grade, each once, in the order of the report.
+fn subjects(report: &Report, grade: Grade) -> String {
+    let mut seen = BTreeSet::new();
+    let of_grade = report.findings.iter().filter(|finding| finding.grade == grade);
+    let subjects = of_grade.map(|finding| finding.about.as_str()).filter(|about| seen.insert(*about));
+    subjects.collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Finding;
+    use super::*;
+
+    fn report(verdict: Publish, findings: &[(&str, Grade)]) -> Report {
+        let finding = |(about, grade): &(&str, Grade)| Finding {
+            about: (*about).to_owned(),
+            grade: *grade,
+            text: String::new(),
+            advice: String::new(),
+        };
+        Report { verdict, findings: findings.iter().map(finding).collect() }
+    }
+
+    #[test]
+    fn runs_are_named_with_reasons_against_publication() {
+        let good = report(Publish::Yes, &[("warm-up", Grade::Good)]);
+        let bad = report(
+            Publish::No,
+            &[
+                ("end", Grade::Bad),
+                ("clocks", Grade::Bad),
+                ("clocks", Grade::Bad),
+                ("trend", Grade::Doubtful),
+            ],
+        );
+        let doubtful = report(Publish::WithRemarks, &[("trend", Grade::Doubtful)]);
+        let runs = [("#1", &good), ("#2", &bad), ("#3", &doubtful)];
+        let sentences = publication_caveats(runs.map(|(name, report)| (name.to_owned(), report)));
+        let ending = "; the trust report of each run has the reasons and the advice.";
+        assert_eq!(
+            sentences,
+            [
+                format!("1 of 3 runs cannot be published: #2 (end, clocks){ending}"),
+                format!("1 of 3 runs can be published only with caveats: #3 (trend){ending}"),
+            ]
+        );
+        assert!(publication_caveats([("#1".to_owned(), &good)]).is_empty());
+    }
+
+    #[test]
+    fn many_unpublishable_runs_are_counted() {
+        let bad = report(Publish::No, &[("end", Grade::Bad)]);
+        let sentences = publication_caveats((0..20).map(|run| (format!("#{run}"), &bad)));
+        assert!(sentences[0].contains("#7 (end), and 12 more;"), "{sentences:?}");
+    }
+}
