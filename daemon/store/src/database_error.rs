@@ -48,6 +48,16 @@ impl DatabaseError {
         self.statement().is_some_and(is_damage)
     }
 
+    /// Returns what to do about a [transient](Self::is_transient) error.
+    pub(crate) fn remedy(&self) -> &'static str {
+        /// Primary result code.
+        const FULL: i32 = 13;
+        match self.statement().and_then(primary_code) {
+            Some(FULL) => "free some space on its disk, or shorten [aggregator.retention]",
+            _ => "end the program that locks it",
+        }
+    }
+
     /// Returns whether the error is transient: the database is full or locked by another program, and the same statement may
     /// succeed later.
     pub fn is_transient(&self) -> bool {

@@ -4,7 +4,7 @@ use peernet_stream::{Gap, HostSecret, Incident, IncidentKind, RunEnded};
 
 use super::*;
 use crate::maintenance::{ClearSecretError, clear_host_secret};
-use crate::write::read_host_secrets;
+use crate::write::{read_host_counts, read_host_secrets};
 
 fn gap(run: RunId) -> Event {
     let (from, to, count, reason) = (NOW, NOW, 123_456, "taken".to_owned());
@@ -133,4 +133,7 @@ async fn hosts_named_only_by_others_are_unknown() {
     let known_hosts = read_host_secrets(&mut test_store.other().await).await.expect("reads");
     let known_hosts: Vec<HostId> = known_hosts.into_iter().map(|(host, _)| host).collect();
     assert_eq!(known_hosts, [test_store.edge], "only known hosts count against max_hosts");
+    let counts = read_host_counts(&mut test_store.other().await, 10).await.expect("reads");
+    let counted_hosts: Vec<HostId> = counts.into_iter().map(|(host, _)| host).collect();
+    assert_eq!(counted_hosts, [test_store.edge, test_store.cloud], "no page waits for the others");
 }

@@ -372,7 +372,9 @@ async fn locked_database_is_error_without_changes() {
     let events = vec![generate::run_started(run, "line", NOW)];
     let work = [test_store.batch(events)];
     let refused = test_store.writer.commit(&work, STAMP).await;
-    assert!(refused.expect_err("locked").to_string().contains("locked"));
+    let text = refused.expect_err("locked").to_string();
+    assert!(text.contains("locked") && text.contains("end the program that locks it"), "{text}");
+    assert!(text.contains(&test_store.path.display().to_string()), "{text}");
     drop(other);
     assert_eq!(test_store.commit(&work).await.marks[&test_store.stream].stored, 1);
     assert_eq!(test_store.count("SELECT count(*) FROM run").await, 1);
@@ -387,7 +389,9 @@ async fn full_disk_is_error_without_changes() {
     let work = [test_store.batch(events)];
     test_store.writer.limit_pages(1).await;
     let refused = test_store.writer.commit(&work, STAMP).await;
-    assert!(refused.expect_err("full").to_string().contains("full"));
+    let text = refused.expect_err("full").to_string();
+    assert!(text.contains("full") && text.contains("free some space"), "{text}");
+    assert!(text.contains(&test_store.path.display().to_string()), "{text}");
     assert_eq!(test_store.count("SELECT (SELECT count(*) FROM run) + (SELECT count(*) FROM name)").await, 0);
     test_store.writer.limit_pages(1_000_000).await;
     assert_eq!(test_store.commit(&work).await.nodes, 2_100);

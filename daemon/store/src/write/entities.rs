@@ -377,13 +377,14 @@ pub(crate) async fn read_unnamed_runs(
     rows.iter().map(|(host, run)| Ok((id(host)?, id(run)?))).collect()
 }
 
-/// Returns the counts of the hosts that were seen last.
+/// Returns the counts of the hosts that were seen last. A host without a name is only named by others and has never reported.
 pub(crate) async fn read_host_counts(
     connection: &mut SqliteConnection,
     limit: u32,
 ) -> Result<Vec<(HostId, StoredCounts)>, sqlx::Error> {
     let rows: Vec<(String, i64, i64, i64, i64, i64)> = sqlx::query_as(
-        "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host ORDER BY last_seen_ns DESC LIMIT ?",
+        "SELECT uuid, events, nodes, gaps, missing, quarantined FROM host WHERE name IS NOT NULL \
+         ORDER BY last_seen_ns DESC LIMIT ?",
     )
     .bind(limit)
     .fetch_all(connection)

@@ -20,6 +20,14 @@ pub enum CommitError {
     /// The file is damaged. The text describes the damage and what to do.
     #[error("{0}")]
     Damaged(String),
+    /// The disk is full, or another program locks the database. The same commit may succeed later.
+    #[error("cannot write to the database {}: {error}; {}", .path.display(), .error.remedy())]
+    Refused {
+        /// Path of the database.
+        path: PathBuf,
+        /// Error of SQLite.
+        error: DatabaseError,
+    },
     /// SQLite reported an error.
     #[error(transparent)]
     Database(#[from] DatabaseError),
@@ -34,7 +42,7 @@ impl CommitError {
     pub fn leaves_connection_usable(&self) -> bool {
         match self {
             Self::Database(error) => error.is_transient(),
-            Self::Damaged(_) => true,
+            Self::Damaged(_) | Self::Refused { .. } => true,
             Self::Moved(_) | Self::LogMoved(_) => false,
         }
     }
@@ -72,6 +80,14 @@ impl DatabaseFile {
         let mut file = Self { path, identity, log_path: log_path.into(), log: Log::Unknown };
         file.record_log();
         Ok(file)
+    }
+
+    /// Returns the error of a commit that SQLite refused.
+    pub(super) fn commit_error(&self, error: DatabaseError) -> CommitError {
+        match error.is_transient() {
+            true => CommitError::Refused { path: self.path.clone(), error },
+            false => error.into(),
+        }
     }
 
     /// Returns the path of the log.

@@ -150,7 +150,9 @@ impl Writer {
         while let Some(part) = parts.pop() {
             let committed = match self.attempt(part, now, None).await {
                 Ok(committed) => committed,
-                Err(Refusal::Database(error)) => return Err(DatabaseError::new(error).into()),
+                Err(Refusal::Database(error)) => {
+                    return Err(self.file.commit_error(DatabaseError::new(error)));
+                }
                 Err(Refusal::Batch(_)) if part.len() > 1 => {
                     let (first, second) = part.split_at(part.len() / 2);
                     // The last element is taken next, so the parts are stored in the order of their batches.

@@ -19,6 +19,10 @@ fn full_database_disk_stops_storing_without_loss() {
         fleet.api.get("/readyz").filter(|(status, _)| *status == 503).map(|(_, text)| text)
     });
     assert!(reason.contains("full"), "why: {reason}");
+    assert!(
+        reason.contains(&database) && reason.contains("free some space"),
+        "where, and what to do: {reason}"
+    );
     let (status, page) = fleet.api.get("/").expect("the dashboard answers");
     assert!(status == 200 && page.contains("full"), "the page says so: {page}");
     // The live state contains seconds that began after the disk was full.

@@ -58,7 +58,7 @@ fn print_database(report: &Report, now: WallTime) {
     let check = if report.integrity.full { "full check" } else { "quick check" };
     let result = match report.integrity.problems.as_slice() {
         [] if report.is_healthy() => "ok".to_owned(),
-        [] => "no damage found; see the problems below".to_owned(),
+        [] => "no damage; the problems below are of another kind".to_owned(),
         problems if problems.len() > MAX_FINDINGS => {
             let more = problems.len() - MAX_FINDINGS;
             format!("{}\n    … and {more} more (--json shows all)", problems[..MAX_FINDINGS].join("\n    "))
