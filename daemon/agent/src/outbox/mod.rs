@@ -100,11 +100,14 @@ impl Outbox {
         (description, secret): (HostDescription, HostSecret),
         sources: OutboxContext,
     ) -> Self {
-        let OpenSpool { file, state, quarantined, counter: _ } = spool;
+        let OpenSpool { file, state, quarantined, was_empty, counter: _ } = spool;
         let OutboxContext { clock, incidents, runs, live } = sources;
         let reports = Reports::new(incidents);
         if let Some(quarantined) = &quarantined {
             reports.report_quarantine(quarantined);
+        }
+        if was_empty {
+            reports.report_empty_spool(file.path());
         }
         let process = Uuid::new_v4().as_u64_pair().0;
         let reconnect_backoff = ReconnectBackoff::new(description.id);

@@ -1,14 +1,15 @@
 //! Reports of the outbox's own problems, in the log and as incidents.
 
 use std::fmt;
+use std::path::Path;
 
-use peernet_clock::MonoTime;
+use peernet_clock::{LogThrottle, MonoTime};
 use peernet_logger::Slug;
 use peernet_networks::Address;
 use peernet_stream::{Accounting, IncidentKind};
 
 use super::dropping::{DroppingReport, DroppingWatch};
-use super::spool::QuarantinedSpool;
+use super::spool::{QuarantinedSpool, Recovered};
 use crate::incidents::{IncidentSubject, Incidents};
 use crate::reconnect_backoff::ReconnectBackoff;
 
@@ -47,11 +48,19 @@ pub(super) struct Reports {
     /// Text of the last reported damage in the spool.
     reported_damage: Option<String>,
     dropping: DroppingWatch,
+    /// Limits the lines about the secret.
+    enrollments: LogThrottle,
 }
 
 impl Reports {
     pub(super) fn new(incidents: Incidents) -> Self {
-        Self { incidents, reported_problem: None, reported_damage: None, dropping: DroppingWatch::default() }
+        Self {
+            incidents,
+            reported_problem: None,
+            reported_damage: None,
+            dropping: DroppingWatch::default(),
+            enrollments: LogThrottle::default(),
+        }
     }
 
     /// Reports that the aggregator accepted the agent.
@@ -91,11 +100,20 @@ impl Reports {
     }
 
     /// Logs that the aggregator has no secret of this host, so that the agent sends it.
-    pub(super) fn report_enrollment(&self, aggregator: &Slug) {
-        tracing::info!(
-            %aggregator,
-            "the aggregator has no secret of this host; the agent sends it (first contact, or another database)"
-        );
+    /// A refused agent does so at every attempt, therefore only the first attempt is logged at once.
+    pub(super) fn report_enrollment(&mut self, aggregator: &Slug, now: MonoTime) {
+        match self.enrollments.times_to_log(aggregator.as_str(), None, now) {
+            None => {}
+            Some(1) => tracing::info!(
+                %aggregator,
+                "the aggregator has no secret of this host; the agent sends it (first contact, or another database)"
+            ),
+            Some(times) => tracing::info!(
+                %aggregator,
+                times,
+                "the aggregator still has no secret of this host; the agent sent it again, and the aggregator did not accept the agent"
+            ),
+        }
     }
 
     /// Reports that the aggregator refused the agent.
@@ -158,10 +176,19 @@ impl Reports {
 
     /// Reports that a damaged spool was replaced by a new one.
     pub(super) fn report_quarantine(&self, quarantined: &QuarantinedSpool) {
+        self.incidents.report(
+            IncidentKind::Gap,
+            IncidentSubject::default(),
+            describe_quarantine(quarantined),
+        );
+    }
+
+    /// Reports that the file of the spool existed and was empty.
+    pub(super) fn report_empty_spool(&self, path: &Path) {
         let text = format!(
-            "{}; it was moved to {}, and a new spool was created: events that the aggregator had not stored are missing there",
-            quarantined.reason,
-            quarantined.new_path.display()
+            "the spool {} was an empty file, and a new spool was created in it; if it had events that the aggregator had not stored, they \
+             are lost: a power cut or a program truncated it; check the disk",
+            path.display()
         );
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }
@@ -193,9 +220,71 @@ impl Reports {
     }
 }
 
+/// Describes a damaged spool that was replaced: how much of it was set aside, where, what is still sent, and what to do.
+fn describe_quarantine(quarantined: &QuarantinedSpool) -> String {
+    let QuarantinedSpool { reason, new_path, bytes, recovered } = quarantined;
+    let path = new_path.display();
+    let count_of = |number: u64, one: &str, many: &str| {
+        format!("{} {}", with_thousands_separators(number), if number == 1 { one } else { many })
+    };
+    let batches_of = |number: u64| count_of(number, "batch", "batches");
+    let events_of = |number: u64| count_of(number, "event", "events");
+    let moved =
+        format!("{reason}; the file ({} bytes) was moved to {path}", with_thousands_separators(*bytes));
+    let advice = format!(
+        "check the disk, for example with smartctl, and delete {path} when you do not need these events"
+    );
+    let Some(Recovered { batches, events, lost_batches, lost_events }) = recovered else {
+        return format!(
+            "{moved}, and an empty spool was created, because no batch could be read before the damage: events in it that the aggregator \
+             had not stored are lost; {advice}"
+        );
+    };
+    let lost = match lost_batches {
+        Some(0) => "no batch was lost".to_owned(),
+        Some(lost) => format!(
+            "{} from the damage on, with at least {}, are only in that file and are not sent",
+            batches_of(*lost),
+            events_of(*lost_events)
+        ),
+        None => "the batches from the damage on are only in that file and are not sent; their number cannot be read".to_owned(),
+    };
+    format!(
+        "{moved}; a new spool has the {} before the damage, with {}, which are sent; {lost}; {advice}",
+        batches_of(*batches),
+        events_of(*events)
+    )
+}
+
 #[cfg(test)]
 mod tests {
-    use super::with_thousands_separators;
+    use super::*;
+
+    #[test]
+    fn quarantine_report_counts_what_was_set_aside() {
+        let mut quarantined = QuarantinedSpool {
+            reason: "the spool s is damaged: malformed".to_owned(),
+            new_path: "/var/s.damaged-5".into(),
+            bytes: 40_960,
+            recovered: None,
+        };
+        let text = describe_quarantine(&quarantined);
+        for part in ["(40,960 bytes) was moved to /var/s.damaged-5", "empty spool", "delete /var/s.damaged-5"]
+        {
+            assert!(text.contains(part), "{text}");
+        }
+        let recovered = Recovered { batches: 1, events: 1_200, lost_batches: Some(3), lost_events: 30 };
+        quarantined.recovered = Some(recovered);
+        let text = describe_quarantine(&quarantined);
+        for part in [
+            "the 1 batch before the damage, with 1,200 events",
+            "3 batches from the damage on, with at least 30 events",
+        ] {
+            assert!(text.contains(part), "{text}");
+        }
+        quarantined.recovered = Some(Recovered { lost_batches: None, ..recovered });
+        assert!(describe_quarantine(&quarantined).contains("their number cannot be read"));
+    }
 
     #[test]
     fn thousands_are_separated() {

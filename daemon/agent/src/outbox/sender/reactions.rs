@@ -113,7 +113,9 @@ impl Sender {
                     self.intake.repeat_run_starts(&mut self.machine, self.clock.stamp());
                 }
             }
-            Notice::Enrolling { aggregator } => self.reports.report_enrollment(&aggregator),
+            Notice::Enrolling { aggregator } => {
+                self.reports.report_enrollment(&aggregator, self.clock.mono());
+            }
             Notice::Refused(reason) => self.reports.report_refusal(&reason),
             Notice::StreamRenewed { stored, newest } => {
                 self.reports.report_renewal(stored, newest);

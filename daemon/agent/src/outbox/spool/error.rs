@@ -121,6 +121,15 @@ impl SpoolError {
         }
     }
 
+    /// Returns the damage, without the advice of errors that are not caused by damage.
+    pub(super) fn damage(&self) -> String {
+        match self {
+            Self::Open { path, source } => format!("the spool {} is damaged: {source}", path.display()),
+            Self::Migrate { path, source } => format!("the spool {} is damaged: {source}", path.display()),
+            error => error.to_string(),
+        }
+    }
+
     /// Returns whether the cause may be a full disk. SQLite reports an I/O error or an error of opening if the index of
     /// its log does not fit.
     pub(super) fn may_be_full_disk(&self) -> bool {
@@ -147,7 +156,7 @@ pub(in crate::outbox) enum SpoolFileError {
         path: PathBuf,
     },
     /// The file is damaged.
-    #[error("cannot {action} the spool {}: {source}; restart the agent, which then quarantines the file and creates a new one", .path.display())]
+    #[error("cannot {action} the spool {}: {source}; restart the agent, which then quarantines the file, recovers its intact batches and creates a new one", .path.display())]
     Corrupt {
         /// Verb that says what was tried.
         action: &'static str,

@@ -141,7 +141,7 @@ async fn lost_when_killed(connection: &mut SqliteConnection) -> Result<Option<i6
     sqlx::query_scalar("SELECT lost_when_killed FROM stream").fetch_optional(connection).await
 }
 
-fn read_only_options(path: &Path) -> SqliteConnectOptions {
+pub(super) fn read_only_options(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .read_only(true)

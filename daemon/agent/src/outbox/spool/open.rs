@@ -1,6 +1,7 @@
 //! Opens the spool: settings, migrations, and the state in the file.
 
 use std::fs::{self, File};
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
@@ -15,6 +16,7 @@ use super::error::{SpoolDefect, is_full};
 use super::file::SpoolFile;
 use super::file_kind::{APPLICATION_ID, FileKind};
 use super::quarantine::{quarantine, quarantine_reason, with_suffix};
+use super::recovery::recover;
 use super::reserve::Reserve;
 use super::statements::MAX_PROCESSES;
 use super::{QuarantinedSpool, SpoolError, tail};
@@ -40,6 +42,8 @@ pub(crate) struct OpenSpool {
     pub(crate) counter: EventCounter,
     /// The damaged spool that was quarantined, if any.
     pub(in crate::outbox) quarantined: Option<QuarantinedSpool>,
+    /// `true` if the file existed and had no content, so that a spool was truncated.
+    pub(in crate::outbox) was_empty: bool,
 }
 
 impl OpenSpool {
@@ -75,13 +79,19 @@ impl OpenSpool {
             return Err(SpoolError::NotASpool { path: path.to_owned(), objection });
         }
         let mut reserve = Reserve::new(with_suffix(path, "-reserve"));
+        let was_empty = is_empty_file(path).map_err(io("read", path))?;
         let mut quarantined = None;
         let connect_result = match connect_despite_full_disk(path, host, &mut reserve).await {
             // A damaged spool must not prevent the robot from measuring. The file is not deleted, because a user may
             // recover its events.
             Err(error) if error.is_damage() => {
-                let quarantine_result = quarantine(path, error.to_string(), clock.wall());
-                quarantined = Some(quarantine_result.map_err(io("quarantine the damaged spool", path))?);
+                let quarantine_result = quarantine(path, error.damage(), clock.wall());
+                let mut moved = quarantine_result.map_err(io("quarantine the damaged spool", path))?;
+                match recover(&moved.new_path, path, host).await {
+                    Ok(recovered) => moved.recovered = Some(recovered),
+                    Err(error) => tracing::debug!(%error, "nothing was recovered from the damaged spool"),
+                }
+                quarantined = Some(moved);
                 connect_despite_full_disk(path, host, &mut reserve).await
             }
             result => result,
@@ -93,15 +103,25 @@ impl OpenSpool {
         reserve.allocate();
         let file = SpoolFile::new(path.to_owned(), connection, reserve, counter.name().is_some(), lock)
             .map_err(io("read", path))?;
-        Ok(Self { file, state, counter, quarantined })
+        Ok(Self { file, state, counter, quarantined, was_empty })
     }
+}
+
+/// Returns whether a file exists without any content, and without a log that has the content.
+fn is_empty_file(path: &Path) -> io::Result<bool> {
+    let length = |path: &Path| match fs::metadata(path) {
+        Ok(metadata) => Ok(Some(metadata.len())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    };
+    Ok(length(path)? == Some(0) && length(&with_suffix(path, "-wal"))?.unwrap_or(0) == 0)
 }
 
 /// Returns the settings of the connection.
 ///
 /// With WAL and `synchronous=NORMAL` SQLite syncs only when it moves the log to the file. A crash of the process loses
 /// nothing. A power cut loses the transactions since the spool's task last synced the log.
-fn settings(path: &Path) -> SqliteConnectOptions {
+pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
     SqliteConnectOptions::new()
         .filename(path)
         .create_if_missing(true)
@@ -199,7 +219,7 @@ async fn prepare(
 
 /// Sets the application id of an empty database before its tables are created. The file is then recognised as a spool even
 /// if the disk becomes full in between.
-async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
+pub(super) async fn claim(path: &Path, connection: &mut SqliteConnection) -> Result<(), SpoolError> {
     let cannot_open = |source| SpoolError::Open { path: path.to_owned(), source };
     let (id, tables): (i32, i64) = sqlx::query_as(
         "SELECT application_id, (SELECT COUNT(*) FROM sqlite_schema) FROM pragma_application_id",

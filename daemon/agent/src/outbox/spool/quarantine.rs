@@ -10,6 +10,8 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
+use super::Recovered;
+
 /// A quarantined spool.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(in crate::outbox) struct QuarantinedSpool {
@@ -17,6 +19,10 @@ pub(in crate::outbox) struct QuarantinedSpool {
     pub(in crate::outbox) reason: String,
     /// New path of the file.
     pub(in crate::outbox) new_path: PathBuf,
+    /// Length of the file with its log, bytes.
+    pub(in crate::outbox) bytes: u64,
+    /// Content that the new spool has; `None` if nothing was recovered.
+    pub(in crate::outbox) recovered: Option<Recovered>,
 }
 
 /// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover data.
@@ -29,6 +35,8 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
     let first_seconds = now.unix_seconds();
     let new_path =
         (first_seconds..=i64::MAX).find_map(unused_path).unwrap_or_else(|| with_suffix(spool, ".damaged"));
+    let length = |suffix| fs::metadata(with_suffix(spool, suffix)).map_or(0, |metadata| metadata.len());
+    let bytes = length("") + length("-wal");
     // The file comes last: SQLite would apply a log that stayed behind to the next spool.
     for suffix in ["-wal", "-shm", ""] {
         match fs::rename(with_suffix(spool, suffix), with_suffix(&new_path, suffix)) {
@@ -38,7 +46,7 @@ pub(super) fn quarantine(spool: &Path, reason: String, now: WallTime) -> io::Res
     }
     match fs::remove_file(damage_flag_path(spool)) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(QuarantinedSpool { reason, new_path }),
+        _ => Ok(QuarantinedSpool { reason, new_path, bytes, recovered: None }),
     }
 }
 

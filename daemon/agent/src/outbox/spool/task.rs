@@ -158,8 +158,9 @@ async fn execute(file: &mut SpoolFile, syncing: &mut Syncing, order: Order) -> O
 
 /// Flags the file as damaged if SQLite reports damage, so that the next start quarantines it.
 fn flag_if_corrupt(file: &SpoolFile, result: Result<(), SpoolFileError>) -> Result<(), SpoolTaskError> {
-    if let Err(file_error @ SpoolFileError::Corrupt { .. }) = &result {
-        flag_as_damaged(file.path(), &file_error.to_string());
+    if let Err(SpoolFileError::Corrupt { action, source, .. }) = &result {
+        // Without the advice to restart the agent, which the next start follows.
+        flag_as_damaged(file.path(), &format!("an agent could not {action} it: {source}"));
     }
     Ok(result?)
 }

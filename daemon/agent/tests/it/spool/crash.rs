@@ -2,7 +2,9 @@
 
 use std::time::Duration;
 
-use peernet_stream::{EndReason, Event, PipelineState};
+use peernet_stream::{EndReason, Event, IncidentKind, PipelineState};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 use super::{idle, line, nobody, spooled, state};
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
@@ -100,4 +102,55 @@ async fn undelivered_events_are_sent_after_next_start() {
     assert_contiguous(&seen.iterations());
     assert_eq!((seen.ended()[0].reason.as_str(), seen.gaps().len()), ("stopped", 0));
     agent.stop().await.expect("stops well");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn intact_batches_of_damaged_spool_are_stored_once() {
+    let (address, seen) = nobody().await;
+    let mut config = line("load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64");
+    config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
+    let agent = TestAgent::start_in(state(), &address, config).await;
+    agent.until(|live| live.accounting.produced >= 200).await;
+    let file = agent.spool();
+    let state = agent.stop_and_keep().await.expect("stops well");
+    // A memory card loses a batch in the middle, and the agent has noticed.
+    let mut connection = SqliteConnectOptions::new().filename(&file).connect().await.expect("opens");
+    let (batches, damaged): (i64, i64) = sqlx::query_as("SELECT COUNT(*), COUNT(*) / 2 FROM batch")
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads");
+    sqlx::query("UPDATE batch SET body = zeroblob(length(body)) WHERE number = ?")
+        .bind(damaged)
+        .execute(&mut connection)
+        .await
+        .expect("changed");
+    let intact: i64 = sqlx::query_scalar("SELECT SUM(events) FROM batch WHERE number < ?")
+        .bind(damaged)
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads");
+    connection.close().await.expect("closes");
+    std::fs::write(state.path().join("spool.sqlite-condemned"), "a page was broken").expect("written");
+
+    let aggregator = Aggregator::up((address, seen)).await;
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let seen = aggregator.until(|seen| !seen.incidents(IncidentKind::Gap).is_empty()).await;
+    let text = &seen.incidents(IncidentKind::Gap)[0].text;
+    let parts = [
+        format!("a new spool has the {} batches before the damage, with {intact} events", damaged - 1),
+        format!("{} batches from the damage on, with at least ", batches - damaged + 1),
+    ];
+    assert!(parts.iter().all(|part| text.contains(part)), "{parts:?}: {text}");
+    let account = agent.until(|live| live.accounting.waiting == 0).await.accounting;
+    assert_eq!(account.produced, account.stored + account.dropped, "{account:?}");
+    let state = agent.stop_and_keep().await.expect("stops well");
+    // A further start sends nothing again.
+    let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    agent.until(|live| live.accounting.waiting == 0).await;
+    agent.stop().await.expect("stops well");
+    let seen = aggregator.until(|seen| seen.hellos >= 2).await;
+    let iterations = seen.iterations();
+    assert_contiguous(&iterations);
+    assert!(!iterations.is_empty() && seen.repeated == 0, "{} batches were stored twice", seen.repeated);
+    assert!(seen.streams.windows(2).all(|pair| pair[0] == pair[1]), "one stream");
 }

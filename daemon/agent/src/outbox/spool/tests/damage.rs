@@ -96,6 +96,66 @@ async fn file_with_broken_tables_is_quarantined() {
     assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
 }
 
+/// Damages pages of the spool's file from byte `from` on.
+fn overwrite(path: &std::path::Path, from: u64, bytes: usize) {
+    let mut damaged_file = fs::File::options().write(true).open(path).expect("opens");
+    damaged_file.seek(SeekFrom::Start(from)).expect("seeks");
+    damaged_file.write_all(&vec![0xa5; bytes]).expect("written");
+}
+
+#[tokio::test]
+async fn intact_batches_of_damaged_spool_are_kept() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, before) = spool_folder.open_undamaged().await;
+    let written = batches(Chain::START, 1..=200, 2000);
+    file.append(&written, &totals(602)).await.expect("appends");
+    file.delete_through(10, written[9].chain).await.expect("deletes");
+    drop(file.close().await);
+    // Pages in the middle of the file, as a failing memory card leaves them.
+    let length = fs::metadata(spool_folder.path()).expect("there").len();
+    overwrite(&spool_folder.path(), length / 2 / 4096 * 4096, 3 * 4096);
+
+    flag_as_damaged(&spool_folder.path(), "a page was broken");
+    let OpenSpool { mut file, state, quarantined, counter, .. } = spool_folder.open().await.expect("opens");
+    counter.remove();
+    let recovered = quarantined.expect("it is damaged").recovered.expect("some batches are intact");
+    assert!((1..190).contains(&recovered.batches), "{recovered:?}");
+    assert_eq!(recovered.events, 3 * recovered.batches);
+    assert_eq!(recovered.lost_batches, Some(190 - recovered.batches));
+    // The aggregator knows this stream, so that it stores no batch twice.
+    assert_eq!((state.stream, state.oldest, state.previous_chain), (before.stream, 11, written[9].chain));
+    assert_eq!(state.newest.0, 10 + recovered.batches);
+    // Produced are stored, waiting and dropped events; the readable lost ones count as dropped.
+    assert_eq!((state.totals.produced, state.totals.dropped), (602, 2 + recovered.lost_events));
+    assert_eq!(state.totals.reported_drops, state.totals.dropped);
+    let loaded = file.load(11, usize::MAX).await.expect("loads");
+    assert_eq!(loaded.batches, written[10..10 + recovered.batches as usize]);
+    assert_eq!(names(spool_folder.folder.path()), ["spool.sqlite", "spool.sqlite.damaged-5"]);
+}
+
+#[tokio::test]
+async fn batches_of_another_host_are_not_recovered() {
+    let spool_folder = SpoolFolder::new();
+    let (mut file, _) = spool_folder.open_undamaged().await;
+    file.append(&batches(Chain::START, 1..=5, 100), &totals(15)).await.expect("appends");
+    sqlx::query("UPDATE stream SET host = 'another'").execute(file.connection()).await.expect("changed");
+    drop(file.close().await);
+    flag_as_damaged(&spool_folder.path(), "a page was broken");
+    let OpenSpool { state, quarantined, .. } = spool_folder.open().await.expect("opens");
+    assert_eq!(quarantined.expect("it is flagged").recovered, None);
+    assert_eq!(state.newest, (0, Chain::START));
+}
+
+#[tokio::test]
+async fn empty_file_is_reported() {
+    let spool_folder = SpoolFolder::new();
+    assert!(!spool_folder.open().await.expect("opens").was_empty, "there was none");
+    let emptied = SpoolFolder::new();
+    fs::write(emptied.path(), "").expect("written");
+    assert!(emptied.open().await.expect("opens").was_empty);
+    assert!(!emptied.open().await.expect("opens").was_empty, "it has a spool now");
+}
+
 #[tokio::test]
 async fn damaged_batch_ends_list_and_is_named() {
     let spool_folder = SpoolFolder::new();

@@ -46,7 +46,7 @@ impl SpoolFolder {
 
     /// Opens a spool that must not be damaged.
     async fn open_undamaged(&self) -> (SpoolFile, SpoolState) {
-        let OpenSpool { file, state, quarantined, counter } = self.open().await.expect("opens");
+        let OpenSpool { file, state, quarantined, counter, was_empty: _ } = self.open().await.expect("opens");
         assert_eq!(quarantined, None);
         // The counter's file is left behind only by a process that is killed.
         counter.remove();

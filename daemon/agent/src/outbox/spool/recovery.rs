@@ -1,0 +1,216 @@
+//! Recovers the intact batches of a quarantined spool.
+//!
+//! The batches before the first damaged one are copied to a new spool of the same stream. For both ends of the event stream this
+//! is a spool that lost its end, as in a power failure: they compare the chains at the aggregator's mark before anything is sent, so
+//! that no recovered batch is stored twice. Batches behind the damage are not copied, because nothing proves that they follow.
+
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use peernet_logger::HostId;
+use peernet_stream::Chain;
+use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
+
+use super::error::is_corrupt;
+use super::inspect::read_only_options;
+use super::open::{MIGRATIONS, chain, claim, settings};
+use super::quarantine::with_suffix;
+
+/// Tables that are copied whole: the state of the stream.
+const STATE_TABLES: [&str; 4] = ["stream", "reached", "unreported", "unresolved"];
+/// Smallest number of bytes that a batch takes in a file. It bounds the number of batches that a damaged file may claim.
+const MIN_BATCH_BYTES: u64 = 16;
+
+/// Content of a quarantined spool.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::outbox) struct Recovered {
+    /// Number of intact batches, which are in the new spool.
+    pub(in crate::outbox) batches: u64,
+    /// Number of events in these batches.
+    pub(in crate::outbox) events: u64,
+    /// Number of batches that are only in the quarantined file; `None` if it cannot be read.
+    pub(in crate::outbox) lost_batches: Option<u64>,
+    /// Number of events in the lost batches whose number can be read.
+    pub(in crate::outbox) lost_events: u64,
+}
+
+/// Reason why nothing was recovered.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum RecoveryError {
+    /// SQLite cannot read the damaged file, or cannot write the new one.
+    #[error(transparent)]
+    Sqlite(#[from] sqlx::Error),
+    /// The tables of the new spool cannot be created.
+    #[error("cannot create a new spool: {0}")]
+    Create(String),
+    /// The first batch is damaged, or there is none.
+    #[error("no batch before the damage")]
+    NoBatch,
+    /// The damaged spool belongs to another host, or has no stream.
+    #[error("the spool does not name this host as its owner")]
+    OtherHost,
+}
+
+/// Creates a spool with the state and the intact batches of a damaged one. Without any intact batch no spool is created.
+///
+/// # Errors
+/// When the state of the stream cannot be read, no batch is intact, or the new spool cannot be written.
+pub(super) async fn recover(damaged: &Path, spool: &Path, host: HostId) -> Result<Recovered, RecoveryError> {
+    let mut source = read_only_options(damaged).connect().await?;
+    let file_bytes = fs::metadata(damaged).map_or(0, |metadata| metadata.len());
+    let result = create(&mut source, file_bytes, spool, host).await;
+    if let Err(error) = source.close().await {
+        tracing::debug!(%error, "closing the quarantined spool failed");
+    }
+    if result.is_err() {
+        remove(spool);
+    }
+    result
+}
+
+/// Removes an incomplete new spool.
+fn remove(spool: &Path) {
+    for suffix in ["-wal", "-shm", ""] {
+        match fs::remove_file(with_suffix(spool, suffix)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                tracing::warn!(%error, "cannot remove {}, an incomplete copy of a damaged spool", spool.display());
+            }
+            _ => {}
+        }
+    }
+}
+
+async fn create(
+    source: &mut SqliteConnection,
+    file_bytes: u64,
+    spool: &Path,
+    host: HostId,
+) -> Result<Recovered, RecoveryError> {
+    let owner: Option<String> =
+        sqlx::query_scalar("SELECT host FROM stream WHERE id = 1").fetch_optional(&mut *source).await?;
+    if owner != Some(host.to_string()) {
+        return Err(RecoveryError::OtherHost);
+    }
+    let mut target = settings(spool).connect().await?;
+    let result = fill(source, &mut target, file_bytes, spool).await;
+    // The connection is closed before the file is removed or opened again.
+    target.close().await?;
+    result
+}
+
+async fn fill(
+    source: &mut SqliteConnection,
+    target: &mut SqliteConnection,
+    file_bytes: u64,
+    spool: &Path,
+) -> Result<Recovered, RecoveryError> {
+    let cannot_create = |error: &dyn std::error::Error| RecoveryError::Create(error.to_string());
+    claim(spool, target).await.map_err(|error| cannot_create(&error))?;
+    MIGRATIONS.run_direct(None, target, false).await.map_err(|error| cannot_create(&error))?;
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut *target).await?;
+    for table in STATE_TABLES {
+        copy_table(source, target, table).await?;
+    }
+    let recovered = copy_batches(source, target, file_bytes).await?;
+    count_losses(target, recovered.lost_events).await?;
+    sqlx::query("COMMIT").execute(target).await?;
+    Ok(recovered)
+}
+
+/// Copies all rows of a table. A spool of an earlier version has fewer columns; the others have their defaults.
+async fn copy_table(
+    source: &mut SqliteConnection,
+    target: &mut SqliteConnection,
+    table: &str,
+) -> Result<(), sqlx::Error> {
+    let columns = "SELECT name FROM pragma_table_info(?)";
+    let of_source: Vec<String> = sqlx::query_scalar(columns).bind(table).fetch_all(&mut *source).await?;
+    let of_target: Vec<String> = sqlx::query_scalar(columns).bind(table).fetch_all(&mut *target).await?;
+    let shared: Vec<&str> =
+        of_target.iter().filter(|name| of_source.contains(name)).map(String::as_str).collect();
+    if shared.is_empty() {
+        return Ok(());
+    }
+    // SQLite's function returns each value as a literal of SQL. The names are those of this program's own schema.
+    let literals: Vec<String> = shared.iter().map(|name| format!("quote({name})")).collect();
+    let select = format!("SELECT {} FROM {table}", literals.join(" || ',' || "));
+    let rows: Vec<String> = sqlx::query_scalar(AssertSqlSafe(select)).fetch_all(source).await?;
+    for row in rows {
+        let insert = format!("INSERT INTO {table} ({}) VALUES ({row})", shared.join(", "));
+        sqlx::query(AssertSqlSafe(insert)).execute(&mut *target).await?;
+    }
+    Ok(())
+}
+
+/// Copies the batches up to the first one that cannot be read or does not match its hash.
+async fn copy_batches(
+    source: &mut SqliteConnection,
+    target: &mut SqliteConnection,
+    file_bytes: u64,
+) -> Result<Recovered, RecoveryError> {
+    let (acknowledged, first_chain): (i64, Vec<u8>) =
+        sqlx::query_as("SELECT acknowledged, chain FROM stream WHERE id = 1").fetch_one(&mut *target).await?;
+    let mut previous: Chain = chain(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
+    let mut recovered = Recovered::default();
+    let mut number = acknowledged;
+    loop {
+        number = number.saturating_add(1);
+        let row = sqlx::query_as("SELECT since_ns, events, chain, body FROM batch WHERE number = ?")
+            .bind(number)
+            .fetch_optional(&mut *source)
+            .await;
+        let row: (i64, u32, Vec<u8>, Vec<u8>) = match row {
+            Ok(Some(row)) => row,
+            Ok(None) => break,
+            Err(error) if is_corrupt(&error) || matches!(error, sqlx::Error::ColumnDecode { .. }) => break,
+            Err(error) => return Err(error.into()),
+        };
+        let (since_ns, events, stored_chain, body) = row;
+        let expected = previous.next(events, &body);
+        if stored_chain != expected.as_bytes() {
+            break;
+        }
+        sqlx::query("INSERT INTO batch (number, since_ns, events, chain, body) VALUES (?, ?, ?, ?, ?)")
+            .bind(number)
+            .bind(since_ns)
+            .bind(events)
+            .bind(stored_chain)
+            .bind(body)
+            .execute(&mut *target)
+            .await?;
+        previous = expected;
+        recovered.batches += 1;
+        recovered.events += u64::from(events);
+    }
+    if recovered.batches == 0 {
+        return Err(RecoveryError::NoBatch);
+    }
+    let newest: Result<Option<i64>, _> =
+        sqlx::query_scalar("SELECT MAX(number) FROM batch").fetch_one(&mut *source).await;
+    let lost = newest.ok().flatten().map(|newest| newest.saturating_sub(number - 1).max(0).cast_unsigned());
+    recovered.lost_batches = lost.filter(|lost| *lost <= file_bytes / MIN_BATCH_BYTES);
+    for lost_number in (number..).take(recovered.lost_batches.unwrap_or(0) as usize) {
+        let events: Result<Option<u32>, _> = sqlx::query_scalar("SELECT events FROM batch WHERE number = ?")
+            .bind(lost_number)
+            .fetch_optional(&mut *source)
+            .await;
+        // A row on a damaged page has no known number of events.
+        recovered.lost_events += events.ok().flatten().map_or(0, u64::from);
+    }
+    Ok(recovered)
+}
+
+/// Counts the events of lost batches as dropped, so that they do not count as stored. An incident reports them, so no gap must. Losses
+/// of earlier processes that are not reported yet depend on these counts, which then stay as they are.
+async fn count_losses(target: &mut SqliteConnection, lost_events: u64) -> Result<(), sqlx::Error> {
+    sqlx::query(
+        "UPDATE stream SET dropped = dropped + ?1, told = told + ?1
+         WHERE id = 1 AND NOT EXISTS (SELECT 1 FROM unreported) AND NOT EXISTS (SELECT 1 FROM unresolved)
+           AND produced >= dropped + ?1",
+    )
+    .bind(lost_events.cast_signed())
+    .execute(target)
+    .await
+    .map(drop)
+}
