@@ -153,6 +153,8 @@ pub enum LoadError {
         model: String,
         /// URL of the server.
         url: String,
+        /// `true` if loading may succeed later without a change of the configuration.
+        is_transient: bool,
         /// The error.
         reason: String,
     },
@@ -167,6 +169,12 @@ pub enum LoadError {
 }
 
 impl LoadError {
+    /// Returns whether loading the model may succeed later without a change of the configuration, for example because its server is not
+    /// running yet.
+    pub const fn is_transient(&self) -> bool {
+        matches!(self, Self::Server { is_transient: true, .. })
+    }
+
     /// Returns whether something in the configuration does not exist: a model, its file, a program, a module or a Python
     /// interpreter.
     pub const fn is_missing(&self) -> bool {
@@ -285,6 +293,16 @@ pub enum InferenceError {
         /// Message of the model.
         reason: String,
     },
+    /// The server of the model failed.
+    #[error("model {model} at {url} failed: {reason}")]
+    Server {
+        /// The model.
+        model: String,
+        /// URL of the server.
+        url: String,
+        /// The error, and what to do.
+        reason: String,
+    },
     /// The worker panicked. The next sample gets a new worker.
     #[error("model {model} panicked: {message}")]
     Panicked {
@@ -315,6 +333,18 @@ pub enum InferenceError {
         /// The model.
         model: String,
     },
+}
+
+impl InferenceError {
+    /// Returns the text for a peer, which does not show the address of a server behind this host.
+    pub fn to_peer(&self) -> String {
+        match self {
+            Self::Server { model, reason, .. } => {
+                Self::Failed { model: model.clone(), reason: reason.clone() }.to_string()
+            }
+            error => error.to_string(),
+        }
+    }
 }
 
 fn list_folders(folders: &[PathBuf]) -> String {

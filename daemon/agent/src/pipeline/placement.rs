@@ -48,6 +48,8 @@ pub(super) struct Computed {
 pub(super) enum OpenFailure {
     /// The model of this host cannot be loaded. Only a change of the configuration helps.
     Model(LoadError),
+    /// The server of a model of this host cannot be reached at present.
+    ModelAway(LoadError),
     /// The thread that loaded the model panicked.
     Panicked,
     /// The peer cannot be reached, or did not answer in time.
@@ -68,7 +70,10 @@ impl Placement {
                 // On a blocking thread, because a model may take minutes to load.
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
-                pool.map(Self::Local).map_err(OpenFailure::Model)
+                pool.map(Self::Local).map_err(|error| match error.is_transient() {
+                    true => OpenFailure::ModelAway(error),
+                    false => OpenFailure::Model(error),
+                })
             }
             PlacementConfig::Remote(remote) => {
                 // The pipeline bounds the iterations in flight itself. With a lower bound of the session, iterations would

@@ -247,12 +247,16 @@ impl Runner {
             resources.schedule.catch_up(self.context.host.clock.mono());
             let (problem, error, pause) = match opening_result {
                 Ok(placement) => {
-                    self.report_connected(&placement, run);
+                    let was_away = run.is_none() && reported_problem.is_some();
+                    self.report_connected(&placement, run, was_away);
                     return Ok(Some(placement));
                 }
                 // A retry cannot help: only a change of the configuration can.
                 Err(OpenFailure::Model(error)) => return Err(error.into()),
                 Err(OpenFailure::Panicked) => return Err(PipelineError::ModelPanicked),
+                Err(OpenFailure::ModelAway(error)) => {
+                    (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
+                }
                 Err(OpenFailure::Unreachable(error)) => {
                     (ConnectProblem::Unreachable, error.to_string(), reconnect_backoff.next_pause())
                 }
@@ -272,8 +276,15 @@ impl Runner {
         }
     }
 
-    fn report_connected(&self, placement: &Placement, run: Option<RunId>) {
+    /// Reports a connection to a peer. `was_away` is `true` if an earlier attempt was reported as failed; then the server of a local
+    /// model is reported, too.
+    fn report_connected(&self, placement: &Placement, run: Option<RunId>, was_away: bool) {
         let description = placement.describe();
+        if was_away && placement.peer().is_none() {
+            let text = format!("model {} is loaded, because its server answers now", description.model);
+            let subject = IncidentSubject { pipeline: Some(&self.config.name), run, peer: None };
+            self.context.events.incidents.report(IncidentKind::Connected, subject, text);
+        }
         if let Some((peer, name)) = placement.peer() {
             let model = &description.model;
             let device = description.device.as_deref().unwrap_or("an unknown device");

@@ -393,7 +393,8 @@ fn failure_from_error(error: &InferenceError) -> Failure {
         }
         InferenceError::Input { .. }
         | InferenceError::Failed { .. }
+        | InferenceError::Server { .. }
         | InferenceError::Panicked { .. }
-        | InferenceError::Cancelled { .. } => Failure::Failed(error.to_string()),
+        | InferenceError::Cancelled { .. } => Failure::Failed(error.to_peer()),
     }
 }

@@ -7,7 +7,7 @@ use std::thread;
 
 use peernet_clock::{DelaySource, Verdict};
 use peernet_logger::Measure;
-use peernet_stream::Outcome;
+use peernet_stream::{IncidentKind, Outcome, PipelineState};
 
 use crate::harness::{Aggregator, TestAgent, value};
 
@@ -42,7 +42,10 @@ fn read_request(stream: &mut BufReader<TcpStream>) -> Option<String> {
 /// Starts a server of chat completions that sends `chunks` chunks, and then the end of the stream unless it is `None`.
 /// The receiver gets a message when a client closes the connection before the end.
 fn start_server(end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    serve(TcpListener::bind("127.0.0.1:0").expect("a port is free"), end)
+}
+
+fn serve(listener: TcpListener, end: Option<&'static str>) -> (SocketAddr, Receiver<()>) {
     let address = listener.local_addr().expect("is bound");
     let (closed, closings) = sync_channel(8);
     thread::spawn(move || {
@@ -87,6 +90,33 @@ fn edge_tables(cloud: &TestAgent, keys: &str) -> String {
          warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 3 }}\n{keys}",
         cloud.address()
     )
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn pipeline_waits_for_server_of_its_model() {
+    let address =
+        TcpListener::bind("127.0.0.1:0").and_then(|free| free.local_addr()).expect("a port is free");
+    let aggregator = Aggregator::start().await;
+    let tables = format!(
+        "[[model]]\nname = 'chat'\nkind = 'openai'\nurl = 'http://{address}/v1'\nmodel = 'm'\nprompt = 'Count.'\n\
+         [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'text', length = 20 }}\n\
+         placement = {{ kind = 'local', model = 'chat' }}\n\
+         warm_up = {{ iterations = 0 }}\nlimit = {{ iterations = 2 }}\n"
+    );
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let state = agent.until_state(|state| matches!(state, PipelineState::Waiting(_))).await;
+    let PipelineState::Waiting(reason) = state else { unreachable!("it was awaited") };
+    assert!(reason.contains(&address.to_string()) && reason.contains("start the server"), "{reason}");
+    let end = "data: {\"choices\":[{\"delta\":{},\"finish_reason\":\"stop\"}]}\n\ndata: [DONE]\n\n";
+    let (_, _closings) = serve(TcpListener::bind(address).expect("the port is still free"), Some(end));
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    assert!(seen.iterations().iter().all(|iteration| iteration.outcome == Outcome::Ok));
+    assert_eq!((seen.iterations().len(), seen.incidents(IncidentKind::Disconnected).len()), (2, 1));
+    let connected = seen.incidents(IncidentKind::Connected);
+    assert!(
+        connected.iter().any(|incident| incident.text.contains("its server answers now")),
+        "{connected:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

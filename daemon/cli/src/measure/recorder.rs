@@ -254,10 +254,16 @@ impl RunObserver for RunRecorder<'_> {
             self.writer.write_error().map(|error| format!("{error}; the rows are kept in memory"));
         let now = self.clock.mono();
         let slow = activity.slow_sensor(now);
-        let Some(peer) = &self.peer else {
-            let report = self.report(slow.or(write_error));
-            self.progress_display.show(&report);
-            return None;
+        let peer = match &self.peer {
+            Some(peer) => peer,
+            // A local model may compute on a server, which is waited for like a peer. Loading a model may take any time.
+            None if reason.is_some() => "the server of the model",
+            None => {
+                self.peer_wait.record_answer(now);
+                let report = self.report(slow.or(write_error));
+                self.progress_display.show(&report);
+                return None;
+            }
         };
         self.peer_wait.update(&activity, now);
         let trouble = match (&self.progress.started_at, reason) {

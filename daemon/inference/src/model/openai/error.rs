@@ -19,7 +19,10 @@ pub(super) enum RequestError {
     #[error("cannot open a TLS connection to its server {server}: {reason}; {remedy}")]
     Tls { server: String, reason: String, remedy: String },
     /// The connection broke.
-    #[error("the connection to its server broke after {}: {reason}", chunks(*.after))]
+    #[error(
+        "the connection to its server broke after {}: {reason}; the server's log says why; the next request connects again",
+        chunks(*.after)
+    )]
     Connection { after: u64, reason: String },
     /// The first token did not arrive in time.
     #[error("its server sent no token within {} ms; raise first_token_timeout_ms if it needs longer", .0.as_millis())]
@@ -37,7 +40,7 @@ pub(super) enum RequestError {
     )]
     Total { limit: Duration, after: u64 },
     /// The server refused the request.
-    #[error("its server answered with HTTP status {status}{}{}", colon(.text), retry(.retry_after))]
+    #[error("its server answered with HTTP status {status}{}; {}", colon(.text), status_remedy(*.status, .retry_after.as_deref()))]
     Status {
         status: hyper::StatusCode,
         text: String,
@@ -51,11 +54,27 @@ pub(super) enum RequestError {
     )]
     NotStreamed(String),
     /// The stream is no complete answer.
-    #[error(transparent)]
+    #[error("{}{}", .0, stream_remedy(.0))]
     Stream(#[from] StreamError),
 }
 
 impl RequestError {
+    /// Returns whether the same request may succeed later without a change of the configuration: the server is not running, is still
+    /// loading, or is overloaded.
+    pub(super) fn is_transient(&self) -> bool {
+        match self {
+            Self::Connect(_) | Self::Connection { .. } | Self::FirstToken(_) | Self::Token { .. } => true,
+            Self::Status { status, .. } => {
+                status.is_server_error() || *status == hyper::StatusCode::TOO_MANY_REQUESTS
+            }
+            Self::Stream(StreamError::Server { .. } | StreamError::EndedEarly(_)) => true,
+            Self::Tls { .. }
+            | Self::Total { .. }
+            | Self::NotStreamed(_)
+            | Self::Stream(StreamError::Chunk { .. } | StreamError::TooLong(_)) => false,
+        }
+    }
+
     /// Returns the message, with asterisks in place of a secret and with the texts of the server shortened.
     // A server may repeat the key that it refuses, in any of these texts. A text that was shortened first could end within the key.
     pub(super) fn message(mut self, secret: Option<&str>) -> String {
@@ -97,15 +116,29 @@ fn colon(text: &str) -> String {
     if text.is_empty() { String::new() } else { format!(": {text}") }
 }
 
-fn retry(after: &Option<String>) -> String {
-    match after {
-        Some(after) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
-            format!("; it asks to wait {after} s: lower the rate of the pipeline, or the number of workers")
+/// Returns what to do about an answer with this status. `retry_after` is the value of the header `Retry-After`.
+fn status_remedy(status: hyper::StatusCode, retry_after: Option<&str>) -> String {
+    let slower = "lower the rate of the pipeline, or the number of workers";
+    match (retry_after, status.as_u16()) {
+        (Some(after), _) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
+            format!("it asks to wait {after} s: {slower}")
         }
-        Some(after) => format!(
-            "; it asks to wait until {after}: lower the rate of the pipeline, or the number of workers"
-        ),
-        None => String::new(),
+        (Some(after), _) => format!("it asks to wait until {after}: {slower}"),
+        (None, 401 | 403) => "check the key in the environment variable that api_key_env names".to_owned(),
+        (None, 404) => "check url and model".to_owned(),
+        (None, 429) => slower.to_owned(),
+        (None, 503) => "it may still be loading its model, or be overloaded; its log says why".to_owned(),
+        (None, 500..) => "its log says why".to_owned(),
+        (None, _) => "check parameters, and that the model accepts such samples".to_owned(),
+    }
+}
+
+/// Returns what to do about a stream that is no complete answer; empty if the error says it.
+const fn stream_remedy(error: &StreamError) -> &'static str {
+    match error {
+        StreamError::Server { .. } | StreamError::EndedEarly(_) => "; the server's log says why",
+        StreamError::Chunk { .. } => "; url must name a server with the OpenAI API",
+        StreamError::TooLong(_) => "",
     }
 }
 
@@ -135,6 +168,30 @@ mod tests {
             let message = error.message(Some(KEY));
             assert!(message.contains("Bearer ***") && !message.contains("sk-"), "{message}");
         }
+    }
+
+    #[test]
+    fn status_has_remedy() {
+        let message = |status: u16, retry_after: Option<&str>| {
+            let status = hyper::StatusCode::from_u16(status).expect("a status");
+            let retry_after = retry_after.map(str::to_owned);
+            RequestError::Status { status, text: String::new(), retry_after }.message(None)
+        };
+        for (status, remedy) in [
+            (400, "; check parameters"),
+            (401, "api_key_env"),
+            (404, "; check url and model"),
+            (429, "; lower the rate"),
+            (500, "; its log says why"),
+            (503, "; it may still be loading"),
+        ] {
+            assert!(message(status, None).contains(remedy), "{}", message(status, None));
+        }
+        assert!(
+            message(429, Some("7"))
+                .ends_with("; it asks to wait 7 s: lower the rate of the pipeline, or the number of workers")
+        );
+        assert!(message(503, Some("Wed")).contains("it asks to wait until Wed: "));
     }
 
     #[test]

@@ -45,6 +45,7 @@ impl Openai {
         self.runtime()?.block_on(self.server.check()).map_err(|error| LoadError::Server {
             model: self.name.clone(),
             url: self.config.url.clone(),
+            is_transient: error.is_transient(),
             reason: error.message(self.server.secret()),
         })
     }

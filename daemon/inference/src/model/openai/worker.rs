@@ -66,8 +66,9 @@ impl Worker for OpenaiWorker {
         nodes::record(&answer, &mut inference);
         drop(inference);
         let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;
-        result.map_err(|error| InferenceError::Failed {
+        result.map_err(|error| InferenceError::Server {
             model: name.clone(),
+            url: config.url.clone(),
             reason: error.message(server.secret()),
         })?;
         let _postprocessing = recorder.time(stage::POSTPROCESSING);

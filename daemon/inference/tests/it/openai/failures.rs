@@ -10,7 +10,13 @@ use super::*;
 fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
     let finished = ask(script, more);
     let reason = match finished.result {
-        Err(InferenceError::Failed { model, reason }) if model == "vlm" => reason,
+        Err(error @ InferenceError::Server { .. }) => {
+            assert!(!error.to_peer().contains("http://"), "a peer does not see the address");
+            let text = error.to_string();
+            let (model_and_url, reason) = text.split_once(" failed: ").expect("the server is named");
+            assert!(model_and_url.starts_with("model vlm at http://127.0.0.1:"), "{text}");
+            reason.to_owned()
+        }
         other => panic!("{other:?}"),
     };
     (reason, finished.recorder.finish())
@@ -79,13 +85,13 @@ fn refusal_is_reported_with_text_of_server() {
             "500 Internal Server Error",
             "",
             "oops",
-            "its server answered with HTTP status 500 Internal Server Error: oops",
+            "its server answered with HTTP status 500 Internal Server Error: oops; its log says why",
         ),
         (
             "404 Not Found",
             "",
             "{\"object\":\"error\",\"message\":\"The model `llava` does not exist.\"}",
-            "its server answered with HTTP status 404 Not Found: The model `llava` does not exist.",
+            "its server answered with HTTP status 404 Not Found: The model `llava` does not exist.; check url and model",
         ),
         (
             "200 OK",
@@ -107,12 +113,15 @@ fn answer_broken_off_is_no_answer() {
     assert_eq!(value(&tree, "output-chunks"), Some(1.0));
     // The body has an end, but the answer has none.
     let (reason, _) = failure(vec![head(), content("a"), Step::Send(b"0\r\n\r\n".to_vec())], "");
-    assert_eq!(reason, "its server closed the connection after 1 chunk without ending the answer");
+    assert_eq!(
+        reason,
+        "its server closed the connection after 1 chunk without ending the answer; the server's log says why"
+    );
     let (reason, _) = failure(vec![], "");
     assert!(reason.starts_with("the connection to its server broke after 0 chunks: "), "{reason}");
     let error = event("{\"error\":{\"message\":\"out of memory\"}}");
     let (reason, _) = failure(vec![head(), content("a"), error, Step::Stall], "");
-    assert_eq!(reason, "its server ended the answer after 1 chunk: out of memory");
+    assert_eq!(reason, "its server ended the answer after 1 chunk: out of memory; the server's log says why");
     let (reason, _) = failure(vec![head(), event("{\"choices\":["), Step::Stall], "");
     assert!(reason.starts_with("chunk 1 of its answer cannot be read: "), "{reason}");
 }
@@ -129,7 +138,10 @@ fn key_in_answer_of_server_is_hidden() {
     let key = &some_variable();
     let refused = whole("401 Unauthorized", "", &format!("{{\"error\":\"wrong key {key}\"}}"));
     let (reason, _) = failure(refused, "api_key_env = 'PATH'");
-    assert_eq!(reason, "its server answered with HTTP status 401 Unauthorized: wrong key ***");
+    assert_eq!(
+        reason,
+        "its server answered with HTTP status 401 Unauthorized: wrong key ***; check the key in the environment variable that api_key_env names"
+    );
     let (reason, _) =
         failure(vec![head(), event(&format!("\"Bearer {key}\"")), Step::Stall], "api_key_env = 'PATH'");
     assert!(reason.contains("Bearer ***") && !reason.contains(key.as_str()), "{reason}");
@@ -143,7 +155,7 @@ fn server_that_is_down_is_refused_at_load() {
     let bank = bank(&[&format!("name = 'vlm'\nkind = 'openai'\nurl = {url:?}\nmodel = 'llava'")]);
     assert!(bank.check().is_empty(), "the check does not connect: {:?}", bank.check());
     let error = bank.load(&"vlm".parse().expect("is a name"), None).expect_err("nothing listens");
-    assert!(matches!(error, LoadError::Server { .. }), "{error}");
+    assert!(matches!(error, LoadError::Server { .. }) && error.is_transient(), "{error}");
     let text = error.to_string();
     assert!(text.starts_with(&format!("model vlm at {url}: cannot connect to its server: ")), "{text}");
     assert!(text.ends_with("start the server, or correct url"), "{text}");

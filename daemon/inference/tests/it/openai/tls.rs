@@ -252,7 +252,7 @@ fn stalled_handshake_ends_at_limit() {
         let (url, events) = server_with_stalled_handshake(file);
         let bank = bank_at(&url, "first_token_timeout_ms = 120");
         let finished = run(&loaded(&bank, "vlm"), text("a"));
-        let Err(InferenceError::Failed { reason, .. }) = finished.result else { panic!("is late") };
+        let Err(InferenceError::Server { reason, .. }) = finished.result else { panic!("is late") };
         let expected =
             "its server sent no token within 120 ms; raise first_token_timeout_ms if it needs longer";
         assert_eq!(reason, expected);
