@@ -347,8 +347,14 @@ impl RunningAgent {
                 None => Ok(()),
             }
         };
-        // Models are unloaded while the outbox sends: both may take long, and they are independent.
-        let (outbox_result, unload_result) = tokio::join!(close_outbox, unload(bank, deadline - now));
+        // Models are unloaded first, so that the outbox sends the incidents about it. A model that computes for long must not take the
+        // time in which events are sent: then both happen at once.
+        let mut unloading = Box::pin(unload(bank, deadline - now));
+        let unloaded = tokio::time::timeout((deadline - now) / 2, &mut unloading).await;
+        let (outbox_result, unload_result) = match unloaded {
+            Ok(unload_result) => (close_outbox.await, unload_result),
+            Err(_) => tokio::join!(close_outbox, unloading),
+        };
         // If the outbox ended unexpectedly, `tasks` returns an error, too. The result of the outbox comes first, because
         // only this result contains the reason. The error of `tasks` was logged.
         outbox_result.and(tasks_result).and(unload_result)

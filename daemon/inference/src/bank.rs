@@ -47,7 +47,7 @@ pub struct Bank {
 }
 
 type LoadObserver = Box<dyn Fn(&Pool) + Send + Sync>;
-type UnloadObserver = Box<dyn Fn(&UnloadedModel) + Send + Sync>;
+type UnloadObserver = Arc<dyn Fn(&UnloadedModel) + Send + Sync>;
 
 impl Bank {
     /// Creates a bank of these models; loads none of them.
@@ -96,11 +96,11 @@ impl Bank {
         self
     }
 
-    /// Calls `observer` with each model of the folders after it was unloaded to make room, or because its files have changed. It is
-    /// not called by [`shutdown`](Self::shutdown).
+    /// Calls `observer` with each model after it was unloaded: a model of the folders to make room or because its files have changed, and
+    /// any model by [`shutdown`](Self::shutdown).
     #[must_use]
     pub fn on_unload(mut self, observer: impl Fn(&UnloadedModel) + Send + Sync + 'static) -> Self {
-        self.on_unload = Some(Box::new(observer));
+        self.on_unload = Some(Arc::new(observer));
         self
     }
 
@@ -183,7 +183,7 @@ impl Bank {
         })?;
         // The old models are unloaded before the new one is loaded, so that the limit is never exceeded.
         for (old, reason) in to_unload {
-            self.unload_entry(&old, reason);
+            self.unloader().unload(&old, reason);
         }
         let pool = self.load_entry(&entry);
         if pool.is_err() {
@@ -201,19 +201,8 @@ impl Bank {
         Ok(pool)
     }
 
-    fn unload_entry(&self, entry: &CacheEntry, reason: UnloadReason) {
-        let Some(pool) = entry.take() else { return };
-        let (name, device, loaded_at) = (pool.name().clone(), pool.device(), pool.loaded_at());
-        let memory_before = resident_memory();
-        pool.shutdown();
-        // The pool owns the model, so that its memory is released before the second reading.
-        drop(pool);
-        let memory_released =
-            memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));
-        let loaded_for = self.clock.mono() - loaded_at;
-        if let Some(observer) = &self.on_unload {
-            observer(&UnloadedModel { name, device, loaded_for, memory_released, reason });
-        }
+    fn unloader(&self) -> Unloader {
+        Unloader { clock: Arc::clone(&self.clock), observer: self.on_unload.clone() }
     }
 
     /// Checks everything that can be checked without loading a model: names, files, cards, devices, the library.
@@ -244,7 +233,7 @@ impl Bank {
     /// Ends the threads of all loaded models; see [`Pool::shutdown`]. Blocks.
     pub fn shutdown(&self) {
         for entry in self.all_entries() {
-            entry.unload();
+            self.unloader().unload(&entry, UnloadReason::Shutdown);
         }
     }
 
@@ -266,10 +255,10 @@ impl Bank {
         let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();
         for (index, entry) in entries.into_iter().enumerate() {
-            let done = done.clone();
+            let (done, unloader) = (done.clone(), self.unloader());
             let thread = thread::Builder::new().name(format!("end-{}", entry.config.name()));
             let ending = thread.spawn(move || {
-                entry.unload();
+                unloader.unload(&entry, UnloadReason::Shutdown);
                 // The receiver is gone if ending this model took too long.
                 let _ = done.send(index);
             });
@@ -313,6 +302,32 @@ impl Bank {
         Ok(pool
             .with_facts(config.facts(self.fingerprints.as_ref()))
             .with_memory_growth(memory_growth, &self.loaded))
+    }
+}
+
+/// Unloads models and tells the observer.
+struct Unloader {
+    clock: SharedClock,
+    observer: Option<UnloadObserver>,
+}
+
+impl Unloader {
+    /// Ends the threads of the model, if it is loaded. Blocks.
+    fn unload(&self, entry: &CacheEntry, reason: UnloadReason) {
+        let Some(pool) = entry.take() else { return };
+        let (name, device, loaded_at) = (pool.name().clone(), pool.device(), pool.loaded_at());
+        let memory_before = resident_memory();
+        pool.shutdown();
+        // The pool owns the model, so that its memory is released before the second reading.
+        drop(pool);
+        // At the end all models are unloaded at once, so that no model has a share of its own.
+        let memory_before = memory_before.filter(|_| reason != UnloadReason::Shutdown);
+        let memory_released =
+            memory_before.zip(resident_memory()).map(|(before, after)| before.saturating_sub(after));
+        let loaded_for = self.clock.mono() - loaded_at;
+        if let Some(observer) = &self.observer {
+            observer(&UnloadedModel { name, device, loaded_for, memory_released, reason });
+        }
     }
 }
 

@@ -4,7 +4,9 @@
 use std::path::Path;
 
 use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, PictureObjects};
-use peernet_analysis::accuracy::segmentation::{ClassMap, SEGMENTATION_SCORE, SegmentedPixels};
+use peernet_analysis::accuracy::segmentation::{
+    ClassMap, IGNORED_CLASS, SEGMENTATION_SCORE, SegmentedPixels,
+};
 use peernet_inference::UNKNOWN_LABEL;
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
@@ -38,11 +40,18 @@ struct Class {
     label: String,
 }
 
+/// The field of a segmentation's answer that is read.
+#[derive(Debug, Deserialize)]
+struct Segmentation {
+    class_count: Option<usize>,
+}
+
 /// Records the accuracy of an answer to a sample with the label `label`: `top-1` and `top-5` of a classification, which is JSON with `label`
 /// and, best first, `top`; `map-50` and `mean-iou` of a detection, which is JSON with `detections`, if the label has objects; `mean-iou` of a
 /// segmentation, which is JSON and grey pixels, if the label names a mask. Reads the file of the mask.
 ///
-/// Records nothing of another answer, or if the model marked a class of the label as unknown (`unknown-label`).
+/// Records nothing of another answer, or if the model marked a class of the label as unknown (`unknown-label`). Marks a mask with a class that
+/// the model does not have.
 pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) {
     // No answer to such a sample can be correct, so it says nothing about the model.
     if log.tree().find(&[UNKNOWN_LABEL.as_str()]).is_some() {
@@ -76,8 +85,8 @@ fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
     }
 }
 
-fn record_segmentation(log: &mut Recorder, label: &MaskLabel, answer: &Sample) {
-    let Some(answer) = ClassMap::from_answer(answer) else { return };
+fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
+    let Some(answer) = ClassMap::from_answer(sample) else { return };
     let mask = match read_mask(Path::new(&label.mask)) {
         Ok(mask) => mask,
         Err(error) => {
@@ -85,6 +94,14 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, answer: &Sample) {
             return;
         }
     };
+    let has_unknown_class = |count: usize| {
+        mask.pixels().iter().any(|class| *class != IGNORED_CLASS && usize::from(*class) >= count)
+    };
+    // Only this host has the mask, so that the model cannot mark it.
+    if class_count(sample).is_some_and(has_unknown_class) {
+        log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        return;
+    }
     let mut pixels = SegmentedPixels::default();
     if let Some(mask) = ClassMap::new(mask.width(), mask.height(), mask.pixels()) {
         pixels.add(mask, answer);
@@ -92,6 +109,12 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, answer: &Sample) {
     if let Some(iou) = pixels.mean_iou() {
         log.value(SEGMENTED_IOU, iou, Unit::NONE);
     }
+}
+
+/// Returns the number of classes of the model that answered; `None` if the answer does not say it, as that of a Python object.
+fn class_count(answer: &Sample) -> Option<usize> {
+    let Segmentation { class_count } = serde_json::from_slice(json(answer)?).ok()?;
+    class_count
 }
 
 /// Returns the text of an answer whose first part is JSON.
@@ -188,6 +211,17 @@ mod tests {
         // Class 0: 2 of 3 pixels; class 1: 2 of 3.
         assert_eq!(recorded(&label, &answer(vec![0, 0, 1, 1, 0, 7])), Some(2.0 / 3.0));
         assert_eq!(recorded("road", &answer(vec![0; 6])), None, "the label is no mask");
+        // The mask has the classes 0 and 1; the model has one class, and then two.
+        for (json, unknown, iou) in
+            [(r#"{"class_count":1}"#, Some(1.0), None), (r#"{"class_count":2}"#, None, Some(1.0))]
+        {
+            let mut counted = answer(vec![0, 0, 1, 1, 1, 7]);
+            counted.parts[0].bytes = json.into();
+            let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
+            let mut log = Recorder::new(Arc::new(clock), HostId::random());
+            record_accuracy(&mut log, &label, &counted);
+            assert_eq!((value(&log, "unknown-label"), value(&log, "mean-iou")), (unknown, iou), "{json}");
+        }
         let json = Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a"}"#.into());
         assert_eq!(recorded(&label, &json), None, "the answer is no segmentation");
         std::fs::remove_file(file).expect("is there");

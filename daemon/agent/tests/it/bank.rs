@@ -129,6 +129,11 @@ async fn replaced_model_is_incident_and_metrics_count_loaded_ones() {
     assert!(text.contains(" s, to make room for plates_2; the process shrank by "), "{text}");
     cloud.until(|live| live.metrics.models.is_some_and(|models| models.loaded == 1)).await;
     cloud.stop().await.expect("stops well");
+    // The end of the agent is the end of its models.
+    let seen = aggregator.until(|seen| seen.incidents(IncidentKind::ModelUnloaded).len() == 2).await;
+    let text = &seen.incidents(IncidentKind::ModelUnloaded)[1].text;
+    assert!(text.starts_with("unloaded plates_2 from cpu after "), "{text}");
+    assert!(text.ends_with(" s, because the agent stops"), "{text}");
 }
 
 #[test]

@@ -48,13 +48,6 @@ impl CacheEntry {
     pub(super) fn take(&self) -> Option<Arc<Pool>> {
         self.pool.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
-
-    /// Ends the threads of the model, if it is loaded. Blocks.
-    pub(super) fn unload(&self) {
-        if let Some(pool) = self.take() {
-            pool.shutdown();
-        }
-    }
 }
 
 /// Sizes and modification times of a model's files. A change shows that files were replaced.

@@ -5,7 +5,7 @@ use std::fmt;
 use peernet_clock::Span;
 use peernet_logger::Slug;
 
-/// A model of the folders that was unloaded while the bank is in use.
+/// A model that was unloaded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnloadedModel {
     /// Name of the model.
@@ -28,6 +28,8 @@ pub enum UnloadReason {
     MakesRoomFor(Slug),
     /// The files of the model have changed.
     FilesChanged,
+    /// The host ends.
+    Shutdown,
 }
 
 impl fmt::Display for UnloadReason {
@@ -35,6 +37,7 @@ impl fmt::Display for UnloadReason {
         match self {
             Self::MakesRoomFor(model) => write!(f, "to make room for {model}"),
             Self::FilesChanged => f.write_str("because its files have changed"),
+            Self::Shutdown => f.write_str("because the agent stops"),
         }
     }
 }

@@ -10,12 +10,14 @@ use super::card::Segmentation;
 use super::geometry::PictureTransform;
 use super::outputs::{Output, OutputError, Outputs};
 
-/// First part of the answer, as JSON: `{"classes": [{"label": "road", "share": 0.61}, …], "width": 1280, "height": 960}`. The second part
-/// has the number of each pixel's class.
+/// First part of the answer, as JSON: `{"classes": [{"label": "road", "share": 0.61}, …], "class_count": 19, "width": 1280, "height": 960}`. The
+/// second part has the number of each pixel's class.
 #[derive(Debug, PartialEq, Serialize)]
 struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
+    /// Number of the model's classes: a mask with a larger number cannot be answered right.
+    class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,
     /// Height of the sample's picture, pixels.
@@ -61,7 +63,8 @@ pub(super) fn segment(
         .collect();
     classes.sort_by(|a, b| b.share.total_cmp(&a.share));
     let (width, height) = transform.picture;
-    let json = serde_json::to_vec(&Answer { classes, width, height })?;
+    let class_count = segmentation.labels.len();
+    let json = serde_json::to_vec(&Answer { classes, class_count, width, height })?;
     Ok(vec![
         Part { description: Description::unshaped(MediaType::Json), bytes: Bytes::from(json) },
         Part {
