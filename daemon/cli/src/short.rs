@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use peernet_sample::printable_line;
+use peernet_sample::{escaped_line, printable_line};
 
 /// Maximum length of a line in characters. Longer lines are shortened.
 const MAX_LINE_CHARS: usize = 600;
@@ -24,6 +24,12 @@ pub fn shorten_value(text: &str) -> Cow<'_, str> {
         Cow::Borrowed(text) => shorten(text, MAX_VALUE_CHARS),
         Cow::Owned(text) => Cow::Owned(shorten(&text, MAX_VALUE_CHARS).into_owned()),
     }
+}
+
+/// Converts labels of an experiment, which its file can fill with any characters, to one line for a terminal: control characters and
+/// characters that reorder text are shown as escapes, and the middle of an overlong text is left out.
+pub fn shorten_label(text: &str) -> String {
+    shorten(&escaped_line(text.as_bytes()), MAX_VALUE_CHARS).into_owned()
 }
 
 /// Shortens a text in its middle, because its start names the subject and its end the expected value.
@@ -52,6 +58,13 @@ mod tests {
             "{long}"
         );
         assert!(long.chars().count() < MAX_LINE_CHARS && long.contains(" characters…]"), "{long}");
+    }
+
+    #[test]
+    fn label_is_shown_escaped_and_short() {
+        assert_eq!(shorten_label("Model = yolo, größe = 1"), "Model = yolo, größe = 1");
+        assert_eq!(shorten_label("a\u{202e}b\u{1b}[2Jc\n"), "a\\u{202e}b\\u{1b}[2Jc\\n");
+        assert!(shorten_label(&"x".repeat(5_000)).chars().count() <= MAX_VALUE_CHARS);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use crate::output::print_to_stderr;
 use anyhow::anyhow;
 use peernet_analysis::loaded::Loaded;
 use peernet_results::{FolderError, ResultFolder};
+use peernet_statistics::number::counted;
 
 use super::excluded::ExclusionReasons;
 use super::experiment::Experiments;
@@ -19,8 +20,10 @@ pub(crate) struct CollectedResults {
     pub(crate) runs: Vec<Loaded>,
     /// Positions of the baseline in `runs`; empty without a baseline.
     pub(crate) baseline: Vec<usize>,
-    /// Sentences about excluded runs (unfinished runs, copies), and about experiments whose records cannot be read.
+    /// Sentences about excluded runs (unfinished runs, copies, unreadable results), and about experiments whose records cannot be read.
     pub(crate) notes: Vec<String>,
+    /// Failure of a command that has shown `runs` although other results cannot be read; `None` if all were read.
+    pub(crate) unreadable: Option<Failure>,
 }
 
 /// Reads all results at the named paths, except for excluded results. Only columns that `is_wanted` accepts are read.
@@ -29,7 +32,7 @@ pub(crate) struct CollectedResults {
 /// are at the named paths.
 ///
 /// # Errors
-/// When a path has no results or all results are excluded (66), or some results cannot be read (65).
+/// When a path has no results or all results are excluded (66), or the baseline or all results cannot be read (65).
 pub(crate) fn collect(
     named_paths: &[PathBuf],
     baseline: Option<&Path>,
@@ -52,8 +55,6 @@ pub(crate) fn collect(
         selected = SelectedResults::new(&results, &experiments);
     }
     let SelectedResults { paths, unselected } = selected;
-    let baseline_indexes: Vec<usize> =
-        (0..paths.len()).filter(|index| contains_same_path(&baseline_paths, &paths[*index])).collect();
     unselected.iter().for_each(|runs| print_to_stderr(&runs.message));
     let mut notes: Vec<String> = unselected.into_iter().map(|runs| runs.caveat).collect();
     if paths.is_empty() {
@@ -65,12 +66,16 @@ pub(crate) fn collect(
         return Err(Failure::new(Exit::NoInput, anyhow!("{text}")));
     }
     // The files are read only now: unselected results may be large or damaged.
-    let runs = paths.iter().map(|path| open(path, is_wanted)).collect::<Result<Vec<Loaded>, Failure>>()?;
+    let ReadableResults { paths, runs, failures } = read(paths, &baseline_paths, is_wanted)?;
+    let unreadable = unreadable_failure(failures, runs.len());
+    notes.extend(unreadable.iter().map(|failure| to_sentence(&failure.to_string())));
+    let baseline_indexes: Vec<usize> =
+        (0..paths.len()).filter(|index| contains_same_path(&baseline_paths, &paths[*index])).collect();
     let command_line_paths: Vec<&Path> = named_paths.iter().map(PathBuf::as_path).chain(baseline).collect();
     // Copies of one run can be recognised only by their run ids, which are in the files.
     let exclusions = ExclusionReasons::new(&runs, &baseline_indexes, &command_line_paths, &experiments);
-    let unreadable = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
-    for note in unreadable.into_iter().chain(exclusions.notes(&runs)) {
+    let unreadable_records = experiments.unreadable_notes(paths.iter().map(PathBuf::as_path));
+    for note in unreadable_records.into_iter().chain(exclusions.notes(&runs)) {
         print_to_stderr(&note);
         notes.push(to_sentence(&note));
     }
@@ -90,7 +95,65 @@ pub(crate) fn collect(
     }
     let mut runs: Vec<Option<Loaded>> = runs.into_iter().map(Some).collect();
     let runs = order.into_iter().filter_map(|run| runs[run].take()).collect();
-    Ok(CollectedResults { runs, baseline: baseline_runs, notes })
+    Ok(CollectedResults { runs, baseline: baseline_runs, notes, unreadable })
+}
+
+/// Results that can be read.
+struct ReadableResults {
+    paths: Vec<PathBuf>,
+    /// The results at `paths`.
+    runs: Vec<Loaded>,
+    /// Reasons why other results cannot be read.
+    failures: Vec<Failure>,
+}
+
+/// Reads the results at these paths.
+///
+/// # Errors
+/// When no results can be read, or those of the baseline cannot.
+fn read(
+    paths: Vec<PathBuf>,
+    baseline_paths: &[PathBuf],
+    is_wanted: &dyn Fn(&str) -> bool,
+) -> Result<ReadableResults, Failure> {
+    let mut readable = ReadableResults { paths: Vec::new(), runs: Vec::new(), failures: Vec::new() };
+    for path in paths {
+        match open(&path, is_wanted) {
+            Ok(run) => {
+                readable.paths.push(path);
+                readable.runs.push(run);
+            }
+            // Another line of the table must not silently become the baseline.
+            Err(failure) if contains_same_path(baseline_paths, &path) => return Err(failure),
+            Err(failure) => readable.failures.push(failure),
+        }
+    }
+    match readable.failures.pop_if(|_| readable.runs.is_empty()) {
+        // All of them have a reason, which may differ.
+        Some(last) => {
+            let exit = last.exit;
+            let failures = readable.failures.into_iter().chain([last]);
+            let reasons: Vec<String> = failures.map(|failure| failure.to_string()).collect();
+            Err(Failure::new(exit, anyhow!("{}", reasons.join("; "))))
+        }
+        None => Ok(readable),
+    }
+}
+
+/// Returns the failure for results that cannot be read, beside `read` results that can.
+fn unreadable_failure(failures: Vec<Failure>, read: usize) -> Option<Failure> {
+    let reasons: Vec<String> = failures.iter().map(ToString::to_string).collect();
+    (!reasons.is_empty()).then(|| {
+        Failure::new(
+            Exit::Data,
+            anyhow!(
+                "{} of {} cannot be read, without which the others are shown: {}",
+                reasons.len(),
+                counted((read + reasons.len()) as u64, "result"),
+                reasons.join("; ")
+            ),
+        )
+    })
 }
 
 /// Turns a note into a sentence for the text below a table.
@@ -140,8 +203,12 @@ fn find(path: &Path) -> Result<Vec<PathBuf>, Failure> {
     }
     let results = ResultFolder::find(path);
     if results.is_empty() {
-        let reason =
-            if path.is_dir() { "it contains no data.csv, at any depth" } else { "it does not exist" };
+        let reason = match std::fs::metadata(path) {
+            Ok(metadata) if metadata.is_dir() => "it contains no data.csv, at any depth".to_owned(),
+            Ok(_) => "it is neither a folder nor a regular file".to_owned(),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => "it does not exist".to_owned(),
+            Err(error) => error.to_string(),
+        };
         return Err(Failure::new(Exit::NoInput, anyhow!("no results in {}: {reason}", path.display())));
     }
     Ok(results)
@@ -201,6 +268,40 @@ mod tests {
         }
         let of_both = collect(&runs[..1], Some(folder.path()), &|_| true).expect("they are there");
         assert_eq!((of_both.runs.len(), of_both.baseline), (2, vec![0, 1]));
+    }
+
+    #[test]
+    fn unreadable_results_are_left_out_with_reason() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let runs = ["a", "b", "c"].map(|name| folder.path().join(name));
+        let write = |run: &Path, text: &str| std::fs::write(run.join("data.csv"), text).expect("written");
+        for run in &runs {
+            std::fs::create_dir(run).expect("made");
+            write(run, "iteration,inference\n1,0.1\n");
+        }
+        write(&runs[1], "iteration,inference\n1,a,b,c\n2,d\n");
+        let results = collect(&runs, Some(&runs[2]), &|_| true).expect("two can be read");
+        let failure = results.unreadable.expect("one cannot");
+        let text = failure.to_string();
+        assert!(failure.exit == Exit::Data && text.contains("1 of 3 results"), "{text}");
+        assert!(text.contains(&runs[1].join("data.csv").display().to_string()), "{text}");
+        let folders: Vec<_> = results.runs.iter().map(|run| run.folder.clone()).collect();
+        assert_eq!((folders, results.baseline), (vec![runs[0].clone(), runs[2].clone()], vec![1]));
+        assert!(results.notes.concat().contains("1 of 3 results"), "{:?}", results.notes);
+
+        assert_eq!(
+            collect(&runs, Some(&runs[1]), &|_| true).err().map(|failure| failure.exit),
+            Some(Exit::Data)
+        );
+        let only = collect(&runs[1..2], None, &|_| true).err().expect("nothing is left");
+        assert!(only.exit == Exit::Data && only.to_string().contains("data.csv"), "{only}");
+    }
+
+    #[test]
+    fn path_without_results_is_described_as_it_is() {
+        let reason = |path: &str| find(Path::new(path)).err().expect("no results").to_string();
+        assert!(reason("/dev/null").ends_with("it is neither a folder nor a regular file"));
+        assert!(reason("/nowhere").ends_with("it does not exist"));
     }
 
     #[test]

@@ -35,8 +35,8 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Baseline of the comparison stage by stage: a run's folder or its data.csv, or a folder with several runs of one
-    /// configuration, which are pooled [default: the first line of a table with two lines; with more lines, only the
-    /// totals are compared, with the best line]. With --format csv the table of differences replaces the other table.
+    /// configuration, which are pooled [default: the best line, by its mean total; with more than two lines, only the
+    /// totals are compared with it]. With --format csv the table of differences replaces the other table.
     #[arg(long, value_name = "RUN")]
     baseline: Option<PathBuf>,
     /// Give each repeat of a configuration a separate line.
@@ -64,9 +64,9 @@ enum Format {
 /// of the totals from the best line.
 ///
 /// # Errors
-/// When there are no results (66), they cannot be read (65), or the file cannot be written (73).
+/// When there are no results (66), some cannot be read (65; the others are printed), or the file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
-    let CollectedResults { runs, baseline, notes } =
+    let CollectedResults { runs, baseline, notes, unreadable } =
         collect(&arguments.runs, arguments.baseline.as_deref(), &is_compared)?;
     let repeats = match (arguments.apart, baseline.as_slice()) {
         (true, _) => Repeats::Separate,
@@ -99,10 +99,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let text = text.trim_end();
     let Some(path) = &arguments.out else {
         print_to_stdout(text);
-        return Ok(());
+        return unreadable.map_or(Ok(()), Err);
     };
-    std::fs::write(path, format!("{text}\n"))
-        .map_err(|error| Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display())))
+    std::fs::write(path, format!("{text}\n")).map_err(|error| {
+        Failure::new(Exit::Unwritten, anyhow!("cannot write {}: {error}", path.display()))
+    })?;
+    unreadable.map_or(Ok(()), Err)
 }
 
 /// Returns the line that has the runs of a baseline.
@@ -145,9 +147,10 @@ fn missing_comparison_reason(comparison: &Comparison) -> Option<String> {
     Some(format!("nothing is compared with the baseline: {reason}"))
 }
 
-/// Returns the line that is the baseline unless the user names one: the first of two lines. `None` for any other number of lines.
+/// Returns the line that is the baseline unless the user names one: the best of two lines, as on the page Compare, or the first if
+/// neither is the best. `None` for any other number of lines.
 pub(crate) fn default_baseline(comparison: &Comparison) -> Option<usize> {
-    (comparison.lines.len() == 2).then_some(0)
+    (comparison.lines.len() == 2).then(|| comparison.best.unwrap_or(0))
 }
 
 /// Returns the differences of each other line from the line `first`, stage by stage.

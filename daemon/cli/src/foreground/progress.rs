@@ -7,6 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use crate::output::print_to_stderr;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use peernet_clock::{MonoTime, Span};
+use peernet_sample::{printable_line, printable_lines};
 
 /// Time between two lines if standard error is not a terminal.
 const LINE_INTERVAL: Span = Span::from_seconds(5);
@@ -72,12 +73,12 @@ impl Progress {
             DisplayKind::Bar(bar) => {
                 let (text, share) = state();
                 bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
-                bar.set_message(trouble.unwrap_or(text));
+                bar.set_message(printable_line(&trouble.unwrap_or(text)).into_owned());
             }
             DisplayKind::Lines if now - self.printed_at < LINE_INTERVAL && !is_new_trouble => {}
             DisplayKind::Lines => {
                 let trouble = trouble.map(|trouble| without_repeated_reason(trouble, &mut self.last_reason));
-                print_to_stderr(trouble.unwrap_or_else(|| state().0));
+                print_to_stderr(printable_line(&trouble.unwrap_or_else(|| state().0)));
                 self.printed_at = now;
             }
         }
@@ -85,6 +86,9 @@ impl Progress {
 
     /// Prints a line that stays visible. A bar stays below it.
     pub(crate) fn print_line(&self, text: impl Display) {
+        let text = text.to_string();
+        // Peers and users' code may have written parts of the text.
+        let text = printable_lines(&text);
         match &self.display {
             DisplayKind::Bar(bar) => bar.suspend(|| print_to_stderr(text)),
             DisplayKind::Lines | DisplayKind::Nothing => print_to_stderr(text),

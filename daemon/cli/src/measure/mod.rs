@@ -126,7 +126,13 @@ pub(crate) fn measure(
     } else if order.plots {
         match figures::of_run(&record, &recorded.rows, &folder) {
             Ok(drawn) => files.extend(drawn),
-            Err(error) => trouble = trouble.or(Some(format!("not all figures are drawn: {error}"))),
+            Err(error) => {
+                let path = folder.display();
+                let text = format!(
+                    "not all figures are drawn: {error}; the measurements are complete, and `peernet plot {path}` draws the figures"
+                );
+                trouble = trouble.or(Some(text));
+            }
         }
     }
     Ok(Measured { ended, rows: recorded.rows, record, folder, files, trouble })

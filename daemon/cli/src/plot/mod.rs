@@ -86,12 +86,12 @@ impl Kind {
 /// Draws the figures and prints their paths.
 ///
 /// # Errors
-/// When there are no results (66), they cannot be read or lack what the kind shows (65), an option has no meaning for the
+/// When there are no results (66), some cannot be read (the others are drawn) or they lack what the kind shows (65), an option has no meaning for the
 /// kind (64), or a file cannot be written (73).
 pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     check(arguments)?;
     let named_paths = distinct_paths(&arguments.runs);
-    let CollectedResults { runs, .. } = collect(&named_paths, None, &|_| true)?;
+    let CollectedResults { runs, unreadable, .. } = collect(&named_paths, None, &|_| true)?;
     let folders = FigureFolders::choose(&named_paths, &runs, arguments.out.as_deref());
     let columns = Columns { x: arguments.x.clone(), y: arguments.y.clone() };
     let mut missing_data = Vec::new();
@@ -127,7 +127,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
         .iter()
         .for_each(|(folder, error)| print_to_stderr(format_args!("{}: {error}", folder.display())));
     files.iter().for_each(|file| print_to_stdout(file.display()));
-    Ok(())
+    unreadable.map_or(Ok(()), Err)
 }
 
 /// Describes the reasons why nothing was drawn, each once with its number of runs. A single reason has no number. `None` if there is no

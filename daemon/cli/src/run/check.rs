@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
+use crate::short::shorten_label;
 use anyhow::anyhow;
 use peernet_agent::{Agent, AgentConfig};
 use peernet_clock::SharedClock;
@@ -37,7 +38,7 @@ pub(super) fn configurations(
             let is_machine_key = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
-            let labels = describe_labels(&configuration.labels);
+            let labels = shorten_label(&describe_labels(&configuration.labels));
             let label_note = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
             let text = with_experiment_keys(&problem.to_string());
             let list = if is_machine_key { &mut machine_problems } else { &mut file_problems };

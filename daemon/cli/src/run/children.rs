@@ -30,6 +30,16 @@ const PROGRAM: &str = "/proc/self/exe";
 const OUTPUT_CAPACITY: usize = 64;
 /// Number of a process's last lines that are kept.
 const LAST_LINES: usize = 20;
+/// Exit codes of a failure, which is printed in one line. Libraries may have printed other lines before it.
+const ONE_LINE_EXITS: [Exit; 7] = [
+    Exit::Data,
+    Exit::NoInput,
+    Exit::Unavailable,
+    Exit::Unwritten,
+    Exit::Incomplete,
+    Exit::Configuration,
+    Exit::Interrupted,
+];
 /// Wait for the rest of a process's output after its end: its own children may hold the pipe open.
 const OUTPUT_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -46,7 +56,7 @@ pub(super) struct ProcessResults {
 pub(super) struct ProcessResult {
     /// Exit code; `None` if a signal ended it or it did not start.
     pub(super) code: Option<i32>,
-    /// Last line of its error output, or the signal that ended it.
+    /// Message of its error output in one line, or the signal that ended it.
     pub(super) reason: Option<String>,
 }
 
@@ -205,9 +215,8 @@ impl Child {
             let _ = tokio::time::timeout(OUTPUT_TIMEOUT, reader).await;
         }
         let error_lines = self.error_lines.lock().unwrap_or_else(PoisonError::into_inner);
-        let last_line = error_lines.iter().rev().find(|line| !line.trim().is_empty()).cloned();
         match status {
-            Ok(status) => ProcessResult { code: status.code(), reason: reason(status, last_line) },
+            Ok(status) => ProcessResult { code: status.code(), reason: reason(status, &error_lines) },
             Err(error) => {
                 ProcessResult { code: None, reason: Some(format!("cannot wait for the process: {error}")) }
             }
@@ -215,14 +224,39 @@ impl Child {
     }
 }
 
-fn reason(status: ExitStatus, last_line: Option<String>) -> Option<String> {
+fn reason(status: ExitStatus, error_lines: &VecDeque<String>) -> Option<String> {
+    let message = message(error_lines, status.code());
     match status.signal() {
         Some(signal) => {
-            let last_output = last_line.map_or_else(String::new, |line| format!("; its last output: {line}"));
+            let last_output = message.map_or_else(String::new, |text| format!("; its last output: {text}"));
             Some(format!("the process was ended by signal {signal}{last_output}"))
         }
-        None => last_line,
+        None => message,
     }
+}
+
+/// Returns the message at the end of a process's error output, in one line. A failure is the last line that is not indented, with the
+/// indented lines after it. The message of the command line's parser and of a panic has more lines: it is the whole output.
+fn message(error_lines: &VecDeque<String>, code: Option<i32>) -> Option<String> {
+    let ends_with_failure =
+        code.is_some_and(|code| ONE_LINE_EXITS.iter().any(|exit| code == i32::from(*exit as u8)));
+    let lines: Vec<&str> =
+        error_lines.iter().map(|line| line.trim_end()).filter(|line| !line.is_empty()).collect();
+    let first = match ends_with_failure {
+        true => lines.iter().rposition(|line| !line.starts_with([' ', '\t'])).unwrap_or(0),
+        false => 0,
+    };
+    let joined = lines.get(first..)?.iter().fold(String::new(), |text, line| {
+        let separator = if text.is_empty() {
+            ""
+        } else if text.ends_with(':') {
+            " "
+        } else {
+            "; "
+        };
+        text + separator + line.trim()
+    });
+    Some(joined).filter(|text| !text.is_empty())
 }
 
 /// Passes on the standard output of the process of this index.
@@ -236,5 +270,33 @@ async fn pass_on(index: usize, output: Option<ChildStdout>, sender: mpsc::Sender
             Ok(text @ ChildOutput::Line(_)) => drop(sender.send((index, text)).await),
             Err(_) => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_message_of_process_is_kept() {
+        let message_of = |text: &str, code| message(&text.lines().map(str::to_owned).collect(), code);
+        let parser = "error: unexpected argument '--ordr' found\n\n  tip: use '--order'\n\nUsage: peernet measure\n\nFor more information, try '--help'.\n";
+        assert_eq!(
+            message_of(parser, Some(64)).as_deref(),
+            Some(
+                "error: unexpected argument '--ordr' found; tip: use '--order'; Usage: peernet measure; For more information, try '--help'."
+            )
+        );
+        let panic =
+            "thread 'main' panicked at a.rs:1:\nindex out of bounds\nnote: run with `RUST_BACKTRACE=1`";
+        assert!(message_of(panic, Some(101)).is_some_and(|text| text.contains("index out of bounds")));
+        assert!(message_of(panic, None).is_some_and(|text| text.contains("index out of bounds")));
+        let failure = "a library: hello\ncannot load 2 models:\n  a: missing\n  b: damaged\n\n";
+        assert_eq!(
+            message_of(failure, Some(69)).as_deref(),
+            Some("cannot load 2 models: a: missing; b: damaged")
+        );
+        assert_eq!(message_of("noise\nthe peer went away", Some(75)).as_deref(), Some("the peer went away"));
+        assert_eq!(message_of("\n", Some(69)), None);
     }
 }

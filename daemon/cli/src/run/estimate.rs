@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use peernet_agent::config::PipelineConfig;
+use peernet_agent::config::{AgentConfig, PipelineConfig, PlacementConfig};
 
 /// Result of a trial of a configuration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -11,6 +11,10 @@ pub(super) struct Pace {
     pub(super) iteration_s: f64,
     /// Duration of a run besides its iterations, seconds.
     pub(super) overhead_s: f64,
+    /// Time that the sensor takes for a sample, seconds; 0 if unknown.
+    pub(super) sensing_s: f64,
+    /// Time that a worker of the model takes for a sample, seconds; 0 if unknown.
+    pub(super) computing_s: f64,
 }
 
 /// Estimated duration of a run of each configuration, seconds.
@@ -55,19 +59,48 @@ impl Estimates {
     }
 }
 
-/// Returns the expected duration of a run of a pipeline, seconds; `None` if unknown.
-pub(super) fn expected_duration(pipeline: &PipelineConfig, pace: Option<Pace>) -> Option<f64> {
+/// Number of samples that are computed at the same time, and of users that share the computation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Sharing {
+    users: u32,
+    workers: usize,
+}
+
+impl Sharing {
+    /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each user. The number of
+    /// workers of a cloud is unknown here; the default is one.
+    fn new(agent: &AgentConfig, users: u32) -> Self {
+        let Some(PlacementConfig::Local { model }) = agent.pipelines.first().map(|one| &one.placement) else {
+            return Self { users: users.max(1), workers: 1 };
+        };
+        let configured = agent.models.iter().find(|one| one.name() == model);
+        Self { users: 1, workers: configured.map_or(agent.bank.workers.get(), |one| one.workers()) }
+    }
+}
+
+/// Returns the expected duration of a run of an agent's first pipeline with this number of users, seconds; `None` if unknown.
+pub(super) fn expected_duration(agent: &AgentConfig, users: u32, pace: Option<Pace>) -> Option<f64> {
+    pipeline_duration(agent.pipelines.first()?, Sharing::new(agent, users), pace)
+}
+
+fn pipeline_duration(pipeline: &PipelineConfig, sharing: Sharing, pace: Option<Pace>) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
     let with_warm_up = limit.iterations.map(|count| count.saturating_add(warm_up));
     let count = [with_warm_up, limit.total].into_iter().flatten().map(NonZeroU64::get).min();
     let configured_period_s = pipeline.load.hz().map(f64::recip);
+    // No schedule makes the sensor or the model's workers faster: starts beyond their rate are skipped and do not count.
+    let shortest_period_s = |pace: Pace| {
+        let computing_s = pace.computing_s * f64::from(sharing.users) / sharing.workers as f64;
+        pace.sensing_s.max(computing_s)
+    };
     let iteration_s = match (configured_period_s, pace) {
         (Some(period_s), Some(pace)) => {
-            Some(period_s.max(pace.iteration_s / pipeline.max_in_flight.get() as f64))
+            let in_flight = pipeline.max_in_flight.get() as f64;
+            Some(period_s.max(pace.iteration_s / in_flight).max(shortest_period_s(pace)))
         }
         (Some(period_s), None) => Some(period_s),
-        (None, pace) => pace.map(|pace| pace.iteration_s),
+        (None, pace) => pace.map(|pace| pace.iteration_s.max(shortest_period_s(pace))),
     };
     let by_count = count.zip(iteration_s).map(|(count, iteration_s)| count as f64 * iteration_s);
     let by_time = limit.duration_s.map(|seconds| seconds + warm_up as f64 * iteration_s.unwrap_or_default());
@@ -88,7 +121,10 @@ mod tests {
 
     #[test]
     fn estimate_follows_from_limit_and_pace() {
-        let pace = Some(Pace { iteration_s: 0.1, overhead_s: 2.0 });
+        let alone = Sharing { users: 1, workers: 1 };
+        let expected_duration =
+            |pipeline: &PipelineConfig, pace: Option<Pace>| pipeline_duration(pipeline, alone, pace);
+        let pace = Some(Pace { iteration_s: 0.1, overhead_s: 2.0, sensing_s: 0.01, computing_s: 0.05 });
         let closed = pipeline("limit = { total = 100 }");
         assert_eq!((expected_duration(&closed, pace), expected_duration(&closed, None)), (Some(12.0), None));
         let counted = pipeline("limit = { iterations = 100 }\nwarm_up = { iterations = 5 }");
@@ -100,6 +136,18 @@ mod tests {
         );
         let time = pipeline("limit = { total = 1000, duration_s = 3.0 }");
         assert_eq!(expected_duration(&time, pace), Some(5.5));
+    }
+
+    #[test]
+    fn overloaded_run_takes_as_long_as_its_model() {
+        let pace = Some(Pace { iteration_s: 0.11, overhead_s: 0.0, sensing_s: 0.001, computing_s: 0.125 });
+        let rate =
+            pipeline("limit = { total = 100 }\nload = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8");
+        let duration = |users, workers| pipeline_duration(&rate, Sharing { users, workers }, pace);
+        assert_eq!([duration(1, 1), duration(1, 2), duration(3, 1)], [Some(12.5), Some(6.25), Some(37.5)]);
+        let slow_sensor =
+            Some(Pace { iteration_s: 0.11, overhead_s: 0.0, sensing_s: 0.05, computing_s: 0.0 });
+        assert_eq!(pipeline_duration(&rate, Sharing { users: 1, workers: 1 }, slow_sensor), Some(5.0));
     }
 
     #[test]

@@ -4,18 +4,19 @@ use crate::exit::{Exit, Failure};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::User;
 use peernet_clock::SharedClock;
-use peernet_results::{Overwrite, ResultFolder};
-use peernet_stream::EndReason;
+use peernet_results::Overwrite;
 
-use super::children::{self, ChildEvent, ProcessResult};
+use super::children::{self, ChildEvent, ProcessResult, ProcessResults};
 use super::estimate::Estimates;
 use super::external_files::ExternalFiles;
+use super::finished_runs::load_results;
 use super::folder::Folder;
 use super::plan::Run;
 use super::state::{Record, RunResult};
 use crate::experiment::Stage;
 use crate::foreground::{Progress, Signals, command_line, duration};
 use crate::measure::{Order, ProgressReport};
+use crate::short::shorten_label;
 
 /// Everything that the execution needs.
 pub(super) struct Execution<'a> {
@@ -60,7 +61,7 @@ impl Execution<'_> {
             "run {} of {} ({})",
             run.number,
             self.record.plan.runs.len(),
-            self.record.plan.describe(run)
+            shorten_label(&self.record.plan.describe(run))
         );
         let later_runs_s = self.remaining_s(&runs[done + 1..]);
         let (share_before, run_share) = (done as f64 / runs.len() as f64, 1.0 / runs.len() as f64);
@@ -92,7 +93,7 @@ impl Execution<'_> {
         progress.end();
         let seconds = (self.clock.mono() - began).seconds();
         let interrupted = process_results.interrupted;
-        let result = self.run_result(run, &process_results, seconds);
+        let result = run_result(self.folder, self.record, run, &process_results, seconds);
         // The duration of a failed run says nothing about later runs of this configuration.
         if result.stage == Stage::Finished {
             self.estimates.record_duration(run.configuration, seconds);
@@ -135,35 +136,40 @@ impl Execution<'_> {
         (0..).zip(self.folder.results(plan, run)).map(order).collect()
     }
 
-    /// Determines the result of a run.
-    fn run_result(&self, run: &Run, process_results: &children::ProcessResults, seconds: f64) -> RunResult {
-        let first_failure = process_results.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
-        let Some((user, exit)) = first_failure else {
-            return RunResult { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
-        };
-        let folders = self.folder.results(&self.record.plan, run);
-        let is_complete = |(exit, folder): (&ProcessResult, &std::path::PathBuf)| {
-            // Some iterations may have no answer although all were tried.
-            let incomplete = exit.code == Some(i32::from(Exit::Incomplete as u8));
-            let record = || ResultFolder::open(folder).ok().map(|loaded| loaded.record);
-            exit.is_successful()
-                || incomplete && record().is_some_and(|record| record.reason == EndReason::Finished)
-        };
-        let stage = match process_results.interrupted {
-            true => Stage::Interrupted,
-            false if process_results.exits.iter().zip(&folders).all(is_complete) => Stage::Finished,
-            false => Stage::Failed,
-        };
-        let user_prefix =
-            if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
-        let reason = exit.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
-        RunResult { stage, exit: exit.code, reason, seconds }
-    }
-
     /// Returns the estimated duration of runs; `None` if one is unknown.
     fn remaining_s(&self, runs: &[Run]) -> Option<f64> {
         runs.iter().map(|run| self.estimates.duration_s(run.configuration)).sum()
     }
+}
+
+/// Determines the result of a run from the results of its processes and from its folder.
+pub(super) fn run_result(
+    folder: &Folder,
+    record: &Record,
+    run: &Run,
+    process_results: &ProcessResults,
+    seconds: f64,
+) -> RunResult {
+    let first_failure = process_results.exits.iter().enumerate().find(|(_, exit)| !exit.is_successful());
+    let Some((user, exit)) = first_failure else {
+        return RunResult { stage: Stage::Finished, exit: Some(0), reason: None, seconds };
+    };
+    // All iterations may have been tried although some have no answer, and all measurements may be written although a figure is not.
+    let tried_all = |exit: &ProcessResult| {
+        let codes = [Exit::Ok, Exit::Incomplete, Exit::Unwritten].map(|exit| Some(i32::from(exit as u8)));
+        codes.contains(&exit.code)
+    };
+    let is_complete =
+        || process_results.exits.iter().all(tried_all) && load_results(folder, record, run).is_ok();
+    let stage = match process_results.interrupted {
+        true => Stage::Interrupted,
+        false if is_complete() => Stage::Finished,
+        false => Stage::Failed,
+    };
+    let user_prefix =
+        if process_results.exits.len() > 1 { format!("user {}: ", user + 1) } else { String::new() };
+    let reason = exit.reason.as_ref().map(|reason| format!("{user_prefix}{reason}"));
+    RunResult { stage, exit: exit.code, reason, seconds }
 }
 
 /// Combines the progress of several users: the sums of their counts, the median of the medians, and the highest 99th

@@ -54,7 +54,8 @@ use finished_runs::{check_finished_runs, version_change_note};
 use folder::Folder;
 use plan::{Plan, Run};
 use relative_paths::base_hint_if_missing;
-use state::Record;
+use report::Report;
+use state::{Record, State};
 use trial::TrialResults;
 
 /// Default folder for experiments.
@@ -184,8 +185,8 @@ async fn execute_experiment(
         quiet: arguments.quiet,
     };
     let interrupted = execution.execute_all(&to_do, &mut signals).await?;
-    let report_text = report::write(&folder, &record, external_files.plots)?;
-    print_to_stdout(format_args!("\n{report_text}"));
+    let Report { text, figure_error } = report::write(&folder, &record, external_files.plots)?;
+    print_to_stdout(format_args!("\n{text}"));
     print_to_stdout(format_args!("\n{path_text}: {}", summary(&record)));
     let undelivered = undelivered_events(&record.plan).await?;
     for aggregator in aggregators(&record.plan) {
@@ -200,6 +201,14 @@ async fn execute_experiment(
         .map(|(run, _)| run.clone())
         .filter(|run| RunSelection::selects(&arguments.only, &record.plan, run))
         .collect();
+    if let Some(error) = figure_error {
+        let error = anyhow::Error::from(error).context(format!(
+            "not all figures of the experiment are drawn; the tables are complete, and `peernet plot {path_text}` draws the figures"
+        ));
+        // A failure of the runs is reported, too; the exit code of the figures takes precedence.
+        verdict(&record, &selected_runs, interrupted).err().iter().for_each(print_to_stderr);
+        return Err(Failure::new(Exit::Unwritten, error));
+    }
     verdict(&record, &selected_runs, interrupted)
 }
 
@@ -216,10 +225,12 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
 }
 
 fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
-    let expected =
-        record.plan.configurations.iter().zip(&trial_results.paces).map(|(configuration, pace)| {
-            configuration.agent.pipelines.first().and_then(|pipeline| expected_duration(pipeline, *pace))
-        });
+    let expected = record
+        .plan
+        .configurations
+        .iter()
+        .zip(&trial_results.paces)
+        .map(|(configuration, pace)| expected_duration(&configuration.agent, configuration.users, *pace));
     let mut estimates = Estimates::new(expected.collect());
     // Measured durations of finished runs are better than estimates from trials.
     for (run, state) in record.runs().filter(|(_, state)| state.stage == Stage::Finished) {
@@ -316,19 +327,33 @@ fn summary(record: &Record) -> String {
 
 /// Returns the failure for the selected runs, if any.
 fn verdict(record: &Record, selected_runs: &[Run], interrupted: bool) -> Result<(), Failure> {
-    if interrupted {
-        let text = "ended early; the same command continues the experiment";
-        return Err(Failure::new(Exit::Interrupted, anyhow!("{text}")));
-    }
     let states = || selected_runs.iter().filter_map(|run| record.states.get(run.number - 1));
     let failed = states().filter(|state| state.stage == Stage::Failed).count();
-    let incomplete = states().filter(|state| state.stage == Stage::Finished && state.exit != Some(0)).count();
-    let text = match (failed, incomplete) {
-        (0, 0) => return Ok(()),
-        (0, incomplete) => format!("{} with iterations that have no answer", table::count(incomplete, "run")),
-        (failed, _) => format!("{} failed; the same command tries again", table::count(failed, "run")),
+    let finished = || states().filter(|state| state.stage == Stage::Finished);
+    let is_unwritten = |state: &&State| state.exit == Some(i32::from(Exit::Unwritten as u8));
+    let unwritten = finished().filter(is_unwritten).count();
+    let incomplete = finished().filter(|state| state.exit != Some(0) && !is_unwritten(state)).count();
+    let mut clauses = Vec::new();
+    if interrupted {
+        clauses.push("ended early; the same command continues the experiment".to_owned());
+    } else if failed > 0 {
+        clauses.push(format!("{} failed; the same command tries again", table::count(failed, "run")));
+    } else if incomplete > 0 {
+        clauses.push(format!("{} with iterations that have no answer", table::count(incomplete, "run")));
+    }
+    if unwritten > 0 {
+        clauses.push(format!(
+            "{} without all figures, but with complete measurements; `peernet plot` with a run's folder draws them",
+            table::count(unwritten, "run")
+        ));
+    }
+    let exit = match (unwritten, interrupted) {
+        _ if clauses.is_empty() => return Ok(()),
+        (0, false) => Exit::Incomplete,
+        (0, true) => Exit::Interrupted,
+        _ => Exit::Unwritten,
     };
-    Err(Failure::new(Exit::Incomplete, anyhow!("{text}")))
+    Err(Failure::new(exit, anyhow!("{}", clauses.join("; "))))
 }
 
 /// Returns a random id of this execution.

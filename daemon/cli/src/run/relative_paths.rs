@@ -11,7 +11,32 @@ pub(super) fn base_hint() -> String {
     )
 }
 
-/// Returns the hint if one of these sentences says that a file does not exist.
+/// Error of the operating system for a file that does not exist.
+const NO_SUCH_FILE: &str = ": No such file or directory";
+
+/// Returns the hint if one of these sentences says that a file with a relative path does not exist.
 pub(super) fn base_hint_if_missing<'a>(mut sentences: impl Iterator<Item = &'a str>) -> Option<String> {
-    sentences.any(|sentence| sentence.contains("No such file or directory")).then(base_hint)
+    sentences.any(misses_relative_path).then(base_hint)
+}
+
+/// Returns whether a sentence says that a file does not exist and the path before that is relative. The folder in which the program was
+/// started has nothing to do with an absolute path.
+fn misses_relative_path(sentence: &str) -> bool {
+    let Some((before, _)) = sentence.split_once(NO_SUCH_FILE) else { return false };
+    let path = before.split_whitespace().next_back().unwrap_or_default();
+    !path.trim_start_matches(['"', '\'', '`', '(']).starts_with('/')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hint_is_given_for_relative_paths_only() {
+        let hint = |text| base_hint_if_missing(std::iter::once(text)).is_some();
+        assert!(hint("pipeline.sensor: cannot read pictures/a.jpg: No such file or directory (os error 2)"));
+        assert!(!hint("cannot read /data/a.jpg: No such file or directory (os error 2)"));
+        assert!(!hint("cannot read \"/data/a.jpg\": No such file or directory"));
+        assert!(!hint("connection refused"));
+    }
 }

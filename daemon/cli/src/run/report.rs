@@ -24,15 +24,23 @@ use super::table;
 use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
 
-/// Writes everything that compares finished runs, with `plots` also as figures. Returns the text to be printed.
+/// What was written about the runs.
+pub(super) struct Report {
+    /// Text to be printed.
+    pub(super) text: String,
+    /// Reason why not all figures are drawn; `None` if they are, or none was wanted.
+    pub(super) figure_error: Option<WriteError>,
+}
+
+/// Writes everything that compares finished runs, with `plots` also as figures.
 ///
 /// # Errors
-/// When results cannot be read (65), or tables or figures cannot be written (73).
-pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<String, Failure> {
+/// When results cannot be read (65), or tables cannot be written (73).
+pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Report, Failure> {
     let mut runs: Vec<&Run> =
         record.runs().filter(|(_, state)| state.stage.is_done()).map(|(run, _)| run).collect();
     if runs.is_empty() {
-        return Ok(String::new());
+        return Ok(Report { text: String::new(), figure_error: None });
     }
     // The runs are in the order of the file, not in the order in which they were measured.
     runs.sort_by_key(|run| (run.configuration, run.repeat));
@@ -55,10 +63,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         ("tex", join_texts(comparison.latex(), tables.iter().map(CaptionedTable::latex))),
     ];
     save(folder.path(), "compare", &files)?;
-    if plots {
-        figures(&all, comparison.lines.len(), folder.path())
-            .map_err(|error| Failure::new(Exit::Unwritten, error))?;
-    }
+    // The tables are worth printing without the figures.
+    let figure_error = plots.then(|| figures(&all, comparison.lines.len(), folder.path()).err()).flatten();
     let mut parts = vec![comparison.text()];
     if let Some(users) = users {
         let files =
@@ -76,7 +82,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Str
         parts.push(sensors.text());
     }
     parts.push(trust);
-    Ok(parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n"))
+    let text = parts.iter().map(|part| part.trim_end()).collect::<Vec<_>>().join("\n\n");
+    Ok(Report { text, figure_error })
 }
 
 /// Draws the figures over all configurations. Bar charts need more than one.

@@ -7,6 +7,7 @@ use super::plan::Run;
 use super::state::Record;
 use crate::experiment::Stage;
 use crate::foreground::duration;
+use crate::short::shorten_label;
 
 /// Text of cells without a known value.
 const UNKNOWN: &str = "unknown";
@@ -16,7 +17,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     let plan = &record.plan;
     let axes = plan.configurations.first().map(|configuration| &configuration.labels);
     let mut header = vec!["run".to_owned()];
-    header.extend(axes.into_iter().flatten().map(|(axis, _)| axis.clone()));
+    header.extend(axes.into_iter().flatten().map(|(axis, _)| shorten_label(axis)));
     // An axis with the number of users makes the column superfluous.
     let axis_shows_users = (0..header.len() - 1).any(|axis| {
         plan.configurations
@@ -34,7 +35,7 @@ pub(super) fn runs(record: &Record, estimates: &Estimates) -> String {
     let rows = record.runs().map(|(run, state)| {
         let configuration = plan.configuration(run);
         let mut cells = vec![run.number.to_string()];
-        cells.extend(configuration.labels.iter().map(|(_, label)| label.clone()));
+        cells.extend(configuration.labels.iter().map(|(_, label)| shorten_label(label)));
         cells.extend(has_repeats.then(|| (run.repeat + 1).to_string()));
         cells.extend(has_users_column.then(|| configuration.users.to_string()));
         cells.push(state.stage.name().to_owned());

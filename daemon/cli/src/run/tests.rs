@@ -3,6 +3,8 @@ use std::path::Path;
 use clap::Parser;
 use serde_json::{Value, json};
 
+use super::children::ProcessResults;
+use super::execute::run_result;
 use super::finished_runs::load_results;
 use super::state::RunResult;
 use super::*;
@@ -338,6 +340,41 @@ fn exit_code_reports_failed_and_incomplete_runs() {
     let failed = code(&record, false);
     assert!(failed.exit == Exit::Incomplete && failed.to_string().contains("1 run failed"), "{failed}");
     assert_eq!(code(&record, true).exit, Exit::Interrupted);
+    // A figure that cannot be written is no failure of the run, and takes precedence as an exit code.
+    record.end_run(&runs[0], RunResult { exit: Some(73), ..ended(Stage::Finished) });
+    let unwritten = code(&record, false);
+    assert!(unwritten.exit == Exit::Unwritten, "{unwritten}");
+    for text in ["1 run with iterations that have no answer", "1 run without all figures", "peernet plot"] {
+        assert!(unwritten.to_string().contains(text), "{unwritten}");
+    }
+}
+
+#[test]
+fn run_without_figures_is_finished() {
+    let temporary = tempfile::tempdir().expect("a folder");
+    let folder = Folder::open(&temporary.path().join("results")).expect("is new");
+    let record = record(temporary.path());
+    let run = &record.plan.runs[0];
+    let unwritten = ProcessResult {
+        code: Some(73),
+        reason: Some("not all figures are drawn: the disk is full".to_owned()),
+    };
+    let process_results = ProcessResults { exits: vec![unwritten], interrupted: false };
+    let stage = || run_result(&folder, &record, run, &process_results, 1.0).stage;
+    assert_eq!(stage(), Stage::Failed, "there are no results");
+    let [path] = folder.results(&record.plan, run).try_into().expect("one user");
+    std::fs::create_dir_all(&path).expect("writable");
+    let record_json = json!({
+        "format": 1, "reason": "finished", "counts": { "ok": 2 }, "experiment": record.plan.experiment_place(run, &record.id),
+    });
+    std::fs::write(path.join("run.json"), record_json.to_string()).expect("writable");
+    std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n").expect("writable");
+    assert_eq!(stage(), Stage::Failed, "rows are missing");
+    std::fs::write(path.join("data.csv"), "iteration,sensing,outcome\n1,0.5,ok\n2,0.5,ok\n")
+        .expect("writable");
+    let result = run_result(&folder, &record, run, &process_results, 1.0);
+    assert_eq!((result.stage, result.exit), (Stage::Finished, Some(73)));
+    assert!(result.reason.expect("it is told").contains("not all figures are drawn"));
 }
 
 #[test]

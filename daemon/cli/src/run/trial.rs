@@ -8,6 +8,7 @@ use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorConfig;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::Rows;
 use peernet_clock::SharedClock;
 use peernet_inference::Scratch;
 use peernet_networks::Address;
@@ -20,6 +21,7 @@ use super::file::Configuration;
 use super::plan::{Plan, describe_labels};
 use crate::foreground::{Progress, Signals, duration};
 use crate::measure::Order;
+use crate::short::shorten_label;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
@@ -104,8 +106,8 @@ pub(super) async fn configurations(
         let duration_s = (clock.mono() - began).seconds();
         match process_results.exits.pop() {
             Some(exit) if exit.is_successful() => {
-                let starts = loaded.iter().flat_map(|loaded| &loaded.rows).map(|row| row.at());
-                let pace = pace(&starts.collect::<Vec<_>>(), duration_s);
+                let no_rows = Rows::default();
+                let pace = pace(loaded.as_ref().map_or(&no_rows, |loaded| &loaded.rows), duration_s);
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(exit) => {
@@ -145,8 +147,10 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
 
 /// Describes a configuration; without axes by the experiment's name.
 fn describe_configuration(plan: &Plan, index: usize) -> String {
-    let description =
-        plan.configurations.get(index).map(|configuration| describe_labels(&configuration.labels));
+    let description = plan
+        .configurations
+        .get(index)
+        .map(|configuration| shorten_label(&describe_labels(&configuration.labels)));
     description.filter(|text| !text.is_empty()).unwrap_or_else(|| plan.name.to_string())
 }
 
@@ -196,12 +200,22 @@ fn order(configuration: &Configuration) -> Order {
     }
 }
 
-/// Calculates the pace from the starts of the iterations and the duration of the process.
-fn pace(starts: &[f64], duration_s: f64) -> Option<Pace> {
+/// Calculates the pace from the iterations of a trial and the duration of its process.
+fn pace(rows: &Rows, duration_s: f64) -> Option<Pace> {
+    let starts: Vec<f64> = rows.iter().map(|row| row.at()).collect();
     let intervals = starts.windows(2).map(|pair| pair[1] - pair[0]);
-    // The shortest interval: the first iterations may include the loading of a model or a new connection.
+    // The smallest values: the first iterations may include the loading of a model or a new connection.
     let iteration_s = intervals.filter(|interval| *interval > 0.0).reduce(f64::min)?;
-    Some(Pace { iteration_s, overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0) })
+    let sum_of = |stages: &[&str]| {
+        let sums = rows.iter().map(|row| stages.iter().filter_map(|stage| row.value(stage)).sum::<f64>());
+        sums.filter(|sum| sum.is_finite()).reduce(f64::min).unwrap_or_default()
+    };
+    Some(Pace {
+        iteration_s,
+        overhead_s: (duration_s - iteration_s * starts.len() as f64).max(0.0),
+        sensing_s: sum_of(&["sensing"]),
+        computing_s: sum_of(&["preprocessing", "inference", "postprocessing"]),
+    })
 }
 
 /// Adds the conditions of a run's hosts that impair measurements, unless they are already in the list.
@@ -219,6 +233,8 @@ fn add_conditions(record: &RunRecord, conditions: &mut Vec<Condition>) {
 
 #[cfg(test)]
 mod tests {
+    use peernet_analysis::rows::{Outcome, Row};
+
     use super::*;
     use crate::run::tests::plan;
 
@@ -267,8 +283,25 @@ set = { 'pipeline.load' = { mode = 'rate', hz = 9.0 } }
 
     #[test]
     fn pace_ignores_first_iteration() {
-        let pace = pace(&[10.0, 12.0, 12.5], 4.0).expect("three iterations");
-        assert_eq!(pace, Pace { iteration_s: 0.5, overhead_s: 2.5 });
-        assert_eq!(super::pace(&[10.0], 1.0), None);
+        let rows = |starts: &[(f64, f64)]| -> Rows {
+            let row = |(at, stage_s): &(f64, f64)| Row {
+                iteration: 1,
+                at: *at,
+                episode: 0,
+                step: 0,
+                warm_up: false,
+                outcome: Outcome::Ok,
+                reason: None,
+                values: ["sensing", "preprocessing", "inference"].map(|name| (name.into(), *stage_s)).into(),
+                upload: None,
+                download: None,
+            };
+            starts.iter().map(row).collect()
+        };
+        let pace =
+            super::pace(&rows(&[(10.0, 1.0), (12.0, 0.125), (12.5, 0.125)]), 4.0).expect("three iterations");
+        let expected = Pace { iteration_s: 0.5, overhead_s: 2.5, sensing_s: 0.125, computing_s: 0.25 };
+        assert_eq!(pace, expected);
+        assert_eq!(super::pace(&rows(&[(10.0, 1.0)]), 1.0), None);
     }
 }
