@@ -83,6 +83,12 @@ impl Paired {
                 if min == max { format!("n = {max} each") } else { format!("n = {min} to {max} each") }
             }));
         }
+        let has_points = |values: &SortedValues| !values.is_empty() && self.is_drawn_as_points(values);
+        if self.groups.iter().flat_map(|group| &group.values).any(has_points) {
+            notes.push(format!(
+                "up to {MAX_POINTS} values: a point each, spread sideways so that none hides another; the black mark among them is the median"
+            ));
+        }
         if self.groups.iter().any(|group| group.ratio().is_some()) {
             notes.push(format!("above a pair: median {} ÷ {}", self.sides[0], self.sides[1]));
         }
@@ -154,6 +160,17 @@ impl Paired {
         lowest.map_or(0, count)
     }
 
+    /// Returns the outline of a distribution: values with their densities.
+    fn shape(&self, values: &SortedValues) -> Vec<(f64, f64)> {
+        let Some(ends) = range(values) else { return Vec::new() };
+        if self.is_logarithmic() { log_density(values, ends) } else { density(values, ends) }
+    }
+
+    /// Returns whether the values are drawn as points and not as a shape.
+    fn is_drawn_as_points(&self, values: &SortedValues) -> bool {
+        values.len() <= MAX_POINTS || self.shape(values).len() <= 1
+    }
+
     /// Returns the items of one distribution around `middle`; `half` is half of its maximum width. Both are shares of the plot's width.
     fn distribution_items(
         &self,
@@ -164,12 +181,11 @@ impl Paired {
     ) -> Vec<Item> {
         let look = series(side);
         let y = |value: f64| plot.y_share(value * self.unit.per_si);
-        let Some((lo, hi)) = range(values) else { return Vec::new() };
+        let Some((lo, _)) = range(values) else { return Vec::new() };
         let highest = self.highest_shown(values);
-        let shape =
-            if self.is_logarithmic() { log_density(values, (lo, hi)) } else { density(values, (lo, hi)) };
         let mut items = Vec::new();
-        if shape.len() > 1 && values.len() > MAX_POINTS {
+        if !self.is_drawn_as_points(values) {
+            let shape = self.shape(values);
             let edge = |sign: f64| {
                 shape.iter().map(move |(value, density)| (middle + sign * half * density, y(*value)))
             };

@@ -32,6 +32,9 @@ fn many_values_are_shape_few_are_points() {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(figure.words().contains("above a pair: median local ÷ remote"), "{}", figure.words());
+    // A reader who counts the marks finds one more than there are values.
+    assert!(figure.words().contains("the black mark among them is the median"), "{}", figure.words());
+    assert!(!paired(vec![vec![hill(50.0, 400), hill(20.0, 400)]]).words().contains("black mark"));
     assert_on_paper(&svg);
 }
 
