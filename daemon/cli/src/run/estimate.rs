@@ -61,12 +61,12 @@ impl Estimates {
 
 /// Number of samples that are computed at the same time, and of users that share the computation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Sharing {
+struct SharedComputation {
     users: u32,
     workers: usize,
 }
 
-impl Sharing {
+impl SharedComputation {
     /// Returns the sharing of the model of the agent's first pipeline. A local model has a separate process for each user. The number of
     /// workers of a cloud is unknown here; the default is one.
     fn new(agent: &AgentConfig, users: u32) -> Self {
@@ -80,10 +80,14 @@ impl Sharing {
 
 /// Returns the expected duration of a run of an agent's first pipeline with this number of users, seconds; `None` if unknown.
 pub(super) fn expected_duration(agent: &AgentConfig, users: u32, pace: Option<Pace>) -> Option<f64> {
-    pipeline_duration(agent.pipelines.first()?, Sharing::new(agent, users), pace)
+    pipeline_duration(agent.pipelines.first()?, SharedComputation::new(agent, users), pace)
 }
 
-fn pipeline_duration(pipeline: &PipelineConfig, sharing: Sharing, pace: Option<Pace>) -> Option<f64> {
+fn pipeline_duration(
+    pipeline: &PipelineConfig,
+    sharing: SharedComputation,
+    pace: Option<Pace>,
+) -> Option<f64> {
     let limit = pipeline.limit;
     let warm_up = pipeline.warm_up.iterations;
     let with_warm_up = limit.iterations.map(|count| count.saturating_add(warm_up));
@@ -121,7 +125,7 @@ mod tests {
 
     #[test]
     fn estimate_follows_from_limit_and_pace() {
-        let alone = Sharing { users: 1, workers: 1 };
+        let alone = SharedComputation { users: 1, workers: 1 };
         let expected_duration =
             |pipeline: &PipelineConfig, pace: Option<Pace>| pipeline_duration(pipeline, alone, pace);
         let pace = Some(Pace { iteration_s: 0.1, overhead_s: 2.0, sensing_s: 0.01, computing_s: 0.05 });
@@ -143,11 +147,14 @@ mod tests {
         let pace = Some(Pace { iteration_s: 0.11, overhead_s: 0.0, sensing_s: 0.001, computing_s: 0.125 });
         let rate =
             pipeline("limit = { total = 100 }\nload = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 8");
-        let duration = |users, workers| pipeline_duration(&rate, Sharing { users, workers }, pace);
+        let duration = |users, workers| pipeline_duration(&rate, SharedComputation { users, workers }, pace);
         assert_eq!([duration(1, 1), duration(1, 2), duration(3, 1)], [Some(12.5), Some(6.25), Some(37.5)]);
         let slow_sensor =
             Some(Pace { iteration_s: 0.11, overhead_s: 0.0, sensing_s: 0.05, computing_s: 0.0 });
-        assert_eq!(pipeline_duration(&rate, Sharing { users: 1, workers: 1 }, slow_sensor), Some(5.0));
+        assert_eq!(
+            pipeline_duration(&rate, SharedComputation { users: 1, workers: 1 }, slow_sensor),
+            Some(5.0)
+        );
     }
 
     #[test]

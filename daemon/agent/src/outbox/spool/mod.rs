@@ -30,5 +30,5 @@ pub(crate) use file_kind::FileKind;
 pub use inspect::{InspectError, Inspection, SpoolDamage, SpoolReadError, inspect, pending_events};
 pub(crate) use open::OpenSpool;
 pub(in crate::outbox) use quarantine::QuarantinedSpool;
-pub(in crate::outbox) use recovery::Recovered;
+pub(in crate::outbox) use recovery::RecoveredBatches;
 pub(in crate::outbox) use task::{Order, OrderResult, SpoolTask, SpoolTaskError};

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use peernet_clock::WallTime;
 
-use super::Recovered;
+use super::RecoveredBatches;
 
 /// A quarantined spool.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub(in crate::outbox) struct QuarantinedSpool {
     /// Length of the file with its log, bytes.
     pub(in crate::outbox) bytes: u64,
     /// Content that the new spool has; `None` if nothing was recovered.
-    pub(in crate::outbox) recovered: Option<Recovered>,
+    pub(in crate::outbox) recovered: Option<RecoveredBatches>,
 }
 
 /// Renames the spool with its log and its shared memory (`-wal`, `-shm`), from which the `sqlite3` shell may recover data.

@@ -24,7 +24,7 @@ const MIN_BATCH_BYTES: u64 = 16;
 
 /// Content of a quarantined spool.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(in crate::outbox) struct Recovered {
+pub(in crate::outbox) struct RecoveredBatches {
     /// Number of intact batches, which are in the new spool.
     pub(in crate::outbox) batches: u64,
     /// Number of events in these batches.
@@ -56,7 +56,11 @@ pub(super) enum RecoveryError {
 ///
 /// # Errors
 /// When the state of the stream cannot be read, no batch is intact, or the new spool cannot be written.
-pub(super) async fn recover(damaged: &Path, spool: &Path, host: HostId) -> Result<Recovered, RecoveryError> {
+pub(super) async fn recover(
+    damaged: &Path,
+    spool: &Path,
+    host: HostId,
+) -> Result<RecoveredBatches, RecoveryError> {
     let mut source = read_only_options(damaged).connect().await?;
     let file_bytes = fs::metadata(damaged).map_or(0, |metadata| metadata.len());
     let result = create(&mut source, file_bytes, spool, host).await;
@@ -86,7 +90,7 @@ async fn create(
     file_bytes: u64,
     spool: &Path,
     host: HostId,
-) -> Result<Recovered, RecoveryError> {
+) -> Result<RecoveredBatches, RecoveryError> {
     let owner: Option<String> =
         sqlx::query_scalar("SELECT host FROM stream WHERE id = 1").fetch_optional(&mut *source).await?;
     if owner != Some(host.to_string()) {
@@ -104,7 +108,7 @@ async fn fill(
     target: &mut SqliteConnection,
     file_bytes: u64,
     spool: &Path,
-) -> Result<Recovered, RecoveryError> {
+) -> Result<RecoveredBatches, RecoveryError> {
     let cannot_create = |error: &dyn std::error::Error| RecoveryError::Create(error.to_string());
     claim(spool, target).await.map_err(|error| cannot_create(&error))?;
     MIGRATIONS.run_direct(None, target, false).await.map_err(|error| cannot_create(&error))?;
@@ -148,11 +152,11 @@ async fn copy_batches(
     source: &mut SqliteConnection,
     target: &mut SqliteConnection,
     file_bytes: u64,
-) -> Result<Recovered, RecoveryError> {
+) -> Result<RecoveredBatches, RecoveryError> {
     let (acknowledged, first_chain): (i64, Vec<u8>) =
         sqlx::query_as("SELECT acknowledged, chain FROM stream WHERE id = 1").fetch_one(&mut *target).await?;
     let mut previous: Chain = chain(&first_chain).map_err(|_| RecoveryError::NoBatch)?;
-    let mut recovered = Recovered::default();
+    let mut recovered = RecoveredBatches::default();
     let mut number = acknowledged;
     loop {
         number = number.saturating_add(1);
