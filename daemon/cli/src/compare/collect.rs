@@ -67,7 +67,7 @@ pub(crate) fn collect(
     }
     // The files are read only now: unselected results may be large or damaged.
     let ReadableResults { paths, runs, failures } = read(paths, &baseline_paths, is_wanted)?;
-    let unreadable = unreadable_failure(failures, runs.len());
+    let unreadable = unreadable_failure(&failures, runs.len());
     notes.extend(unreadable.iter().map(|failure| to_sentence(&failure.to_string())));
     let baseline_indexes: Vec<usize> =
         (0..paths.len()).filter(|index| contains_same_path(&baseline_paths, &paths[*index])).collect();
@@ -141,7 +141,7 @@ fn read(
 }
 
 /// Returns the failure for results that cannot be read, beside `read` results that can.
-fn unreadable_failure(failures: Vec<Failure>, read: usize) -> Option<Failure> {
+fn unreadable_failure(failures: &[Failure], read: usize) -> Option<Failure> {
     let reasons: Vec<String> = failures.iter().map(ToString::to_string).collect();
     (!reasons.is_empty()).then(|| {
         Failure::new(
@@ -299,7 +299,7 @@ mod tests {
 
     #[test]
     fn path_without_results_is_described_as_it_is() {
-        let reason = |path: &str| find(Path::new(path)).err().expect("no results").to_string();
+        let reason = |path: &str| find(Path::new(path)).expect_err("no results").to_string();
         assert!(reason("/dev/null").ends_with("it is neither a folder nor a regular file"));
         assert!(reason("/nowhere").ends_with("it does not exist"));
     }

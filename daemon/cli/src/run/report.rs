@@ -1,7 +1,7 @@
 //! Reports about the runs: tables of the comparison, tables of concurrent users and of sensors, figures, and whether the runs can be published.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
@@ -121,15 +121,20 @@ fn trust(runs: &[Vec<Loaded>]) -> String {
     lines.join("\n")
 }
 
-/// Counts the runs per finding of this grade, the most frequent first.
+/// Counts the runs per subject of which the worst finding has this grade, the most frequent subject first. A subject may have a finding
+/// for each host; each run counts once for it.
 fn count_findings(runs: &[Vec<Loaded>], grade: Grade) -> Vec<(&str, usize)> {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for edges in runs {
         let findings =
             edges.iter().filter_map(|edge| edge.record.trust.as_ref()).flat_map(|trust| &trust.findings);
-        let subjects: BTreeSet<&str> =
-            findings.filter(|finding| finding.grade == grade).map(|finding| finding.about.as_str()).collect();
-        subjects.into_iter().for_each(|subject| *counts.entry(subject).or_default() += 1);
+        let mut worst_grades: BTreeMap<&str, Grade> = BTreeMap::new();
+        for finding in findings {
+            let worst = worst_grades.entry(finding.about.as_str()).or_insert(finding.grade);
+            *worst = finding.grade.max(*worst);
+        }
+        let subjects = worst_grades.into_iter().filter(|(_, worst)| *worst == grade);
+        subjects.for_each(|(subject, _)| *counts.entry(subject).or_default() += 1);
     }
     let mut counts: Vec<(&str, usize)> = counts.into_iter().collect();
     counts.sort_by_key(|(_, count)| Reverse(*count));
@@ -149,4 +154,33 @@ fn save(folder: &Path, name: &str, files: &[(&str, String)]) -> Result<(), Failu
         })?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::rows::Rows;
+    use peernet_analysis::trust::{Finding, Report as TrustReport};
+
+    use super::*;
+
+    #[test]
+    fn run_counts_once_for_a_subject_of_two_hosts() {
+        let run = |grades: &[Grade]| {
+            let finding = |grade: &Grade| Finding {
+                about: "competing load".to_owned(),
+                grade: *grade,
+                text: String::new(),
+                advice: String::new(),
+            };
+            let trust = TrustReport { verdict: Publish::No, findings: grades.iter().map(finding).collect() };
+            let record = RunRecord { trust: Some(trust), ..RunRecord::default() };
+            vec![Loaded { folder: "run".into(), record, rows: Rows::default() }]
+        };
+        // The two findings of a run are those of edge and cloud.
+        let runs =
+            [run(&[Grade::Bad, Grade::Doubtful]), run(&[Grade::Bad]), run(&[Grade::Doubtful, Grade::Good])];
+        assert_eq!(count_findings(&runs, Grade::Bad), [("competing load", 2)]);
+        assert_eq!(count_findings(&runs, Grade::Doubtful), [("competing load", 1)]);
+    }
 }
