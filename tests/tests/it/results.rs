@@ -83,6 +83,8 @@ fn comparison_errors_are_named() {
     let invalid = compare(&deployment, &["all"]);
     assert_eq!(invalid.code(), 65, "{}", invalid.log);
     assert!(invalid.log.contains("line 2, column sensing: \"fast\" is not a number"), "{}", invalid.log);
+    assert!(invalid.log.contains("1 of 2 results cannot be read"), "{}", invalid.log);
+    assert!(invalid.log.contains("total (stages)"), "the other is shown: {}", invalid.log);
     let unwritable = compare(&deployment, &["all/large", "--out", "nowhere/table.txt"]);
     assert_eq!(unwritable.code(), 73, "{}", unwritable.log);
 }
