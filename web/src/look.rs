@@ -25,9 +25,6 @@ pub(crate) fn part_names() -> String {
     parts().collect::<Vec<_>>().join(",")
 }
 
-/// Name of the sum of upload, download and unattributed time, for iterations in which none of the three is known.
-pub(crate) const NETWORK_AND_REST: &str = "upload + download + unattributed";
-
 /// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 

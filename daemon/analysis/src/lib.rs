@@ -44,8 +44,10 @@ pub mod summary;
 pub mod table;
 #[cfg(test)]
 mod testing;
+pub mod total_column;
 pub mod transfer;
 pub mod trust;
+pub mod unaccounted_time;
 pub mod users;
 
 pub use error::{WriteError, write_file};

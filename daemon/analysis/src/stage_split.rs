@@ -81,6 +81,13 @@ pub fn share_of_total(
     Some(seconds / total)
 }
 
+/// Returns the numbers of messages that were sent and received in a part of a run with `in_part` iterations. `sent` holds the numbers of the
+/// whole run, which has `iterations` iterations. The messages are spread evenly over the iterations: in most runs, each iteration sends one.
+pub fn sent_in_part(sent: [u64; 2], iterations: u64, in_part: u64) -> [u64; 2] {
+    let share = in_part as f64 / iterations.max(1) as f64;
+    sent.map(|count| ((count as f64 * share).round() as u64).max(count.min(1)))
+}
+
 /// Returns the position at which the time of both directions stands among parts: where `upload` would stand.
 pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
     let stages_before: Vec<Name> =
@@ -132,6 +139,12 @@ mod tests {
             split(50, &nodes),
             [part("upload", 10.0), part("download", 4.0), part("unattributed", 6.0)]
         );
+    }
+
+    #[test]
+    fn messages_of_part_are_share_of_those_of_run() {
+        assert_eq!(sent_in_part([300, 290], 300, 60), [60, 58]);
+        assert_eq!(sent_in_part([1, 0], 300, 60), [1, 0], "at least one was sent");
     }
 
     #[test]

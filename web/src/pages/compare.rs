@@ -62,6 +62,8 @@ struct Compare {
     long_settings: String,
     /// Remarks on samples without a score.
     unknown: Vec<String>,
+    /// Name of the latency by which the configurations are compared.
+    total: String,
     stacks: Vec<StackRow>,
     axes: Axes,
     /// The total of each configuration.
@@ -182,6 +184,7 @@ fn assemble(
             .map(|sentences| (Chip::new(Tone::Warn, "remark", "caveat"), sentences)),
         long_settings: comparison.long_settings.join(", "),
         unknown: unknown_labels(comparison),
+        total: comparison.total_column.title().to_lowercase(),
         stacks,
         axes,
         boxes,

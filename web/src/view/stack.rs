@@ -1,14 +1,14 @@
 //! Means of stages that add up to the mean of the total.
 
 use peernet_aggregator::Window;
-use peernet_analysis::stage_split::{StageSplit, index_of_network};
+use peernet_analysis::stage_split::StageSplit;
+use peernet_analysis::unaccounted_time::{IterationDurations, UnaccountedTime};
 use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_statistics::number::{duration, figure};
 use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatistics};
 
-use crate::look;
 use crate::picture::Picture;
 
 /// The stages of a window or run, and the unattributed time.
@@ -50,18 +50,10 @@ impl Stack {
 
     /// Returns the stack of one iteration. If upload or download is unknown, the stack has the sum of both instead.
     pub(crate) fn of_iteration(row: &IterationRow) -> Self {
-        // The sum contains upload and download, so that a direction that is known by itself is left out.
-        let is_separate =
-            |(name, _): &&(Name, f64)| row.both_ways.is_none() || !look::is_one_way(name.as_str());
-        let mut parts: Vec<(Name, f64)> = row.stages.iter().filter(is_separate).cloned().collect();
-        if let Some(seconds) = row.both_ways {
-            parts.insert(index_of_network(&parts), (Name::from_static(look::NETWORK), seconds));
-        }
-        let unattributed =
-            row.total.map_or(0.0, |total| total - parts.iter().map(|(_, seconds)| seconds).sum::<f64>());
-        if unattributed > 0.0 {
-            parts.push((stage::UNATTRIBUTED, unattributed));
-        }
+        let parts = match durations(row) {
+            Some(durations) => UnaccountedTime::parts_of(&durations),
+            None => row.stages.clone(),
+        };
         Self { parts: bar_parts(parts), total: None }
     }
 
@@ -105,6 +97,18 @@ impl Stack {
     }
 }
 
+/// Returns the durations of an iteration; `None` without a total.
+pub(super) fn durations(row: &IterationRow) -> Option<IterationDurations<'_>> {
+    Some(IterationDurations {
+        total: row.total?,
+        stages: &row.stages,
+        both_ways: row.both_ways,
+        unattributed: row.unattributed,
+        has_unknown_delay: row.delays.iter().any(|delay| delay.value.is_none()),
+        is_answered: row.outcome == "ok",
+    })
+}
+
 /// Converts parts of a total to parts of a bar without clock bounds.
 pub(super) fn bar_parts(parts: Vec<(Name, f64)>) -> Vec<StagePart> {
     let part = |(name, seconds): (Name, f64)| StagePart { name: name.to_string(), seconds, bound: None };
@@ -113,9 +117,11 @@ pub(super) fn bar_parts(parts: Vec<(Name, f64)>) -> Vec<StagePart> {
 
 #[cfg(test)]
 mod tests {
+    use peernet_logger::stage;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::look;
 
     fn figures(mean: f64, count: u64) -> QuantityStatistics {
         QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean }

@@ -2,6 +2,7 @@
 
 mod bars;
 
+use peernet_analysis::unaccounted_time::{NETWORK_AND_REST, UnaccountedTime};
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{
@@ -14,6 +15,7 @@ pub(crate) use bars::lanes;
 
 use super::chip::Chip;
 use super::link::basis::{brief, source_words};
+use super::stack;
 use crate::look;
 use crate::picture::Picture;
 use crate::timeline::{NodeLocation, PlacedNode, Timeline};
@@ -80,8 +82,8 @@ pub(crate) fn rows(
 
     let medians = detail.medians();
     let edge = hosts.first().cloned().unwrap_or_default();
-    if let Some(total) = detail.row.total {
-        let unaccounted = UnaccountedTime::of(detail, timeline, total);
+    if let Some(durations) = stack::durations(&detail.row) {
+        let (total, unaccounted) = (durations.total, UnaccountedTime::of(&durations));
         if let Some((name, seconds)) = unaccounted.network {
             let after = rows.iter().rposition(|row| row.class == "net").map_or(rows.len(), |last| last + 1);
             let usual = medians.both_ways().filter(|_| name == look::NETWORK);
@@ -103,42 +105,6 @@ pub(crate) fn rows(
     }
     group(&mut rows);
     rows
-}
-
-/// Parts of a total that no stage accounts for.
-struct UnaccountedTime {
-    /// Name and seconds of the sum of upload and download, if one of them is not known.
-    network: Option<(&'static str, f64)>,
-    /// Time that no stage accounts for, if it is known and above zero.
-    unattributed: Option<f64>,
-}
-
-impl UnaccountedTime {
-    /// Splits the total as the API does: by the sum of upload and download that the agent measured. A step of a clock does not change the sum.
-    fn of(detail: &IterationDetail, timeline: &Timeline, total: f64) -> Self {
-        let row = &detail.row;
-        let has_unknown_delay =
-            timeline.nodes.iter().any(|node| node.at == NodeLocation::Network && node.length.is_none());
-        let sum_of_stages = |with_one_way: bool| {
-            let counted =
-                row.stages.iter().filter(|(name, _)| with_one_way || !look::is_one_way(name.as_str()));
-            counted.map(|(_, seconds)| seconds).sum::<f64>()
-        };
-        let (network, unattributed) = match (row.both_ways, has_unknown_delay) {
-            (Some(both), _) => (Some((look::NETWORK, both)), row.unattributed),
-            (None, false) => (None, Some(total - sum_of_stages(true))),
-            // An answered iteration has unattributed time, but its amount is unknown.
-            (None, true) if row.outcome == "ok" => {
-                (Some((look::NETWORK_AND_REST, total - sum_of_stages(false))), None)
-            }
-            (None, true) => (None, None),
-        };
-        let is_positive = |seconds: &f64| *seconds > 0.0;
-        Self {
-            network: network.filter(|(_, seconds)| is_positive(seconds)),
-            unattributed: unattributed.filter(is_positive),
-        }
-    }
 }
 
 /// Names each host once, at the first of its rows.
@@ -194,7 +160,7 @@ impl Row {
             depth: 0,
             host,
             value: stage_ms(seconds),
-            bound: (name == look::NETWORK || name == look::NETWORK_AND_REST).then(|| EXACT.to_owned()),
+            bound: (name == look::NETWORK || name == NETWORK_AND_REST).then(|| EXACT.to_owned()),
             chip: None,
             difference: dash(median.map(|median| difference_ms(seconds - median))),
             strong: false,
@@ -289,7 +255,16 @@ mod tests {
             let delay = OneWayDelay::stepped(Span::from_seconds(-2), DelaySource::None);
             let transit =
                 Transit { sent: at(9), received: Some(at(7)), delay: Some(delay), raw_stamps: None };
-            detail.tree.add(NodeId::ROOT, name, Span::ZERO, Measure::Transit(Box::new(transit)));
+            detail.tree.add(NodeId::ROOT, name.clone(), Span::ZERO, Measure::Transit(Box::new(transit)));
+            detail.row.delays.push(peernet_store::DelayRow {
+                stage: name,
+                value: None,
+                bounds: None,
+                raw: -2.0,
+                source: DelaySource::None,
+                verdict: peernet_clock::Verdict::Stepped,
+                assumptions: None,
+            });
         }
         let row = &mut detail.row;
         row.total = Some(1.2);
@@ -319,7 +294,7 @@ mod tests {
         let mut detail = stepped();
         (detail.row.unattributed, detail.row.both_ways) = (None, None);
         let rows = shown(&detail);
-        assert!(rows.contains(&(look::NETWORK_AND_REST.to_owned(), "1,197.80".to_owned())), "{rows:?}");
+        assert!(rows.contains(&(NETWORK_AND_REST.to_owned(), "1,197.80".to_owned())), "{rows:?}");
         assert!(rows.iter().all(|(name, _)| name != "unattributed"), "{rows:?}");
     }
 

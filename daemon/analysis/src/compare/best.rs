@@ -3,28 +3,24 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
-use super::ranking::{Ranking, model_computes};
+use super::ranking::{ConfigurationTotal, Ranking, model_computes};
 use super::render::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::table::{CaptionedTable, Table};
 
-/// Ranks the lines, and stores the difference of each other line to the best. Lines whose model computes nothing are ranked only if all lines
-/// are of this kind.
+/// Ranks the lines, and stores the difference of each other line to the best.
 pub(super) fn rank_lines(comparison: &mut Comparison, runs: &[Loaded]) {
-    let computes = |line: &Line| line.runs.iter().all(|run| model_computes(&runs[*run].record.facts));
-    let any_computes = comparison.lines.iter().any(computes);
-    let ranked_lines = comparison.lines.iter().enumerate().filter(|(_, line)| computes(line) == any_computes);
-    let estimate = |(index, line): (usize, &Line)| {
-        let totals = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column));
-        (index, MeanEstimate::from_values(&totals.collect::<Vec<_>>()))
+    let total = |line: &Line| {
+        let totals = line.runs.iter().map(|run| values(&runs[*run].rows, comparison.total_column.name()));
+        ConfigurationTotal {
+            computes: line.runs.iter().all(|run| model_computes(&runs[*run].record.facts)),
+            mean: MeanEstimate::from_values(&totals.collect::<Vec<_>>()),
+        }
     };
-    let estimates: Vec<_> = ranked_lines.map(estimate).collect();
-    let is_ranked = |index: usize| estimates.iter().any(|(ranked, _)| *ranked == index);
-    let unranked = (0..comparison.lines.len()).filter(|index| !is_ranked(*index)).collect();
-    let Some(ranking) = Ranking::from_means(&estimates) else { return };
+    let Some(ranking) = Ranking::new(&comparison.lines.iter().map(total).collect::<Vec<_>>()) else { return };
     (comparison.ties, comparison.untested) = (ranking.ties(), ranking.untested());
-    (comparison.best, comparison.unranked) = (Some(ranking.best), unranked);
+    (comparison.best, comparison.unranked) = (Some(ranking.best), ranking.unranked);
     for (index, difference) in ranking.differences {
         comparison.lines[index].difference_to_best = difference;
     }
@@ -59,7 +55,7 @@ fn differences_table(comparison: &Comparison) -> Table {
     let mut header = axes.clone();
     header.extend(["mean", "beyond the smallest", "95 % confidence"].map(str::to_owned));
     let rows = others().map(|(line, difference)| {
-        let mean = line.latency(total_column).map(|latency| in_milliseconds(latency.mean, decimals));
+        let mean = line.latency(total_column.name()).map(|latency| in_milliseconds(latency.mean, decimals));
         let mean = mean.unwrap_or_else(|| EMPTY_CELL.to_owned());
         line.labels.iter().cloned().chain([mean]).chain(with_interval(difference, decimals)).collect()
     });

@@ -14,6 +14,7 @@ mod columns;
 mod configuration;
 mod difference;
 mod differences;
+mod latency_bar;
 mod median_bootstrap;
 mod pairwise;
 mod ranking;
@@ -27,8 +28,9 @@ pub use columns::{ChosenColumns, Column, choose_columns};
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
+pub use latency_bar::{LatencyBar, part_order};
 pub use pairwise::PairwiseDifference;
-pub use ranking::{Ranking, model_computes};
+pub use ranking::{ConfigurationTotal, Ranking, model_computes};
 
 use peernet_statistics::{Moments, Summary};
 
@@ -37,6 +39,7 @@ use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
+use crate::total_column::TotalColumn;
 use crate::trust::Starts;
 use configuration::EMPTY_CELL;
 
@@ -83,8 +86,8 @@ pub struct Comparison {
     pub untested: Vec<usize>,
     /// Indices of the lines that are not ranked, because their model computes nothing.
     pub unranked: Vec<usize>,
-    /// Column that determines the best line: `total`, or `stages-total` if not all counted iterations have a total.
-    pub total_column: &'static str,
+    /// Column that determines the best line.
+    pub total_column: TotalColumn,
     /// Other differences among the runs, in sentences.
     pub other_differences: Vec<String>,
     /// Defects of the results, in sentences: incomplete files, invalid numbers.
@@ -155,12 +158,10 @@ impl Comparison {
             Repeats::PooledExcept(chosen) => configurations.separate_runs(runs, chosen),
         }
         let Configurations { axes, labels } = configurations;
-        let mut counted_rows = runs.iter().flat_map(|run| &run.rows).filter(|row| row.is_counted());
-        let total_column =
-            if counted_rows.all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+        let total_column = TotalColumn::from_rows(runs.iter().flat_map(|run| &run.rows));
         let groups = group_by_labels(&labels).into_iter();
         let mut lines: Vec<Line> = groups.map(|group| Line::new(labels[group[0]].clone(), group)).collect();
-        lines.iter_mut().for_each(|line| line.fill(runs, total_column));
+        lines.iter_mut().for_each(|line| line.fill(runs, total_column.name()));
         let (ties, untested, unranked) = (Vec::new(), Vec::new(), Vec::new());
         let caveats = caveats::sentences(runs, &lines);
         let mut comparison = Self {

@@ -9,22 +9,35 @@ pub struct Ranking {
     pub best: usize,
     /// Index of each other configuration, and its mean minus the smallest mean; `None` if it has no mean.
     pub differences: Vec<(usize, Option<Difference>)>,
+    /// Indexes of the configurations that are not ranked, because their model computes nothing.
+    pub unranked: Vec<usize>,
+}
+
+/// Total latency of a configuration, by which it is ranked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConfigurationTotal {
+    /// `false` if the model of a run only returns its input: see [`model_computes`].
+    pub computes: bool,
+    /// Mean of the [`TotalColumn`](crate::total_column::TotalColumn) of all configurations; `None` without measurements.
+    pub mean: Option<MeanEstimate>,
 }
 
 impl Ranking {
-    /// Ranks configurations by their means. A configuration is an index and an estimate; without measurements the estimate is `None`. Returns
-    /// `None` for fewer than two configurations, and if no configuration has an estimate.
-    pub fn from_means(configurations: &[(usize, Option<MeanEstimate>)]) -> Option<Self> {
-        (configurations.len() > 1).then_some(())?;
-        let with_estimate =
-            configurations.iter().filter_map(|(index, estimate)| Some((*index, estimate.as_ref()?)));
-        let (best, smallest) = with_estimate.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
-        let others = configurations.iter().filter(|(index, _)| *index != best);
-        let difference = |(index, estimate): &(usize, Option<MeanEstimate>)| {
-            (*index, estimate.as_ref().map(|estimate| Difference::between_means(smallest, estimate)))
-        };
+    /// Ranks configurations by their means. Configurations whose model computes nothing are ranked only if all are of this kind. Returns
+    /// `None` for fewer than two ranked configurations, and if none of them has a mean.
+    pub fn new(configurations: &[ConfigurationTotal]) -> Option<Self> {
+        let any_computes = configurations.iter().any(|one| one.computes);
+        let (ranked, unranked): (Vec<usize>, Vec<usize>) =
+            (0..configurations.len()).partition(|index| configurations[*index].computes == any_computes);
+        (ranked.len() > 1).then_some(())?;
+        let mean = |index: &usize| configurations[*index].mean.as_ref();
+        let with_mean = ranked.iter().filter_map(|index| Some((*index, mean(index)?)));
+        let (best, smallest) = with_mean.min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))?;
+        let others = ranked.iter().filter(|index| **index != best);
+        let difference =
+            |index: &usize| (*index, mean(index).map(|mean| Difference::between_means(smallest, mean)));
         let differences = others.map(difference).collect();
-        Some(Self { best, differences })
+        Some(Self { best, differences, unranked })
     }
 
     /// Returns the indexes of the configurations whose means do not differ from the smallest with 95 % confidence.
@@ -61,25 +74,38 @@ pub fn model_computes(facts: &[(String, String)]) -> bool {
 mod tests {
     use super::*;
 
-    /// Returns the estimate of values that vary by one about a mean.
-    fn estimate(mean: f64, count: usize) -> Option<MeanEstimate> {
-        MeanEstimate::from_values(&[(0..count).map(|n| mean + (n as f64).sin()).collect()])
+    /// Returns the total of a model that computes: values that vary by one about a mean.
+    fn total(mean: f64, count: usize) -> ConfigurationTotal {
+        let values: Vec<f64> = (0..count).map(|n| mean + (n as f64).sin()).collect();
+        ConfigurationTotal { computes: true, mean: MeanEstimate::from_values(&[values]) }
+    }
+
+    fn echo(mean: f64) -> ConfigurationTotal {
+        ConfigurationTotal { computes: false, ..total(mean, 300) }
     }
 
     #[test]
     fn configurations_are_distinct_alike_or_untested() {
-        let all = [(0, estimate(5.0, 300)), (2, estimate(1.01, 300)), (4, estimate(1.0, 300))];
-        let few = [(5, None), (7, estimate(3.0, 20))];
-        let ranking = Ranking::from_means(&[&all[..], &few].concat()).expect("several have a mean");
-        assert_eq!((ranking.best, ranking.ties(), ranking.untested()), (4, vec![2], vec![5, 7]));
+        let all = [total(5.0, 300), echo(0.5), total(1.01, 300), total(1.0, 300)];
+        let few = [total(0.0, 0), total(3.0, 20)];
+        let ranking = Ranking::new(&[&all[..], &few].concat()).expect("several have a mean");
+        assert_eq!((ranking.best, ranking.ties(), ranking.untested()), (3, vec![2], vec![4, 5]));
+        assert_eq!(ranking.unranked, [1], "it computes nothing");
         let (place, difference) = ranking.differences[0];
         assert_eq!((place, difference.and_then(|difference| difference.is_distinct())), (0, Some(true)));
     }
 
     #[test]
     fn one_configuration_is_not_ranked() {
-        assert_eq!(Ranking::from_means(&[(0, estimate(1.0, 300))]), None);
-        assert_eq!(Ranking::from_means(&[(0, None), (1, None)]), None);
+        assert_eq!(Ranking::new(&[total(1.0, 300)]), None);
+        assert_eq!(Ranking::new(&[total(0.0, 0), total(0.0, 0)]), None);
+        assert_eq!(Ranking::new(&[total(1.0, 300), echo(0.5)]), None);
+    }
+
+    #[test]
+    fn models_that_compute_nothing_are_ranked_among_themselves() {
+        let ranking = Ranking::new(&[echo(2.0), echo(1.0)]).expect("two");
+        assert_eq!((ranking.best, ranking.unranked.len()), (1, 0));
     }
 
     #[test]

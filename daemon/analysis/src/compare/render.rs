@@ -11,6 +11,7 @@ use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::actuator_results::{EpisodeReturn, SuccessRate};
 use crate::deadline::Misses;
 use crate::table::{CaptionedTable, Table, csv_text, interval};
+use crate::total_column::TotalColumn;
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
@@ -302,7 +303,10 @@ impl Comparison {
 
     /// Returns the word for the column of totals that determines the best line: `measured` or `stages`.
     pub(super) fn total(&self) -> &'static str {
-        if self.total_column == "total" { "measured" } else { "stages" }
+        match self.total_column {
+            TotalColumn::Measured => "measured",
+            TotalColumn::SumOfStages => "stages",
+        }
     }
 }
 

@@ -192,7 +192,7 @@ fn sum_of_stages_ranks_runs_without_total() {
         run.rows.change(|row| row.values.retain(|(name, _)| name != "total"));
     }
     let comparison = Comparison::new(&runs);
-    assert_eq!((comparison.total_column, comparison.best), ("stages-total", Some(0)));
+    assert_eq!((comparison.total_column.name(), comparison.best), ("stages-total", Some(0)));
     assert!(comparison.lines[0].latency("total").is_none());
     assert!(comparison.text().contains("Smallest mean total (stages): orin;"));
 }

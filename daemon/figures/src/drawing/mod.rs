@@ -38,7 +38,7 @@ pub use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stack::{Direction, Stack};
 pub use stacked::{Bar, Stacked};
-pub use stage_bar::{StageBar, StagePart};
+pub use stage_bar::{BarPlace, StageBar, StagePart};
 pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};
 pub use time_series::{Line, TimeSeries};
 

@@ -1,8 +1,11 @@
 //! Figure of stacked stages: one bar for each configuration, with an error bar for the total.
 
+use peernet_analysis::compare::{LatencyBar, part_order};
+use peernet_logger::Name;
 use peernet_statistics::number::fixed;
 
-use super::stack::{Direction, Stack};
+use super::stack::Direction;
+use super::stage_bar::{BarPlace, StageBar, StagePart};
 use crate::look::{TextStyle, label, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
 use crate::scale::{Scale, Tick};
@@ -36,7 +39,7 @@ const CAP_HALF_WIDTH: f64 = 1.8;
 pub struct Stacked {
     /// Title of the figure.
     pub title: String,
-    /// Unit of the axis of values.
+    /// Unit of the axis of values: ms.
     pub unit: Unit,
     /// Stages from the first to the last; every bar has a value for each, 0 for a stage that it does not have.
     pub stages: Vec<String>,
@@ -60,6 +63,11 @@ pub struct Bar {
 }
 
 impl Bar {
+    /// Returns the mean and the standard deviation of the total.
+    fn spread(&self) -> Option<(f64, f64)> {
+        self.std.filter(|std| *std > 0.0).map(|std| (self.total, std))
+    }
+
     /// Returns the two ends of the bar, including its error bar.
     fn range(&self) -> (f64, f64) {
         let sum_of =
@@ -80,6 +88,46 @@ impl Bar {
 }
 
 impl Stacked {
+    /// Returns the figure of bars with their labels, in ms. Its stages are the parts of all bars, in their order.
+    pub fn new(title: &str, bars: &[(String, LatencyBar)], notes: Vec<String>) -> Self {
+        let has_part = |name: &Name| bars.iter().any(|(_, bar)| bar.part(name).is_some());
+        let stages: Vec<Name> = part_order().filter(has_part).collect();
+        let bar = |(label, bar): &(String, LatencyBar)| Bar {
+            label: label.clone(),
+            means: stages.iter().map(|stage| bar.part(stage).unwrap_or_default()).collect(),
+            total: bar.total,
+            std: bar.std,
+        };
+        Self {
+            title: title.to_owned(),
+            unit: Unit::milliseconds("Latency"),
+            bars: bars.iter().map(bar).collect(),
+            stages: stages.iter().map(Name::to_string).collect(),
+            notes,
+        }
+    }
+
+    /// Lays each bar out by itself, with the values of its parts, for pages. All bars have the scale that is also returned, in ms.
+    pub fn rows(&self) -> (Vec<Vec<Item>>, Scale) {
+        let (low, high) = self.range();
+        let scale = if low < 0.0 { Scale::from_zero((low, high)) } else { Scale::up_to(high, 6) };
+        let row = |bar: &Bar| {
+            let parts = self.parts(bar);
+            StageBar { spread: bar.spread(), ..StageBar::new(&parts, scale) }.items()
+        };
+        (self.bars.iter().map(row).collect(), scale)
+    }
+
+    /// Returns the parts of a bar.
+    fn parts(&self, bar: &Bar) -> Vec<StagePart> {
+        let part = |(name, seconds): (&String, &f64)| StagePart {
+            name: name.clone(),
+            seconds: *seconds,
+            bound: None,
+        };
+        self.stages.iter().zip(&bar.means).map(part).collect()
+    }
+
     /// Returns whether the bars are upright. They are upright if they are few and their labels are short.
     fn is_upright(&self) -> bool {
         let room = (WIDTH - SIDE_MARGIN) / self.bars.len().max(1) as f64 - 3.0;
@@ -181,19 +229,15 @@ impl Stacked {
         (middle, half): (f64, f64),
         direction: Direction,
     ) -> (Vec<Item>, f64) {
-        let in_shown_unit = |value: f64| value * self.unit.per_si;
-        let means = bar.means.iter().map(|mean| in_shown_unit(*mean));
-        let parts = self.stages.iter().map(String::as_str).zip(means);
-        let stack = Stack { parts: parts.collect(), scale: values };
-        let mut items = stack.items((middle - half, middle + half), direction);
-        let mut end = in_shown_unit(bar.total).max(stack.end());
-        if let Some(std) = bar.std.map(in_shown_unit).filter(|std| *std > 0.0) {
-            let total = in_shown_unit(bar.total);
-            end = end.max(total + std);
-            let ends = [total - std, total + std].map(|value| direction.at(values.at(value), middle));
-            let has_cap = [total - std, total + std].map(|value| values.has(value));
-            items.extend(direction.rimmed_whisker(ends, has_cap, CAP_HALF_WIDTH));
-        }
-        (items, end)
+        let parts = self.parts(bar);
+        let place = BarPlace { direction, sides: (middle - half, middle + half), cap: CAP_HALF_WIDTH };
+        let stage_bar = StageBar {
+            has_grid: false,
+            has_values: false,
+            spread: bar.spread(),
+            place,
+            ..StageBar::new(&parts, values)
+        };
+        (stage_bar.items(), bar.range().1 * self.unit.per_si)
     }
 }

@@ -1,4 +1,5 @@
-//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. Only pages have this kind.
+//! Bar of the stages of one iteration, run or configuration, with their values and the distribution of the total. A file has such bars in
+//! [`Stacked`](super::Stacked).
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
@@ -8,16 +9,30 @@ use crate::look::{INK_2, INK_3, Style, TextStyle, stage};
 use crate::plot::{Anchor, At, Item, Label};
 use crate::scale::Scale;
 
-/// Upper and lower side of the bar, as shares of the height from the top.
-const BAR: (f64, f64) = (0.15, 0.85);
 /// Vertical position of the whiskers of clock bounds, as a share of the height from the top.
 const BOUND_Y: f64 = 0.08;
 /// Minimum length of the whisker of a clock bound, as a share of the scale. A shorter whisker would look like the line between two stages.
 const MIN_BOUND_LENGTH: f64 = 0.004;
 /// Half the width of the caps of the whisker of a clock bound, points.
 const BOUND_CAP_HALF_WIDTH: f64 = 1.5;
-/// Half the width of the caps of the whisker of the total, points.
-const TOTAL_CAP_HALF_WIDTH: f64 = 3.8;
+
+/// Place of a bar in its plot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BarPlace {
+    /// Direction of the scale.
+    pub direction: Direction,
+    /// Both sides of the bar, as shares across the scale.
+    pub sides: (f64, f64),
+    /// Half the width of the caps of the total's whisker, points.
+    pub cap: f64,
+}
+
+impl Default for BarPlace {
+    /// Returns the place of a bar that is alone in its picture.
+    fn default() -> Self {
+        Self { direction: Direction::Level, sides: (0.15, 0.85), cap: 3.8 }
+    }
+}
 
 /// Length of a stage in a bar.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,12 +60,22 @@ pub struct StageBar<'a> {
     pub spread: Option<(f64, f64)>,
     /// 95th and 99th percentile of the total, seconds.
     pub quantiles: [Option<f64>; 2],
+    /// Place of the bar. Values, clock bounds and percentiles are drawn only in a bar that is alone in its picture.
+    pub place: BarPlace,
 }
 
 impl<'a> StageBar<'a> {
     /// Returns a bar with a grid and the values of its stages, but without the distribution of the total.
     pub fn new(parts: &'a [StagePart], scale: Scale) -> Self {
-        Self { parts, scale, has_grid: true, has_values: true, spread: None, quantiles: [None; 2] }
+        Self {
+            parts,
+            scale,
+            has_grid: true,
+            has_values: true,
+            spread: None,
+            quantiles: [None; 2],
+            place: BarPlace::default(),
+        }
     }
 
     /// Returns a bar without a grid that its parts fill from end to end.
@@ -62,20 +87,26 @@ impl<'a> StageBar<'a> {
 
     /// Lays the bar out.
     pub fn items(&self) -> Vec<Item> {
-        let parts = self.parts.iter().filter(|part| part.seconds > 0.0);
-        let parts = parts.map(|part| (part.name.as_str(), part.seconds * 1e3)).collect();
+        let parts = self.parts.iter().map(|part| (part.name.as_str(), part.seconds * 1e3)).collect();
         let stack = Stack { parts, scale: self.scale };
         let mut items = if self.has_grid { Item::grid(&self.scale) } else { Vec::new() };
-        items.extend(stack.items(BAR, Direction::Level));
+        items.extend(stack.items(self.place.sides, self.place.direction));
         if self.has_values {
             items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value_label(segment))));
             items.extend(self.bound_whiskers(&stack));
         }
-        let whisker = |ends| Direction::Level.rimmed_whisker(ends, [true; 2], TOTAL_CAP_HALF_WIDTH);
-        items
-            .extend(self.spread_ends().into_iter().flat_map(|ends| whisker(ends.map(|at| At::new(at, 0.5)))));
+        items.extend(self.spread_whisker());
         items.extend(self.quantile_whiskers(&stack));
         items
+    }
+
+    /// Returns the whisker of the total. An end beyond the scale has no cap.
+    fn spread_whisker(&self) -> Vec<Item> {
+        let Some((mean, std)) = self.spread else { return Vec::new() };
+        let BarPlace { direction, sides: (near, far), cap } = self.place;
+        let values = [mean - std, mean + std].map(|seconds| seconds * 1e3);
+        let ends = values.map(|value| direction.at(self.scale.at(value), f64::midpoint(near, far)));
+        direction.rimmed_whisker(ends, values.map(|value| self.scale.has(value)), cap)
     }
 
     /// Returns the positions of both ends of the total's whisker.

@@ -9,6 +9,7 @@ use crate::look::{INK, Mark, Style, stage as look};
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
+use peernet_analysis::total_column::TotalColumn;
 
 /// Width of lines, points; the total's is stronger.
 const LINE_WIDTH: f64 = 0.9;
@@ -34,9 +35,9 @@ pub(super) fn drawings(
         };
         return Ok(vec![Drawing::new(format!("{column}-cumulative"), AnyFigure::Cumulative(figure))]);
     }
-    let totals = ["total", "stages-total"].map(|column| (column, values(rows, column)));
-    let total = totals.into_iter().find(|(_, values)| !values.is_empty());
-    let (total_column, total_values) = total.ok_or(MissingData::Total)?;
+    let total_column = TotalColumn::from_rows(rows).name();
+    let total_values =
+        Some(values(rows, total_column)).filter(|values| !values.is_empty()).ok_or(MissingData::Total)?;
     let stages = LongestStages::new(rows);
     let mut notes = notes(rows, &[total_column], &total_values);
     notes.extend(stages.shorter_note());

@@ -7,6 +7,7 @@ use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
+use peernet_analysis::total_column::TotalColumn;
 
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
@@ -22,8 +23,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
             values: values.filter(|(at, value)| is_drawable(*at) && is_drawable(*value)).collect(),
         }
     };
-    let total = ["total", "stages-total"].map(line);
-    let total = total.into_iter().find(|line| !line.values.is_empty());
+    let total = Some(line(TotalColumn::from_rows(rows).name())).filter(|line| !line.values.is_empty());
     let unanswered = rows.iter().filter(|row| row.outcome() != Outcome::Ok).map(&time);
     let unanswered = unanswered.filter(|at| is_drawable(*at)).collect();
     let Some(total) = total else {

@@ -11,6 +11,7 @@ use crate::look::series;
 use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::rows::RowRef;
+use peernet_analysis::total_column::TotalColumn;
 
 /// Width of a curve, points.
 const LINE_WIDTH: f64 = 1.0;
@@ -19,10 +20,9 @@ const LINE_WIDTH: f64 = 1.0;
 pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     let ConfigurationGroups { axes, groups } = ConfigurationGroups::from_runs(runs);
     let all_rows = || groups.iter().flat_map(|(_, runs)| counted_rows(runs));
-    // If one iteration has no measured total, all curves are the sums of their stages.
-    let total = if all_rows().all(|row| row.value("total").is_some()) { "total" } else { "stages-total" };
+    let total = TotalColumn::from_rows(all_rows());
     let values = |runs: &[&Loaded]| -> SortedValues {
-        let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total));
+        let totals = counted_rows(runs).filter_map(|row: RowRef<'_>| row.value(total.name()));
         totals.filter(|value| is_drawable(*value)).collect()
     };
     let groups_with_total: Vec<(&String, SortedValues)> = groups
@@ -39,10 +39,9 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
         let configurations = number::counted(omitted_groups as u64, "configuration");
         missing.push(format!("left out: {configurations} without a total"));
     }
-    let quantity = if total == "total" { "measured total" } else { "sum of stages" };
-    let mut notes = vec![format!("configurations: {} · {quantity}", axes.join(", "))];
+    let mut notes = vec![format!("configurations: {} · {}", axes.join(", "), total.description())];
     notes.extend(excluded_note(&runs.iter().flat_map(|run| &run.rows)));
-    notes.extend(too_large_note(all_rows(), &[total]));
+    notes.extend(too_large_note(all_rows(), &[total.name()]));
     notes.extend(missing.iter().cloned());
     let drawings = groups_with_total.chunks(MOST_CURVES).enumerate().map(|(number, chunk)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };

@@ -3,7 +3,8 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::compare::{Difference, MeanEstimate, Ranking};
+use peernet_analysis::compare::{ConfigurationTotal, Difference, MeanEstimate, Ranking};
+use peernet_analysis::total_column::TotalColumn;
 use peernet_logger::{Name, stage};
 use peernet_store::{StageMeans, Store};
 
@@ -41,7 +42,9 @@ pub(crate) struct Differences {
     pub baseline: usize,
     /// Index of each other configuration with its stages in their order, without unmeasured stages.
     pub others: Vec<(usize, Vec<StageDifference>)>,
-    /// Ranking by mean total. Configurations with an echo model are ranked only if all configurations have an echo model.
+    /// Latency by which the configurations are ranked.
+    pub total_column: TotalColumn,
+    /// Ranking by mean total.
     pub ranking: Option<Ranking>,
 }
 
@@ -75,13 +78,16 @@ impl Differences {
         };
         let estimates: Vec<Vec<Option<MeanEstimate>>> =
             all.iter().map(|one| names.iter().map(|name| estimate(one, name)).collect()).collect();
-        // A run without a model has no total, and is not ranked with pipelines.
-        let is_ranked = |index: &usize| {
-            let (one, any_computes) = (&all[*index], all.iter().any(|one| one.computes));
-            one.figures(&stage::TOTAL).is_some() && one.computes == any_computes
+        let total_column = comparison.total_column;
+        let total = |(one, estimates): (&Configuration, &Vec<Option<MeanEstimate>>)| {
+            let mean = names.iter().zip(estimates).find(|(name, _)| **name == *total_column.name());
+            ConfigurationTotal {
+                computes: one.computes,
+                mean: mean.and_then(|(_, estimate)| estimate.clone()),
+            }
         };
-        let ranked = (0..all.len()).filter(is_ranked).map(|index| (index, estimates[index][0].clone()));
-        let ranking = Ranking::from_means(&ranked.collect::<Vec<_>>());
+        let totals: Vec<ConfigurationTotal> = all.iter().zip(&estimates).map(total).collect();
+        let ranking = Ranking::new(&totals);
         let best = || ranking.as_ref().map_or(0, |ranking| ranking.best);
         let baseline = baseline.into().unwrap_or_else(best);
         let stages = |index: usize| {
@@ -98,13 +104,13 @@ impl Differences {
             (index, names.iter().enumerate().filter_map(stage).collect())
         };
         let others = (0..all.len()).filter(|index| *index != baseline).map(stages).collect();
-        Self { baseline, others, ranking }
+        Self { baseline, others, total_column, ranking }
     }
 
     /// Returns the difference of the mean total of a configuration to the baseline.
     pub(crate) fn total(&self, index: usize) -> Option<&StageDifference> {
         let (_, stages) = self.others.iter().find(|(other, _)| *other == index)?;
-        stages.iter().find(|stage| stage.name == stage::TOTAL)
+        stages.iter().find(|stage| stage.name == *self.total_column.name())
     }
 }
 

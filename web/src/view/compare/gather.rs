@@ -13,7 +13,7 @@ use peernet_stream::Placement;
 use super::differences::CONCURRENT_READS;
 use super::differing::DifferingSettings;
 use super::names::configuration_names;
-use super::{Comparison, Configuration, ExcludedRun, Setting, order};
+use super::{Comparison, Configuration, ExcludedRun, Setting, order, total_column};
 use crate::error::WebError;
 
 /// Maximum number of runs that a query may name.
@@ -150,12 +150,13 @@ pub(crate) async fn load_comparison(
         let computes = group.runs.iter().all(|run| computing.computes(run));
         Configuration { name, values: group.values, runs: group.runs, stages, bounds, mergeable, computes }
     });
-    let configurations = configurations.collect();
+    let configurations: Vec<Configuration> = configurations.collect();
     Ok(Comparison {
         experiment,
         axes,
         settings,
         long_settings,
+        total_column: total_column(&configurations),
         configurations,
         statistics_by_run,
         trust_by_run,

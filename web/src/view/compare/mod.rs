@@ -1,5 +1,7 @@
 //! Comparison of runs, from their roll-ups and a bounded number of rows, so that its cost does not depend on the length of a run.
 
+#[cfg(test)]
+mod agreement;
 mod caveats;
 mod choice;
 mod differences;
@@ -41,7 +43,9 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use peernet_analysis::deadline::Misses;
+use peernet_analysis::total_column::TotalColumn;
 use peernet_analysis::trust::{Report, Starts};
+use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
 use peernet_stream::PlacementKind;
@@ -59,6 +63,8 @@ pub(crate) struct Comparison {
     pub settings: Vec<Setting>,
     /// Names of further settings that differ but are too long for a table, such as hashes, paths and lists.
     pub long_settings: Vec<String>,
+    /// Latency by which the configurations are compared.
+    pub total_column: TotalColumn,
     /// Configurations. Those of an experiment are sorted by their labels, axis by axis. Selected runs are in the requested order.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
@@ -85,6 +91,15 @@ pub(crate) struct ExcludedRun {
 pub(crate) struct Setting {
     pub name: String,
     pub values: Vec<String>,
+}
+
+/// Returns the latency by which configurations are compared.
+pub(super) fn total_column(configurations: &[Configuration]) -> TotalColumn {
+    let count = |column: TotalColumn| {
+        configurations.iter().filter_map(|one| one.figures(column.name())).map(|figures| figures.count).sum()
+    };
+    let iterations = configurations.iter().map(Configuration::iterations).sum();
+    TotalColumn::from_counts(iterations, count(TotalColumn::Measured), count(TotalColumn::SumOfStages))
 }
 
 /// Runs of one configuration, combined.
@@ -117,9 +132,9 @@ impl Configuration {
         self.mergeable.summary(name)
     }
 
-    /// Returns the statistics of `total`, seconds, or of `sensing` for a pipeline that only senses.
-    pub(crate) fn total(&self) -> Option<&QuantityStatistics> {
-        self.figures("total").or_else(|| self.figures("sensing"))
+    /// Returns the number of answered iterations after the warm-up.
+    pub(crate) fn iterations(&self) -> u64 {
+        self.runs.iter().map(|run| run.counts.ok).sum()
     }
 
     /// Returns the counts of executed and skipped starts of all runs.
@@ -154,6 +169,11 @@ impl Configuration {
 }
 
 impl Comparison {
+    /// Returns the statistics of the latency by which configurations are compared, seconds, or of `sensing` for a pipeline that only senses.
+    pub(crate) fn total<'a>(&self, one: &'a Configuration) -> Option<&'a QuantityStatistics> {
+        one.figures(self.total_column.name()).or_else(|| one.figures(&stage::SENSING))
+    }
+
     /// Returns the index of the chosen baseline: the configuration of the run with the number `run`; `None` if no number is given.
     ///
     /// # Errors

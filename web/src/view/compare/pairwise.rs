@@ -4,7 +4,6 @@ use peernet_analysis::compare::PairwiseDifference;
 use peernet_figures::drawing::BinnedAxis;
 use peernet_figures::look;
 use peernet_figures::plot::Unit;
-use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{duration, percent};
 
@@ -26,7 +25,7 @@ pub(crate) struct PairwiseRow {
 /// differences. An entry is `None` if one of the two configurations has no total. The list has at most [`MAX_DISTRIBUTIONS`] entries.
 pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Vec<Option<PairwiseRow>> {
     let all = &comparison.configurations;
-    let total = |index: usize| all.get(index)?.summary(&stage::TOTAL);
+    let total = |index: usize| all.get(index)?.summary(comparison.total_column.name());
     let pairwise_differences: Vec<Option<PairwiseDifference>> = differences
         .others
         .iter()
@@ -50,10 +49,12 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         };
         let median = pairs.quantile(0.5).map_or_else(String::new, |median| duration(median).to_string());
         let label = format!(
-            "{} less {}, total of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
-            all[*index].name, all[differences.baseline].name
+            "{} less {}, {} of one iteration each: median {median}, faster in {faster} % of the pairs{beyond}",
+            all[*index].name,
+            all[differences.baseline].name,
+            comparison.total_column.title().to_lowercase(),
         );
-        let items = axis.histogram(&pairs, &look::stage(&stage::TOTAL), interval);
+        let items = axis.histogram(&pairs, &look::stage(comparison.total_column.name()), interval);
         let picture =
             Picture::of_items(&items, "plot", &label).followed_by(&Picture::axis_below(&axis.scale));
         Some(PairwiseRow { faster, picture })

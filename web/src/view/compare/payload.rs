@@ -154,7 +154,7 @@ pub(crate) fn accuracy(comparison: &Comparison) -> Option<Picture> {
         let scores = one.figures(TOP_1)?;
         let accuracy = accuracy::of(scores);
         Some(ScatterPoint {
-            x: one.total()?.p50 * 1e3,
+            x: comparison.total(one)?.p50 * 1e3,
             y: scores.mean * 100.0,
             ends: accuracy.map(|accuracy| (accuracy.interval.0 * 100.0, accuracy.interval.1 * 100.0)),
             name: one.name.clone(),

@@ -1,9 +1,12 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
-use peernet_figures::drawing::{Quartiles, StageBar, StagePart};
+use peernet_analysis::compare::{Latency, LatencyBar};
+use peernet_figures::drawing::{Quartiles, Stacked};
+use peernet_figures::plot::Item;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
 use peernet_statistics::number::{NONE, duration, mean_std_ms};
+use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::{Placement, PlacementKind};
 use std::slice;
 
@@ -11,7 +14,6 @@ use super::spread::box_plot;
 use super::{Comparison, Configuration, order};
 use crate::picture::Picture;
 use crate::view::place;
-use crate::view::stack::Stack;
 
 /// Maximum number of hosts of one configuration that are named.
 const MAX_NAMED_HOSTS: usize = 4;
@@ -57,45 +59,44 @@ pub(crate) struct PlaceRow {
 
 /// Returns a bar of the mean stages of each configuration, all on one scale. The error bar is the standard deviation of the total.
 pub(crate) fn stacks(comparison: &Comparison, best: Option<usize>) -> (Vec<StackRow>, Axes) {
-    let all = &comparison.configurations;
-    let reach = |one: &Configuration| one.total().map_or(0.0, |total| total.mean + total.std.unwrap_or(0.0));
-    let scale = Scale::up_to(all.iter().map(reach).fold(0.0, f64::max) * 1e3, 6);
-    let row = |(index, one): (usize, &Configuration)| {
-        let parts = parts(one);
-        let total = one.total();
-        let spread = total.and_then(|total| Some((total.mean, total.std?)));
-        let bar = StageBar { spread, ..StageBar::new(&parts, scale) };
+    let bars: Vec<(String, LatencyBar)> = comparison
+        .configurations
+        .iter()
+        .map(|one| (one.name.clone(), latency_bar(comparison, one).unwrap_or_default()))
+        .collect();
+    let (pictures, scale) = Stacked::new("", &bars, Vec::new()).rows();
+    let row = |(index, items): (usize, &Vec<Item>)| {
+        let (one, (name, bar)) = (&comparison.configurations[index], &bars[index]);
         StackRow {
-            name: one.name.clone(),
-            total: total.map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
-            bar: Picture::of_items(&bar.items(), "stages", &label(one, &parts)),
+            name: name.clone(),
+            total: if bar.parts.is_empty() {
+                (NONE.to_owned(), None)
+            } else {
+                mean_std_ms(bar.total, bar.std)
+            },
+            bar: Picture::of_items(items, "stages", &label(one, bar)),
             best: best == Some(index),
         }
     };
-    (all.iter().enumerate().map(row).collect(), Axes::of(&scale))
+    (pictures.iter().enumerate().map(row).collect(), Axes::of(&scale))
 }
 
-/// Returns the means of the stages. For a pipeline that only senses, returns the mean of `sensing`.
-fn parts(one: &Configuration) -> Vec<StagePart> {
-    let mut parts = Stack::of_run(&one.stages, &one.bounds).parts;
-    if parts.is_empty() {
-        let sensing = one.figures(&stage::SENSING);
-        parts.extend(sensing.map(|figures| StagePart {
-            name: stage::SENSING.to_string(),
-            seconds: figures.mean,
-            bound: None,
-        }));
+/// Returns the mean latency of a configuration with its parts; `None` without an answered iteration.
+pub(super) fn latency_bar(comparison: &Comparison, one: &Configuration) -> Option<LatencyBar> {
+    let latency_of = |name: &str| {
+        let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;
+        Some(Latency { mean, std, count })
+    };
+    LatencyBar::new(comparison.total_column, one.iterations(), DelayAccuracy::sent(&one.bounds), latency_of)
+}
+
+fn label(one: &Configuration, bar: &LatencyBar) -> String {
+    if bar.parts.is_empty() {
+        return format!("{}: nothing measured", one.name);
     }
-    // The page of a run shows the clock bounds; here the error bar is the standard deviation.
-    parts.iter_mut().for_each(|part| part.bound = None);
-    parts
-}
-
-fn label(one: &Configuration, parts: &[StagePart]) -> String {
-    let Some(total) = one.total() else { return format!("{}: nothing measured", one.name) };
-    let stages = parts.iter().map(|part| format!("{} {}", part.name, duration(part.seconds)));
+    let stages = bar.parts.iter().map(|(name, seconds)| format!("{name} {}", duration(*seconds)));
     let stages = stages.collect::<Vec<_>>().join(", ");
-    format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(total.mean), total.count)
+    format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(bar.total), one.iterations())
 }
 
 /// Returns the routes of all runs of the configuration: `user-1, user-2 → rack-a`.

@@ -3,7 +3,10 @@
 use std::collections::HashMap;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::stage_split::StageSplit;
+use peernet_analysis::compare::{Latency, LatencyBar};
+use peernet_analysis::rows::LATENESS;
+use peernet_analysis::stage_split::sent_in_part;
+use peernet_analysis::total_column::TotalColumn;
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{OverTimeAxes, StageBucket, StagePart, StagesOverTime};
 use peernet_logger::{Name, stage};
@@ -62,13 +65,21 @@ pub(crate) struct RunPicture {
     pub picture: Picture,
 }
 
-/// Chooses the runs that are drawn, each with the drawn quantity: `total`, or `sensing` in a run without a model. If there is not enough
-/// room for all, also returns the number of runs with data.
+/// Chooses the runs that are drawn, each with the drawn quantity: [`TotalColumn`], or `sensing` in a run without a model. If there is not
+/// enough room for all, also returns the number of runs with data.
 fn drawn_runs(comparison: &Comparison) -> (Vec<ChosenRun<'_, Name>>, Option<usize>) {
     choose_runs(comparison, |run| {
-        let names = [stage::TOTAL, stage::SENSING];
+        let names = [Name::from_static(total_column(comparison, run).name()), stage::SENSING];
         names.into_iter().find(|name| comparison.summary(run.number, name).is_some())
     })
+}
+
+/// Returns the latency of a run's iterations that is drawn.
+fn total_column(comparison: &Comparison, run: &RunSummary) -> TotalColumn {
+    let count = |column: TotalColumn| {
+        comparison.summary(run.number, column.name()).map_or(0, |summary| summary.count())
+    };
+    TotalColumn::from_counts(run.counts.ok, count(TotalColumn::Measured), count(TotalColumn::SumOfStages))
 }
 
 /// Reads the time series of the runs that are drawn.
@@ -79,7 +90,8 @@ pub(crate) async fn run_time_series(
     store: &Store,
     comparison: &Comparison,
 ) -> Result<TimeSeriesByRun, WebError> {
-    let names: &Vec<Name> = &[stage::TOTAL, stage::UNATTRIBUTED].into_iter().chain(stage::ORDER).collect();
+    let totals = [stage::TOTAL, stage::STAGES_TOTAL, stage::UNATTRIBUTED, Name::from_static(LATENESS)];
+    let names: &Vec<Name> = &totals.into_iter().chain(stage::ORDER).collect();
     let request = |(_, run, name): ChosenRun<'_, Name>| {
         let samples = comparison.summary(run.number, &name).map_or(0, |summary| summary.count());
         let points = (samples / SAMPLES_PER_POINT).clamp(MIN_POINTS, MAX_POINTS as u64) as usize;
@@ -105,7 +117,7 @@ pub(crate) fn over_time(comparison: &Comparison, series_by_run: &TimeSeriesByRun
         let points =
             time_series.series.stages.iter().map(|stage| stage.points.len()).max().unwrap_or_default();
         (points >= MIN_DRAWN_POINTS).then_some(())?;
-        Some((one, run, &time_series.episodes, data(one, run, &name, time_series)))
+        Some((one, run, &time_series.episodes, data(comparison, run, &name, time_series)))
     });
     let (runs, all): (Vec<_>, Vec<(String, StagesOverTime)>) =
         with_points.map(|(one, run, episodes, data)| ((one, run, episodes), data)).unzip();
@@ -158,7 +170,7 @@ fn points_of(seconds: f64) -> String {
 
 /// Returns the description of a run's plot in words, and its data. Times are in seconds since the first iteration.
 fn data(
-    one: &Configuration,
+    comparison: &Comparison,
     run: &RunSummary,
     name: &Name,
     time_series: &RunTimeSeries,
@@ -176,12 +188,18 @@ fn data(
         let buckets = &means.iter().find(|stage| stage.stage == *name)?.buckets;
         buckets.binary_search_by_key(&at, |bucket| bucket.at).ok().and_then(|index| buckets.get(index))
     };
+    let statistics = comparison.statistics_by_run.get(&run.number);
+    let bounds = [stage::UPLOAD, stage::DOWNLOAD].map(|way| statistics.and_then(|all| all.bound(&way)));
+    let sent = DelayAccuracy::sent(&bounds.into_iter().flatten().collect::<Vec<_>>());
     let bucket = |point: &SeriesPoint| {
-        // The number of unknown delays is not stored by time, so only the known ones count.
-        let sent = DelayAccuracy::sent(&one.bounds).map(|count| count.min(1));
-        let split =
-            StageSplit::new(sent, |name| mean(name, point.at).map(|bucket| (bucket.count, bucket.mean)));
-        let parts = stack::bar_parts(split.parts);
+        // The number of unknown delays is not stored by time.
+        let sent = sent_in_part(sent, run.counts.ok, point.count);
+        let latency_of = |name: &str| {
+            let MeanBucket { count, mean, .. } = *mean(name, point.at)?;
+            Some(Latency { mean, std: None, count })
+        };
+        let bar = LatencyBar::new(total_column(comparison, run), point.count, sent, latency_of);
+        let parts = stack::bar_parts(bar.unwrap_or_default().parts);
         let single_part = || vec![StagePart { name: name.to_string(), seconds: point.mean, bound: None }];
         StageBucket {
             begin: since(point.at),

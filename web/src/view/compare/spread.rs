@@ -2,7 +2,6 @@
 
 use peernet_figures::drawing::Quartiles;
 use peernet_figures::scale::Scale;
-use peernet_logger::stage;
 use peernet_statistics::number::milliseconds;
 
 use super::{Axes, Comparison, Configuration};
@@ -27,10 +26,11 @@ pub(super) fn box_plot(stage: &str, quantity: &str, quartiles: &Quartiles, scale
 
 /// Returns the total of each configuration, its runs together, all on one scale.
 pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
+    let total = comparison.total_column.name();
     let measured: Vec<_> = comparison
         .configurations
         .iter()
-        .filter_map(|one| Some((one, Quartiles::of(one.summary(&stage::TOTAL)?)?)))
+        .filter_map(|one| Some((one, Quartiles::of(one.summary(total)?)?)))
         .collect();
     let scale =
         Scale::up_to(measured.iter().map(|(_, quartiles)| quartiles.top()).fold(0.0, f64::max) * 1e3, 6);
@@ -40,7 +40,7 @@ pub(crate) fn boxes(comparison: &Comparison) -> (Vec<BoxRow>, Axes) {
             name: one.name.clone(),
             median: p50,
             quartiles: format!("{p25} – {p75}"),
-            picture: box_plot(&stage::TOTAL, &format!("{}, total", one.name), quartiles, &scale),
+            picture: box_plot(total, &format!("{}, {total}", one.name), quartiles, &scale),
         }
     };
     (measured.iter().map(row).collect(), Axes::of(&scale))

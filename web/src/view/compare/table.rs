@@ -69,7 +69,7 @@ impl Table {
         let row = |(index, one): (usize, &Configuration)| Row {
             values: if has_axes { one.values.clone() } else { vec![one.name.clone()] },
             runs: one.runs.iter().map(|run| run.number).collect(),
-            iterations: count(one.total().map_or(0, |total| total.count)),
+            iterations: count(one.iterations()),
             cells: columns
                 .iter()
                 .map(|(name, _)| match one.figures(name) {

@@ -11,22 +11,21 @@ const MAX_NAMED: usize = 2;
 /// Returns the finding of the comparison in a sentence.
 pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> String {
     let all = &comparison.configurations;
-    let Some(ranking) = differences.ranking.as_ref() else {
-        return match (
-            all.len(),
-            all.iter().filter(|one| one.total().is_some()).collect::<Vec<_>>().as_slice(),
-        ) {
-            (0, _) => "No run of this experiment was finished yet".to_owned(),
-            (1, _) => "One configuration: there is nothing to compare it with yet".to_owned(),
-            (_, [only]) => {
-                format!("Only {} has measured anything: there is nothing to compare it with", only.name)
-            }
-            (_, []) => "No successful iteration of these runs is stored yet".to_owned(),
-            _ => "These configurations have no total in common that could be compared".to_owned(),
-        };
+    let measured: Vec<&Configuration> = all.iter().filter(|one| comparison.total(one).is_some()).collect();
+    let ranking = match (all.len(), measured.as_slice(), differences.ranking.as_ref()) {
+        (0, ..) => return "No run of this experiment was finished yet".to_owned(),
+        (1, ..) => return "One configuration: there is nothing to compare it with yet".to_owned(),
+        (_, [], _) => return "No successful iteration of these runs is stored yet".to_owned(),
+        (_, [only], _) => {
+            return format!("Only {} has measured anything: there is nothing to compare it with", only.name);
+        }
+        (.., None) => {
+            return "These configurations have no total in common that could be compared".to_owned();
+        }
+        (.., Some(ranking)) => ranking,
     };
     let best = &all[ranking.best];
-    let mean = best.total().map_or_else(String::new, |total| duration(total.mean).to_string());
+    let mean = comparison.total(best).map_or_else(String::new, |total| duration(total.mean).to_string());
     let (ties, untested) = (ranking.ties(), ranking.untested());
     if !ties.is_empty() {
         return format!("{} and {} do not differ by more than chance", best.name, names(all, &ties));

@@ -27,8 +27,10 @@ pub(crate) struct UsersRow {
 /// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
 pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)> {
     comparison.experiment.as_ref()?;
-    let users =
-        Users { axes: comparison.axes.clone(), lines: comparison.configurations.iter().map(line).collect() };
+    let users = Users {
+        axes: comparison.axes.clone(),
+        lines: comparison.configurations.iter().map(|one| self::line(comparison, one)).collect(),
+    };
     let curves = Curve::from_users(&users);
     let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
     let differ =
@@ -41,15 +43,15 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)>
         .iter()
         .map(|curve| curve.points.iter().filter_map(|line| Some((*line, configuration_of(line)?))).collect())
         .collect();
-    let rows = points.iter().flatten().map(|(line, one)| row(line, one));
+    let rows = points.iter().flatten().map(|(line, one)| row(comparison, line, one));
     Some((plot(&curves, &points), rows.collect()))
 }
 
 /// Returns the answers per second of each user of a configuration, and its totals.
-fn line(one: &Configuration) -> UsersLine {
+fn line(comparison: &Comparison, one: &Configuration) -> UsersLine {
     let repeat = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
     let runs: Vec<(u32, Option<EdgeShare>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();
-    let totals = one.total().map_or_else(Totals::default, |total| Totals {
+    let totals = comparison.total(one).map_or_else(Totals::default, |total| Totals {
         count: usize::try_from(total.count).unwrap_or(usize::MAX),
         mean: Some(total.mean),
         median: Some(total.p50),
@@ -94,7 +96,7 @@ fn users_of(line: &UsersLine) -> String {
     crate::view::counted(line.edges, "user", "users")
 }
 
-fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
+fn row(comparison: &Comparison, line: &UsersLine, one: &Configuration) -> UsersRow {
     let or_dash = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
     UsersRow {
         name: one.name.clone(),
@@ -104,6 +106,8 @@ fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
             .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
         fairness: or_dash(line.fairness, |index| measured(index, 3)),
-        total: one.total().map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+        total: comparison
+            .total(one)
+            .map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
     }
 }

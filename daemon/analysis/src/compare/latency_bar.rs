@@ -1,0 +1,108 @@
+//! Mean latency of a configuration as a bar of its parts.
+
+use peernet_logger::{Name, stage};
+
+use super::Latency;
+use crate::rows::LATENESS;
+use crate::slowness::BOTH_DIRECTIONS;
+use crate::stage_split::StageSplit;
+use crate::total_column::TotalColumn;
+
+/// Mean latency of a configuration and its parts, seconds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LatencyBar {
+    /// Mean of each part per iteration, in the [order of all parts](part_order). They add up to the total, unless the clocks show a stage as
+    /// longer than it was. The late start is a separate part here, not a part of the unattributed time.
+    pub parts: Vec<(Name, f64)>,
+    /// Mean of the column by which configurations are compared. If the configuration has no such values, it is the sum of the parts.
+    pub total: f64,
+    /// Sample standard deviation of the total; `None` below two values.
+    pub std: Option<f64>,
+}
+
+impl LatencyBar {
+    /// Returns the bar of a configuration with this number of counted iterations. `latency_of` returns the values of a node, `None` if it has
+    /// none. `sent` is that of [`StageSplit::new`]. `None` without an iteration.
+    pub fn new(
+        column: TotalColumn,
+        iterations: u64,
+        sent: [u64; 2],
+        latency_of: impl Fn(&str) -> Option<Latency>,
+    ) -> Option<Self> {
+        (iterations > 0).then_some(())?;
+        let total = latency_of(column.name());
+        let sum_of_stages = || {
+            let means =
+                stage::ORDER.into_iter().filter_map(|name| latency_of(&name)).map(|latency| latency.mean);
+            (iterations, means.sum())
+        };
+        let count_and_mean = |latency: Latency| (latency.count, latency.mean);
+        let total_mean = total.map_or_else(sum_of_stages, count_and_mean);
+        let split = StageSplit::new(sent, |name| match column {
+            _ if stage::TOTAL == *name => Some(total_mean),
+            // The sum of the stages has no part outside of the stages.
+            TotalColumn::SumOfStages if stage::UNATTRIBUTED == *name => Some((iterations, 0.0)),
+            _ => latency_of(name).map(count_and_mean),
+        });
+        let late_start = (Name::from_static(LATENESS), split.late_start);
+        let unattributed = (stage::UNATTRIBUTED, split.unattributed_without_late_start());
+        let outside_stages = [late_start, unattributed].into_iter().filter(|(_, seconds)| *seconds > 0.0);
+        let outside_stages = outside_stages.filter(|_| column == TotalColumn::Measured && total.is_some());
+        let stages = split.parts.into_iter().filter(|(name, _)| *name != stage::UNATTRIBUTED);
+        let parts: Vec<(Name, f64)> = stages.chain(outside_stages).collect();
+        let mean = total.map_or_else(|| parts.iter().map(|(_, mean)| mean).sum(), |total| total.mean);
+        Some(Self { parts, total: mean, std: total.and_then(|total| total.std) })
+    }
+
+    /// Returns the mean of a part; `None` if the bar does not have it.
+    pub fn part(&self, name: &str) -> Option<f64> {
+        self.parts.iter().find(|(part, _)| part == name).map(|(_, mean)| *mean)
+    }
+}
+
+/// Returns the names of all parts that a bar can have, in their order.
+pub fn part_order() -> impl Iterator<Item = Name> {
+    let both_directions =
+        |name: &Name| (*name == stage::UPLOAD).then_some(Name::from_static(BOTH_DIRECTIONS));
+    let stages =
+        stage::ORDER.into_iter().flat_map(move |name| both_directions(&name).into_iter().chain([name]));
+    stages.chain([Name::from_static(LATENESS), stage::UNATTRIBUTED])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the parts of a bar of ten iterations, ms, and its total.
+    fn bar(column: TotalColumn, sent: u64, nodes: &[(&str, f64)]) -> (Vec<(String, f64)>, f64) {
+        let latency_of = |name: &str| {
+            let node = nodes.iter().find(|(node, _)| *node == name);
+            node.map(|(_, mean)| Latency { mean: mean / 1e3, std: None, count: 10 })
+        };
+        let bar = LatencyBar::new(column, 10, [sent; 2], latency_of).expect("has iterations");
+        let milliseconds = |seconds: f64| (seconds * 1e6).round() / 1e3;
+        let part = |(name, seconds): (Name, f64)| (name.to_string(), milliseconds(seconds));
+        (bar.parts.into_iter().map(part).collect(), milliseconds(bar.total))
+    }
+
+    fn owned(parts: &[(&str, f64)]) -> Vec<(String, f64)> {
+        parts.iter().map(|(name, mean)| ((*name).to_owned(), *mean)).collect()
+    }
+
+    #[test]
+    fn late_start_is_separate_from_unattributed_time() {
+        let nodes = [("total", 20.0), ("sensing", 12.0), ("lateness", 5.0)];
+        let parts = [("sensing", 12.0), ("lateness", 5.0), ("unattributed", 3.0)];
+        assert_eq!(bar(TotalColumn::Measured, 0, &nodes), (owned(&parts), 20.0));
+    }
+
+    #[test]
+    fn sum_of_stages_has_no_other_parts() {
+        let nodes = [("stages-total", 9.0), ("sensing", 2.0), ("inference", 3.0), ("unattributed", 1.0)];
+        let parts = [("sensing", 2.0), ("upload + download", 4.0), ("inference", 3.0)];
+        assert_eq!(bar(TotalColumn::SumOfStages, 10, &nodes), (owned(&parts), 9.0));
+        let nodes = [("sensing", 2.0), ("inference", 3.0)];
+        assert_eq!(bar(TotalColumn::SumOfStages, 0, &nodes), (owned(&nodes), 5.0), "nobody summed them up");
+        assert_eq!(LatencyBar::new(TotalColumn::Measured, 0, [0; 2], |_| None), None);
+    }
+}

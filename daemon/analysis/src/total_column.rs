@@ -1,0 +1,94 @@
+//! Choice of the latency by which runs are compared: the measured total or the sum of the stages.
+
+use crate::rows::RowRef;
+
+/// Latency of a whole iteration by which runs are compared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TotalColumn {
+    /// Time from the intended start of an iteration to its end.
+    #[default]
+    Measured,
+    /// Sum of the stages. Results of other programs often have only stages.
+    SumOfStages,
+}
+
+impl TotalColumn {
+    /// Returns the latency that is compared, from rows. Only counted rows matter. The rule is that of [`Self::from_counts`].
+    pub fn from_rows<'a>(rows: impl IntoIterator<Item = RowRef<'a>>) -> Self {
+        let [mut iterations, mut totals, mut sums] = [0; 3];
+        for row in rows.into_iter().filter(RowRef::is_counted) {
+            iterations += 1;
+            totals += u64::from(row.value(Self::Measured.name()).is_some());
+            sums += u64::from(row.value(Self::SumOfStages.name()).is_some());
+        }
+        Self::from_counts(iterations, totals, sums)
+    }
+
+    /// Returns the latency that is compared, from the number of counted iterations of all runs together, the number of these iterations with
+    /// a total, and the number of these iterations with a sum of stages.
+    ///
+    /// The total is longer than the sum of its stages, so that a total cannot be compared with a sum. If one iteration has no total, all are
+    /// therefore compared by the sum of their stages, unless no iteration has such a sum.
+    pub fn from_counts(iterations: u64, totals: u64, sums: u64) -> Self {
+        if totals < iterations && sums > 0 { Self::SumOfStages } else { Self::Measured }
+    }
+
+    /// Returns the name of the column and of the node.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Measured => "total",
+            Self::SumOfStages => "stages-total",
+        }
+    }
+
+    /// Returns `measured total` or `sum of stages`.
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Measured => "measured total",
+            Self::SumOfStages => "sum of stages",
+        }
+    }
+
+    /// Returns the title of an axis: `Total` or `Sum of stages`.
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Measured => "Total",
+            Self::SumOfStages => "Sum of stages",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows::{Outcome, Row, Rows};
+
+    fn rows(totals: &[Option<f64>], outcome: Outcome) -> Rows {
+        let row = |total: &Option<f64>| Row {
+            iteration: 1,
+            at: 0.0,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome,
+            reason: None,
+            values: total
+                .map(|total| ("total".into(), total))
+                .into_iter()
+                .chain([("stages-total".into(), 1.0)])
+                .collect(),
+            upload: None,
+            download: None,
+        };
+        totals.iter().map(row).collect()
+    }
+
+    #[test]
+    fn one_missing_total_makes_sums_of_stages_compared() {
+        let column = |rows: &Rows| TotalColumn::from_rows(rows);
+        assert_eq!(column(&rows(&[Some(2.0), Some(2.0)], Outcome::Ok)), TotalColumn::Measured);
+        assert_eq!(column(&rows(&[Some(2.0), None], Outcome::Ok)), TotalColumn::SumOfStages);
+        assert_eq!(column(&rows(&[None], Outcome::Lost)), TotalColumn::Measured, "it is not counted");
+        assert_eq!(TotalColumn::from_counts(100, 99, 0), TotalColumn::Measured, "there is no sum");
+    }
+}

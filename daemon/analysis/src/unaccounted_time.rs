@@ -1,0 +1,112 @@
+//! Time of one iteration that none of its known stages accounts for.
+
+use peernet_logger::{Name, stage};
+
+use crate::slowness::BOTH_DIRECTIONS;
+use crate::stage_split::index_of_network;
+
+/// Name of the sum of upload, download and unattributed time, for iterations in which none of the three is known.
+pub const NETWORK_AND_REST: &str = "upload + download + unattributed";
+
+/// Measured durations of an iteration, seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct IterationDurations<'a> {
+    /// Duration from the intended start to the end.
+    pub total: f64,
+    /// Durations in the order of the stages.
+    pub stages: &'a [(Name, f64)],
+    /// Sum of upload and download, if only the sum is known. A step of a clock does not change it.
+    pub both_ways: Option<f64>,
+    /// Part of the total in no stage; `None` if it is not known.
+    pub unattributed: Option<f64>,
+    /// `true` if the delay of a message is not known.
+    pub has_unknown_delay: bool,
+    /// `true` if the iteration has an answer.
+    pub is_answered: bool,
+}
+
+/// Parts of a total that no stage accounts for, seconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct UnaccountedTime {
+    /// [`BOTH_DIRECTIONS`] or [`NETWORK_AND_REST`], with its duration; `None` if both directions are known, and if nothing was answered.
+    pub network: Option<(&'static str, f64)>,
+    /// Time in no stage, if it is known and above zero.
+    pub unattributed: Option<f64>,
+}
+
+impl UnaccountedTime {
+    /// Splits the total by the sum of upload and download that the agent measured, if a delay is not known.
+    pub fn of(durations: &IterationDurations<'_>) -> Self {
+        let IterationDurations { total, stages, both_ways, unattributed, .. } = *durations;
+        let sum_of_stages = |with_one_way: bool| {
+            let counted = stages.iter().filter(|(name, _)| with_one_way || !is_one_way(name));
+            counted.map(|(_, seconds)| seconds).sum::<f64>()
+        };
+        let (network, unattributed) = match (both_ways, durations.has_unknown_delay) {
+            (Some(both), _) => (Some((BOTH_DIRECTIONS, both)), unattributed),
+            (None, false) => (None, Some(total - sum_of_stages(true))),
+            // An answered iteration has unattributed time, but its amount is unknown.
+            (None, true) if durations.is_answered => {
+                (Some((NETWORK_AND_REST, total - sum_of_stages(false))), None)
+            }
+            (None, true) => (None, None),
+        };
+        let is_positive = |seconds: &f64| *seconds > 0.0;
+        Self {
+            network: network.filter(|(_, seconds)| is_positive(seconds)),
+            unattributed: unattributed.filter(is_positive),
+        }
+    }
+
+    /// Returns all parts of the total in their order: the stages and the unaccounted time.
+    pub fn parts_of(durations: &IterationDurations<'_>) -> Vec<(Name, f64)> {
+        let Self { network, unattributed } = Self::of(durations);
+        // The sum contains upload and download, so that a direction that is known by itself is left out.
+        let is_separate = |(name, _): &&(Name, f64)| network.is_none() || !is_one_way(name);
+        let mut parts: Vec<(Name, f64)> = durations.stages.iter().filter(is_separate).cloned().collect();
+        if let Some((name, seconds)) = network {
+            parts.insert(index_of_network(&parts), (Name::from_static(name), seconds));
+        }
+        parts.extend(unattributed.map(|seconds| (stage::UNATTRIBUTED, seconds)));
+        parts
+    }
+}
+
+fn is_one_way(name: &Name) -> bool {
+    *name == stage::UPLOAD || *name == stage::DOWNLOAD
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the parts of an iteration of 1.2 s whose download is not known.
+    fn parts(sums: Option<(f64, f64)>, is_answered: bool) -> Vec<(String, f64)> {
+        let stages = [(stage::SENSING, 0.002), (stage::UPLOAD, 0.010), (stage::INFERENCE, 0.0002)];
+        let durations = IterationDurations {
+            total: 1.2,
+            stages: &stages,
+            both_ways: sums.map(|(both_ways, _)| both_ways),
+            unattributed: sums.map(|(_, unattributed)| unattributed),
+            has_unknown_delay: true,
+            is_answered,
+        };
+        let rounded = |(name, seconds): (Name, f64)| (name.to_string(), (seconds * 1e6).round() / 1e6);
+        UnaccountedTime::parts_of(&durations).into_iter().map(rounded).collect()
+    }
+
+    #[test]
+    fn sum_of_directions_replaces_known_direction() {
+        let expected =
+            [("sensing", 0.002), (BOTH_DIRECTIONS, 1.186), ("inference", 0.0002), ("unattributed", 0.0118)];
+        assert_eq!(parts(Some((1.186, 0.0118)), true), expected.map(|(name, s)| (name.to_owned(), s)));
+    }
+
+    #[test]
+    fn inseparable_times_are_one_part() {
+        let expected = [("sensing", 0.002), (NETWORK_AND_REST, 1.1978), ("inference", 0.0002)];
+        assert_eq!(parts(None, true), expected.map(|(name, s)| (name.to_owned(), s)));
+        let lost: Vec<String> = parts(None, false).into_iter().map(|(name, _)| name).collect();
+        assert_eq!(lost, ["sensing", "upload", "inference"], "nobody knows where the time went");
+    }
+}

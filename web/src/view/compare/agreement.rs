@@ -1,0 +1,110 @@
+//! Tests that a page states the same numbers of stored runs as tables and figures state of the files of these runs.
+
+use peernet_analysis::loaded::Loaded;
+use peernet_analysis::record::RunRecord;
+use peernet_analysis::rows::{Outcome, Row, RowRef};
+use peernet_clock::Span;
+use peernet_logger::Name;
+use peernet_store::{MeanBucket, RunStatistics, StageMeans};
+use peernet_stream::{OutcomeCounts, PlacementKind};
+
+use super::*;
+use crate::tests::samples;
+
+/// Number of rows of a run, and of a stored bucket of it.
+const ROWS: u64 = 200;
+const BUCKET_ROWS: usize = 10;
+
+/// Returns the run of a folder, whose rows have these values.
+fn loaded(folder: &str, values: impl Fn(u64) -> Vec<(&'static str, f64)>) -> Loaded {
+    let row = |iteration: u64| Row {
+        iteration,
+        at: iteration as f64 * 0.1,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: values(iteration).into_iter().map(|(name, value)| (name.into(), value)).collect(),
+        upload: None,
+        download: None,
+    };
+    let record = RunRecord { format: 1, ..RunRecord::default() };
+    Loaded { folder: folder.into(), record, rows: (1..=ROWS).map(row).collect() }
+}
+
+fn counted(run: &Loaded) -> Vec<RowRef<'_>> {
+    run.rows.iter().filter(RowRef::is_counted).collect()
+}
+
+/// Returns the stored statistics of the same run, as its own configuration.
+fn stored((index, run): (usize, &Loaded)) -> Configuration {
+    let mut mergeable = MergeableStatistics::default();
+    for (column, value) in counted(run).iter().flat_map(RowRef::values) {
+        let mut summary = Summary::default();
+        summary.record(value);
+        mergeable.add(Name::from(&**column), "s", &summary);
+    }
+    let RunStatistics { stages, bounds, mergeable } = RunStatistics::from(mergeable);
+    let mut summary = tests::run(index as i64 + 1, PlacementKind::Local);
+    summary.counts = OutcomeCounts { ok: counted(run).len() as u64, ..OutcomeCounts::default() };
+    let name = char::from(b'A' + index as u8).to_string();
+    let values = vec![name.clone(), String::new()];
+    Configuration { name, values, runs: vec![summary], stages, bounds, mergeable, computes: true }
+}
+
+/// Returns the comparison of the stored runs, and their means over time.
+fn page(runs: &[Loaded]) -> (Comparison, RunMeans) {
+    let mean_bucket = |name: &Name, (bucket, rows): (usize, &[RowRef<'_>])| {
+        let values: Vec<f64> = rows.iter().filter_map(|row| row.value(name)).collect();
+        let at = samples::NOW + Span::from_seconds(bucket as i64);
+        let (count, sum) = (values.len() as u64, values.iter().sum::<f64>());
+        (count > 0).then(|| MeanBucket { at, count, mean: sum / count as f64 })
+    };
+    let means = |run: &Loaded| {
+        let rows = counted(run);
+        let stage = |name: Name| StageMeans {
+            buckets: rows
+                .chunks(BUCKET_ROWS)
+                .enumerate()
+                .filter_map(|bucket| mean_bucket(&name, bucket))
+                .collect(),
+            stage: name,
+        };
+        [stage::TOTAL, stage::STAGES_TOTAL, stage::SENSING].map(stage).to_vec()
+    };
+    let means = runs.iter().enumerate().map(|(index, run)| (index as i64 + 1, means(run)));
+    (tests::comparison(runs.iter().enumerate().map(stored).collect()), means.collect())
+}
+
+#[test]
+fn page_and_table_have_equal_ranking() {
+    let wave = |iteration: u64| 1.0 + 0.1 * (iteration as f64).sin();
+    let fast = loaded("fast", |at| vec![("total", 0.010 * wave(at)), ("stages-total", 0.009 * wave(at))]);
+    // By the totals it is slower, but some of its iterations have none.
+    let partial = loaded("partial", |at| {
+        let total = (at % 3 > 0).then_some(("total", 0.012 * wave(at)));
+        total.into_iter().chain([("stages-total", 0.005 * wave(at))]).collect()
+    });
+    let same =
+        loaded("same", |at| vec![("total", 0.010 * wave(at + 7)), ("stages-total", 0.005 * wave(at + 7))]);
+    let nothing = loaded("nothing", |_| Vec::new());
+    for runs in [vec![fast.clone(), partial.clone()], vec![fast, partial, same.clone()], vec![same, nothing]]
+    {
+        let table = peernet_analysis::compare::Comparison::new(&runs);
+        let (comparison, means) = page(&runs);
+        assert_eq!(comparison.total_column, table.total_column);
+        let ranking = Differences::of(&comparison, &means, 0).ranking.expect("several are measured");
+        assert_eq!(
+            (Some(ranking.best), ranking.ties(), ranking.untested(), ranking.unranked),
+            (table.best, table.ties, table.untested, table.unranked)
+        );
+        for (line, one) in table.lines.iter().zip(&comparison.configurations) {
+            let means = (line.latency(table.total_column.name()), comparison.total(one));
+            let means = (means.0.map(|latency| latency.mean), means.1.map(|figures| figures.mean));
+            assert_eq!(means.0.is_some(), means.1.is_some());
+            let difference = means.0.unwrap_or_default() - means.1.unwrap_or_default();
+            assert!(difference.abs() < 1e-12 && line.count == one.iterations(), "{means:?}");
+        }
+    }
+}
