@@ -28,9 +28,6 @@ pub(crate) fn part_names() -> String {
 /// Names of the values of a model's accuracy, and their titles. A value is the mean of scores that are 0 or 1.
 pub(crate) const ACCURACIES: [(&str, &str); 2] = [("top-1", "Top-1"), ("top-5", "Top-5")];
 
-/// Value of the success of episodes, and its title: a mean of 0 and 1.
-pub(crate) const SUCCESS: (&str, &str) = (peernet_analysis::actuator_results::EPISODE_SUCCESS, "Success");
-
 /// Returns the entries of the key: stages of one colour, such as the two queues, share an entry.
 pub(crate) fn key() -> impl Iterator<Item = &'static str> {
     STACK.iter().copied().filter(|name| class(name) == *name)

@@ -50,9 +50,9 @@ pub use stored::{ClockPoint, StoredCounts};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    Judgement, LinkKey, LinkRow, MeanBucket, MergeableStatistics, Recomputed, RecomputedStage, RunDetail,
-    RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets, StageMeans, StageSeries,
-    StageStatistics, ValuePairs,
+    Judgement, LinkKey, LinkRow, MeanBucket, MeasuredTime, MeasuredWithin, MergeableStatistics, Recomputed,
+    RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets,
+    StageMeans, StageSeries, StageStatistics, ValuePairs,
 };
 
 /// Types for the one process that writes to the database.
@@ -190,6 +190,22 @@ impl Store {
         max_pairs: u32,
     ) -> Result<ValuePairs, StoreError> {
         read::pairs::value_pairs(&self.readers, run, names, max_pairs).await
+    }
+
+    /// Returns the time in which a run measured; `None` without an answered iteration after the warm-up, and if too little is stored to say.
+    pub async fn measured_time(&self, run: &RunSummary) -> Result<Option<MeasuredTime>, StoreError> {
+        read::measured_time::measured_time(&self.readers, run).await
+    }
+
+    /// Returns the iterations of a run that started from one time to before another time. Both times must be multiples of the
+    /// [resolution](MeasuredTime::resolution_s), unless it is 0. Counts are exact, quantiles within 1 %.
+    pub async fn measured_within(
+        &self,
+        run: i64,
+        from: WallTime,
+        to: WallTime,
+    ) -> Result<MeasuredWithin, StoreError> {
+        read::measured_time::measured_within(&self.readers, run, (from, to)).await
     }
 
     /// Returns the values that the trust findings of a run are computed from, with its time series in at most 120 buckets.

@@ -2,11 +2,13 @@
 
 mod episodes;
 mod experiment;
+mod measured_time;
 mod pairs;
 mod statistics;
 
 pub use episodes::Episodes;
 pub use experiment::{ExperimentSummary, MeanBucket, StageBuckets, StageMeans};
+pub use measured_time::{MeasuredTime, MeasuredWithin};
 pub use pairs::ValuePairs;
 pub(crate) use statistics::NameSummary;
 pub use statistics::{MergeableStatistics, RunStatistics, StageStatistics};

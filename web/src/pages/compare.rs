@@ -19,10 +19,10 @@ use crate::state::App;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
-    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, RunMeans, Setting,
-    StackRow, StageDifference, Table, Throughput, UsersRow, accuracy, answers, boxes, caveats, commands,
-    distributions, lengths, load_comparison, over_time, pairs, pairwise, payload, run_means, run_time_series,
-    stacks, throughput, title, unknown_labels, users,
+    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, QualityPlot,
+    RunMeans, Setting, StackRow, StageDifference, Table, Throughput, UsersPlot, answers, boxes, caveats,
+    commands, distributions, lengths, load_comparison, measured_users, over_time, pairs, pairwise, payload,
+    qualities, run_means, run_time_series, stacks, throughput, title, unknown_labels, users,
 };
 use crate::view::counted;
 
@@ -83,8 +83,8 @@ struct Compare {
     throughput: Option<Throughput>,
     /// Latency by length of the answer.
     lengths: Option<Lengths>,
-    users: Option<(Picture, Vec<UsersRow>)>,
-    accuracy: Option<Picture>,
+    users: Option<UsersPlot>,
+    qualities: Vec<QualityPlot>,
     /// Commands that compare the runs by all their iterations.
     commands: Option<String>,
 }
@@ -138,16 +138,18 @@ async fn show(
     let comparison = load_comparison(store, &selection).await?;
     let distributions = distributions(&comparison, selected_stage)?;
     let baseline = comparison.baseline(baseline)?;
-    let (means, time_series, answers) = tokio::try_join!(
+    let (means, time_series, answers, measured_users) = tokio::try_join!(
         run_means(store, &comparison),
         run_time_series(store, &comparison),
         answers(store, &comparison),
+        measured_users(store, &comparison),
     )?;
     let host = headers.get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
     let over_time = over_time(&comparison, &time_series);
     let lengths = lengths(&comparison, &answers);
+    let users = users(&comparison, &measured_users);
     let compare = assemble(shell("Compare"), &comparison, (&means, baseline), distributions, host);
-    page(&Compare { over_time, lengths, ..compare })
+    page(&Compare { over_time, lengths, users, ..compare })
 }
 
 fn assemble(
@@ -199,8 +201,8 @@ fn assemble(
         payload: payload(comparison),
         throughput: throughput(comparison),
         lengths: None,
-        users: users(comparison),
-        accuracy: accuracy(comparison),
+        users: None,
+        qualities: qualities(comparison),
         commands: commands(comparison, host),
     }
 }
@@ -257,5 +259,6 @@ pub(super) fn rendered(
     let baseline = comparison.baseline(baseline)?;
     let compare = assemble(shell, comparison, (means, baseline), distributions, "localhost:8040");
     let lengths = lengths(comparison, &crate::view::compare::lengths::tests::read(comparison));
-    Ok(Compare { over_time, lengths, ..compare }.render().expect("renders"))
+    let users = users(comparison, &crate::view::compare::tests::measured_users(comparison));
+    Ok(Compare { over_time, lengths, users, ..compare }.render().expect("renders"))
 }

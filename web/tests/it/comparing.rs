@@ -2,7 +2,10 @@
 
 use axum::http::StatusCode;
 use peernet_analysis::compare::{Comparison, Differences};
+use peernet_analysis::users::Users;
 use peernet_results::ResultFolder;
+use peernet_statistics::number::{mean_std_ms, measured, rate};
+use peernet_stream::ExperimentPlace;
 
 use crate::factory::Line;
 use crate::test_dashboard::TestDashboard;
@@ -174,6 +177,52 @@ async fn many_users_count_as_one_configuration() {
     );
     assert_eq!(page.text().matches("<option value=").count(), 50, "{}", page.text());
     assert!(!page.text().contains("number of users"), "each was alone");
+}
+
+#[tokio::test]
+async fn page_and_files_state_equal_rates_of_users() {
+    let (dashboard, mut factory) =
+        TestDashboard::with_pipelines(vec![Line::local(), Line::full(), Line::resized()]).await;
+    factory.store_users(400, &[1, 3]).await;
+    let listed = dashboard.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut runs = Vec::new();
+    for one in compared["configurations"].as_array().expect("configurations") {
+        for run in one["runs"].as_array().expect("runs") {
+            let file = folder.path().join(format!("run-{run}.csv"));
+            let exported = dashboard.get(&format!("/api/v1/runs/{run}/export")).await;
+            std::fs::write(&file, exported.text()).expect("the folder is writable");
+            let mut loaded = ResultFolder::open(&file).expect("a file of results");
+            let users = one["values"][0].as_str().expect("a number of users").to_owned();
+            let configuration = vec![("Users".to_owned(), users)];
+            loaded.record.experiment = Some(ExperimentPlace {
+                name: "users".to_owned(),
+                id: id.to_owned(),
+                configuration,
+                repeat: 0,
+            });
+            loaded.record.edge.name = run.to_string();
+            runs.push(loaded);
+        }
+    }
+    let of_files = Users::from_runs(&runs).expect("several edges");
+    let page = dashboard.get(&format!("/compare?experiment={id}")).await;
+    assert!(page.text().contains("Counted while all users of a repeat were measuring."), "{}", page.text());
+    assert_eq!(of_files.lines.len(), 2);
+    for line in &of_files.lines {
+        let (least, most) = line.rate_range().expect("a common time");
+        let cells = [
+            format!("data-h=\"users\">{}</td>", line.edges),
+            format!("data-h=\"answers, /s\">{}</td>", rate(line.rate.expect("a common time"))),
+            format!("data-h=\"per user, /s\">{} – {}</td>", rate(least), rate(most)),
+            format!("data-h=\"fairness\">{}</td>", measured(line.fairness.expect("a common time"), 3)),
+        ];
+        assert!(page.text().contains(&cells.join("<td class=\"num\" ")), "{cells:?} {}", page.text());
+        let mean = mean_std_ms(line.totals.mean.expect("totals"), None).0;
+        assert!(page.text().contains(&format!("data-h=\"mean total, ms\">{mean}</td>")), "{mean}");
+    }
 }
 
 #[tokio::test]

@@ -1,31 +1,34 @@
-//! Mean of scores that are shares, such as the mean average precision of a picture.
+//! Mean of scores that are shares, such as the mean average precision of a picture, or of returns of episodes.
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// Mean of the scores of iterations, from 0 to 1.
+/// Mean of scores.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeanScore {
     /// The mean.
     pub mean: f64,
-    /// 95 % confidence interval of the mean, within 0 and 1; `None` for a single score.
+    /// 95 % confidence interval of the mean, within the range of the scores; `None` for a single score.
     pub interval: Option<(f64, f64)>,
     /// Number of scores.
     pub count: u64,
 }
 
 impl MeanScore {
-    /// Returns the mean of scores from 0 to 1; `None` without a score. The interval is that of Student's t for independent scores.
-    pub fn from_scores(scores: &[f64]) -> Option<Self> {
-        let count = scores.len() as f64;
-        (!scores.is_empty()).then_some(())?;
-        let mean = scores.iter().sum::<f64>() / count;
-        let squares: f64 = scores.iter().map(|score| (score - mean).powi(2)).sum();
-        let interval = (scores.len() > 1).then(|| {
-            let error = (squares / (count - 1.0) / count).sqrt();
-            let margin = StudentsT::new(0.0, 1.0, count - 1.0).ok()?.inverse_cdf(0.975) * error;
-            Some(((mean - margin).max(0.0), (mean + margin).min(1.0)))
+    /// Returns the mean of `count` scores with this mean and sample standard deviation. All scores are within `range`. The interval is that of
+    /// Student's t for independent scores. `None` without a score, and if the mean is not within the range.
+    pub fn from_statistics(
+        count: u64,
+        mean: f64,
+        std: Option<f64>,
+        (least, most): (f64, f64),
+    ) -> Option<Self> {
+        (count > 0 && (least..=most).contains(&mean)).then_some(())?;
+        let interval = std.filter(|_| count > 1).and_then(|std| {
+            let n = count as f64;
+            let margin = StudentsT::new(0.0, 1.0, n - 1.0).ok()?.inverse_cdf(0.975) * std / n.sqrt();
+            Some(((mean - margin).max(least), (mean + margin).min(most)))
         });
-        Some(Self { mean, interval: interval.flatten(), count: scores.len() as u64 })
+        Some(Self { mean, interval, count })
     }
 }
 
@@ -33,22 +36,26 @@ impl MeanScore {
 mod tests {
     use super::*;
 
+    fn share(count: u64, mean: f64, std: Option<f64>) -> Option<MeanScore> {
+        MeanScore::from_statistics(count, mean, std, (0.0, 1.0))
+    }
+
     #[test]
     fn interval_is_that_of_student() {
-        // Mean 0.5, standard deviation 0.1, t with 3 degrees of freedom 3.18245.
-        let spread = 0.1 * 0.75_f64.sqrt();
-        let found = MeanScore::from_scores(&[0.5 - spread, 0.5 + spread, 0.5 - spread, 0.5 + spread]);
-        let found = found.expect("has scores");
+        // t with 3 degrees of freedom is 3.18245.
+        let found = share(4, 0.5, Some(0.1)).expect("has scores");
         let (low, high) = found.interval.expect("has several");
-        assert!((found.mean - 0.5).abs() < 1e-12 && (high - 0.5 - 3.18245 * 0.05).abs() < 1e-5, "{found:?}");
+        assert!((high - 0.5 - 3.18245 * 0.05).abs() < 1e-5, "{found:?}");
         assert!((low - 0.5 + 3.18245 * 0.05).abs() < 1e-5, "{found:?}");
     }
 
     #[test]
-    fn interval_stays_within_shares() {
-        assert_eq!(MeanScore::from_scores(&[0.0, 1.0]).expect("two").interval, Some((0.0, 1.0)));
-        assert_eq!(MeanScore::from_scores(&[1.0; 9]).expect("nine").interval, Some((1.0, 1.0)));
+    fn interval_stays_within_range() {
+        let interval = |mean, std| share(2, mean, Some(std)).expect("two").interval;
+        assert_eq!(interval(0.5, 0.5_f64.sqrt()), Some((0.0, 1.0)));
+        assert_eq!(interval(1.0, 0.0), Some((1.0, 1.0)));
         let one = MeanScore { mean: 0.25, interval: None, count: 1 };
-        assert_eq!((MeanScore::from_scores(&[0.25]), MeanScore::from_scores(&[])), (Some(one), None));
+        assert_eq!((share(1, 0.25, None), share(0, 0.0, None)), (Some(one), None));
+        assert_eq!(share(9, 7.0, None), None, "no mean of shares is 7");
     }
 }

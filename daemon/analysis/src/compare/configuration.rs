@@ -28,6 +28,77 @@ pub fn group_by_labels(labels: &[Vec<String>]) -> Vec<Vec<usize>> {
     groups
 }
 
+/// Returns the name of a configuration from its labels. A label that is not clear without the name of its axis has it: `no resize` instead of
+/// `no`, `edges 4` instead of `4`. Missing labels are left out.
+pub fn readable_name(axes: &[String], labels: &[String]) -> String {
+    let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
+    let words = present.map(|(axis, label)| match label.as_str() {
+        "yes" | "true" | "on" => axis.clone(),
+        "no" | "none" | "false" | "off" => format!("no {axis}"),
+        number if number.parse::<f64>().is_ok() => format!("{axis} {number}"),
+        name => name.to_owned(),
+    });
+    words.collect::<Vec<_>>().join(", ")
+}
+
+/// Facts about a run that distinguish it from other runs, besides the fields that an experiment declares.
+#[derive(Clone, Copy, Debug)]
+pub struct RunFacts<'a> {
+    /// Name of the model.
+    pub model: Option<&'a str>,
+    /// Device of the model.
+    pub device: Option<&'a str>,
+    /// Kind of the placement.
+    pub placement: &'a str,
+    /// Kind of the network.
+    pub network: Option<&'a str>,
+    /// Name of the edge.
+    pub edge: &'a str,
+    /// Name of the cloud.
+    pub cloud: Option<&'a str>,
+    /// Facts about sensor, transforms, load and so on, as pairs of name and text.
+    pub facts: &'a [(String, String)],
+}
+
+impl RunFacts<'_> {
+    /// Returns pairs of name and label. The columns of the paper come first.
+    pub fn pairs(&self) -> Vec<(String, String)> {
+        let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
+        let mut pairs = vec![
+            pair("model", self.model),
+            pair("device", self.device),
+            pair("where", Some(self.placement)),
+            pair("network", self.network),
+            pair("edge", Some(self.edge)),
+            pair("cloud", self.cloud),
+        ];
+        let is_implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
+        pairs.extend(self.facts.iter().filter(|(fact, _)| !is_implied(fact)).cloned());
+        pairs
+    }
+}
+
+/// Makes columns of the pairs of name and label of each run. The columns are in the order in which their names first appear. Names that differ
+/// only in case are the same column, such as the field `Model` of an experiment and the `model` of a run outside of experiments.
+pub fn tabulate(pairs: &[Vec<(String, String)>]) -> Vec<Column> {
+    let mut axes: Vec<&String> = Vec::new();
+    for (axis, _) in pairs.iter().flatten() {
+        if !axes.iter().any(|other| other.eq_ignore_ascii_case(axis)) {
+            axes.push(axis);
+        }
+    }
+    let label = |pairs: &Vec<(String, String)>, axis: &String| {
+        let label =
+            pairs.iter().find(|(name, _)| name.eq_ignore_ascii_case(axis)).map(|(_, label)| label.clone());
+        label.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
+    };
+    let column = |axis: &String| Column {
+        axis: axis.clone(),
+        labels: pairs.iter().map(|pairs| label(pairs, axis)).collect(),
+    };
+    axes.into_iter().map(column).collect()
+}
+
 /// Configurations of runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configurations {
@@ -62,7 +133,10 @@ impl Configurations {
     }
 
     fn from_experiment_fields(runs: &[Loaded], declared: &[Vec<(String, String)>]) -> Self {
-        let mut configurations = Self::tabulate(declared);
+        let mut configurations = Self { axes: Vec::new(), labels: vec![Vec::new(); runs.len()] };
+        for Column { axis, labels } in tabulate(declared) {
+            configurations.add(&axis, labels);
+        }
         let executions = executions(runs);
         if differ(&executions) {
             configurations.add("execution", executions);
@@ -80,15 +154,14 @@ impl Configurations {
         let groups = groups(runs);
         let pairs = runs.iter().zip(declared).zip(executions(runs)).map(|((run, declared), execution)| {
             let execution = vec![("execution".to_owned(), execution)];
-            [declared.clone(), execution, detected_labels(&run.record)].concat()
+            [declared.clone(), execution, facts_of(&run.record).pairs()].concat()
         });
-        let all = Self::tabulate(&pairs.collect::<Vec<_>>());
-        let column = |(index, axis): (usize, String)| {
+        let column = |Column { axis, labels: labels_of_runs }: Column| {
             let labels =
-                groups.iter().map(|group| join_labels(group.iter().map(|run| &all.labels[*run][index])));
+                groups.iter().map(|group| join_labels(group.iter().map(|run| &labels_of_runs[*run])));
             Column { axis, labels: labels.collect() }
         };
-        let columns = all.axes.iter().cloned().enumerate().map(column);
+        let columns = tabulate(&pairs.collect::<Vec<_>>()).into_iter().map(column);
         let ChosenColumns { mut columns, rest } =
             columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
         let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
@@ -119,26 +192,6 @@ impl Configurations {
             let names = groups.iter().map(|group| runs[group[0]].record.name.clone()).collect::<Vec<_>>();
             self.add("run", labels_by_run(runs.len(), &groups, &names));
         }
-    }
-
-    /// Makes a table of the pairs of name and label of each run. The columns are in the order in which their names first appear. Names that differ
-    /// only in case are the same column, such as the field `Model` of an experiment and the `model` of a run outside of experiments.
-    fn tabulate(pairs: &[Vec<(String, String)>]) -> Self {
-        let mut axes: Vec<String> = Vec::new();
-        for (axis, _) in pairs.iter().flatten() {
-            if !axes.iter().any(|other| other.eq_ignore_ascii_case(axis)) {
-                axes.push(axis.clone());
-            }
-        }
-        let label = |pairs: &Vec<(String, String)>, axis: &String| {
-            let label = pairs
-                .iter()
-                .find(|(name, _)| name.eq_ignore_ascii_case(axis))
-                .map(|(_, label)| label.clone());
-            label.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
-        };
-        let labels = pairs.iter().map(|pairs| axes.iter().map(|axis| label(pairs, axis)).collect()).collect();
-        Self { axes, labels }
     }
 
     /// Adds a column with a label for each run.
@@ -205,21 +258,18 @@ fn declared_labels(record: &RunRecord) -> Vec<(String, String)> {
     record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
-/// Returns the facts about the configuration in the record of a run, as pairs of name and label. The columns of the paper come first.
-fn detected_labels(record: &RunRecord) -> Vec<(String, String)> {
-    let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
+/// Returns the facts about the configuration in the record of a run.
+fn facts_of(record: &RunRecord) -> RunFacts<'_> {
     let model = record.model.as_ref();
-    let mut pairs = vec![
-        pair("model", model.map(|model| model.name.as_str())),
-        pair("device", model.and_then(|model| model.device.as_deref())),
-        pair("where", Some(&record.placement.kind)),
-        pair("network", record.placement.network.as_deref()),
-        pair("edge", Some(&record.edge.name)),
-        pair("cloud", record.cloud.as_ref().map(|cloud| cloud.name.as_str())),
-    ];
-    let is_implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
-    pairs.extend(record.facts.iter().filter(|(fact, _)| !is_implied(fact)).cloned());
-    pairs
+    RunFacts {
+        model: model.map(|model| model.name.as_str()),
+        device: model.and_then(|model| model.device.as_deref()),
+        placement: &record.placement.kind,
+        network: record.placement.network.as_deref(),
+        edge: &record.edge.name,
+        cloud: record.cloud.as_ref().map(|cloud| cloud.name.as_str()),
+        facts: &record.facts,
+    }
 }
 
 /// Returns a label for the experiment of each run. If all runs are of experiments with the same name, the label is the short id of the
@@ -316,6 +366,16 @@ pub(super) fn differ(labels: &[String]) -> bool {
 mod tests {
     use super::*;
     use crate::rows::Rows;
+
+    #[test]
+    fn axis_name_is_added_to_unclear_labels_only() {
+        let name = |axes: &[&str], labels: &[&str]| {
+            let owned = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
+            readable_name(&owned(axes), &owned(labels))
+        };
+        assert_eq!([name(&["resize"], &["no"]), name(&["resize"], &["yes"])], ["no resize", "resize"]);
+        assert_eq!(name(&["edges", "where", "network"], &["4", "—", "LAN"]), "edges 4, LAN");
+    }
 
     #[test]
     fn runs_with_equal_labels_are_one_group() {

@@ -25,7 +25,7 @@ mod testing;
 pub use best::differences_to_best;
 pub use caveats::skipped_starts;
 pub use columns::{ChosenColumns, Column, choose_columns};
-pub use configuration::{Configurations, group_by_labels};
+pub use configuration::{Configurations, RunFacts, group_by_labels, readable_name, tabulate};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use latency_bar::{LatencyBar, part_order};

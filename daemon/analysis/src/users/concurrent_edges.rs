@@ -1,9 +1,10 @@
-//! Edges that measured at the same time, and the share of each edge.
+//! Edges that measured at the same time, and what they measured in that time.
 
-use super::EdgeShare;
+use super::{EdgeMeasured, Repeat, common_time};
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
 use crate::rows::RowRef;
+use crate::total_column::TotalColumn;
 
 /// Groups the edges that measured the same repeat of the same configuration of an experiment. The edges of a group measured at the same
 /// time. Groups and edges keep the order of the input.
@@ -24,28 +25,38 @@ pub(super) fn concurrent_groups(edges: &[Loaded]) -> Vec<Vec<&Loaded>> {
     groups
 }
 
-/// Returns the share of each edge and the totals of all edges. Only the time in which all edges were measuring is used. `None` if there is
-/// no such time. For a single edge, the whole run and all its totals are used.
-pub(super) fn shares_and_totals(edges: &[&Loaded]) -> Option<(Vec<EdgeShare>, Vec<f64>)> {
+/// Returns the groups without repeats that lack an edge which another repeat of the same configuration has.
+pub(super) fn complete_groups(groups: Vec<Vec<&Loaded>>) -> Vec<Vec<&Loaded>> {
+    let place = |group: &[&Loaded]| {
+        let place = group[0].record.experiment.as_ref()?;
+        Some((place.id.clone(), place.configuration.clone()))
+    };
+    let places_and_edges: Vec<_> = groups.iter().map(|group| (place(group), group.len())).collect();
+    let is_complete = |group: &Vec<&Loaded>| {
+        let own_place = place(group);
+        let same_place =
+            places_and_edges.iter().filter(|(other, _)| own_place.is_some() && *other == own_place);
+        same_place.map(|(_, edges)| *edges).max().is_none_or(|most| group.len() == most)
+    };
+    groups.into_iter().filter(is_complete).collect()
+}
+
+/// Returns what the edges of a repeat measured at the same time.
+pub(super) fn repeat(edges: &[&Loaded]) -> Repeat<SortedValues> {
     let rows: Vec<Vec<RowRef<'_>>> =
-        edges.iter().map(|edge| edge.rows.iter().filter(|row| row.is_counted()).collect()).collect();
-    let first = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::min);
-    let last = |rows: &Vec<RowRef<'_>>| rows.iter().map(|row| row.at()).reduce(f64::max);
-    let from = rows.iter().map(first).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::max)?;
-    let to = rows.iter().map(last).collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)?;
-    (to > from).then_some(())?;
-    let is_alone = edges.len() == 1;
-    // For a rate, the starts must be as many as the periods between `from` and `to`. The start at `to` is therefore left out.
-    let within = |row: &RowRef<'_>| (from..to).contains(&row.at());
-    let starts_and_totals = |rows: &Vec<RowRef<'_>>| {
-        let totals = rows.iter().filter(|row| is_alone || within(row)).filter_map(|row| row.value("total"));
-        (rows.iter().filter(|row| within(row)).count(), totals.collect())
+        edges.iter().map(|edge| edge.rows.iter().filter(RowRef::is_counted).collect()).collect();
+    let measured_time = |rows: &Vec<RowRef<'_>>| {
+        let starts = || rows.iter().map(RowRef::at);
+        Some((starts().reduce(f64::min)?, starts().reduce(f64::max)?))
     };
-    let edges: Vec<(usize, Vec<f64>)> = rows.iter().map(starts_and_totals).collect();
-    let share = |(starts, totals): &(usize, Vec<f64>)| EdgeShare {
-        rate: *starts as f64 / (to - from),
-        median: totals.iter().copied().collect::<SortedValues>().median(),
+    let times: Vec<Option<(f64, f64)>> = rows.iter().map(measured_time).collect();
+    let Some((from, to)) = common_time(times) else { return Repeat { seconds: None, edges: Vec::new() } };
+    let edge = |rows: &Vec<RowRef<'_>>| {
+        let within = rows.iter().filter(|row| (from..to).contains(&row.at()));
+        EdgeMeasured {
+            starts: within.clone().count() as u64,
+            totals: within.filter_map(|row| row.value(TotalColumn::Measured.name())).collect(),
+        }
     };
-    let shares = edges.iter().map(share).collect();
-    Some((shares, edges.into_iter().flat_map(|(_, totals)| totals).collect()))
+    Repeat { seconds: Some(to - from), edges: rows.iter().map(edge).collect() }
 }

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! Loaded ── concurrent_edges ──┐
-//!                              Users ─┬─ text, Markdown, LaTeX, CSV
-//! roll-ups ── UsersLine ───────┘      └─ curves   latency against the number of edges
+//!                              Repeat ── UsersLine ── Users ─┬─ text, Markdown, LaTeX, CSV
+//! stored rows and roll-ups ────┘                             └─ curves   latency against the number of edges
 //! ```
 
 mod concurrent_edges;
@@ -11,6 +11,8 @@ mod curves;
 mod tables;
 
 pub use curves::Curve;
+
+use peernet_statistics::Summary;
 
 use crate::loaded::Loaded;
 use crate::order::SortedValues;
@@ -50,6 +52,54 @@ pub struct UsersLine {
     pub totals: Totals,
 }
 
+/// What the edges of one repeat of a configuration measured while all of them were measuring. `T` holds the totals of an edge.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Repeat<T> {
+    /// Length of the [common time](common_time); `None` if the edges never measured at the same time.
+    pub seconds: Option<f64>,
+    /// The edges; empty without a common time.
+    pub edges: Vec<EdgeMeasured<T>>,
+}
+
+/// What one edge measured within the common time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EdgeMeasured<T> {
+    /// Number of starts of answered iterations.
+    pub starts: u64,
+    /// Their totals, seconds.
+    pub totals: T,
+}
+
+/// Values of which the median is known.
+pub trait WithMedian {
+    /// Returns the median; `None` without values.
+    fn median(&self) -> Option<f64>;
+}
+
+impl WithMedian for SortedValues {
+    fn median(&self) -> Option<f64> {
+        Self::median(self)
+    }
+}
+
+impl WithMedian for Summary {
+    fn median(&self) -> Option<f64> {
+        self.quantile(0.5)
+    }
+}
+
+/// Returns the time in which all edges were measuring: from the latest first start to the earliest last start of their answered iterations
+/// after the warm-up. An edge is given by its first and its last start. `None` if there is no such time.
+///
+/// For a rate, the starts must be as many as the periods within the time. A start at the end of the time is therefore not counted.
+pub fn common_time<T: PartialOrd + Copy>(edges: impl IntoIterator<Item = Option<(T, T)>>) -> Option<(T, T)> {
+    let edges: Vec<(T, T)> = edges.into_iter().collect::<Option<_>>()?;
+    let later = |a: T, b: T| if b > a { b } else { a };
+    let earlier = |a: T, b: T| if b < a { b } else { a };
+    let common = edges.into_iter().reduce(|a, b| (later(a.0, b.0), earlier(a.1, b.1)))?;
+    (common.1 > common.0).then_some(common)
+}
+
 /// Share of one edge while all edges were measuring.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EdgeShare {
@@ -78,7 +128,7 @@ impl Users {
     /// Returns the statistics of runs, one run for each edge. Edges that measured at the same time are found by their records. `None` if no
     /// two edges measured at the same time.
     pub fn from_runs(runs: &[Loaded]) -> Option<Self> {
-        let concurrent_groups = concurrent_edges::concurrent_groups(runs);
+        let concurrent_groups = concurrent_edges::complete_groups(concurrent_edges::concurrent_groups(runs));
         concurrent_groups.iter().any(|edges| edges.len() > 1).then_some(())?;
         let configuration = |edges: &[&Loaded]| -> Vec<(String, String)> {
             let experiment = edges.first().and_then(|edge| edge.record.experiment.as_ref());
@@ -106,49 +156,53 @@ impl Users {
                 None => configurations.push((labels, vec![edges])),
             }
         }
-        let line = |(labels, repeats): (Vec<String>, Vec<&[&Loaded]>)| {
-            let shares_and_totals: Vec<(Vec<EdgeShare>, Vec<f64>)> =
-                repeats.iter().filter_map(|edges| concurrent_edges::shares_and_totals(edges)).collect();
-            let totals: SortedValues =
-                shares_and_totals.iter().flat_map(|(_, totals)| totals).copied().collect();
-            let shares: Vec<Vec<EdgeShare>> =
-                shares_and_totals.into_iter().map(|(shares, _)| shares).collect();
-            UsersLine::new(labels, repeats[0].len(), &shares, Totals::from_values(&totals))
+        let line = |(labels, groups): (Vec<String>, Vec<&[&Loaded]>)| {
+            let repeats: Vec<Repeat<SortedValues>> =
+                groups.iter().map(|edges| concurrent_edges::repeat(edges)).collect();
+            let totals: SortedValues = match groups.as_slice() {
+                // An edge alone has all its totals, as in the table of all configurations.
+                groups if groups[0].len() == 1 => {
+                    groups.iter().flat_map(|edges| edges[0].rows.counted_values("total")).collect()
+                }
+                _ => {
+                    let edges = repeats.iter().flat_map(|repeat| &repeat.edges);
+                    edges.flat_map(|edge| edge.totals.values()).copied().collect()
+                }
+            };
+            UsersLine::new(labels, groups[0].len(), &repeats, Totals::from_values(&totals))
         };
         Some(Self { axes, lines: configurations.into_iter().map(line).collect() })
     }
 }
 
 impl UsersLine {
-    /// Returns the line of a configuration with `edges` edges, from the share of each edge in each repeat.
-    pub fn new(labels: Vec<String>, edges: usize, repeats: &[Vec<EdgeShare>], totals: Totals) -> Self {
+    /// Returns the line of a configuration with `edges` edges, from its repeats.
+    pub fn new<T: WithMedian>(
+        labels: Vec<String>,
+        edges: usize,
+        repeats: &[Repeat<T>],
+        totals: Totals,
+    ) -> Self {
+        let shares_of = |repeat: &Repeat<T>| -> Vec<EdgeShare> {
+            let Some(seconds) = repeat.seconds else { return Vec::new() };
+            let share = |edge: &EdgeMeasured<T>| EdgeShare {
+                rate: edge.starts as f64 / seconds,
+                median: edge.totals.median(),
+            };
+            repeat.edges.iter().map(share).collect()
+        };
+        let shares: Vec<Vec<EdgeShare>> =
+            repeats.iter().map(shares_of).filter(|shares| !shares.is_empty()).collect();
         let rates = |shares: &Vec<EdgeShare>| shares.iter().map(|share| share.rate).collect::<Vec<f64>>();
-        let rates: Vec<Vec<f64>> = repeats.iter().map(rates).collect();
+        let rates: Vec<Vec<f64>> = shares.iter().map(rates).collect();
         Self {
             labels,
             edges,
             rate: mean(rates.iter().map(|rates| rates.iter().sum())),
             fairness: mean(rates.iter().filter_map(|rates| jain_index(rates))),
-            shares: repeats.concat(),
+            shares: shares.concat(),
             totals,
         }
-    }
-
-    /// Returns the line of a configuration from whole runs, each given by the number of its repeat and the share of its edge. Repeats that
-    /// lack an edge are left out.
-    pub fn from_whole_runs(labels: Vec<String>, runs: &[(u32, Option<EdgeShare>)], totals: Totals) -> Self {
-        let mut repeats: Vec<(u32, Vec<Option<EdgeShare>>)> = Vec::new();
-        for (repeat, share) in runs {
-            match repeats.iter_mut().find(|(number, _)| number == repeat) {
-                Some((_, shares)) => shares.push(*share),
-                None => repeats.push((*repeat, vec![*share])),
-            }
-        }
-        let edges = repeats.iter().map(|(_, shares)| shares.len()).max().unwrap_or_default();
-        let complete_repeats = repeats.into_iter().filter(|(_, shares)| shares.len() == edges);
-        let shares: Vec<Vec<EdgeShare>> =
-            complete_repeats.map(|(_, shares)| shares.into_iter().flatten().collect()).collect();
-        Self::new(labels, edges, &shares, totals)
     }
 
     /// Returns the lowest and the highest rate of an edge over all repeats.
@@ -158,14 +212,18 @@ impl UsersLine {
     }
 }
 
-impl EdgeShare {
-    /// Returns the share of an edge over the whole length of its run, including warm-up; `None` for a run without length.
-    pub fn from_run(answers: u64, seconds: f64, median: Option<f64>) -> Option<Self> {
-        (seconds > 0.0).then(|| Self { rate: answers as f64 / seconds, median })
-    }
-}
-
 impl Totals {
+    /// Returns the summary of totals from roll-ups, with quantiles within 1 %.
+    pub fn from_summary(totals: &Summary) -> Self {
+        Self {
+            count: usize::try_from(totals.count()).unwrap_or(usize::MAX),
+            mean: (totals.count() > 0).then_some(totals.moments.mean),
+            median: totals.quantile(0.5),
+            p95: totals.p95(),
+            p99: totals.p99(),
+        }
+    }
+
     fn from_values(totals: &SortedValues) -> Self {
         Self {
             count: totals.len(),

@@ -73,17 +73,27 @@ fn users_at_different_times_have_no_rates() {
 
 #[test]
 fn repeats_are_averaged() {
-    let share = |rate| EdgeShare { rate, median: None };
-    let repeats = [vec![share(1.0), share(1.0)], vec![share(4.0), share(0.0)]];
-    let line = UsersLine::new(Vec::new(), 2, &repeats, Totals::default());
+    let repeat = |starts: [u64; 2]| {
+        let edge = |starts| EdgeMeasured { starts, totals: SortedValues::default() };
+        Repeat { seconds: Some(2.0), edges: starts.map(edge).to_vec() }
+    };
+    let line = UsersLine::new(Vec::new(), 2, &[repeat([2, 2]), repeat([8, 0])], Totals::default());
     assert_eq!((line.rate, line.fairness, line.rate_range()), (Some(3.0), Some(0.75), Some((0.0, 4.0))));
+}
+
+#[test]
+fn common_time_is_that_of_all_edges() {
+    assert_eq!(common_time([Some((0, 9)), Some((2, 12)), Some((1, 8))]), Some((2, 8)));
+    assert_eq!(common_time([Some((0, 9)), Some((9, 12))]), None);
+    assert_eq!((common_time([Some((0, 9)), None]), common_time::<i32>([])), (None, None));
 }
 
 /// Returns the curves of configurations: name and numbers of edges.
 fn curves(axes: &[&str], lines: &[(&[&str], usize)]) -> Vec<(String, Vec<usize>)> {
     let owned = |all: &[&str]| all.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
-    let line =
-        |(labels, edges): &(&[&str], usize)| UsersLine::new(owned(labels), *edges, &[], Totals::default());
+    let line = |(labels, edges): &(&[&str], usize)| {
+        UsersLine::new::<SortedValues>(owned(labels), *edges, &[], Totals::default())
+    };
     let users = Users { axes: owned(axes), lines: lines.iter().map(line).collect() };
     let points = |curve: &Curve<'_>| curve.points.iter().map(|line| line.edges).collect();
     Curve::from_users(&users).iter().map(|curve| (curve.name.clone(), points(curve))).collect()
@@ -115,10 +125,12 @@ fn different_models_are_separate_curves() {
 
 #[test]
 fn repeats_without_all_edges_are_excluded() {
-    let share = |answers| EdgeShare::from_run(answers, 10.0, None);
-    let runs = [(0, share(100)), (0, share(300)), (1, share(500)), (2, share(100)), (2, share(100))];
-    let line = UsersLine::from_whole_runs(Vec::new(), &runs, Totals::default());
-    assert_eq!((line.edges, line.shares.len(), line.rate), (2, 4, Some(30.0)));
-    assert_eq!(line.fairness, Some((0.8 + 1.0) / 2.0));
-    assert_eq!(EdgeShare::from_run(3, 0.0, None), None);
+    let at = |repeat: u32, name: &str| {
+        let mut edge = edge(&[("N", "2")], (name, 0.0), 0.5, 21, 0.5);
+        edge.record.experiment.as_mut().expect("an experiment").repeat = repeat;
+        edge
+    };
+    let users = Users::from_runs(&[at(0, "a"), at(0, "b"), at(1, "a"), at(2, "a"), at(2, "b")]);
+    let [line] = &users.expect("several edges").lines[..] else { panic!("one configuration") };
+    assert_eq!((line.edges, line.shares.len(), line.rate), (2, 4, Some(4.0)));
 }

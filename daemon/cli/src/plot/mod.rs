@@ -51,7 +51,7 @@ enum Kind {
     Stacked,
     /// For all runs: the share of iterations up to each total, a curve for each configuration.
     Totals,
-    /// For all runs: top-1 accuracy, mAP@0.5 or mean IoU, and success of episodes, of each configuration against its latency.
+    /// For all runs: top-1 accuracy, mAP@0.5 or mean IoU, and success and return of episodes, of each configuration against its latency.
     Accuracy,
     /// For all runs: inference of each model on board and in the cloud.
     Paired,

@@ -23,7 +23,7 @@ mod stages_over_time;
 mod time_series;
 
 pub use crate::plot::Unit;
-pub use accuracy::{Accuracy, Score, ScoredQuantity};
+pub use accuracy::{Accuracy, MOST_SCORES, Score};
 pub use binned::BinnedAxis;
 
 pub use cumulative::{Cumulative, CumulativeCurve};

@@ -2,10 +2,9 @@
 
 use std::fmt;
 
-use super::accuracy::{MAP_50, TOP_1};
 use crate::drawing::{MOST_GROUPS, MOST_SIDES};
 use peernet_analysis::accuracy::UnknownLabels;
-use peernet_analysis::accuracy::segmentation::SEGMENTATION_SCORE;
+use peernet_analysis::quality::Quality;
 use peernet_statistics::number::counted;
 
 /// Data that a figure needs and the results lack.
@@ -73,7 +72,7 @@ pub enum MissingData {
     )]
     MessageSizes,
     /// No answer was scored as right or wrong.
-    #[error("it needs answers to labelled samples, and no counted iteration has a {TOP_1}, {MAP_50} or {SEGMENTATION_SCORE}{}", Unscored(.unknown))]
+    #[error("it needs answers to labelled samples, and no counted iteration has a {}, {} or {}{}", Quality::Top1.name(), Quality::Map50.name(), Quality::MeanIou.name(), Unscored(.unknown))]
     Labels {
         /// Iterations with a label that the model does not know.
         unknown: Option<UnknownLabels>,

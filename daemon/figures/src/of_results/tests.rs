@@ -8,9 +8,9 @@ mod scores;
 use peernet_stream::ExperimentPlace;
 
 use super::*;
-use crate::drawing::Score;
 use crate::look::UNATTRIBUTED;
 use crate::sheet::file;
+use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_analysis::record::{ModelRecord, Placement};
 use peernet_analysis::rows::{Outcome, Row};
 use written_figures::AnyFigure;
@@ -179,6 +179,12 @@ fn lateness_is_separate_part() {
     assert!(figure.notes.iter().any(|note| note.starts_with("late start: ")), "{:?}", figure.notes);
 }
 
+/// Returns the estimate of a share of `right` out of `count`.
+fn estimate_of_counts(quality: Quality, right: u64, count: u64) -> Option<QualityEstimate> {
+    let mean = right as f64 / count as f64;
+    quality.from_statistics(|name| (name == quality.name()).then_some((count, mean, None)))
+}
+
 #[test]
 fn accuracy_is_drawn_against_latency() {
     let labelled = |model: &str, total: f64| {
@@ -189,12 +195,8 @@ fn accuracy_is_drawn_against_latency() {
     let drawings = drawings.expect("there are labels");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
     assert_eq!(
-        figure
-            .scores
-            .iter()
-            .map(|score| (score.label.as_str(), score.estimate, score.count))
-            .collect::<Vec<_>>(),
-        ["s, local", "m, local"].map(|label| (label, Score::estimate_of_counts(70, 94), 94))
+        figure.scores.iter().map(|score| (score.label.as_str(), Some(score.estimate))).collect::<Vec<_>>(),
+        ["s, local", "m, local"].map(|label| (label, estimate_of_counts(Quality::Top1, 70, 94)))
     );
     assert!(
         (figure.scores[1].median - 80.53e-3).abs() < 1e-4 && figure.scores[1].p95.is_some(),
@@ -210,7 +212,7 @@ fn accuracy_is_drawn_against_latency() {
     });
     let drawings = accuracy::drawings(&[broken, placed("l", "local", 9.0)]).expect("there are labels");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
-    assert_eq!(figure.notes[3], "left out: 10 iterations without a valid score");
+    assert_eq!(figure.notes[3], "not scored: 10 iterations without a valid score");
     assert!(
         accuracy::drawings(&[placed("l", "local", 9.0)])
             .is_err_and(|missing| missing.to_string().contains("top-1"))

@@ -4,6 +4,7 @@ pub(super) mod clocks;
 pub(super) mod episodes;
 pub(super) mod incidents;
 pub(super) mod iterations;
+pub(super) mod measured_time;
 pub(super) mod pairs;
 pub(crate) mod recompute;
 pub(super) mod runs;

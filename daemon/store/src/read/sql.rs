@@ -103,6 +103,11 @@ statements! {
     ROLLUPS_OVER_TIME = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
                          FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
                          AND name IN (SELECT value FROM json_each(?3)) ORDER BY bucket_s";
+    /// Summaries of some names within a time: ?1 run, ?2 resolution, ?3 the names' ids, a JSON array, ?4 and ?5 begin of the first bucket and
+    /// of the bucket after the last.
+    ROLLUPS_WITHIN = "SELECT run, resolution_s, bucket_s, name, quantity, count, mean, m2, min, max, sketch \
+                      FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND bucket_s >= ?4 AND bucket_s < ?5 AND quantity = 0 \
+                      AND name IN (SELECT value FROM json_each(?3))";
     /// Counts and sums: ?1 run, ?2 resolution, ?3 list of names, ?4 seconds of a point, a multiple of the resolution.
     SUMS_OVER_TIME = "SELECT name, bucket_s / ?4 AS point, sum(count), sum(count * mean) \
                       FROM rollup WHERE run = ?1 AND resolution_s = ?2 AND quantity = 0 \
@@ -131,6 +136,26 @@ statements! {
     /// that contains `warm_up`. ?1 run, ?2 the last number to look at.
     WARM_UP_END = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
+    /// The first answered iteration after the warm-up: ?1 run, ?2 the last number to look at.
+    FIRST_COUNTED = concat!(iteration_columns!(),
+        "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 AND +outcome = 0 ORDER BY number LIMIT 1");
+    /// The last answered iteration after the warm-up: ?1 run, ?2 how many numbers to look at.
+    LAST_COUNTED = concat!(iteration_columns!(),
+        "WHERE run = ?1 AND number > (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) - ?2 \
+         AND +warm_up = 0 AND +outcome = 0 ORDER BY number DESC LIMIT 1");
+    /// The number of the first iteration that did not start before a time, or the number after the last; found by bisection, because
+    /// iterations are stored by number. ?1 run, ?2 time.
+    FIRST_NUMBER_SINCE = "WITH RECURSIVE search(low, high) AS ( \
+                          SELECT 0, (SELECT max(number) FROM iteration WHERE run = ?1 AND number > 0) + 1 \
+                          UNION ALL SELECT \
+                          iif((SELECT started_ns FROM iteration WHERE run = ?1 AND number >= (low + high) / 2 \
+                          ORDER BY number LIMIT 1) < ?2, (low + high) / 2, low), \
+                          iif((SELECT started_ns FROM iteration WHERE run = ?1 AND number >= (low + high) / 2 \
+                          ORDER BY number LIMIT 1) < ?2, high, (low + high) / 2) \
+                          FROM search WHERE high - low > 1) \
+                          SELECT max(high) FROM search WHERE high - low <= 1";
+    /// Totals of the answered iterations after the warm-up: ?1 run, ?2 and ?3 first and last number.
+    COUNTED_TOTALS = "SELECT total FROM iteration WHERE run = ?1 AND number BETWEEN ?2 AND ?3 AND +warm_up = 0 AND +outcome = 0";
     /// Number of iterations without an answer, counted up to a limit: ?1 run, ?2 limit.
     COUNT_WITHOUT_ANSWER = "SELECT count(*) FROM (SELECT 1 FROM iteration INDEXED BY iteration_without_answer \
                             WHERE run = ?1 AND number > 0 AND outcome <> 0 LIMIT ?2)";

@@ -18,6 +18,7 @@ use crate::types::{Histogram, NameSummary};
 
 pub(crate) use self::means::stage_means;
 pub(crate) use self::runs::statistics;
+pub(super) use self::series::{NameIds, StoredWidths};
 pub(crate) use self::series::{series, stage_buckets};
 
 const WHAT: &str = "statistics";

@@ -18,6 +18,7 @@ mod foreign_log;
 mod generate;
 mod limits;
 mod maintaining;
+mod measured_time;
 mod migrating;
 mod ownership;
 mod pairs;

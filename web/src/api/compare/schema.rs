@@ -49,10 +49,10 @@ pub(crate) struct Comparison {
     pub configurations: Vec<Configuration>,
     /// Further settings in which the configurations differ, and settings that the experiment declares with one value for all configurations.
     pub settings: Vec<Setting>,
-    /// Letter of the configuration with the lowest mean of `total`; null if there is nothing to compare. Configurations with an echo
-    /// model are excluded if others run a real model.
+    /// Letter of the configuration with the lowest mean of `total`, or of `stages-total` if an iteration has no `total`; null if there is
+    /// nothing to compare. Configurations with an echo model are excluded if others run a real model.
     pub best: Option<String>,
-    /// Letters of the configurations whose mean of `total` is not significantly larger than the lowest.
+    /// Letters of the configurations whose mean is not significantly larger than the lowest.
     pub ties: Vec<String>,
     /// Letter of the baseline.
     pub baseline: Option<String>,

@@ -69,10 +69,14 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
 async fn accuracies_stand_beside_the_latencies() {
     let mut one = configuration(0, Local, 1.0, 1e3);
     let mut top = one.stages[0].clone();
-    (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.842);
+    (top.stage, top.unit, top.figures.mean) = (peernet_logger::Name::from("top-1"), String::new(), 0.84);
     one.stages.push(top);
     let html = page_of(vec![one, configuration(1, Remote, 1.0, 1e3)], false).await;
-    assert!(html.contains(">Top-1</th>") && html.contains(">84.2 <span class=\"pm\">("), "{html}");
+    assert!(
+        html.contains(">Top-1<span class=\"u\"> %</span></th>")
+            && html.contains(">84.0 <span class=\"pm\">("),
+        "{html}"
+    );
 }
 
 #[tokio::test]
@@ -84,11 +88,15 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
         one.stages.push(top);
         one
     };
-    let html = page_of(vec![with(0, 0.7), with(1, 0.842)], false).await;
-    assert!(html.contains("Accuracy against latency") && html.contains("B 84.2\u{202f}% at"), "{html}");
-    assert!(html.contains("median total, ms, logarithmic"), "one takes sixteen times as long: {html}");
-    let panel = html.split("Accuracy against latency").nth(1).expect("a panel");
-    assert_eq!(panel.matches("class=\"whisk\"").count(), 2, "each with its interval: {panel}");
+    let html = page_of(vec![with(0, 0.7), with(1, 0.84)], false).await;
+    assert!(html.contains("Accuracy against latency") && html.contains("B 84.0\u{202f}% at"), "{html}");
+    let panel =
+        html.split("id=\"ca-1\"").nth(1).and_then(|rest| rest.split("</section>").next());
+    let panel = panel.expect("a panel");
+    assert!(panel.contains(">ms, logarithmic<"), "one takes sixteen times as long: {panel}");
+    assert_eq!(panel.matches("class=\"f-ink\"").count(), 2, "{panel}");
+    let row = "<td class=\"num\" data-h=\"number\">2</td><th scope=\"row\">B</th><td class=\"num\" data-h=\"accuracy, %\">84.0</td>";
+    assert!(panel.contains(row), "{panel}");
     let html = page_of(vec![with(0, 0.7), configuration(1, Local, 2.0, 1e3)], false).await;
     assert!(!html.contains("Accuracy against latency"), "one point is no plot");
 }
@@ -114,8 +122,8 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
     };
     let html = page_of(vec![with(0, 1), with(1, 2), with(2, 4)], false).await;
     assert!(html.contains("Latency against the number of users"), "{html}");
-    assert!(html.contains("B: 48.1\u{202f}ms at 2 users, C: 80.2\u{202f}ms at 4 users"), "{html}");
-    // 305 answers of each in a minute.
+    assert!(html.contains("B: 48.3\u{202f}ms at 2 users, C: 80.5\u{202f}ms at 4 users"), "{html}");
+    // 300 answers of each in 59 s.
     assert!(html.contains(">10.2</td>") && html.contains(">5.08 – 5.08</td>"), "{html}");
     assert!(html.contains("data-h=\"fairness\">1.000</td>"), "{html}");
     let html = page_of(vec![with(0, 1), with(1, 1)], false).await;

@@ -1,6 +1,7 @@
 //! Tests that a page states the same numbers of stored runs as tables and figures state of the files of these runs.
 
 use peernet_analysis::loaded::Loaded;
+use peernet_analysis::quality::Quality;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, RowRef};
 use peernet_clock::Span;
@@ -107,4 +108,42 @@ fn page_and_table_have_equal_ranking() {
             assert!(difference.abs() < 1e-12 && line.count == one.iterations(), "{means:?}");
         }
     }
+}
+
+#[test]
+fn page_and_figure_have_equal_qualities() {
+    let scored = loaded("scored", |at| {
+        let mut values = vec![("total", 0.010), ("top-1", f64::from(at % 3 == 0)), ("mean-iou", 0.5)];
+        if at % 20 == 0 {
+            values.extend([("episode-success", f64::from(at % 40 == 0)), ("episode-return", -(at as f64))]);
+        }
+        values
+    });
+    let detector = loaded("detector", |at| {
+        vec![("total", 0.012), ("map-50", at as f64 / ROWS as f64), ("mean-iou", 0.7)]
+    });
+    let runs = [scored, detector];
+    let (comparison, _) = page(&runs);
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-9;
+    for (run, one) in runs.iter().zip(&comparison.configurations) {
+        for quality in Quality::ALL {
+            let (file, page) = (quality.from_rows(|| run.rows.iter()), qualities::estimate(one, quality));
+            let Some((file, page)) = file.zip(page) else {
+                assert_eq!((file, page), (None, None), "{quality:?}");
+                continue;
+            };
+            assert!(file.count == page.count && close(file.value, page.value), "{file:?} {page:?}");
+            let ends = [(file.interval.0, page.interval.0), (file.interval.1, page.interval.1)];
+            assert!(ends.into_iter().all(|(file, page)| close(file, page)), "{file:?} {page:?}");
+        }
+    }
+    let known = |one: &Configuration| {
+        let is_known = |quality: &Quality| qualities::estimate(one, *quality).is_some();
+        Quality::ALL.into_iter().filter(is_known).collect::<Vec<_>>()
+    };
+    let scored = vec![Quality::Top1, Quality::MeanIou, Quality::Success, Quality::Return];
+    assert_eq!(
+        comparison.configurations.iter().map(known).collect::<Vec<_>>(),
+        [scored, vec![Quality::Map50]]
+    );
 }

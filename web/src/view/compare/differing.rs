@@ -1,10 +1,9 @@
 //! Settings in which the runs of a comparison differ.
 
-use peernet_analysis::compare::{ChosenColumns, Column, choose_columns};
-use peernet_statistics::number::NONE;
+use peernet_analysis::compare::{ChosenColumns, Column, RunFacts, choose_columns, tabulate};
+use peernet_logger::Slug;
 use peernet_store::RunDetail;
-
-use crate::view::place;
+use peernet_stream::PlacementKind;
 
 /// Settings that distinguish runs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -22,11 +21,7 @@ pub(super) struct DifferingSettings {
 impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let declared_values = |run: &RunDetail| {
-            let experiment = run.summary.experiment.as_ref();
-            experiment.map_or_else(Vec::new, |experiment| experiment.configuration.clone())
-        };
-        let all = collect_columns(runs, declared_values);
+        let all = tabulate(&runs.iter().map(declared_values).collect::<Vec<_>>());
         // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
@@ -35,8 +30,8 @@ impl DifferingSettings {
 
     /// Returns the smallest set of facts that distinguishes the runs.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
-        let all = collect_columns(runs, run_facts).into_iter().filter(Column::differs);
-        Self::from_columns(runs.len(), choose_columns(all.collect()))
+        let all = tabulate(&runs.iter().map(run_facts).collect::<Vec<_>>());
+        Self::from_columns(runs.len(), choose_columns(all.into_iter().filter(Column::differs).collect()))
     }
 
     fn from_columns(runs: usize, ChosenColumns { columns, rest }: ChosenColumns) -> Self {
@@ -52,36 +47,25 @@ impl DifferingSettings {
     }
 }
 
-/// Collects the facts of all runs, in the order of their first appearance.
-fn collect_columns(
-    runs: &[RunDetail],
-    facts_of: impl Fn(&RunDetail) -> Vec<(String, String)>,
-) -> Vec<Column> {
-    let facts: Vec<Vec<(String, String)>> = runs.iter().map(facts_of).collect();
-    let mut columns: Vec<Column> = Vec::new();
-    for (run, (axis, value)) in
-        facts.iter().enumerate().flat_map(|(run, facts)| facts.iter().map(move |fact| (run, fact)))
-    {
-        let index = columns.iter().position(|column| column.axis == *axis).unwrap_or_else(|| {
-            columns.push(Column { axis: axis.clone(), labels: vec![NONE.to_owned(); runs.len()] });
-            columns.len() - 1
-        });
-        columns[index].labels[run].clone_from(value);
-    }
-    columns
+fn declared_values(run: &RunDetail) -> Vec<(String, String)> {
+    run.summary.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
 }
 
+/// Returns the declared values of a run and the facts about it, as `peernet compare` does, and the name of its pipeline.
 fn run_facts(run: &RunDetail) -> Vec<(String, String)> {
-    let summary = &run.summary;
-    let mut pairs = vec![
-        ("Pipeline".to_owned(), summary.pipeline.to_string()),
-        ("Where".to_owned(), place::route(summary.host_name.as_str(), &summary.placement)),
-        ("Model".to_owned(), place::model(&summary.placement)),
-    ];
-    pairs.extend(summary.placement.network.iter().map(|network| ("Network".to_owned(), network.clone())));
-    pairs.extend(summary.experiment.iter().flat_map(|place| place.configuration.clone()));
-    pairs.extend(run.facts.iter().cloned());
-    pairs
+    let RunDetail { summary, facts, .. } = run;
+    let placement = &summary.placement;
+    let facts = RunFacts {
+        model: Some(placement.model.as_str()).filter(|_| placement.kind != PlacementKind::None),
+        device: placement.device.as_deref(),
+        placement: placement.kind.name(),
+        network: placement.network.as_deref(),
+        edge: summary.host_name.as_str(),
+        cloud: placement.peer.as_ref().map(Slug::as_str),
+        facts,
+    };
+    let pipeline = vec![("pipeline".to_owned(), summary.pipeline.to_string())];
+    [declared_values(run), facts.pairs(), pipeline].concat()
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ mod order;
 mod pairwise;
 mod payload;
 mod pictures;
+mod qualities;
 mod series;
 mod spread;
 mod table;
@@ -30,14 +31,15 @@ pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{CompareSelection, MAX_EXPERIMENT_RUNS, load_comparison};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
-pub(crate) use payload::{accuracy, payload};
+pub(crate) use payload::payload;
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
+pub(crate) use qualities::{QualityPlot, qualities};
 pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};
 pub(crate) use table::{DifferenceRow, Table};
 pub(crate) use throughput::{Throughput, throughput};
 pub(crate) use title::title;
-pub(crate) use users::{UsersRow, users};
+pub(crate) use users::{UsersPlot, measured_users, users};
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -48,7 +50,6 @@ use peernet_analysis::trust::{Report, Starts};
 use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_store::{DelayAccuracy, MergeableStatistics, QuantityStatistics, RunSummary, StageStatistics};
-use peernet_stream::PlacementKind;
 
 use crate::error::WebError;
 
@@ -161,10 +162,6 @@ impl Configuration {
 
     fn placement(&self) -> Option<&peernet_stream::Placement> {
         self.runs.first().map(|run| &run.placement)
-    }
-
-    fn kind(&self) -> Option<PlacementKind> {
-        self.placement().map(|placement| placement.kind)
     }
 }
 

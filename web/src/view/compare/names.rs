@@ -1,6 +1,6 @@
 //! Names of configurations, made of their differences.
 
-use peernet_statistics::number::NONE;
+use peernet_analysis::compare::readable_name;
 use peernet_store::RunSummary;
 
 /// Returns a unique name for each configuration from its value on each axis and its runs. The name has the values in words. It also has
@@ -10,7 +10,7 @@ pub(super) fn configuration_names<'a>(
     configurations: impl Iterator<Item = (&'a [String], &'a [RunSummary])>,
 ) -> Vec<String> {
     let (words, runs): (Vec<String>, Vec<&[RunSummary]>) =
-        configurations.map(|(values, runs)| (in_words(axes, values), runs)).unzip();
+        configurations.map(|(values, runs)| (readable_name(axes, values), runs)).unzip();
     let name = |(words_of, runs): (&String, &&[RunSummary])| {
         let is_unique = words.iter().filter(|other| *other == words_of).count() == 1;
         let first = runs.first().map_or_else(String::new, |run| format!("#{}", run.number));
@@ -23,18 +23,9 @@ pub(super) fn configuration_names<'a>(
     words.iter().zip(&runs).map(name).collect()
 }
 
-/// Returns the values of a configuration in words. The name of the axis precedes a value that is a bare number.
-pub(super) fn in_words(axes: &[String], values: &[String]) -> String {
-    let present = axes.iter().zip(values).filter(|(_, value)| *value != NONE);
-    let words = present.map(|(axis, value)| match value.parse::<f64>() {
-        Ok(_) => format!("{axis} {value}"),
-        Err(_) => value.clone(),
-    });
-    words.collect::<Vec<_>>().join(", ")
-}
-
 #[cfg(test)]
 mod tests {
+    use peernet_statistics::number::NONE;
     use peernet_stream::PlacementKind::Local;
 
     use super::super::tests::run;

@@ -1,23 +1,19 @@
-//! Latency against payload, and accuracy against latency.
+//! Latency against payload.
 
+use peernet_analysis::compare::readable_name;
 use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, is_same_size, line_through_means};
 use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 use peernet_figures::plot::Axis;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
-use peernet_statistics::number::{SPACE, bytes, duration, figure, interval_ms, within_ms};
+use peernet_statistics::number::{SPACE, bytes, interval_ms, within_ms};
 use peernet_store::QuantityStatistics;
 
-use super::names::in_words;
 use super::{Comparison, Configuration};
-use crate::look;
 use crate::picture::Picture;
-use crate::view::accuracy;
 
 /// Maximum number of groups with separate lines; more lines would be hard to distinguish.
 const MAX_GROUPS: usize = 3;
-/// Name of the values of top-1 accuracy.
-const TOP_1: &str = look::ACCURACIES[0].0;
 
 /// Returns the mean size of the payloads that a configuration sent; `None` if it sent none.
 fn payload_size(one: &Configuration) -> Option<f64> {
@@ -109,7 +105,7 @@ pub(super) fn group_name(comparison: &Comparison, group: &Group<'_>) -> Option<S
     let axes: Vec<usize> = (0..comparison.axes.len()).filter(is_common).filter(is_distinctive).collect();
     let names: Vec<String> = axes.iter().map(|axis| comparison.axes[*axis].clone()).collect();
     let values: Vec<String> = axes.iter().filter_map(|axis| value(first, *axis)).collect();
-    Some(in_words(&names, &values)).filter(|words| !words.is_empty())
+    Some(readable_name(&names, &values)).filter(|words| !words.is_empty())
 }
 
 /// Returns the name of a point on an axis of sizes. It is the name of the group, because the axis already shows the size.
@@ -146,37 +142,4 @@ fn sentence(name: &str, group: Option<&str>, fit: &Fit) -> String {
         interval_ms(per_megabyte.0, per_megabyte.1),
         fit.points
     )
-}
-
-/// Returns a plot of top-1 accuracy against the median of the total. `None` if fewer than two configurations have both.
-pub(crate) fn accuracy(comparison: &Comparison) -> Option<Picture> {
-    let point = |one: &Configuration| {
-        let scores = one.figures(TOP_1)?;
-        let accuracy = accuracy::of(scores);
-        Some(ScatterPoint {
-            x: comparison.total(one)?.p50 * 1e3,
-            y: scores.mean * 100.0,
-            ends: accuracy.map(|accuracy| (accuracy.interval.0 * 100.0, accuracy.interval.1 * 100.0)),
-            name: one.name.clone(),
-        })
-    };
-    let points: Vec<ScatterPoint> = comparison.configurations.iter().filter_map(point).collect();
-    (points.len() >= 2).then_some(())?;
-    let x = Axis::new(Scale::of_sizes(points.iter().map(|point| point.x)), "", "median total, ms");
-    let low = |point: &ScatterPoint| point.ends.map_or(point.y, |(low, _)| low);
-    let (lo, hi) =
-        points.iter().fold((100.0_f64, 0.0_f64), |(lo, hi), point| (lo.min(low(point)), hi.max(point.top())));
-    let up = Scale::linear(((lo - 2.0).max(0.0), (hi + 2.0).min(100.0))).widened(5);
-    let each = points
-        .iter()
-        .map(|point| format!("{} {}{SPACE}% at {}", point.name, figure(point.y), duration(point.x / 1e3)));
-    let label =
-        format!("Top-1 accuracy against the median of the total: {}", each.collect::<Vec<_>>().join(", "));
-    let series = ScatterSeries {
-        stage: peernet_figures::look::stage("inference"),
-        name: "Top-1".to_owned(),
-        points,
-        lines: Vec::new(),
-    };
-    Some(Picture::of_scatter(&Scatter { x, y: Axis::new(up, "", "%"), series: vec![series] }, &label))
 }

@@ -1,22 +1,26 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
 use peernet_analysis::compare::{Latency, LatencyBar};
+use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_figures::drawing::{Quartiles, Stacked};
 use peernet_figures::plot::Item;
 use peernet_figures::scale::Scale;
 use peernet_logger::stage;
+use peernet_statistics::Summary;
 use peernet_statistics::number::{NONE, duration, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
-use peernet_stream::{Placement, PlacementKind};
+use peernet_stream::Placement;
 use std::slice;
 
 use super::spread::box_plot;
 use super::{Comparison, Configuration, order};
 use crate::picture::Picture;
-use crate::view::place;
+use crate::view::{counted, place};
 
-/// Maximum number of hosts of one configuration that are named.
+/// Maximum number of hosts of one place that are named.
 const MAX_NAMED_HOSTS: usize = 4;
+/// Maximum number of configurations of one place that are named.
+const MAX_NAMED_CONFIGURATIONS: usize = 3;
 
 /// A configuration's stages as a bar.
 pub(crate) struct StackRow {
@@ -41,17 +45,17 @@ impl Axes {
     }
 }
 
-/// One model, on board and in the cloud.
+/// One model, with its places.
 pub(crate) struct Pair {
     pub model: String,
     pub places: Vec<PlaceRow>,
 }
 
-/// Row of a model's host.
+/// Row of a place of a model.
 pub(crate) struct PlaceRow {
-    /// Name of its configuration.
+    /// Names of its configurations.
     pub configuration: String,
-    /// Host of the model, and the hosts that it serves.
+    /// Name of the place, the host of the model, and the hosts that it serves.
     pub place: String,
     pub inference: (String, Option<String>),
     pub spread: Picture,
@@ -99,10 +103,10 @@ fn label(one: &Configuration, bar: &LatencyBar) -> String {
     format!("{}: mean {} of {} iterations. {stages}.", one.name, duration(bar.total), one.iterations())
 }
 
-/// Returns the routes of all runs of the configuration: `user-1, user-2 → rack-a`.
-fn routes(one: &Configuration) -> String {
+/// Returns the routes of all runs of some configurations: `user-1, user-2 → rack-a`.
+fn routes(configurations: &[&Configuration]) -> String {
     let mut routes: Vec<(&Placement, Vec<String>)> = Vec::new();
-    for run in &one.runs {
+    for run in configurations.iter().flat_map(|one| &one.runs) {
         let (placement, host) = (&run.placement, run.host_name.to_string());
         let is_same = |other: &Placement| place::route("", other) == place::route("", placement);
         match routes.iter_mut().find(|(other, _)| is_same(other)) {
@@ -121,44 +125,68 @@ fn routes(one: &Configuration) -> String {
     routes.into_iter().map(route).collect::<Vec<_>>().join("; ")
 }
 
-/// Returns the models that ran both on board and in the cloud, each with its inference alone, all on one scale.
+/// Returns the models that ran at several places, such as on board and in the cloud, each with its inference alone, all on one scale. All
+/// configurations of a model at a place are combined.
 pub(crate) fn pairs(comparison: &Comparison) -> (Vec<Pair>, Axes) {
-    let mut models: Vec<String> = Vec::new();
-    for placement in comparison.configurations.iter().filter_map(Configuration::placement) {
-        let model = placement.model.to_string();
-        if !models.contains(&model) {
-            models.push(model);
+    let measured = comparison.configurations.iter().filter(|one| one.summary(&stage::INFERENCE).is_some());
+    let measured: Vec<(&Configuration, &Placement)> =
+        measured.filter_map(|one| Some((one, one.placement()?))).collect();
+    let placed = measured.iter().map(|(_, placement)| PlacedModel {
+        model: placement.model.to_string(),
+        kind: placement.kind.name().to_owned(),
+        device: placement.device.clone().unwrap_or_default(),
+    });
+    let all = ModelPlaces::new(&placed.collect::<Vec<_>>());
+    let models = all.models.iter().filter(|_| all.have_pair());
+    let rows: Vec<(&String, Vec<PlaceValues<'_>>)> = models
+        .map(|(model, places)| {
+            let values = all.places.iter().zip(places).filter_map(|(place, indexes)| {
+                PlaceValues::of(place, indexes.iter().map(|index| measured[*index].0).collect())
+            });
+            (model, values.collect())
+        })
+        .collect();
+    let tops = rows.iter().flat_map(|(_, places)| places).map(|place| place.quartiles.top());
+    let scale = Scale::up_to(tops.fold(0.0, f64::max) * 1e3, 6);
+    let pair = |(model, places): &(&String, Vec<PlaceValues<'_>>)| Pair {
+        model: (*model).clone(),
+        places: places.iter().map(|place| place.row(&scale)).collect(),
+    };
+    (rows.iter().map(pair).collect(), Axes::of(&scale))
+}
+
+/// Inference of a model at one place.
+struct PlaceValues<'a> {
+    place: &'a str,
+    configurations: Vec<&'a Configuration>,
+    values: Summary,
+    quartiles: Quartiles,
+}
+
+impl<'a> PlaceValues<'a> {
+    /// Combines configurations; `None` without values.
+    fn of(place: &'a str, configurations: Vec<&'a Configuration>) -> Option<Self> {
+        let mut values = Summary::default();
+        let summaries = configurations.iter().filter_map(|one| one.summary(&stage::INFERENCE));
+        summaries.for_each(|summary| values.merge(summary));
+        let quartiles = Quartiles::of(&values)?;
+        Some(Self { place, configurations, values, quartiles })
+    }
+
+    fn row(&self, scale: &Scale) -> PlaceRow {
+        let names: Vec<&str> = self.configurations.iter().map(|one| one.name.as_str()).collect();
+        let configuration = match names.as_slice() {
+            names if names.len() <= MAX_NAMED_CONFIGURATIONS => names.join(" + "),
+            names => counted(names.len(), "configuration", "configurations"),
+        };
+        let place = format!("{}: {}", self.place, routes(&self.configurations));
+        let label = format!("{configuration}, {place}, inference");
+        let moments = self.values.moments;
+        PlaceRow {
+            spread: box_plot(&stage::INFERENCE, &label, &self.quartiles, scale),
+            inference: mean_std_ms(moments.mean, moments.std()),
+            configuration,
+            place,
         }
     }
-    let configurations_of = |model: &str| {
-        let measured = comparison.configurations.iter().filter(move |one| {
-            one.placement().is_some_and(|placement| placement.model.as_str() == model)
-                && one.figures(&stage::INFERENCE).is_some()
-        });
-        measured.collect::<Vec<_>>()
-    };
-    let has_both_placements = |model: &String| {
-        let has = |kind| configurations_of(model).iter().any(|one| one.kind() == Some(kind));
-        has(PlacementKind::Local) && has(PlacementKind::Remote)
-    };
-    models.retain(has_both_placements);
-    let quartiles = |one: &Configuration| Quartiles::of(one.summary(&stage::INFERENCE)?);
-    let measured = models.iter().flat_map(|model| configurations_of(model));
-    let reach = measured.filter_map(quartiles).map(|quartiles| quartiles.top()).fold(0.0, f64::max);
-    let scale = Scale::up_to(reach * 1e3, 6);
-    let row = |one: &Configuration| {
-        let (figures, quartiles): (_, Quartiles) = (one.figures(&stage::INFERENCE)?, quartiles(one)?);
-        let location = if one.kind() == Some(PlacementKind::Local) { "on board" } else { "cloud" };
-        let place = format!("{location}, {}", routes(one));
-        let label = format!("{}, {place}, inference", one.name);
-        let spread = box_plot(&stage::INFERENCE, &label, &quartiles, &scale);
-        let inference = mean_std_ms(figures.mean, figures.std);
-        Some(PlaceRow { configuration: one.name.clone(), place, inference, spread })
-    };
-    let pair = |model: &String| {
-        let mut places = configurations_of(model);
-        places.sort_by_key(|one| one.kind() == Some(PlacementKind::Remote));
-        Pair { model: model.clone(), places: places.into_iter().filter_map(row).collect() }
-    };
-    (models.iter().map(pair).collect(), Axes::of(&scale))
 }

@@ -1,10 +1,10 @@
 //! Table of the figures of each configuration, and rows of the differences between two configurations.
 
+use peernet_analysis::quality::Quality;
 use peernet_logger::stage;
 use peernet_statistics::number::{Estimate, NONE, bytes, count, duration, mean_std_ms, percent, share};
-use peernet_store::QuantityStatistics;
 
-use super::{Comparison, Configuration, Differences, StageDifference};
+use super::{Comparison, Configuration, Differences, StageDifference, qualities};
 use crate::look;
 use crate::view::accuracy;
 use crate::view::now::Cell;
@@ -31,7 +31,8 @@ pub(crate) struct Table {
 pub(crate) struct Header {
     pub axes: Vec<String>,
     pub columns: Vec<&'static str>,
-    pub accuracies: Vec<&'static str>,
+    /// Title of each quality, and its unit.
+    pub accuracies: Vec<(&'static str, &'static str)>,
     /// `true` if something was sent.
     pub sent: bool,
     /// `true` if a run has a deadline.
@@ -48,7 +49,7 @@ pub(crate) struct Row {
     pub iterations: String,
     /// Mean and standard deviation.
     pub cells: Vec<(String, Option<String>)>,
-    /// Share of right answers and its interval, percent.
+    /// Estimate of each quality and its interval.
     pub accuracies: Vec<(String, Option<String>)>,
     /// Payload sent up on average, with unit.
     pub sent: String,
@@ -62,8 +63,9 @@ impl Table {
         let is_measured =
             |name: &str| comparison.configurations.iter().any(|one| one.figures(name).is_some());
         let columns: Vec<_> = COLUMNS.into_iter().filter(|(name, _)| is_measured(name)).collect();
-        let shares = look::ACCURACIES.into_iter().chain([look::SUCCESS]);
-        let accuracies: Vec<_> = shares.filter(|(name, _)| is_measured(name)).collect();
+        let is_known =
+            |column: &QualityColumn| comparison.configurations.iter().any(|one| column.cell(one).is_some());
+        let accuracies: Vec<QualityColumn> = QualityColumn::all().filter(is_known).collect();
         let best = differences.ranking.as_ref().map(|ranking| ranking.best);
         let has_axes = !comparison.axes.is_empty();
         let row = |(index, one): (usize, &Configuration)| Row {
@@ -79,11 +81,7 @@ impl Table {
                 .collect(),
             accuracies: accuracies
                 .iter()
-                .map(|(name, _)| {
-                    let texts =
-                        |figures: &QuantityStatistics| (share(figures.mean), accuracy::interval(figures));
-                    one.figures(name).map_or_else(|| (NONE.to_owned(), None), texts)
-                })
+                .map(|column| column.cell(one).unwrap_or_else(|| (NONE.to_owned(), None)))
                 .collect(),
             sent: one
                 .figures(&stage::UPLOAD_BYTES)
@@ -96,10 +94,47 @@ impl Table {
             header: Header {
                 axes: if has_axes { comparison.axes.clone() } else { vec![String::new()] },
                 columns: columns.into_iter().map(|(_, title)| title).collect(),
-                accuracies: accuracies.into_iter().map(|(_, title)| title).collect(),
+                accuracies: accuracies.iter().map(QualityColumn::title).collect(),
                 sent: is_measured(&stage::UPLOAD_BYTES),
                 missed: comparison.configurations.iter().any(|one| one.misses().is_some()),
             },
+        }
+    }
+}
+
+/// Column of a quality.
+enum QualityColumn {
+    Quality(Quality),
+    /// Share of the answers whose best five classes contain the right one.
+    Top5,
+}
+
+impl QualityColumn {
+    /// Returns all columns in their order.
+    fn all() -> impl Iterator<Item = Self> {
+        let after_top_1 = |quality: &Quality| (*quality == Quality::Top1).then_some(Self::Top5);
+        Quality::ALL.into_iter().flat_map(move |quality| {
+            let next = after_top_1(&quality);
+            std::iter::once(Self::Quality(quality)).chain(next)
+        })
+    }
+
+    /// Returns the title and the unit.
+    const fn title(&self) -> (&'static str, &'static str) {
+        match self {
+            Self::Quality(quality) => qualities::title(*quality),
+            Self::Top5 => ("Top-5", "%"),
+        }
+    }
+
+    /// Returns the estimate of a configuration and its interval; `None` if it was not measured.
+    fn cell(&self, one: &Configuration) -> Option<(String, Option<String>)> {
+        match self {
+            Self::Quality(quality) => Some(qualities::texts(*quality, &qualities::estimate(one, *quality)?)),
+            Self::Top5 => {
+                let figures = one.figures(look::ACCURACIES[1].0)?;
+                Some((share(figures.mean), accuracy::interval(figures)))
+            }
         }
     }
 }

@@ -1,7 +1,8 @@
+use peernet_analysis::users::{EdgeMeasured, Repeat};
 use peernet_clock::{Span, Verdict};
 use peernet_logger::{HostId, Name, RunId, stage};
 use peernet_store::{DelayAccuracy, Episodes, MeanBucket, Series, SeriesPoint, StageMeans, StageSeries};
-use peernet_stream::{EndReason, OutcomeCounts, Placement};
+use peernet_stream::{EndReason, OutcomeCounts, Placement, PlacementKind};
 
 use super::series::{RunTimeSeries, TimeSeriesByRun};
 use super::*;
@@ -147,6 +148,21 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
         .iter()
         .flat_map(|one| one.runs.iter().filter_map(move |run| series_of(one, run)))
         .collect()
+}
+
+/// Returns users that all measured for 59 s, 300 answers each.
+pub(crate) fn measured_users(comparison: &Comparison) -> users::MeasuredUsers {
+    let edge = |one: &Configuration| {
+        let totals = one.summary(&stage::TOTAL).cloned().unwrap_or_default();
+        EdgeMeasured { starts: 300, totals }
+    };
+    let repeats = |one: &Configuration| {
+        let edges =
+            one.runs.iter().filter(|run| run.experiment.as_ref().is_none_or(|place| place.repeat == 0));
+        vec![Repeat { seconds: Some(59.0), edges: edges.map(|_| edge(one)).collect() }]
+    };
+    let repeats = comparison.configurations.iter().map(repeats).collect();
+    users::MeasuredUsers { repeats, resolution_s: 0 }
 }
 
 #[test]
@@ -299,8 +315,8 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
         configuration(2, PlacementKind::Remote, 3.0, 1e6),
     ]);
     let (pairs, _) = pairs(&mixed);
-    let first = pairs[0].places[0].configuration.as_str();
-    assert_eq!((pairs.len(), pairs[0].places.len(), first), (1, 3, "B"));
+    let names: Vec<&str> = pairs[0].places.iter().map(|place| place.configuration.as_str()).collect();
+    assert_eq!((pairs.len(), names), (1, vec!["B", "A + C"]), "both clouds are one place, as in the figure");
     assert!(payload(&mixed).is_none(), "two sizes make no line");
     let mut many = configuration(1, PlacementKind::Remote, 1.0, 1e3);
     let run = many.runs.remove(0);
@@ -310,7 +326,7 @@ fn models_in_both_places_are_paired_and_payloads_plotted() {
     let users = comparison(vec![configuration(0, PlacementKind::Local, 1.0, 1e3), many]);
     let (several_users, _) = super::pairs(&users);
     assert!(
-        several_users[0].places[1].place.starts_with("cloud, user-1, user-2, user-10 → "),
+        several_users[0].places[1].place.starts_with("remote: user-1, user-2, user-10 → "),
         "{}",
         several_users[0].places[1].place
     );

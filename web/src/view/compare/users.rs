@@ -1,13 +1,17 @@
 //! Latency against the number of users that measure at the same time, and the fairness between these users.
 
-use peernet_analysis::users::{Curve, EdgeShare, Totals, Users, UsersLine};
+use futures::{StreamExt, TryStreamExt};
+use peernet_analysis::users::{Curve, EdgeMeasured, Repeat, Totals, Users, UsersLine, common_time};
+use peernet_clock::WallTime;
 use peernet_figures::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
-use peernet_statistics::number::{NONE, count, duration, mean_std_ms, measured, rate};
-use peernet_store::RunSummary;
+use peernet_statistics::Summary;
+use peernet_statistics::number::{NONE, count, duration, length, mean_std_ms, measured, rate};
+use peernet_store::{MeasuredTime, RunSummary, Store};
 
+use super::differences::CONCURRENT_READS;
 use super::{Comparison, Configuration};
+use crate::error::WebError;
 use crate::picture::Picture;
-use crate::view::runs;
 
 /// Row of a configuration with a number of users.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,17 +24,104 @@ pub(crate) struct UsersRow {
     pub each: String,
     /// Jain's index.
     pub fairness: String,
-    /// Mean and standard deviation of the total, ms.
-    pub total: (String, Option<String>),
+    /// Mean of the totals, ms.
+    pub total: String,
+}
+
+/// What the users of each configuration measured at the same time.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct MeasuredUsers {
+    /// Repeats of each configuration, without repeats that lack a user. Empty if the numbers of users do not differ.
+    pub repeats: Vec<Vec<Repeat<Summary>>>,
+    /// Width of the buckets in which starts are counted, seconds; 0 if single iterations are counted.
+    pub resolution_s: u32,
+}
+
+/// Plot of latency and fairness against the number of users, with its numbers.
+pub(crate) struct UsersPlot {
+    pub plot: Picture,
+    pub rows: Vec<UsersRow>,
+    /// Method of counting, in a sentence.
+    pub method: String,
+}
+
+/// Reads what the users of each configuration measured at the same time. Reads nothing unless an experiment is compared whose configurations
+/// have different numbers of users.
+///
+/// # Errors
+/// Returns an error when the store cannot be read.
+pub(crate) async fn measured_users(
+    store: &Store,
+    comparison: &Comparison,
+) -> Result<MeasuredUsers, WebError> {
+    let configurations: Vec<Vec<Vec<&RunSummary>>> =
+        comparison.configurations.iter().map(complete_repeats).collect();
+    let numbers = || configurations.iter().filter_map(|repeats| repeats.first().map(Vec::len));
+    if comparison.experiment.is_none() || numbers().min() == numbers().max() {
+        return Ok(MeasuredUsers::default());
+    }
+    let read = |users: Vec<&RunSummary>| {
+        let users: Vec<RunSummary> = users.into_iter().cloned().collect();
+        async move { measured_repeat(store, &users).await }
+    };
+    let reads: Vec<_> = configurations.iter().flatten().cloned().map(read).collect();
+    let measured: Vec<(Repeat<Summary>, u32)> =
+        futures::stream::iter(reads).buffered(CONCURRENT_READS).try_collect().await?;
+    let resolution_s = measured.iter().map(|(_, resolution_s)| *resolution_s).max().unwrap_or_default();
+    let mut measured = measured.into_iter().map(|(repeat, _)| repeat);
+    let repeats = configurations.iter().map(|repeats| measured.by_ref().take(repeats.len()).collect());
+    Ok(MeasuredUsers { repeats: repeats.collect(), resolution_s })
+}
+
+/// Returns the runs of each repeat of a configuration. Repeats that lack a user are left out.
+fn complete_repeats(one: &Configuration) -> Vec<Vec<&RunSummary>> {
+    let repeat_of = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
+    let mut repeats: Vec<Vec<&RunSummary>> = Vec::new();
+    for run in &one.runs {
+        match repeats.iter_mut().find(|repeat| repeat_of(repeat[0]) == repeat_of(run)) {
+            Some(repeat) => repeat.push(run),
+            None => repeats.push(vec![run]),
+        }
+    }
+    let users = repeats.iter().map(Vec::len).max().unwrap_or_default();
+    repeats.retain(|repeat| repeat.len() == users);
+    repeats
+}
+
+/// Reads what the users of a repeat measured at the same time, and the resolution of that time in seconds.
+async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<Summary>, u32), WebError> {
+    let mut times = Vec::with_capacity(users.len());
+    for run in users {
+        times.push(store.measured_time(run).await?);
+    }
+    let resolution_s = times.iter().flatten().map(|time| time.resolution_s).max().unwrap_or_default();
+    let width_ns = i64::from(resolution_s) * 1_000_000_000;
+    // Within a resolution only whole buckets are known.
+    let rounded = |time: MeasuredTime| {
+        let (first, last) = (time.first.unix_nanos(), time.last.unix_nanos());
+        if width_ns == 0 {
+            return (first, last);
+        }
+        (-(-first).div_euclid(width_ns) * width_ns, last.div_euclid(width_ns) * width_ns)
+    };
+    let Some((from, to)) = common_time(times.into_iter().map(|time| time.map(rounded))) else {
+        return Ok((Repeat { seconds: None, edges: Vec::new() }, resolution_s));
+    };
+    let (from, to) = (WallTime::from_unix_nanos(from), WallTime::from_unix_nanos(to));
+    let mut edges = Vec::with_capacity(users.len());
+    for run in users {
+        let within = store.measured_within(run.number, from, to).await?;
+        edges.push(EdgeMeasured { starts: within.count, totals: within.totals });
+    }
+    Ok((Repeat { seconds: Some((to - from).seconds()), edges }, resolution_s))
 }
 
 /// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
-pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)> {
+pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option<UsersPlot> {
     comparison.experiment.as_ref()?;
-    let users = Users {
-        axes: comparison.axes.clone(),
-        lines: comparison.configurations.iter().map(|one| self::line(comparison, one)).collect(),
-    };
+    let line = |(one, repeats): (&Configuration, &Vec<Repeat<Summary>>)| line(comparison, one, repeats);
+    let lines = comparison.configurations.iter().zip(&measured.repeats).map(line);
+    let users = Users { axes: comparison.axes.clone(), lines: lines.collect() };
     let curves = Curve::from_users(&users);
     let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
     let differ =
@@ -43,27 +134,34 @@ pub(crate) fn users(comparison: &Comparison) -> Option<(Picture, Vec<UsersRow>)>
         .iter()
         .map(|curve| curve.points.iter().filter_map(|line| Some((*line, configuration_of(line)?))).collect())
         .collect();
-    let rows = points.iter().flatten().map(|(line, one)| row(comparison, line, one));
-    Some((plot(&curves, &points), rows.collect()))
+    let rows = points.iter().flatten().map(|(line, one)| row(line, one)).collect();
+    let method = match measured.resolution_s {
+        0 => "Counted while all users of a repeat were measuring.".to_owned(),
+        width_s => format!(
+            "Counted in the whole buckets of {} in which all users of a repeat were measuring, because finer statistics are deleted.",
+            length(f64::from(width_s))
+        ),
+    };
+    Some(UsersPlot { plot: plot(&curves, &points), rows, method })
 }
 
-/// Returns the answers per second of each user of a configuration, and its totals.
-fn line(comparison: &Comparison, one: &Configuration) -> UsersLine {
-    let repeat = |run: &RunSummary| run.experiment.as_ref().map_or(0, |place| place.repeat);
-    let runs: Vec<(u32, Option<EdgeShare>)> = one.runs.iter().map(|run| (repeat(run), share(run))).collect();
-    let totals = comparison.total(one).map_or_else(Totals::default, |total| Totals {
-        count: usize::try_from(total.count).unwrap_or(usize::MAX),
-        mean: Some(total.mean),
-        median: Some(total.p50),
-        p95: total.p95,
-        p99: total.p99,
-    });
-    UsersLine::from_whole_runs(one.values.clone(), &runs, totals)
-}
-
-fn share(run: &RunSummary) -> Option<EdgeShare> {
-    let seconds = (runs::end(run)? - run.started).seconds();
-    EdgeShare::from_run(run.counts.ok + run.warm_up, seconds, run.total.map(|total| total.p50))
+/// Returns the answers per second of each user of a configuration, and the totals of all its users.
+fn line(comparison: &Comparison, one: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
+    let edges = complete_repeats(one).first().map_or(0, Vec::len);
+    let mut totals = Summary::default();
+    repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
+    let totals = match comparison.total(one).filter(|_| edges == 1) {
+        // A user alone has all its totals, as in the table of all configurations.
+        Some(total) => Totals {
+            count: usize::try_from(total.count).unwrap_or(usize::MAX),
+            mean: Some(total.mean),
+            median: Some(total.p50),
+            p95: total.p95,
+            p99: total.p99,
+        },
+        None => Totals::from_summary(&totals),
+    };
+    UsersLine::new(one.values.clone(), edges, repeats, totals)
 }
 
 /// Draws latency and fairness against the number of users, at most [`MOST_CURVES`] curves in a picture.
@@ -96,7 +194,7 @@ fn users_of(line: &UsersLine) -> String {
     crate::view::counted(line.edges, "user", "users")
 }
 
-fn row(comparison: &Comparison, line: &UsersLine, one: &Configuration) -> UsersRow {
+fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
     let or_dash = |value: Option<f64>, form: fn(f64) -> String| value.map_or_else(|| NONE.to_owned(), form);
     UsersRow {
         name: one.name.clone(),
@@ -106,8 +204,6 @@ fn row(comparison: &Comparison, line: &UsersLine, one: &Configuration) -> UsersR
             .rate_range()
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
         fairness: or_dash(line.fairness, |index| measured(index, 3)),
-        total: comparison
-            .total(one)
-            .map_or((NONE.to_owned(), None), |total| mean_std_ms(total.mean, total.std)),
+        total: line.totals.mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0),
     }
 }

@@ -1,4 +1,4 @@
-//! Figure of accuracy, or of the success of episodes, against latency.
+//! Figure of a quality, such as accuracy or the success of episodes, against latency.
 
 mod numbers;
 
@@ -8,7 +8,7 @@ use crate::look::{Fill, INK, Mark, Style, WHITE};
 use crate::plot::{At, Axis, Figure, Item, Plot, Table, Unit};
 use crate::scale::Scale;
 use crate::sheet::file;
-use peernet_analysis::accuracy;
+use peernet_analysis::quality::{Quality, QualityEstimate};
 
 /// Half the width of a whisker's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.4;
@@ -17,94 +17,94 @@ const RADIUS: f64 = 2.1;
 const RIM: f64 = 0.4;
 /// The axis is logarithmic if the ratio of the largest to the smallest latency is more than this.
 const LOGARITHMIC_RATIO: f64 = 12.0;
-/// Room beyond the intervals, percentage points.
+/// Maximum number of points that a reader can distinguish.
+pub const MOST_SCORES: usize = 24;
+/// Room beyond the intervals of shares, percentage points.
 const AXIS_MARGIN: f64 = 2.0;
 /// The horizontal whiskers of two points can overlap if the accuracies differ by less than this share of the axis.
 const OVERLAP_DISTANCE: f64 = 0.03;
 
-/// Accuracy and latency of one configuration.
+/// Quality and latency of one configuration.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Score {
     /// Name of the configuration, for the table.
     pub label: String,
-    /// Lower end of the 95 % interval, estimate and upper end, from 0 to 1; `None` without a scored answer.
-    pub estimate: Option<[f64; 3]>,
-    /// Number of scored answers.
-    pub count: u64,
-    /// Median latency, seconds.
+    /// The quality.
+    pub estimate: QualityEstimate,
+    /// Median latency of all counted iterations, seconds.
     pub median: f64,
     /// 95th percentile, seconds; `None` for few values.
     pub p95: Option<f64>,
 }
 
 impl Score {
-    /// Returns the estimate of `right` correct answers out of `count`.
-    pub fn estimate_of_counts(right: u64, count: u64) -> Option<[f64; 3]> {
-        let accuracy::Accuracy { share, interval: (low, high), .. } =
-            accuracy::Accuracy::from_counts(right, count, 0)?;
-        Some([low, share, high])
-    }
-
-    /// Returns the estimate of the mean of scores from 0 to 1.
-    pub fn estimate_of_mean(scores: &[f64]) -> Option<[f64; 3]> {
-        let accuracy::MeanScore { mean, interval, .. } = accuracy::MeanScore::from_scores(scores)?;
-        let (low, high) = interval.unwrap_or((mean, mean));
-        Some([low, mean, high])
-    }
-
-    /// Returns the estimate in per cent.
-    fn accuracy(&self) -> Option<[f64; 3]> {
-        Some(self.estimate?.map(|share| share * 100.0))
-    }
-
     fn p95_latency(&self) -> Option<f64> {
         self.p95.filter(|p95| p95.is_finite())
     }
 }
 
-/// Quantity of the vertical axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ScoredQuantity {
-    /// Share of the answers that are right.
-    Top1,
-    /// Mean of the mean average precisions of the pictures.
-    Map50,
-    /// Mean of the mean ratios of intersection to union of the pictures.
-    MeanIou,
-    /// Share of the episodes that were a success.
-    Success,
+/// Words and numbers of a quality in the figure.
+struct Shown {
+    title: &'static str,
+    /// Title of the axis, and of the column in the table.
+    axis: &'static str,
+    column: &'static str,
+    /// Method by which the intervals are computed.
+    method: &'static str,
+    /// Factor from the value to the shown value: shares are shown in per cent.
+    factor: f64,
+    /// Possible shown values.
+    range: (f64, f64),
+    /// Symbol of the unit on the axis.
+    symbol: &'static str,
 }
 
-impl ScoredQuantity {
-    /// Returns the title of the axis, and the title of the column in the key.
-    const fn titles(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Top1 => ("Top-1 accuracy, %", "accuracy, %"),
-            Self::Map50 => ("mAP@0.5 of a picture, %", "mAP@0.5, %"),
-            Self::MeanIou => ("Mean IoU of a picture, %", "mean IoU, %"),
-            Self::Success => ("Successful episodes, %", "success, %"),
-        }
-    }
-
-    /// Returns the method by which the intervals are computed.
-    const fn interval_method(self) -> &'static str {
-        match self {
-            Self::Top1 | Self::Success => "Wilson",
-            Self::Map50 | Self::MeanIou => "Student",
+impl Shown {
+    fn of(quality: Quality) -> Self {
+        let share = |title, axis, column, method| Self {
+            title,
+            axis,
+            column,
+            method,
+            factor: 100.0,
+            range: (0.0, 100.0),
+            symbol: "%",
+        };
+        match quality {
+            Quality::Top1 => share("Accuracy against latency", "Top-1 accuracy, %", "accuracy, %", "Wilson"),
+            Quality::Map50 => share(
+                "Mean average precision against latency",
+                "mAP@0.5 of a picture, %",
+                "mAP@0.5, %",
+                "Student",
+            ),
+            Quality::MeanIou => {
+                share("Mean IoU against latency", "Mean IoU of a picture, %", "mean IoU, %", "Student")
+            }
+            Quality::Success => {
+                share("Success against latency", "Successful episodes, %", "success, %", "Wilson")
+            }
+            Quality::Return => Self {
+                title: "Return against latency",
+                axis: "Return of an episode",
+                column: "return",
+                method: "Student",
+                factor: 1.0,
+                range: (f64::NEG_INFINITY, f64::INFINITY),
+                symbol: "",
+            },
         }
     }
 }
 
-/// Figure with a numbered point for each configuration, and a table below that explains the numbers.
+/// Figure with a numbered point for each configuration, at most [`MOST_SCORES`], and a table below that explains the numbers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Accuracy {
-    /// Title of the figure.
-    pub title: String,
     /// Quantity of the vertical axis.
-    pub quantity: ScoredQuantity,
+    pub quality: Quality,
     /// Unit of the horizontal axis: a latency.
     pub unit: Unit,
-    /// Points of the figure. Points without an answer or without a latency are not drawn.
+    /// Points of the figure. Points without a latency are not drawn.
     pub scores: Vec<Score>,
     /// Notes below the figure, such as what is left out.
     pub notes: Vec<String>,
@@ -118,13 +118,36 @@ struct Spot {
 }
 
 impl Accuracy {
-    /// Returns the scores that are drawn, each with its accuracy: low, share, high, in per cent.
-    fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
-        let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
-        finite.filter_map(|score| Some((score, score.accuracy()?)))
+    /// Returns the title of the figure.
+    pub fn title(&self) -> &'static str {
+        Shown::of(self.quality).title
     }
 
-    /// Returns the lowest and the highest end of the intervals, per cent.
+    /// Returns the method by which the intervals are computed: the name of its author.
+    pub fn interval_method(&self) -> &'static str {
+        Shown::of(self.quality).method
+    }
+
+    /// Returns the scores that are drawn, each with its shown quality: low, estimate, high.
+    fn shown_scores(&self) -> impl Iterator<Item = (&Score, [f64; 3])> {
+        let factor = Shown::of(self.quality).factor;
+        let finite = self.scores.iter().filter(|score| score.median.is_finite() && score.median > 0.0);
+        finite.map(move |score| {
+            let QualityEstimate { value, interval: (low, high), .. } = score.estimate;
+            (score, [low, value, high].map(|value| value * factor))
+        })
+    }
+
+    /// Returns the room beyond the intervals.
+    fn margin(&self, (low, high): (f64, f64)) -> f64 {
+        if self.quality == Quality::Return {
+            (high - low).max(low.abs() * 0.01).max(1e-9) * 0.1
+        } else {
+            AXIS_MARGIN
+        }
+    }
+
+    /// Returns the lowest and the highest end of the intervals.
     fn interval_range(&self) -> Option<(f64, f64)> {
         self.shown_scores().map(|(_, [low, _, high])| (low, high)).reduce(union)
     }
@@ -132,7 +155,7 @@ impl Accuracy {
     /// Returns whether points have horizontal whiskers. If two whiskers would overlap, no point has one.
     fn has_whiskers(&self) -> bool {
         let Some((low, high)) = self.interval_range() else { return false };
-        let min_distance = (high - low + 2.0 * AXIS_MARGIN) * OVERLAP_DISTANCE;
+        let min_distance = (high - low + 2.0 * self.margin((low, high))) * OVERLAP_DISTANCE;
         let latency_range = |score: &Score| (score.median, score.p95_latency().unwrap_or(score.median));
         // Ends of each whisker and its accuracy.
         let whiskers: Vec<((f64, f64), f64)> =
@@ -149,7 +172,7 @@ impl Accuracy {
 
     fn notes(&self) -> Vec<String> {
         let across = if self.has_whiskers() { " · across: to the 95th percentile" } else { "" };
-        let method = self.quantity.interval_method();
+        let method = self.interval_method();
         let parts = format!("point: median · upright: 95 % interval ({method}){across}");
         std::iter::once(parts).chain(self.notes.iter().cloned()).collect()
     }
@@ -162,17 +185,19 @@ impl Accuracy {
             .shown_scores()
             .map(|(score, _)| (score.median * self.unit.per_si, right_end(score) * self.unit.per_si))
             .reduce(union)?;
+        let shown = Shown::of(self.quality);
         // The axis ends a little below 0 or above 100, so that points at these ends are complete. The next mark is not reached.
-        let margin = (high - low).max(1.0) * 0.04;
-        let shares =
-            Scale::linear(((low - AXIS_MARGIN).max(-margin), (high + AXIS_MARGIN).min(100.0 + margin)));
+        let rest = (high - low).max(1.0) * 0.04;
+        let margin = self.margin((low, high));
+        let ends = ((low - margin).max(shown.range.0 - rest), (high + margin).min(shown.range.1 + rest));
+        let values = Scale::linear(ends);
         let across = if slow > fast * LOGARITHMIC_RATIO {
             let room = (slow / fast).powf(0.08);
             Scale::logarithmic((fast / room, slow * room))
         } else {
             Scale::from_zero((0.0, slow * 1.04))
         };
-        let up = Axis::new(shares, self.quantity.titles().0, "%");
+        let up = Axis::new(values, shown.axis, shown.symbol);
         Some(Plot::new(self.unit.axis(across).with_grid(), up.with_grid()))
     }
 
@@ -196,13 +221,14 @@ impl Accuracy {
         };
         let symbol = &self.unit.symbol;
         let titles = cells([
-            self.quantity.titles().1.to_owned(),
+            Shown::of(self.quality).column.to_owned(),
             format!("median, {symbol}"),
             format!("p95, {symbol}"),
         ]);
         let lines = self.shown_scores().map(|(score, [_, share, _])| {
             let p95 = score.p95_latency().map_or_else(|| "—".to_owned(), show);
-            (score.label.clone(), cells([fixed(share, 1), show(score.median), p95]))
+            let value = if self.quality == Quality::Return { significant(share) } else { fixed(share, 1) };
+            (score.label.clone(), cells([value, show(score.median), p95]))
         });
         Table { titles, lines: lines.collect() }
     }
@@ -210,7 +236,7 @@ impl Accuracy {
     /// Lays the figure out.
     pub fn figure(&self) -> Figure {
         let mut figure = Figure {
-            title: self.title.clone(),
+            title: self.title().to_owned(),
             notes: self.notes(),
             plots: self.axes().into_iter().collect(),
             table: self.table(),

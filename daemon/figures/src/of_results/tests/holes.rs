@@ -22,7 +22,7 @@ fn accuracy_figure_notes_unknown_labels() {
     let why = "because the label is not a class of the model (labels: cat, dog; classes: good, dented)";
     let drawings = accuracy::drawings(&[run_with_labels(90)]).expect("some are scored");
     let AnyFigure::Accuracy(figure) = &drawings[0].figure else { panic!("points") };
-    assert_eq!(figure.notes[2..], [format!("left out: 10 iterations, {why}")]);
+    assert_eq!(figure.notes[2..], [format!("not scored: 10 iterations, {why}")]);
     let none = accuracy::drawings(&[run_with_labels(0)]).expect_err("nothing is scored");
     assert!(
         none.to_string()

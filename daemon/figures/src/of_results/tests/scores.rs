@@ -20,7 +20,7 @@ fn scores_of_pictures_are_drawn_against_latency() {
         .map(|drawing| {
             let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
             let [score] = &figure.scores[..] else { panic!("one model has the score: {figure:?}") };
-            let [low, mean, high] = score.estimate.expect("is scored");
+            let QualityEstimate { value: mean, interval: (low, high), .. } = score.estimate;
             assert!(low < mean && mean < high && (0.4..0.6).contains(&mean), "{score:?}");
             (drawing.stem.as_ref(), score.label.as_str())
         })
@@ -42,6 +42,7 @@ fn success_of_episodes_is_drawn_against_latency() {
             let mut values = vec![("total", total)];
             if number % 20 == 0 {
                 values.push(("episode-success", f64::from(number / 20 <= successes)));
+                values.push(("episode-return", -(number as f64)));
             }
             values
         });
@@ -49,13 +50,18 @@ fn success_of_episodes_is_drawn_against_latency() {
     };
     let runs = [with_episodes("s", 20.0, 5), with_episodes("m", 600.0, 2), placed("l", "local", 9.0)];
     let drawings = accuracy::drawings(&runs).expect("there are episodes");
-    let [drawing] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
-    assert_eq!(drawing.stem, "success");
+    let [drawing, returns] = &drawings[..] else { panic!("no labels, so no figure of accuracy") };
+    assert_eq!((drawing.stem.as_str(), returns.stem.as_str()), ("success", "return"));
     let AnyFigure::Accuracy(figure) = &drawing.figure else { panic!("points") };
     let scores: Vec<_> = figure.scores.iter().map(|one| (one.label.as_str(), one.estimate)).collect();
-    let estimate = |right| Score::estimate_of_counts(right, 5);
+    let estimate = |right| estimate_of_counts(Quality::Success, right, 5).expect("there are episodes");
     assert_eq!(scores, [("s, local", estimate(5)), ("m, local", estimate(2))]);
     assert!((figure.scores[1].median - 0.6).abs() < 1e-9 && figure.notes[0].ends_with("episodes: 5 each"));
     let svg = file::svg(&figure.figure());
     assert!(svg.contains("Successful episodes, %") && svg.contains("success, %"), "{svg}");
+    let AnyFigure::Accuracy(figure) = &returns.figure else { panic!("points") };
+    let QualityEstimate { value, interval: (low, high), count } = figure.scores[0].estimate;
+    assert!((value, count) == (-60.0, 5) && low < -60.0 && high > -60.0, "{figure:?}");
+    let svg = file::svg(&figure.figure());
+    assert!(svg.contains("Return of an episode") && svg.contains("\u{2212}60"), "{svg}");
 }

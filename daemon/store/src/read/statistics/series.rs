@@ -43,10 +43,10 @@ struct Width {
 }
 
 /// Stored widths of a run.
-pub(super) struct StoredWidths([Width; WIDTHS_S.len()]);
+pub(in crate::read) struct StoredWidths([Width; WIDTHS_S.len()]);
 
 impl StoredWidths {
-    pub(super) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
+    pub(in crate::read) async fn read(readers: &Readers, run: i64) -> Result<Self, StoreError> {
         // One statement for all widths: a page of a hundred runs reads them hundreds of times.
         let extents: Vec<(i64, Option<i64>, Option<i64>, bool)> = sqlx::query_as(sql::EXTENTS)
             .bind(run)
@@ -61,6 +61,11 @@ impl StoredWidths {
             }
         }
         Ok(Self(widths))
+    }
+
+    /// Returns the finest width of which no bucket was deleted, with its first and last bucket; `None` without a bucket.
+    pub(in crate::read) fn finest_complete(&self) -> Option<(i64, (i64, i64))> {
+        self.0.iter().filter(|width| width.is_complete).find_map(|width| Some((width.width_s, width.extent?)))
     }
 
     /// Chooses the smallest width of a point with which the whole run has at most `max_points` points. The points are made from the
@@ -155,7 +160,7 @@ async fn lines(
 }
 
 /// Ids and units of names in the database.
-pub(super) struct NameIds {
+pub(in crate::read) struct NameIds {
     /// Index in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
     pub(super) indexes: HashMap<i64, usize>,
     /// Units in the order of the given list.
@@ -163,7 +168,7 @@ pub(super) struct NameIds {
 }
 
 impl NameIds {
-    pub(super) async fn read(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
+    pub(in crate::read) async fn read(readers: &Readers, stages: &[Name]) -> Result<Self, StoreError> {
         let texts: Vec<&str> = stages.iter().map(|stage| &**stage).collect();
         let names: Vec<(i64, String, String)> = sqlx::query_as(sql::NAMES)
             .bind(serde_json::to_string(&texts).map_err(|error| corrupt_data(WHAT, error))?)
@@ -181,7 +186,7 @@ impl NameIds {
     }
 
     /// Returns the ids as a JSON array, the form in which statements take a list.
-    pub(super) fn ids(&self) -> Result<String, StoreError> {
+    pub(in crate::read) fn ids(&self) -> Result<String, StoreError> {
         let ids: Vec<i64> = self.indexes.keys().copied().collect();
         serde_json::to_string(&ids).map_err(|error| corrupt_data(WHAT, error))
     }

@@ -1,0 +1,108 @@
+//! Models that ran at several places, such as on the robot and in the cloud.
+
+use peernet_stream::PlacementKind;
+
+/// Model of a run, and where it ran.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlacedModel {
+    /// Name of the model, or of a run without a model.
+    pub model: String,
+    /// Name of the kind of placement; empty if it is not known, which counts as remote.
+    pub kind: String,
+    /// Device of the model; empty if it is not known.
+    pub device: String,
+}
+
+/// Models with the places at which they ran.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ModelPlaces {
+    /// Names of all places, the local ones first: the kind of placement, followed by the device if several places have this kind.
+    pub places: Vec<String>,
+    /// Each model with the indexes of its runs at each of the places.
+    pub models: Vec<(String, Vec<Vec<usize>>)>,
+    /// Models that are left out, because they ran at one place only and other models ran at several.
+    pub at_one_place: Vec<String>,
+}
+
+impl ModelPlaces {
+    /// Groups runs by model and place. A model with a single place compares nothing, so such models are left out, unless no model ran at
+    /// several places.
+    pub fn new(runs: &[PlacedModel]) -> Self {
+        let place_of = |run: &PlacedModel| {
+            let kind = if run.kind.is_empty() { PlacementKind::Remote.name() } else { &run.kind };
+            (kind.to_owned(), run.device.clone())
+        };
+        let (mut names, mut places) = (Vec::new(), Vec::new());
+        for run in runs {
+            push_new(&mut names, run.model.clone());
+            push_new(&mut places, place_of(run));
+        }
+        places.sort_by_key(|(kind, _)| kind != PlacementKind::Local.name());
+        let runs_at = |model: &String, place: &(String, String)| {
+            let matches = |index: &usize| runs[*index].model == *model && place_of(&runs[*index]) == *place;
+            (0..runs.len()).filter(matches).collect::<Vec<_>>()
+        };
+        let model = |model: String| {
+            let runs = places.iter().map(|place| runs_at(&model, place)).collect();
+            (model, runs)
+        };
+        let models: Vec<(String, Vec<Vec<usize>>)> = names.into_iter().map(model).collect();
+        let (paired, unpaired): (Vec<_>, Vec<_>) = models.into_iter().partition(ran_at_several_places);
+        let is_only_place = |kind: &str| places.iter().filter(|(other, _)| other == kind).count() == 1;
+        let name = |(kind, device): &(String, String)| {
+            if is_only_place(kind) || device.is_empty() { kind.clone() } else { format!("{kind}, {device}") }
+        };
+        let places = places.iter().map(name).collect();
+        if paired.is_empty() {
+            return Self { places, models: unpaired, at_one_place: Vec::new() };
+        }
+        Self { places, models: paired, at_one_place: unpaired.into_iter().map(|(model, _)| model).collect() }
+    }
+
+    /// Returns whether a model ran at several places.
+    pub fn have_pair(&self) -> bool {
+        self.models.iter().any(ran_at_several_places)
+    }
+}
+
+fn ran_at_several_places((_, runs): &(String, Vec<Vec<usize>>)) -> bool {
+    runs.iter().filter(|runs| !runs.is_empty()).count() > 1
+}
+
+/// Appends an item unless the list has it.
+fn push_new<T: PartialEq>(items: &mut Vec<T>, item: T) {
+    if !items.contains(&item) {
+        items.push(item);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn placed(model: &str, kind: &str, device: &str) -> PlacedModel {
+        PlacedModel { model: model.to_owned(), kind: kind.to_owned(), device: device.to_owned() }
+    }
+
+    #[test]
+    fn runs_are_grouped_by_model_and_place() {
+        let runs = [
+            placed("s", "remote", "cpu"),
+            placed("s", "local", "cpu"),
+            placed("m", "remote", "cuda:0"),
+            placed("s", "", "cpu"),
+        ];
+        let found = ModelPlaces::new(&runs);
+        assert_eq!(found.places, ["local", "remote, cpu", "remote, cuda:0"]);
+        assert_eq!(found.models, [("s".to_owned(), vec![vec![1], vec![0, 3], vec![]])]);
+        assert!(found.have_pair() && found.at_one_place == ["m"], "{found:?}");
+    }
+
+    #[test]
+    fn models_at_one_place_each_are_all_shown() {
+        let found = ModelPlaces::new(&[placed("s", "local", "cpu"), placed("m", "remote", "cpu")]);
+        assert_eq!(found.places, ["local", "remote"]);
+        assert!(found.models.len() == 2 && !found.have_pair() && found.at_one_place.is_empty(), "{found:?}");
+        assert_eq!(ModelPlaces::new(&[]), ModelPlaces::default());
+    }
+}

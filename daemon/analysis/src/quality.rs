@@ -1,0 +1,157 @@
+//! Quality of the answers or of the episodes of a configuration.
+
+use peernet_statistics::{Moments, Summary};
+
+use crate::accuracy::detection::DETECTION_SCORES;
+use crate::accuracy::segmentation::SEGMENTATION_SCORE;
+use crate::accuracy::{ACCURACIES, Accuracy, MeanScore, score};
+use crate::actuator_results::{ActuatorResults, EPISODE_RETURN, EPISODE_SUCCESS};
+use crate::rows::RowRef;
+
+/// Quantity that says how good a configuration is, beside its latency.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Quality {
+    /// Share of the answers that are right.
+    Top1,
+    /// Mean of the mean average precisions of the pictures.
+    Map50,
+    /// Mean of the mean ratios of intersection to union of the pictures of a segmentation.
+    MeanIou,
+    /// Share of the episodes that were a success.
+    Success,
+    /// Mean of the returns of the episodes.
+    Return,
+}
+
+/// Estimate of a quality: a share from 0 to 1, or a return.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct QualityEstimate {
+    /// The estimate.
+    pub value: f64,
+    /// 95 % confidence interval; both ends are the estimate itself if there is a single value.
+    pub interval: (f64, f64),
+    /// Number of scored iterations or of episodes.
+    pub count: u64,
+}
+
+/// Count, mean and sample standard deviation of the values of a node.
+pub type CountMeanStd = (u64, f64, Option<f64>);
+
+impl Quality {
+    /// All qualities.
+    pub const ALL: [Self; 5] = [Self::Top1, Self::Map50, Self::MeanIou, Self::Success, Self::Return];
+
+    /// Returns the name of the node, and of the column, with the values.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Top1 => ACCURACIES[0],
+            Self::Map50 => DETECTION_SCORES[0],
+            Self::MeanIou => SEGMENTATION_SCORE,
+            Self::Success => EPISODE_SUCCESS,
+            Self::Return => EPISODE_RETURN,
+        }
+    }
+
+    /// Returns whether the values belong to episodes and not to iterations.
+    pub const fn is_of_episodes(self) -> bool {
+        matches!(self, Self::Success | Self::Return)
+    }
+
+    /// Returns the estimate from the statistics of nodes over all runs of a configuration; `None` without values. Counts, means and standard
+    /// deviations are exact in roll-ups.
+    pub fn from_statistics(self, figures: impl Fn(&str) -> Option<CountMeanStd>) -> Option<QualityEstimate> {
+        let of_mean = |(count, mean, std): CountMeanStd, range: (f64, f64)| {
+            let MeanScore { mean, interval, count } = MeanScore::from_statistics(count, mean, std, range)?;
+            Some(QualityEstimate { value: mean, interval: interval.unwrap_or((mean, mean)), count })
+        };
+        match self {
+            Self::Top1 => {
+                let (count, mean, _) = figures(self.name())?;
+                let Accuracy { share, interval, count, .. } = Accuracy::from_mean(mean, count, count)?;
+                Some(QualityEstimate { value: share, interval, count })
+            }
+            // For a detection, this node holds the mean overlap of the found objects, which is not a score of the answer.
+            Self::MeanIou if figures(Self::Map50.name()).is_some() => None,
+            Self::Map50 | Self::MeanIou => of_mean(figures(self.name())?, (0.0, 1.0)),
+            Self::Success => {
+                let success = ActuatorResults::from_statistics(figures).success?;
+                Some(QualityEstimate {
+                    value: success.rate,
+                    interval: success.interval,
+                    count: success.episodes,
+                })
+            }
+            Self::Return => of_mean(figures(self.name())?, (f64::NEG_INFINITY, f64::INFINITY)),
+        }
+    }
+
+    /// Returns the estimate from the rows of all runs of a configuration; `None` without values. Values that are no scores are left out.
+    pub fn from_rows<'a, I: Iterator<Item = RowRef<'a>>>(
+        self,
+        rows: impl Fn() -> I,
+    ) -> Option<QualityEstimate> {
+        self.from_statistics(|name| {
+            let mut moments = Moments::default();
+            rows().filter_map(|row| value(row, name)).for_each(|value| moments.record(value));
+            (moments.count > 0).then(|| (moments.count, moments.mean, moments.std()))
+        })
+    }
+
+    /// Returns whether an iteration has a value of this quality.
+    pub fn is_scored(self, row: RowRef<'_>) -> bool {
+        let is_detection = self == Self::MeanIou && value(row, Self::Map50.name()).is_some();
+        value(row, self.name()).is_some() && !is_detection
+    }
+}
+
+/// Returns a valid value of an iteration. Values of episodes count even if the iteration is not counted.
+fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
+    match name {
+        EPISODE_SUCCESS | EPISODE_RETURN => row.value(name).filter(|value| Summary::accepts(*value)),
+        _ if !row.is_counted() => None,
+        _ if ACCURACIES.contains(&name) => score(row, name).map(|is_right| f64::from(u8::from(is_right))),
+        _ => row.value(name).filter(|score| (0.0..=1.0).contains(score)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rows::{Outcome, Row, Rows};
+
+    fn rows(outcome: Outcome, values: &[&[(&'static str, f64)]]) -> Rows {
+        let row = |values: &&[(&'static str, f64)]| Row {
+            iteration: 1,
+            at: 0.0,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome,
+            reason: None,
+            values: values.iter().map(|(name, value)| ((*name).into(), *value)).collect(),
+            upload: None,
+            download: None,
+        };
+        values.iter().map(row).collect()
+    }
+
+    fn value_and_count(quality: Quality, rows: &Rows) -> Option<(f64, u64)> {
+        quality.from_rows(|| rows.iter()).map(|estimate| (estimate.value, estimate.count))
+    }
+
+    #[test]
+    fn qualities_are_estimated_from_valid_values() {
+        let scores = rows(Outcome::Ok, &[&[("top-1", 1.0)], &[("top-1", 0.0)], &[("top-1", 0.5)], &[]]);
+        assert_eq!(value_and_count(Quality::Top1, &scores), Some((0.5, 2)));
+        let masks = rows(Outcome::Ok, &[&[("mean-iou", 0.25)], &[("mean-iou", 0.75)], &[("mean-iou", 7.0)]]);
+        assert_eq!(value_and_count(Quality::MeanIou, &masks), Some((0.5, 2)));
+        let boxes = rows(Outcome::Ok, &[&[("mean-iou", 0.25), ("map-50", 0.5)]]);
+        assert_eq!(value_and_count(Quality::MeanIou, &boxes), None, "a detection");
+        assert_eq!(value_and_count(Quality::Map50, &boxes), Some((0.5, 1)));
+        let lost =
+            rows(Outcome::Lost, &[&[("episode-success", 1.0), ("episode-return", -7.5), ("top-1", 1.0)]]);
+        let values =
+            [Quality::Success, Quality::Return, Quality::Top1].map(|one| value_and_count(one, &lost));
+        assert_eq!(values, [Some((1.0, 1)), Some((-7.5, 1)), None], "an episode may end without an answer");
+    }
+}

@@ -1,0 +1,150 @@
+//! Times in which a run measured. The number of rows that are read does not depend on the length of the run: within a time, whole buckets are
+//! read, each as wide as possible, and single iterations only in the seconds of both ends.
+
+use peernet_clock::WallTime;
+use peernet_logger::stage;
+
+use super::iterations::Row;
+use super::statistics::{NameIds, StoredWidths};
+use super::{corrupt_data, sql, wall};
+use crate::error::StoreError;
+use crate::readers::Readers;
+use crate::rollups::{RollupRow, WIDTHS_S};
+use crate::types::{MeasuredTime, MeasuredWithin, RunSummary};
+
+const WHAT: &str = "measured times";
+/// Number of iterations at each end of a run among which the first and the last answered iteration is searched.
+const MAX_SEARCHED: i64 = 10_000;
+const SECOND_NS: i64 = 1_000_000_000;
+
+pub(crate) async fn measured_time(
+    readers: &Readers,
+    run: &RunSummary,
+) -> Result<Option<MeasuredTime>, StoreError> {
+    let widths = StoredWidths::read(readers, run.number).await?;
+    let Some((width_s, extent)) = widths.finest_complete() else { return Ok(None) };
+    if run.nodes_from == 0 && width_s == WIDTHS_S[0] {
+        let row = async |statement: &'static str| {
+            let row: Option<Row> = sqlx::query_as(statement)
+                .bind(run.number)
+                .bind(MAX_SEARCHED)
+                .fetch_optional(&readers.pool())
+                .await
+                .map_err(readers.failed(WHAT))?;
+            Ok(row.map(|row| wall(row.started_ns)))
+        };
+        if let Some((first, last)) = row(sql::FIRST_COUNTED).await?.zip(row(sql::LAST_COUNTED).await?) {
+            return Ok(Some(MeasuredTime { first, last, resolution_s: 0 }));
+        }
+    }
+    // The first iteration may be anywhere in the first bucket, and the last one in the last bucket.
+    let (first_s, last_s) = (extent.0 + width_s, extent.1);
+    Ok((first_s < last_s).then(|| MeasuredTime {
+        first: wall(first_s * SECOND_NS),
+        last: wall(last_s * SECOND_NS),
+        resolution_s: u32::try_from(width_s).unwrap_or(u32::MAX),
+    }))
+}
+
+pub(crate) async fn measured_within(
+    readers: &Readers,
+    run: i64,
+    (from, to): (WallTime, WallTime),
+) -> Result<MeasuredWithin, StoreError> {
+    let (from_ns, to_ns) = (from.unix_nanos(), to.unix_nanos());
+    let seconds = (-(-from_ns).div_euclid(SECOND_NS), to_ns.div_euclid(SECOND_NS));
+    let mut within = MeasuredWithin::default();
+    if seconds.0 >= seconds.1 {
+        add_iterations(readers, run, (from_ns, to_ns), &mut within).await?;
+        return Ok(within);
+    }
+    let name_ids = NameIds::read(readers, &[stage::TOTAL]).await?.ids()?;
+    for (width_s, first_s, end_s) in widest_buckets(seconds) {
+        let rows: Vec<RollupRow> = sqlx::query_as(sql::ROLLUPS_WITHIN)
+            .bind(run)
+            .bind(width_s)
+            .bind(&name_ids)
+            .bind(first_s)
+            .bind(end_s)
+            .fetch_all(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        for row in rows {
+            within.totals.merge(&row.summary().map_err(|error| corrupt_data(WHAT, error))?);
+        }
+    }
+    within.count = within.totals.count();
+    add_iterations(readers, run, (from_ns, seconds.0 * SECOND_NS), &mut within).await?;
+    add_iterations(readers, run, (seconds.1 * SECOND_NS, to_ns), &mut within).await?;
+    Ok(within)
+}
+
+/// Adds the iterations that started from one time to before another time.
+async fn add_iterations(
+    readers: &Readers,
+    run: i64,
+    (from_ns, to_ns): (i64, i64),
+    within: &mut MeasuredWithin,
+) -> Result<(), StoreError> {
+    if from_ns >= to_ns {
+        return Ok(());
+    }
+    let first_number = async |time_ns: i64| {
+        let number: Option<i64> = sqlx::query_scalar(sql::FIRST_NUMBER_SINCE)
+            .bind(run)
+            .bind(time_ns)
+            .fetch_one(&readers.pool())
+            .await
+            .map_err(readers.failed(WHAT))?;
+        Ok(number)
+    };
+    let (Some(from), Some(end)) = (first_number(from_ns).await?, first_number(to_ns).await?) else {
+        return Ok(());
+    };
+    let totals: Vec<Option<f64>> = sqlx::query_scalar(sql::COUNTED_TOTALS)
+        .bind(run)
+        .bind(from)
+        .bind(end - 1)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))?;
+    within.count += totals.len() as u64;
+    totals.into_iter().flatten().for_each(|total| within.totals.record(total));
+    Ok(())
+}
+
+/// Divides whole seconds into buckets of the stored widths, as wide as possible. Returns ranges of buckets: width, begin of the first bucket,
+/// and end of the last bucket.
+fn widest_buckets((mut first_s, mut end_s): (i64, i64)) -> Vec<(i64, i64, i64)> {
+    let mut ranges = Vec::new();
+    for (index, width_s) in WIDTHS_S.into_iter().enumerate() {
+        let wider = WIDTHS_S.get(index + 1).map(|wider_s| {
+            (-(-first_s).div_euclid(*wider_s) * wider_s, end_s.div_euclid(*wider_s) * wider_s)
+        });
+        let Some((next_first_s, next_end_s)) = wider.filter(|(first_s, end_s)| first_s < end_s) else {
+            ranges.push((width_s, first_s, end_s));
+            break;
+        };
+        ranges.extend([(width_s, first_s, next_first_s), (width_s, next_end_s, end_s)]);
+        (first_s, end_s) = (next_first_s, next_end_s);
+    }
+    ranges.retain(|(_, first_s, end_s)| first_s < end_s);
+    ranges
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn buckets_are_as_wide_as_possible() {
+        assert_eq!(widest_buckets((3, 9)), [(1, 3, 9)]);
+        let expected =
+            [(1, 58, 60), (1, 7_270, 7_271), (10, 7_260, 7_270), (60, 60, 3_600), (60, 7_200, 7_260)];
+        let mut ranges = widest_buckets((58, 7_271));
+        let seconds: i64 = ranges.iter().map(|(_, first_s, end_s)| end_s - first_s).sum();
+        assert_eq!(seconds, 7_271 - 58);
+        ranges.retain(|(width_s, ..)| *width_s < 3_600);
+        assert_eq!(ranges, expected);
+    }
+}

@@ -1,0 +1,109 @@
+//! Times in which a run measured: single iterations, and buckets once retention has deleted the iterations.
+
+use peernet_clock::{Span, WallTime};
+use peernet_logger::RunId;
+use peernet_statistics::Summary;
+use peernet_stream::{Event, Outcome};
+
+use super::retention::{day, short_retention, two_runs, work_off};
+use super::{TestStore, generate};
+use crate::retention::Retention;
+use crate::types::{IterationFilter, IterationRow, MeasuredTime, RunFilter};
+
+/// Returns the counted iterations of run 1.
+async fn counted(test_store: &TestStore) -> Vec<IterationRow> {
+    let filter = IterationFilter { limit: 1_000, ..IterationFilter::default() };
+    let mut rows = test_store.store.iterations(1, &filter).await.expect("answers");
+    rows.retain(|row| !row.warm_up && row.outcome == "ok");
+    rows
+}
+
+async fn measured_time(test_store: &TestStore, run: i64) -> Option<MeasuredTime> {
+    let runs = test_store.store.runs(&RunFilter::default()).await.expect("answers");
+    let run = runs.into_iter().find(|one| one.number == run).expect("a run");
+    test_store.store.measured_time(&run).await.expect("answers")
+}
+
+/// Stores a run of two minutes with a warm-up, and with iterations without an answer at both ends and in between.
+async fn run_of_two_minutes() -> TestStore {
+    let mut test_store = TestStore::new().await;
+    let run = RunId::random();
+    let mut numbers = generate::Numbers::new(7);
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    for number in 1..=600 {
+        // Irregular starts, about five in a second.
+        let at = generate::at(number as f64 * 0.2) + Span::from_nanos(numbers.between(0, 190_000_000));
+        let mut iteration = generate::iteration_at(run, number, test_store.hosts(), at, &mut numbers);
+        iteration.warm_up = number <= 7;
+        if [8, 9, 300, 600].contains(&number) {
+            iteration.outcome = Outcome::Lost("no answer".into());
+        }
+        events.push(Event::Iteration(iteration));
+    }
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+    test_store
+}
+
+#[tokio::test]
+async fn iterations_within_time_are_counted_exactly() {
+    let test_store = run_of_two_minutes().await;
+    let rows = counted(&test_store).await;
+    let time = measured_time(&test_store, 1).await.expect("measured");
+    let (first, last) = (rows[0].started, rows[rows.len() - 1].started);
+    assert_eq!((time.first, time.last, time.resolution_s), (first, last, 0));
+    let after = |seconds: f64| first + Span::from_seconds_f64(seconds);
+    let cases: [(WallTime, WallTime); 7] = [
+        (first, last),
+        (after(0.1), after(0.3)),
+        (after(0.5), after(1.7)),
+        (after(3.3), after(15.2)),
+        (after(2.0), after(111.1)),
+        (after(-9.0), after(500.0)),
+        (after(40.0), after(40.0)),
+    ];
+    for (from, to) in cases {
+        let mut totals = Summary::default();
+        let within = rows.iter().filter(|row| (from..to).contains(&row.started));
+        within.filter_map(|row| row.total).for_each(|total| totals.record(total));
+        let found = test_store.store.measured_within(1, from, to).await.expect("answers");
+        assert_eq!(found.count, totals.count(), "{from:?} {to:?}");
+        assert_eq!(found.totals.quantile(0.5), totals.quantile(0.5));
+        assert!((found.totals.moments.mean - totals.moments.mean).abs() < 1e-12);
+    }
+}
+
+#[tokio::test]
+async fn run_without_answer_measured_at_no_time() {
+    let mut test_store = TestStore::new().await;
+    let run = RunId::random();
+    let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
+    let mut numbers = generate::Numbers::new(7);
+    events.extend((1..=9).map(|number| {
+        let mut iteration = generate::iteration(run, number, test_store.hosts(), &mut numbers);
+        iteration.outcome = Outcome::Lost("no answer".into());
+        Event::Iteration(iteration)
+    }));
+    let work = test_store.batch(events);
+    test_store.commit(&[work]).await;
+    assert_eq!(measured_time(&test_store, 1).await, None);
+}
+
+#[tokio::test]
+async fn resolution_is_that_of_remaining_buckets() {
+    let (test_store, _) = two_runs().await;
+    let exact = measured_time(&test_store, 1).await.expect("measured");
+    let mut connection = test_store.other().await;
+    let mut retention = Retention::new(short_retention());
+    work_off(&mut retention, &mut connection, day(9.0)).await;
+    let coarse = measured_time(&test_store, 1).await.expect("hours are never deleted");
+    assert_eq!((exact.resolution_s, coarse.resolution_s), (0, 3_600));
+    assert!(coarse.first >= exact.first && coarse.last <= exact.last, "{exact:?} {coarse:?}");
+    let pinned = measured_time(&test_store, 2).await.expect("measured");
+    assert_eq!(pinned.resolution_s, 0);
+    // Both runs are alike.
+    let within =
+        async |run| test_store.store.measured_within(run, coarse.first, coarse.last).await.expect("answers");
+    let (coarse, pinned) = (within(1).await, within(2).await);
+    assert!(coarse.count > 0 && coarse.count == pinned.count, "{} {}", coarse.count, pinned.count);
+}

@@ -1,0 +1,25 @@
+//! Times in which a run measured, and what it measured within a time.
+
+use peernet_clock::WallTime;
+use peernet_statistics::Summary;
+
+/// Time in which a run measured: from its first answered iteration after the warm-up to its last, by the edge's wall clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MeasuredTime {
+    /// Start of the first of these iterations.
+    pub first: WallTime,
+    /// Start of the last.
+    pub last: WallTime,
+    /// Resolution of both times and of [`Store::measured_within`](crate::Store::measured_within), seconds; 0 if single iterations are stored.
+    /// Retention deletes them first, and then the buckets of seconds. The run measured at least from `first` to `last`.
+    pub resolution_s: u32,
+}
+
+/// Iterations of a run that started within a time: only answered iterations after the warm-up.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeasuredWithin {
+    /// Number of the iterations.
+    pub count: u64,
+    /// Their totals, seconds.
+    pub totals: Summary,
+}

@@ -1,0 +1,80 @@
+//! Each quality of the configurations, such as the accuracy of answers or the success of episodes, against latency.
+
+use peernet_analysis::quality::{Quality, QualityEstimate};
+use peernet_figures::drawing::{Accuracy, MOST_SCORES, Score, Unit};
+use peernet_statistics::number::{SPACE, duration, figure, share};
+
+use super::{Comparison, Configuration};
+use crate::picture::Picture;
+
+/// Plot of one quality with the table that explains its numbers.
+pub(crate) struct QualityPlot {
+    pub title: String,
+    /// Name of the author of the method by which the intervals are computed.
+    pub method: &'static str,
+    pub plot: Picture,
+    /// Titles of the columns of numbers.
+    pub columns: Vec<String>,
+    /// Name of each configuration, in the order of the numbers in the plot, with its numbers.
+    pub rows: Vec<(String, Vec<String>)>,
+    /// Number of all configurations with the quality, if not all of them are drawn.
+    pub all: Option<usize>,
+}
+
+/// Returns the estimate of a quality of a configuration; `None` if it was not measured.
+pub(super) fn estimate(one: &Configuration, quality: Quality) -> Option<QualityEstimate> {
+    quality
+        .from_statistics(|name| one.figures(name).map(|figures| (figures.count, figures.mean, figures.std)))
+}
+
+/// Returns the title of a quality in tables, and its unit.
+pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
+    match quality {
+        Quality::Top1 => ("Top-1", "%"),
+        Quality::Map50 => ("mAP@0.5", "%"),
+        Quality::MeanIou => ("Mean IoU", "%"),
+        Quality::Success => ("Success", "%"),
+        Quality::Return => ("Return", ""),
+    }
+}
+
+/// Returns the estimate and its interval: shares in per cent.
+pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
+    let form = if title(quality).1 == "%" { share } else { figure };
+    let QualityEstimate { value, interval: (low, high), count } = *estimate;
+    (form(value), (count > 1).then(|| format!("{}{SPACE}–{SPACE}{}", form(low), form(high))))
+}
+
+/// Returns a plot of each quality that at least two configurations have.
+pub(crate) fn qualities(comparison: &Comparison) -> Vec<QualityPlot> {
+    Quality::ALL.into_iter().filter_map(|quality| plot(comparison, quality)).collect()
+}
+
+fn plot(comparison: &Comparison, quality: Quality) -> Option<QualityPlot> {
+    let score = |one: &Configuration| {
+        let (estimate, total) = (estimate(one, quality)?, comparison.total(one)?);
+        Some(Score { label: one.name.clone(), estimate, median: total.p50, p95: total.p95 })
+    };
+    let mut scores: Vec<Score> = comparison.configurations.iter().filter_map(score).collect();
+    let all = scores.len();
+    (all >= 2).then_some(())?;
+    scores.truncate(MOST_SCORES);
+    let point = |score: &Score| {
+        let ((value, _), unit) = (texts(quality, &score.estimate), title(quality).1);
+        let unit = if unit.is_empty() { String::new() } else { format!("{SPACE}{unit}") };
+        format!("{} {value}{unit} at {}", score.label, duration(score.median))
+    };
+    let points: Vec<String> = scores.iter().map(point).collect();
+    let unit = Unit::milliseconds(comparison.total_column.title());
+    let accuracy = Accuracy { quality, unit, scores, notes: Vec::new() };
+    let figure = accuracy.figure();
+    let label = format!("{}: {}", figure.title, points.join(", "));
+    Some(QualityPlot {
+        method: accuracy.interval_method(),
+        plot: Picture::of_plot(figure.plots.first()?, "histogram", &label),
+        title: figure.title,
+        columns: figure.table.titles,
+        rows: figure.table.lines,
+        all: (all > MOST_SCORES).then_some(all),
+    })
+}
