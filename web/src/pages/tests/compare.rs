@@ -90,8 +90,7 @@ async fn accuracy_is_drawn_against_the_median_of_the_total() {
     };
     let html = page_of(vec![with(0, 0.7), with(1, 0.84)], false).await;
     assert!(html.contains("Accuracy against latency") && html.contains("B 84.0\u{202f}% at"), "{html}");
-    let panel =
-        html.split("id=\"ca-1\"").nth(1).and_then(|rest| rest.split("</section>").next());
+    let panel = html.split("id=\"ca-1\"").nth(1).and_then(|rest| rest.split("</section>").next());
     let panel = panel.expect("a panel");
     assert!(panel.contains(">ms, logarithmic<"), "one takes sixteen times as long: {panel}");
     assert_eq!(panel.matches("class=\"f-ink\"").count(), 2, "{panel}");
