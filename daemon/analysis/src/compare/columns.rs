@@ -1,6 +1,6 @@
 //! Choice of the differing facts that become columns, and sentences about the other differing facts.
 
-use super::configuration::EMPTY_CELL;
+use super::labels::EMPTY_CELL;
 
 /// Maximum number of values of a fact without a column that are listed.
 const MAX_LISTED: usize = 4;

@@ -6,13 +6,10 @@ use peernet_statistics::number::counted;
 use peernet_stream::ExperimentPlace;
 
 use super::columns::{self, ChosenColumns, Column};
+use super::labels::{EMPTY_CELL, RunFacts, tabulate};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
-/// Cell of a run that does not have the fact of the column.
-pub(super) const EMPTY_CELL: &str = "—";
-/// Facts that follow from the model or the data set of a run, which have their own columns.
-const IMPLIED_FACTS: [&str; 6] = ["model", "device", "task", "input", "labels", "classes"];
 /// Maximum number of different labels of one group that are listed. Of more labels only the number is given.
 const MAX_JOINED_LABELS: usize = 3;
 
@@ -26,77 +23,6 @@ pub fn group_by_labels(labels: &[Vec<String>]) -> Vec<Vec<usize>> {
         }
     }
     groups
-}
-
-/// Returns the name of a configuration from its labels. A label that is not clear without the name of its axis has it: `no resize` instead of
-/// `no`, `edges 4` instead of `4`. Missing labels are left out.
-pub fn readable_name(axes: &[String], labels: &[String]) -> String {
-    let present = axes.iter().zip(labels).filter(|(_, label)| *label != EMPTY_CELL);
-    let words = present.map(|(axis, label)| match label.as_str() {
-        "yes" | "true" | "on" => axis.clone(),
-        "no" | "none" | "false" | "off" => format!("no {axis}"),
-        number if number.parse::<f64>().is_ok() => format!("{axis} {number}"),
-        name => name.to_owned(),
-    });
-    words.collect::<Vec<_>>().join(", ")
-}
-
-/// Facts about a run that distinguish it from other runs, besides the fields that an experiment declares.
-#[derive(Clone, Copy, Debug)]
-pub struct RunFacts<'a> {
-    /// Name of the model.
-    pub model: Option<&'a str>,
-    /// Device of the model.
-    pub device: Option<&'a str>,
-    /// Kind of the placement.
-    pub placement: &'a str,
-    /// Kind of the network.
-    pub network: Option<&'a str>,
-    /// Name of the edge.
-    pub edge: &'a str,
-    /// Name of the cloud.
-    pub cloud: Option<&'a str>,
-    /// Facts about sensor, transforms, load and so on, as pairs of name and text.
-    pub facts: &'a [(String, String)],
-}
-
-impl RunFacts<'_> {
-    /// Returns pairs of name and label. The columns of the paper come first.
-    pub fn pairs(&self) -> Vec<(String, String)> {
-        let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
-        let mut pairs = vec![
-            pair("model", self.model),
-            pair("device", self.device),
-            pair("where", Some(self.placement)),
-            pair("network", self.network),
-            pair("edge", Some(self.edge)),
-            pair("cloud", self.cloud),
-        ];
-        let is_implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
-        pairs.extend(self.facts.iter().filter(|(fact, _)| !is_implied(fact)).cloned());
-        pairs
-    }
-}
-
-/// Makes columns of the pairs of name and label of each run. The columns are in the order in which their names first appear. Names that differ
-/// only in case are the same column, such as the field `Model` of an experiment and the `model` of a run outside of experiments.
-pub fn tabulate(pairs: &[Vec<(String, String)>]) -> Vec<Column> {
-    let mut axes: Vec<&String> = Vec::new();
-    for (axis, _) in pairs.iter().flatten() {
-        if !axes.iter().any(|other| other.eq_ignore_ascii_case(axis)) {
-            axes.push(axis);
-        }
-    }
-    let label = |pairs: &Vec<(String, String)>, axis: &String| {
-        let label =
-            pairs.iter().find(|(name, _)| name.eq_ignore_ascii_case(axis)).map(|(_, label)| label.clone());
-        label.filter(|label| !label.is_empty()).unwrap_or_else(|| EMPTY_CELL.to_owned())
-    };
-    let column = |axis: &String| Column {
-        axis: axis.clone(),
-        labels: pairs.iter().map(|pairs| label(pairs, axis)).collect(),
-    };
-    axes.into_iter().map(column).collect()
 }
 
 /// Configurations of runs.
@@ -366,16 +292,6 @@ pub(super) fn differ(labels: &[String]) -> bool {
 mod tests {
     use super::*;
     use crate::rows::Rows;
-
-    #[test]
-    fn axis_name_is_added_to_unclear_labels_only() {
-        let name = |axes: &[&str], labels: &[&str]| {
-            let owned = |texts: &[&str]| texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>();
-            readable_name(&owned(axes), &owned(labels))
-        };
-        assert_eq!([name(&["resize"], &["no"]), name(&["resize"], &["yes"])], ["no resize", "resize"]);
-        assert_eq!(name(&["edges", "where", "network"], &["4", "—", "LAN"]), "edges 4, LAN");
-    }
 
     #[test]
     fn runs_with_equal_labels_are_one_group() {

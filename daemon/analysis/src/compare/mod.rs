@@ -14,6 +14,7 @@ mod columns;
 mod configuration;
 mod difference;
 mod differences;
+mod labels;
 mod latency_bar;
 mod median_bootstrap;
 mod pairwise;
@@ -25,9 +26,10 @@ mod testing;
 pub use best::differences_to_best;
 pub use caveats::skipped_starts;
 pub use columns::{ChosenColumns, Column, choose_columns};
-pub use configuration::{Configurations, RunFacts, group_by_labels, readable_name, tabulate};
+pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
+pub use labels::{RunFacts, readable_name, tabulate};
 pub use latency_bar::{LatencyBar, part_order};
 pub use pairwise::PairwiseDifference;
 pub use ranking::{ConfigurationTotal, Ranking, model_computes};
@@ -41,7 +43,7 @@ use crate::loaded::{Loaded, unknown_labels};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
 use crate::trust::Starts;
-use configuration::EMPTY_CELL;
+use labels::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
