@@ -3,6 +3,8 @@
 use peernet_clock::{Span, Verdict};
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
+use crate::order::SortedValues;
+
 /// Summary of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
 pub struct DelaySummary {
@@ -67,6 +69,15 @@ impl<'a> FromIterator<&'a DelaySecond> for DelaySummary {
             sum
         })
     }
+}
+
+/// Returns the median of the lower bounds and the median of the upper bounds of all values. If each true value lies between its bounds, the
+/// median of the true values lies between these medians. `None` unless every value has bounds, because the median of values of which some may
+/// be anywhere may be anywhere, too.
+pub fn median_bounds(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option<(f64, f64)> {
+    let (lower, upper): (Vec<f64>, Vec<f64>) = bounds.collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    let median = |values: Vec<f64>| values.into_iter().collect::<SortedValues>().median();
+    median(lower).zip(median(upper))
 }
 
 /// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. If there are two medians in the

@@ -29,6 +29,7 @@ mod error;
 pub mod figure_files;
 pub mod fit;
 pub mod loaded;
+pub mod message_sizes;
 pub mod model_places;
 pub mod order;
 pub mod outcomes;

@@ -6,11 +6,12 @@
 //! ```
 //!
 //! `of_results` decides which figures a run or an experiment has, `of_calibration` those of a study of a
-//! link; `drawing` defines their layout.
+//! link; both draw delays against the size of messages by `of_messages`. `drawing` defines the layout of all figures.
 
 pub mod drawing;
 pub mod look;
 mod of_calibration;
+mod of_messages;
 mod of_results;
 pub mod plot;
 pub mod scale;

@@ -2,14 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use peernet_statistics::number::{self, mean_std, throughput_between, throughput_with};
-
-use crate::drawing::{Parts, Scaling, Series, Unit, Value};
-use crate::look::Mark;
+use crate::of_messages::{MessageFigures, MessageSeries};
 use crate::sheet::export;
 use peernet_analysis::WriteError;
-use peernet_analysis::calibration::{DirectionStudy, SizeSummary, Study};
-use peernet_analysis::fit::rate;
+use peernet_analysis::calibration::Study;
 
 /// Draws the figures `latency` and `throughput` of a study into an existing folder, each as `.png`, `.svg`, `.pdf` and `-caption.txt`.
 /// Returns the files that were written. A figure without data is left out.
@@ -17,90 +13,22 @@ use peernet_analysis::fit::rate;
 /// # Errors
 /// If a file cannot be written.
 pub fn draw_calibration(study: &Study, folder: &Path) -> Result<Vec<PathBuf>, WriteError> {
+    let messages = messages(study);
     let mut written = Vec::new();
-    for (stem, figure) in [("latency", latency(study)), ("throughput", throughput(study))] {
-        if let Some(figure) = figure {
+    for (stem, figure) in [("latency", messages.latency()), ("throughput", messages.throughput())] {
+        if figure.series.iter().any(|series| !series.values.is_empty()) {
             written.extend(export::write(&figure.figure(), folder, stem)?);
         }
     }
     Ok(written)
 }
 
-/// Returns the figure of delay against size, with the fitted lines; `None` when no delay is known.
-fn latency(study: &Study) -> Option<Scaling> {
-    let value = |size: &SizeSummary| {
-        let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
-        Some(Value { bytes: size.wire_bytes, value: size.median, spread: size.tails, bounds })
-    };
-    let name = |direction: &DirectionStudy| {
-        let fit = direction.main_fit()?;
-        let intercept = mean_std(fit.intercept.value, fit.intercept.margin());
-        Some(match rate(fit.slope) {
-            Some((rate, margin)) => {
-                let rate = throughput_with(rate, margin);
-                format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", direction.name())
-            }
-            None => format!("{}: intercept {intercept} ms", direction.name()),
-        })
-    };
-    let line =
-        |direction: &DirectionStudy| direction.main_fit().map(|fit| (fit.intercept.value, fit.slope.value));
-    let unit = Unit::milliseconds("One-way delay");
-    scaling(
-        study,
-        unit,
-        Parts { point: "median", whisker: "clock bounds", line: "best fit" },
-        &value,
-        &name,
-        &line,
-    )
-}
-
-/// Returns the figure of throughput against size, with the throughput that the slope of the delays implies; `None` if no delay is known.
-fn throughput(study: &Study) -> Option<Scaling> {
-    let value = |size: &SizeSummary| {
-        let bounds = size.throughput_bounds;
-        Some(Value { bytes: size.wire_bytes, value: size.throughput?, spread: None, bounds })
-    };
-    let name = |direction: &DirectionStudy| {
-        let throughput = direction.throughput?;
-        let rate = number::throughput(throughput.value);
-        let interval = throughput
-            .interval
-            .map_or_else(String::new, |interval| format!(" ({})", throughput_between(interval)));
-        Some(format!("{}: {rate} MB/s{interval}", direction.name()))
-    };
-    let line = |direction: &DirectionStudy| direction.throughput.map(|throughput| (throughput.value, 0.0));
-    let unit = Unit::megabytes_per_second("Throughput");
-    scaling(
-        study,
-        unit,
-        Parts { point: "size ÷ median delay", whisker: "by clock bounds", line: "by slope" },
-        &value,
-        &name,
-        &line,
-    )
-}
-
-fn scaling(
-    study: &Study,
-    unit: Unit,
-    parts: Parts,
-    value: &dyn Fn(&SizeSummary) -> Option<Value>,
-    name: &dyn Fn(&DirectionStudy) -> Option<String>,
-    line: &dyn Fn(&DirectionStudy) -> Option<(f64, f64)>,
-) -> Option<Scaling> {
-    let looks = [("upload", Mark::Disc), ("download", Mark::Triangle)];
-    let title = format!("{} against size", unit.title.split(',').next().unwrap_or_default());
-    let series = study.directions().into_iter().zip(looks).map(|(direction, (stage, mark))| Series {
-        name: name(direction).unwrap_or_else(|| direction.name().to_owned()),
-        stage,
-        mark,
-        values: direction.sizes.iter().filter_map(value).collect(),
-        line: line(direction),
-    });
-    let scaling = Scaling { title, unit, parts, notes: Vec::new(), series: series.collect() };
-    scaling.series.iter().any(|series| !series.values.is_empty()).then_some(scaling)
+/// Returns the messages of a study.
+pub(crate) fn messages(study: &Study) -> MessageFigures {
+    let directions = study.directions().into_iter();
+    let directions =
+        directions.map(|direction| MessageSeries::new(direction.name(), direction.sizes.clone())).collect();
+    MessageFigures { link_name: String::new(), directions, notes: Vec::new() }
 }
 
 #[cfg(test)]

@@ -7,11 +7,9 @@ use serde::Serialize;
 
 use super::sample::Sample;
 use crate::Passage;
-use crate::fit::{Estimate, Fit, Point, Weighted, least_squares, theil_sen};
-use crate::order::{SortedValues, Z95};
-
-/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
-const CLOCK_RESOLUTION_S: f64 = 1e-7;
+use crate::fit::{Estimate, Fit, Point, SlopeRate, Weighted, least_squares, rate_range, theil_sen};
+use crate::message_sizes::{Message, SizeSummary, line_through_medians};
+use crate::order::Z95;
 
 /// Statistics of one direction of the link.
 #[derive(Clone, Debug, Serialize)]
@@ -30,29 +28,6 @@ pub struct DirectionStudy {
     pub verdicts: BTreeMap<&'static str, u64>,
     /// True if both ends read one clock.
     pub same_clock: bool,
-}
-
-/// Summary of the messages of one size. Seconds, bytes, bits per second.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SizeSummary {
-    /// Size of the payload.
-    pub payload_bytes: u64,
-    /// Median size of payload and metadata together.
-    pub wire_bytes: f64,
-    /// Number of known delays.
-    pub count: u64,
-    /// Median delay.
-    pub median: f64,
-    /// Standard error of the median; `None` with fewer than six values.
-    pub median_error: Option<f64>,
-    /// 5th and 95th percentile; `None` with fewer than 60 values.
-    pub tails: Option<(f64, f64)>,
-    /// Median of the lower clock bounds and median of the upper clock bounds.
-    pub bounds: Option<(f64, f64)>,
-    /// Size divided by the median delay; `None` if the median delay is not above zero.
-    pub throughput: Option<f64>,
-    /// Size divided by the upper bound of the delay, and size divided by the lower bound. The second value is `None` if the lower bound is zero.
-    pub throughput_bounds: Option<(f64, Option<f64>)>,
 }
 
 /// Fits of the delay in seconds against the bytes on the wire.
@@ -115,7 +90,7 @@ impl DirectionStudy {
         }
         let payloads: BTreeSet<u64> = passages.iter().map(|(payload, _)| *payload).collect();
         let sizes: Vec<SizeSummary> =
-            payloads.iter().filter_map(|payload| SizeSummary::new(*payload, &passages)).collect();
+            payloads.iter().filter_map(|payload| size_summary(*payload, &passages)).collect();
         let fits = Fits::new(&sizes, &passages);
         let main_fit = fits.as_ref().map(|fits| fits.medians.least_squares);
         let same_clock = !passages.is_empty()
@@ -150,53 +125,20 @@ impl DirectionStudy {
     }
 }
 
-impl SizeSummary {
-    /// Returns the summary of all messages with this payload; `None` if none of their delays is known.
-    fn new(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<Self> {
-        let with_payload =
-            || passages.iter().filter(|(payload, _)| *payload == payload_bytes).map(|(_, passage)| *passage);
-        let with_delay = || with_payload().filter(|passage| passage.seconds().is_some());
-        let delays: SortedValues = with_delay().filter_map(Passage::seconds).collect();
-        let bounds = || with_delay().filter_map(Passage::bounds);
-        let lo = bounds().map(|bounds| bounds.0).collect::<SortedValues>().median();
-        let hi = bounds().map(|bounds| bounds.1).collect::<SortedValues>().median();
-        let bounds = lo.zip(hi);
-        let wire_bytes =
-            with_delay().map(|passage| passage.wire_bytes() as f64).collect::<SortedValues>().median()?;
-        let median = delays.median()?;
-        let rate = |seconds: f64| (seconds > 0.0).then(|| wire_bytes * 8.0 / seconds);
-        Some(Self {
-            payload_bytes,
-            wire_bytes,
-            count: delays.len() as u64,
-            median,
-            median_error: delays.median_error(),
-            tails: delays.tails(),
-            bounds,
-            throughput: rate(median),
-            throughput_bounds: bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
-        })
-    }
-
-    fn point(&self) -> Point {
-        Point { x: self.wire_bytes, y: self.median }
-    }
+/// Returns the summary of all messages with this payload; `None` if none of their delays is known.
+fn size_summary(payload_bytes: u64, passages: &[(u64, &Passage)]) -> Option<SizeSummary> {
+    let message = |passage: &Passage| {
+        let delay = passage.seconds()?;
+        Some(Message { wire_bytes: passage.wire_bytes() as f64, delay, bounds: passage.bounds() })
+    };
+    let with_payload = passages.iter().filter(|(payload, _)| *payload == payload_bytes);
+    let messages: Vec<Message> = with_payload.filter_map(|(_, passage)| message(passage)).collect();
+    SizeSummary::new(payload_bytes, &messages)
 }
 
 impl Fits {
     fn new(sizes: &[SizeSummary], passages: &[(u64, &Passage)]) -> Option<Self> {
         let medians: Vec<Point> = sizes.iter().map(SizeSummary::point).collect();
-        // If one size has so few samples that the precision of its median is unknown, all sizes get the same weight.
-        let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.median_error).collect();
-        let weight = |index: usize| {
-            errors.as_ref().map_or(1.0, |errors| errors[index].max(CLOCK_RESOLUTION_S).powi(-2))
-        };
-        let weighted: Vec<Weighted> = medians
-            .iter()
-            .enumerate()
-            .map(|(index, &point)| Weighted { point, weight: weight(index) })
-            .collect();
-
         let points = |delay: &dyn Fn(&Passage) -> Option<f64>| -> Vec<Point> {
             let point =
                 |passage: &Passage| Some(Point { x: passage.wire_bytes() as f64, y: delay(passage)? });
@@ -206,7 +148,7 @@ impl Fits {
             |points: &[Point]| least_squares(&points.iter().copied().map(Weighted::from).collect::<Vec<_>>());
         let samples = points(&Passage::seconds);
         Some(Self {
-            medians: FitPair { least_squares: least_squares(&weighted)?, theil_sen: theil_sen(&medians)? },
+            medians: FitPair { least_squares: line_through_medians(sizes)?, theil_sen: theil_sen(&medians)? },
             samples: FitPair { least_squares: unweighted(&samples)?, theil_sen: theil_sen(&samples)? },
             raw: unweighted(&points(&|passage| Some(passage.delay.raw.seconds())))?,
         })
@@ -227,7 +169,7 @@ impl Claim {
 impl Throughput {
     /// Returns the throughput of a slope in seconds per byte; `None` when delays do not grow with size.
     pub(super) fn from_slope(slope: Estimate) -> Option<Self> {
-        Some(Self { value: rate(slope.value)?, interval: slope.interval.and_then(rate_range), bounds: None })
+        SlopeRate::new(slope).map(|SlopeRate { value, interval }| Self { value, interval, bounds: None })
     }
 
     fn with_bounds(slope: Estimate, sizes: &[SizeSummary]) -> Option<Self> {
@@ -238,14 +180,4 @@ impl Throughput {
         });
         Some(Self { bounds: lines.and_then(rate_range), ..Self::from_slope(slope)? })
     }
-}
-
-/// Returns the bits per second of a slope in seconds per byte; `None` unless it is above 0.
-fn rate(slope: f64) -> Option<f64> {
-    (slope > 0.0).then(|| 8.0 / slope)
-}
-
-/// Returns the lowest and the highest rate for slopes in this range. The highest rate is `None` if the lowest slope is not positive.
-fn rate_range((low_slope, high_slope): (f64, f64)) -> Option<(f64, Option<f64>)> {
-    Some((rate(high_slope)?, rate(low_slope)))
 }

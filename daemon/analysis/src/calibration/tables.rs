@@ -6,8 +6,9 @@ use peernet_clock::{Direction, Span};
 use peernet_statistics::number::{EXACT, NONE as UNKNOWN, bytes, decimals, fixed, measured};
 
 use super::Study;
-use super::direction::{DirectionStudy, SizeSummary, Throughput};
+use super::direction::{DirectionStudy, Throughput};
 use super::sample::Sample;
+use crate::message_sizes::SizeSummary;
 use crate::table::{csv, decimals_of, interval, text};
 use crate::{Passage, WriteError};
 

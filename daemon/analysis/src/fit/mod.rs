@@ -76,12 +76,43 @@ impl Fit {
 /// Maximum width of the interval of a rate, as a share of the rate. A rate with a wider interval is not given.
 const MAX_RELATIVE_WIDTH: f64 = 0.5;
 
-/// Returns the rate in bits per second for a slope in seconds per byte, and the margin of its 95 % interval. `None` if the interval of the
-/// slope reaches zero, or if the interval of the rate is wider than half the rate.
+/// Rate that follows from a slope in seconds per byte, bits per second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlopeRate {
+    /// Reciprocal of the slope.
+    pub value: f64,
+    /// Reciprocals of the ends of the slope's interval. The upper end is `None` if the interval of the slope reaches zero.
+    pub interval: Option<(f64, Option<f64>)>,
+}
+
+impl SlopeRate {
+    /// Returns the rate of a slope; `None` unless the slope is above 0.
+    pub fn new(slope: Estimate) -> Option<Self> {
+        Some(Self { value: rate_of(slope.value)?, interval: slope.interval.and_then(rate_range) })
+    }
+
+    /// Returns the rate and the margin of its 95 % interval. `None` if the interval is not known, has no upper end, or is wider than half the
+    /// rate.
+    pub fn with_margin(self) -> Option<(f64, f64)> {
+        let (low, high) = self.interval?;
+        let (rate, high) = (self.value, high?);
+        (high - low <= MAX_RELATIVE_WIDTH * rate).then(|| (rate, (high - rate).max(rate - low)))
+    }
+}
+
+/// Returns the rate of a slope with its margin, if the slope determines it: [`SlopeRate::with_margin`].
 pub fn rate(slope: Estimate) -> Option<(f64, f64)> {
-    let (flat, steep) = slope.interval.filter(|(flat, _)| *flat > 0.0)?;
-    let [rate, low, high] = [slope.value, steep, flat].map(|slope| 8.0 / slope);
-    (high - low <= MAX_RELATIVE_WIDTH * rate).then(|| (rate, (high - rate).max(rate - low)))
+    SlopeRate::new(slope)?.with_margin()
+}
+
+/// Returns the bits per second of a slope in seconds per byte; `None` unless it is above 0.
+fn rate_of(slope: f64) -> Option<f64> {
+    (slope > 0.0).then(|| 8.0 / slope)
+}
+
+/// Returns the lowest and the highest rate for slopes in this range. The highest rate is `None` if the lowest slope is not positive.
+pub(crate) fn rate_range((low_slope, high_slope): (f64, f64)) -> Option<(f64, Option<f64>)> {
+    Some((rate_of(high_slope)?, rate_of(low_slope)))
 }
 
 /// Returns whether a line can be fitted: there are at least three points, not all of them have the same x, and all coordinates are finite.

@@ -9,6 +9,7 @@ use peernet_statistics::{self as statistics, Moments};
 use crate::accuracy::UnknownLabels;
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES};
 use crate::deadline::{DEADLINE_MISSED, Misses};
+use crate::delays::median_bounds;
 use crate::order::SortedValues;
 use crate::record::{Clocks, Counts, RunRecord};
 use crate::rows::{Column, ColumnKind, FIXED_COLUMNS, Rows, Units};
@@ -122,19 +123,13 @@ fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the median of the lower bounds and the median of the upper bounds. If each value lies between its bounds, the median of the
-/// values lies between these medians. `None` unless every counted value has bounds.
+/// Returns the bounds of the median of a column; `None` if the column has no bounds.
 fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let columns_with_bounds = ["upload", "download", "upload-throughput", "download-throughput"];
     columns_with_bounds.contains(&column).then_some(())?;
-    let counted = || rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-    let median_bound = |suffix: &str| {
-        let bound_column = format!("{column}-{suffix}");
-        let bounds: Option<SortedValues> =
-            counted().map(|row| row.value(&bound_column)).collect::<Option<SortedValues>>();
-        bounds.and_then(|bounds| bounds.median())
-    };
-    Some((median_bound("lo")?, median_bound("hi")?))
+    let [lower, upper] = ["lo", "hi"].map(|suffix| format!("{column}-{suffix}"));
+    let counted = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
+    median_bounds(counted.map(|row| row.value(&lower).zip(row.value(&upper))))
 }
 
 impl Quantity {

@@ -2,17 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use peernet_statistics::number::{bytes, counted, fixed, mean_std, throughput_with};
+use peernet_statistics::number::{bytes, counted, fixed};
 
 use super::columns::{excluded_note, is_drawable, too_large_note, with_name};
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
-use crate::drawing::{Parts, Scaling, Series, Unit, Value};
-use crate::look::Mark;
+use crate::of_messages::{MessageFigures, MessageSeries};
 use peernet_analysis::compare::Configurations;
-use peernet_analysis::fit::{Fit, Point, Weighted, least_squares, rate};
 use peernet_analysis::loaded::Loaded;
-use peernet_analysis::order::SortedValues;
+use peernet_analysis::message_sizes::{Message, SizeSummary};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::RowRef;
 
@@ -21,26 +19,9 @@ const MAX_SIZES: usize = 24;
 /// Columns that the figures are drawn from.
 const PAYLOAD_COLUMNS: [&str; 6] =
     ["upload", "upload-bytes", "upload-logger-bytes", "download", "download-bytes", "download-logger-bytes"];
-/// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
-const CLOCK_RESOLUTION_S: f64 = 1e-7;
-
-/// Messages of one size in one direction.
-struct Size {
-    /// Median of the payloads with their logger data, bytes.
-    bytes: f64,
-    /// Delays, seconds.
-    delays: SortedValues,
-    /// Medians of the lower and of the upper clock bounds of the delays, seconds.
-    bounds: Option<(f64, f64)>,
-}
-
 /// Messages in one direction.
 struct DirectionData {
-    /// `upload` or `download`.
-    name: &'static str,
-    /// Sizes, the smallest first.
-    sizes: Vec<Size>,
-    fit: Option<Fit>,
+    series: MessageSeries,
     /// Number of messages that have a size but no delay.
     unknown_delays: u64,
 }
@@ -105,9 +86,11 @@ pub(super) fn drawings(runs: &[Loaded]) -> Result<Vec<Drawing>, MissingData> {
     }
     let drawings = studies.iter().enumerate().flat_map(|(number, study)| {
         let suffix = if number == 0 { String::new() } else { format!("-{}", number + 1) };
-        let latency = Drawing::new(format!("payload-latency{suffix}"), AnyFigure::Scaling(latency(study)));
-        let throughput =
-            Drawing::new(format!("payload-throughput{suffix}"), AnyFigure::Scaling(throughput(study)));
+        let messages = study.messages();
+        let [latency, throughput] = [("latency", messages.latency()), ("throughput", messages.throughput())]
+            .map(|(name, figure)| {
+                Drawing::new(format!("payload-{name}{suffix}"), AnyFigure::Scaling(figure))
+            });
         // The text files of both figures have these notes. Only one figure passes them on to the printed list, so that each is printed once.
         [latency.with_left_out(study.missing.clone()), throughput]
     });
@@ -153,209 +136,85 @@ fn pooled_note(configurations: &Configurations, runs: &[usize]) -> Option<String
 impl DirectionData {
     /// Returns whether the sizes differ enough to show their effect.
     fn is_varied(&self) -> bool {
-        let ends = self.sizes.first().zip(self.sizes.last());
-        ends.is_some_and(|(smallest, largest)| largest.bytes >= 2.0 * smallest.bytes)
+        let sizes = &self.series.sizes;
+        let ends = sizes.first().zip(sizes.last());
+        ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
     }
 
     /// Returns the reason why the direction is not drawn; `None` if nothing was sent.
     fn missing_reason(&self) -> Option<String> {
-        let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
-        let ends = [smallest, largest].map(|size| bytes(size.bytes).plain());
+        let MessageSeries { name, sizes, .. } = &self.series;
+        let (smallest, largest) = sizes.first().zip(sizes.last())?;
+        let ends = [smallest, largest].map(|size| bytes(size.wire_bytes).plain());
         let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
-        Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
+        Some(format!("not drawn: {name}, {sizes}: the largest must be twice the smallest"))
     }
 
     /// Returns notes on the messages that are in neither figure.
     fn undrawn_notes(&self) -> Vec<String> {
-        let is_negative = |size: &&Size| size.delays.median().is_some_and(|median| median <= 0.0);
-        let negative_sizes = self.sizes.iter().filter(is_negative).count();
+        let MessageSeries { name, sizes, .. } = &self.series;
+        let negative_sizes = sizes.iter().filter(|size| size.median <= 0.0).count();
         let unknown_delays_note = (self.unknown_delays > 0).then(|| {
             let messages = counted(self.unknown_delays, "message");
-            format!("left out: {messages} of {} without a known delay", self.name)
+            format!("left out: {messages} of {name} without a known delay")
         });
         let negative_delays_note = (negative_sizes > 0).then(|| {
             let sizes = counted(negative_sizes as u64, "size");
-            format!("not drawn: {sizes} of {} whose median delay is not above zero", self.name)
+            format!("not drawn: {sizes} of {name} whose median delay is not above zero")
         });
         unknown_delays_note.into_iter().chain(negative_delays_note).collect()
     }
 
-    /// Returns the fitted line if larger messages take longer. Otherwise the delay does not grow with the size, and the intercept of the line
-    /// has no meaning.
-    fn increasing_fit(&self) -> Option<Fit> {
-        self.fit.filter(|fit| fit.slope.value > 0.0)
-    }
-
-    /// Returns the rate by the slope of the fitted line, with its margin, bits per second. `None` if the sizes do not determine the rate.
-    fn rate(&self) -> Option<(f64, f64)> {
-        self.increasing_fit().and_then(|fit| rate(fit.slope))
-    }
-
     fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
-        let message_bytes = |row: &RowRef<'_>| {
-            let part =
-                |suffix: &str| row.value(&format!("{name}-{suffix}")).filter(|bytes| is_drawable(*bytes));
-            Some(part("bytes")? + part("logger-bytes").unwrap_or_default())
-        };
-        let mut by_payload: BTreeMap<u64, Vec<RowRef<'_>>> = BTreeMap::new();
-        for row in rows.iter().filter(|row| row.value(name).is_some_and(is_drawable)) {
-            if let Some(payload) =
-                row.value(&format!("{name}-bytes")).filter(|bytes| *bytes > 0.0 && is_drawable(*bytes))
-            {
-                by_payload.entry(payload as u64).or_default().push(*row);
-            }
+        let [payload, metadata, lower, upper] =
+            ["bytes", "logger-bytes", "lo", "hi"].map(|suffix| format!("{name}-{suffix}"));
+        let mut by_payload: BTreeMap<u64, Vec<Message>> = BTreeMap::new();
+        for row in rows {
+            let drawable = |column: &str| row.value(column).filter(|value| is_drawable(*value));
+            let Some(delay) = drawable(name) else { continue };
+            let Some(bytes) = drawable(&payload).filter(|bytes| *bytes > 0.0) else { continue };
+            let wire_bytes = bytes + drawable(&metadata).unwrap_or_default();
+            let bounds = row.value(&lower).zip(row.value(&upper));
+            by_payload.entry(bytes as u64).or_default().push(Message { wire_bytes, delay, bounds });
         }
-        let sizes = merge_sizes(by_payload.into_values().collect()).into_iter().filter_map(|rows| {
-            let sorted = |value: &dyn Fn(&RowRef<'_>) -> Option<f64>| {
-                rows.iter().filter_map(value).collect::<SortedValues>()
-            };
-            let median_bound =
-                |suffix: &str| sorted(&|row: &RowRef<'_>| row.value(&format!("{name}-{suffix}"))).median();
-            Some(Size {
-                bytes: sorted(&message_bytes).median()?,
-                delays: sorted(&|row| row.value(name)),
-                bounds: median_bound("lo").zip(median_bound("hi")),
-            })
-        });
-        let sizes: Vec<Size> = sizes.collect();
+        let sizes = merge_sizes(by_payload).into_iter();
+        let sizes = sizes.filter_map(|(payload, messages)| SizeSummary::new(payload, &messages)).collect();
         let is_unknown = |row: &&RowRef<'_>| {
-            row.value(&format!("{name}-bytes")).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
+            row.value(&payload).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
         };
         let unknown_delays = rows.iter().filter(is_unknown).count() as u64;
-        Self { name, fit: fit(&sizes), sizes, unknown_delays }
-    }
-
-    fn series(&self, name: String, value: &dyn Fn(&Size) -> Option<Value>) -> Series {
-        let mark = if self.name == "upload" { Mark::Disc } else { Mark::Triangle };
-        Series {
-            name,
-            stage: self.name,
-            mark,
-            values: self.sizes.iter().filter_map(value).collect(),
-            line: None,
-        }
+        Self { series: MessageSeries::new(name, sizes), unknown_delays }
     }
 }
 
 impl Study {
     /// Returns a note on the number of messages behind each point.
     fn count_note(&self) -> Option<String> {
-        let counts =
-            || self.directions.iter().flat_map(|direction| &direction.sizes).map(|size| size.delays.len());
+        let counts = || self.directions.iter().flat_map(|one| &one.series.sizes).map(|size| size.count);
         let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
         let each = if fewest == most { most } else { format!("{fewest} to {most}") };
         Some(format!("messages of each size: {each}"))
     }
 
-    /// Returns the notes of the study, including a note on the directions whose rate is not determined.
-    fn notes(&self) -> Vec<String> {
-        let undetermined_rates: Vec<&str> = self
-            .directions
-            .iter()
-            .filter(|direction| direction.increasing_fit().is_some() && direction.rate().is_none())
-            .map(|direction| direction.name)
-            .collect();
-        let rate_note = (!undetermined_rates.is_empty()).then(|| {
-            format!(
-                "throughput of {}: too fast to tell from these sizes",
-                undetermined_rates.join(" and of ")
-            )
-        });
-        self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).chain(rate_note).collect()
+    /// Returns what both figures are drawn from.
+    fn messages(&self) -> MessageFigures {
+        MessageFigures {
+            link_name: self.link_name.clone(),
+            directions: self.directions.iter().map(|direction| direction.series.clone()).collect(),
+            notes: self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).collect(),
+        }
     }
 }
 
 /// Merges neighbouring sizes if there are more than [`MAX_SIZES`]. For example, the compressed images of a camera all have different sizes.
-fn merge_sizes(sizes: Vec<Vec<RowRef<'_>>>) -> Vec<Vec<RowRef<'_>>> {
-    if sizes.len() <= MAX_SIZES {
-        return sizes;
+/// Returns the smallest payload of each size, and its messages.
+fn merge_sizes(by_payload: BTreeMap<u64, Vec<Message>>) -> Vec<(u64, Vec<Message>)> {
+    if by_payload.len() <= MAX_SIZES {
+        return by_payload.into_iter().collect();
     }
-    let rows: Vec<RowRef<'_>> = sizes.into_iter().flatten().collect();
-    rows.chunks(rows.len().div_ceil(MAX_SIZES)).map(<[RowRef<'_>]>::to_vec).collect()
-}
-
-/// Fits a line through the medians, each weighted by its precision, as in a calibration.
-fn fit(sizes: &[Size]) -> Option<Fit> {
-    let errors: Option<Vec<f64>> = sizes.iter().map(|size| size.delays.median_error()).collect();
-    let points: Option<Vec<Weighted>> = sizes
-        .iter()
-        .enumerate()
-        .map(|(number, size)| {
-            let point = Point { x: size.bytes, y: size.delays.median()? };
-            let weight =
-                errors.as_ref().map_or(1.0, |errors| errors[number].max(CLOCK_RESOLUTION_S).powi(-2));
-            Some(Weighted { point, weight })
-        })
-        .collect();
-    least_squares(&points?)
-}
-
-fn latency(study: &Study) -> Scaling {
-    let value = |size: &Size| {
-        Some(Value {
-            bytes: size.bytes,
-            value: size.delays.median()?,
-            spread: size.delays.tails(),
-            bounds: size.bounds.map(|(lo, hi)| (lo, Some(hi))),
-        })
-    };
-    let series = study.directions.iter().map(|direction| {
-        let name = match (direction.fit, direction.increasing_fit()) {
-            (_, Some(Fit { intercept, .. })) => {
-                let intercept = mean_std(intercept.value, intercept.margin());
-                match direction.rate() {
-                    Some((rate, margin)) => {
-                        let rate = throughput_with(rate, margin);
-                        format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", direction.name)
-                    }
-                    None => format!("{}: intercept {intercept} ms", direction.name),
-                }
-            }
-            (Some(_), None) => format!("{}: does not grow with size", direction.name),
-            (None, None) => direction.name.to_owned(),
-        };
-        let line = direction.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
-        Series { line, ..direction.series(name, &value) }
-    });
-    Scaling {
-        title: with_name("One-way delay against payload", &study.link_name),
-        unit: Unit::milliseconds("One-way delay"),
-        parts: Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" },
-        notes: study.notes(),
-        series: series.collect(),
-    }
-}
-
-fn throughput(study: &Study) -> Scaling {
-    let bits_per_second = |bytes: f64, seconds: f64| (seconds > 0.0).then(|| bytes * 8.0 / seconds);
-    let value = |size: &Size| {
-        // The longest delay gives the lowest throughput. If the shortest is zero or less, the throughput has no upper bound.
-        let bounds = size
-            .bounds
-            .and_then(|(lo, hi)| Some((bits_per_second(size.bytes, hi)?, bits_per_second(size.bytes, lo))));
-        Some(Value {
-            bytes: size.bytes,
-            value: bits_per_second(size.bytes, size.delays.median()?)?,
-            spread: None,
-            bounds,
-        })
-    };
-    let series = study.directions.iter().map(|direction| {
-        let name = direction.rate().map_or_else(
-            || direction.name.to_owned(),
-            |(rate, margin)| format!("{}: {} MB/s", direction.name, throughput_with(rate, margin)),
-        );
-        Series { line: direction.rate().map(|(rate, _)| (rate, 0.0)), ..direction.series(name, &value) }
-    });
-    Scaling {
-        title: with_name("Throughput against payload", &study.link_name),
-        unit: Unit::megabytes_per_second("Throughput"),
-        parts: Parts {
-            point: "size ÷ median delay",
-            whisker: "by clock bounds",
-            line: "by slope, ±\u{a0}95\u{a0}%",
-        },
-        notes: study.notes(),
-        series: series.collect(),
-    }
+    let with_payload =
+        |(payload, messages): (u64, Vec<Message>)| messages.into_iter().map(move |one| (payload, one));
+    let messages: Vec<(u64, Message)> = by_payload.into_iter().flat_map(with_payload).collect();
+    let merged = messages.chunks(messages.len().div_ceil(MAX_SIZES));
+    merged.map(|size| (size[0].0, size.iter().map(|(_, message)| *message).collect())).collect()
 }

@@ -1,5 +1,6 @@
 //! Tests of the figures that results have, and of the values that they show.
 
+mod calibration;
 mod extremes;
 mod holes;
 mod missing;

@@ -1,0 +1,133 @@
+//! Figures of delay and throughput against the size of messages, for a calibration and for the payload study of recorded runs.
+
+use peernet_statistics::number::{mean_std, throughput_with};
+
+use crate::drawing::{Parts, Scaling, Series, Unit, Value};
+use crate::look::Mark;
+use peernet_analysis::fit::{Fit, rate};
+use peernet_analysis::message_sizes::{SizeSummary, line_through_medians};
+
+/// Messages of one direction.
+#[derive(Clone, Debug)]
+pub(crate) struct MessageSeries {
+    /// `upload` or `download`.
+    pub name: &'static str,
+    /// Sizes, the smallest first.
+    pub sizes: Vec<SizeSummary>,
+    /// Line through the medians.
+    fit: Option<Fit>,
+}
+
+/// Messages over one link, from which both figures are drawn.
+#[derive(Clone, Debug)]
+pub(crate) struct MessageFigures {
+    /// Name of the link, for the title; empty if the title needs none.
+    pub link_name: String,
+    /// Directions that are drawn.
+    pub directions: Vec<MessageSeries>,
+    /// Notes on the messages.
+    pub notes: Vec<String>,
+}
+
+impl MessageSeries {
+    /// Returns the messages of a direction with the line through their medians.
+    pub(crate) fn new(name: &'static str, sizes: Vec<SizeSummary>) -> Self {
+        Self { name, fit: line_through_medians(&sizes), sizes }
+    }
+
+    /// Returns the fitted line if larger messages take longer. Otherwise the delay does not grow with the size, and the intercept of the line
+    /// has no meaning.
+    fn increasing_fit(&self) -> Option<Fit> {
+        self.fit.filter(|fit| fit.slope.value > 0.0)
+    }
+
+    /// Returns the rate by the slope of the fitted line, with its margin, bits per second. `None` if the sizes do not determine the rate.
+    fn rate(&self) -> Option<(f64, f64)> {
+        self.increasing_fit().and_then(|fit| rate(fit.slope))
+    }
+
+    fn latency(&self) -> Series {
+        let name = match (self.fit, self.increasing_fit()) {
+            (_, Some(Fit { intercept, .. })) => {
+                let intercept = mean_std(intercept.value, intercept.margin());
+                match self.rate() {
+                    Some((rate, margin)) => {
+                        let rate = throughput_with(rate, margin);
+                        format!("{}: {intercept} ms + size ÷ ({rate}) MB/s", self.name)
+                    }
+                    None => format!("{}: intercept {intercept} ms", self.name),
+                }
+            }
+            (Some(_), None) => format!("{}: does not grow with size", self.name),
+            (None, None) => self.name.to_owned(),
+        };
+        let line = self.increasing_fit().map(|fit| (fit.intercept.value, fit.slope.value));
+        self.series(name, line, |size| {
+            let bounds = size.bounds.map(|(lo, hi)| (lo, Some(hi)));
+            Some(Value { bytes: size.wire_bytes, value: size.median, spread: size.tails, bounds })
+        })
+    }
+
+    fn throughput(&self) -> Series {
+        let name = self.rate().map_or_else(
+            || self.name.to_owned(),
+            |(rate, margin)| format!("{}: {} MB/s", self.name, throughput_with(rate, margin)),
+        );
+        let line = self.rate().map(|(rate, _)| (rate, 0.0));
+        self.series(name, line, |size| {
+            let (value, bounds) = (size.throughput?, size.throughput_bounds);
+            Some(Value { bytes: size.wire_bytes, value, spread: None, bounds })
+        })
+    }
+
+    fn series(
+        &self,
+        name: String,
+        line: Option<(f64, f64)>,
+        value: impl Fn(&SizeSummary) -> Option<Value>,
+    ) -> Series {
+        let mark = if self.name == "upload" { Mark::Disc } else { Mark::Triangle };
+        Series { name, stage: self.name, mark, values: self.sizes.iter().filter_map(value).collect(), line }
+    }
+}
+
+impl MessageFigures {
+    /// Returns the figure of delay against size, with the fitted lines.
+    pub(crate) fn latency(&self) -> Scaling {
+        let parts = Parts { point: "median", whisker: "clock bounds", line: "best fit, ±\u{a0}95\u{a0}%" };
+        self.scaling(Unit::milliseconds("One-way delay"), "One-way delay", parts, MessageSeries::latency)
+    }
+
+    /// Returns the figure of throughput against size, with the throughput that the slope of the delays implies.
+    pub(crate) fn throughput(&self) -> Scaling {
+        let parts = Parts {
+            point: "size ÷ median delay",
+            whisker: "by clock bounds",
+            line: "by slope, ±\u{a0}95\u{a0}%",
+        };
+        self.scaling(Unit::megabytes_per_second("Throughput"), "Throughput", parts, MessageSeries::throughput)
+    }
+
+    fn scaling(
+        &self,
+        unit: Unit,
+        quantity: &str,
+        parts: Parts,
+        series: fn(&MessageSeries) -> Series,
+    ) -> Scaling {
+        let title = match self.link_name.as_str() {
+            "" => format!("{quantity} against payload"),
+            link => format!("{quantity} against payload · {link}"),
+        };
+        let notes = self.notes.iter().cloned().chain(self.undetermined_rates_note()).collect();
+        Scaling { title, unit, parts, notes, series: self.directions.iter().map(series).collect() }
+    }
+
+    /// Returns a note on the directions whose rate is not determined.
+    fn undetermined_rates_note(&self) -> Option<String> {
+        let is_undetermined = |one: &&MessageSeries| one.increasing_fit().is_some() && one.rate().is_none();
+        let names: Vec<&str> = self.directions.iter().filter(is_undetermined).map(|one| one.name).collect();
+        (!names.is_empty())
+            .then(|| format!("throughput of {}: too fast to tell from these sizes", names.join(" and of ")))
+    }
+}
