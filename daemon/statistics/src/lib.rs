@@ -8,7 +8,9 @@
 //! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored; both are checked when they are
 //! read.
 
+pub mod histogram;
 mod merge;
+mod modality;
 mod moments;
 pub mod number;
 mod recent_seconds;
@@ -17,11 +19,17 @@ mod splitmix;
 mod summary;
 
 pub use merge::Merge;
+pub use modality::TwoModes;
 pub use moments::Moments;
 pub use recent_seconds::RecentSeconds;
 pub use sketch::{PackedError, Sketch};
 pub use splitmix::SplitMix64;
 pub use summary::{MIN_VALUES_FOR_P95, MIN_VALUES_FOR_P99, Summary};
+
+/// Possible widths of the buckets of a time axis, seconds, everywhere in PEERNet.
+// Each is a multiple of a width that the aggregator stores (1 s, 10 s, 1 min, 1 h), at most the fifteenfold.
+pub const BUCKET_WIDTHS_S: [u32; 15] =
+    [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 
 /// Largest count that is accepted from other hosts.
 // Every integer up to it is exact as `f64`, and thousands of such counts can be added in 64 bits.

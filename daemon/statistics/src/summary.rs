@@ -68,20 +68,6 @@ impl Summary {
         self.quantile(0.99).filter(|_| self.count() >= MIN_VALUES_FOR_P99)
     }
 
-    /// Returns the end of an axis for these numbers, which starts at `start`. It is the largest number, or a little above the
-    /// 99th percentile if the largest lies far beyond, so that one straggler does not compress all others into a corner.
-    /// `extend(start, percentile, factor)` returns the position at `factor` times the length from `start` to the
-    /// percentile, on the scale of the axis. `None` without numbers.
-    pub fn axis_end(&self, start: f64, extend: impl Fn(f64, f64, f64) -> f64) -> Option<f64> {
-        const QUANTILE: f64 = 0.99;
-        // A largest number up to this factor is not a straggler.
-        const STRAGGLER_FACTOR: f64 = 1.5;
-        const MARGIN_FACTOR: f64 = 1.1;
-        let (percentile, max) = (self.quantile(QUANTILE)?, self.moments.max);
-        let is_straggler = max > extend(start, percentile, STRAGGLER_FACTOR);
-        Some(if is_straggler { extend(start, percentile, MARGIN_FACTOR).min(max) } else { max })
-    }
-
     /// Returns the share of numbers below `x`, 0 to 1. The share is exactly 0 if `x` is at most the smallest number, and
     /// exactly 1 if `x` is above the largest. `None` without numbers.
     pub fn fraction_below(&self, x: f64) -> Option<f64> {
@@ -132,18 +118,6 @@ mod tests {
         assert_eq!(known_after(60), (Some((0.1, 0.1)), Some(0.1), None));
         assert_eq!(known_after(299).2, None);
         assert_eq!(known_after(300).2, Some(0.1));
-    }
-
-    #[test]
-    fn axis_ends_before_a_straggler_only() {
-        let linear = |lo: f64, hi: f64, factor: f64| lo + (hi - lo) * factor;
-        let mut summary = Summary::default();
-        assert_eq!(summary.axis_end(0.0, linear), None);
-        (1..=1_000).for_each(|number| summary.record(f64::from(number)));
-        assert_eq!(summary.axis_end(0.0, linear), Some(1_000.0));
-        summary.record(1e6);
-        let end = summary.axis_end(0.0, linear).expect("there are numbers");
-        assert!((end / 1_089.0 - 1.0).abs() < 0.02, "{end}");
     }
 
     #[test]

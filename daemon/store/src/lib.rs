@@ -144,7 +144,7 @@ impl Store {
         Ok(self.statistics(&[run]).await?.pop().unwrap_or_default())
     }
 
-    /// Returns the distribution of one node name over at most `bins` bins (1 to 500).
+    /// Returns the distribution of one node name in the bins of [`Binning`](peernet_statistics::histogram::Binning), at most `bins`.
     pub async fn histogram(
         &self,
         run: i64,
@@ -254,7 +254,7 @@ impl Store {
     }
 
     /// Returns the clock relation of a link from `from` to `to`, on the edge's wall clock, in at most `max_points`
-    /// (1 to 10,000) buckets of 1, 2, 5, 10, 30, 60 … seconds. The result has no points for an unknown link.
+    /// (1 to 10,000) buckets of 1, 2, 5, 10, 20, 30, 60 … seconds. The result has no points for an unknown link.
     pub async fn clock_series(
         &self,
         link: &LinkKey,

@@ -152,6 +152,8 @@ pub struct Histogram {
     pub edges: Vec<f64>,
     /// Samples per bin.
     pub counts: Vec<u64>,
+    /// Samples below the first edge.
+    pub below: u64,
     /// Samples above the last edge.
     pub beyond: u64,
     /// Figures of all samples.

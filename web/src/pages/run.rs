@@ -9,6 +9,7 @@ use peernet_analysis::actuator_results::ActuatorResults;
 use peernet_analysis::trust::{Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
+use peernet_statistics::histogram::MAX_BINS;
 use peernet_statistics::number::{NONE, SPACE, count, duration, figure, mean_std_ms, percent, rate, share};
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
 use peernet_stream::ExperimentPlace;
@@ -39,8 +40,6 @@ use crate::zone::Zone;
 pub(super) const PAGE: PageKind =
     PageKind { routes: || Router::new().route("/runs/{run}", get(show)), entry: None, topic: None };
 
-/// Maximum number of bins of a distribution.
-const MAX_BINS: usize = 48;
 /// Maximum number of points of the line over time.
 const MAX_POINTS: usize = 240;
 /// Number of slowest iterations that are drawn over time.

@@ -30,7 +30,7 @@ pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) ->
     let distribution = Distribution {
         edges: stored.edges.clone(),
         counts: stored.counts.clone(),
-        beyond: (0, stored.beyond),
+        beyond: (stored.below, stored.beyond),
         quantiles,
         unit: Unit::symbol(&symbol, per_si),
         stage: stage(stored.stage.trim_end_matches("-throughput")),

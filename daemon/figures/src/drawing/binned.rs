@@ -1,5 +1,6 @@
 //! Distributions of sketches on an axis that several distributions share.
 
+use peernet_statistics::histogram::shown_range;
 use peernet_statistics::{Moments, Summary};
 
 use crate::look::{Stage, Style};
@@ -32,20 +33,18 @@ pub struct BinnedAxis {
 }
 
 impl BinnedAxis {
-    /// Returns an axis from the smallest of all values to the largest. If stragglers lie far beyond the 99th percentile of their
-    /// distribution, the axis ends a little above that percentile. The axis is logarithmic if it spans more than a decade. `None` without
+    /// Returns an axis from the smallest of all values to the largest that is shown in a histogram: a tail that would compress the rest lies
+    /// beyond the end. The axis is logarithmic if it spans more than a decade. `None` without
     /// values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let logarithmic = |ends| Scale::decades(ends).unwrap_or(Scale::linear(ends));
-        let ends = Self::ends(all, &unit, logarithmic)?;
+        let ends = Self::ends(all, &unit)?;
         Some(Self::new(unit, Self::between(ends), ends))
     }
 
-    /// Returns a linear axis that begins at zero and ends a little above the largest value, or above the 99th percentile if stragglers lie far
-    /// beyond it. It begins near the smallest value instead if zero would squeeze all values into a corner, or if that value is negative.
+    /// Returns a linear axis that begins at zero and ends a little above the largest value that is shown in a histogram. It begins near the smallest value instead if zero would squeeze all values into a corner, or if that value is negative.
     // Linear for any range: latency grows in a line with the length of answers, which would be a curve on a logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let (lo, hi) = Self::ends(all, &unit, Scale::linear)?;
+        let (lo, hi) = Self::ends(all, &unit)?;
         let room = (hi - lo) * ROOM;
         let is_squeezed = lo > hi * ZERO_THRESHOLD;
         let scale = match lo {
@@ -65,18 +64,12 @@ impl BinnedAxis {
         Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(MARKS))
     }
 
-    /// Returns the ends of the values that are shown on a scale between two values.
-    fn ends<'a>(
-        all: impl Iterator<Item = &'a Summary>,
-        unit: &Unit,
-        scale: impl Fn((f64, f64)) -> Scale,
-    ) -> Option<(f64, f64)> {
+    /// Returns the ends of the values that are shown: from the smallest value to the largest in a [shown range](shown_range).
+    fn ends<'a>(all: impl Iterator<Item = &'a Summary>, unit: &Unit) -> Option<(f64, f64)> {
         let ends = |summary: &Summary| {
             let Moments { min, max, .. } = summary.moments;
             let lo = if min.abs() < max.abs() * ZERO_SHARE { 0.0 } else { min };
-            let extend =
-                |lo: f64, quantile: f64, factor: f64| scale((lo, quantile)).between(lo, quantile, factor);
-            Some((lo * unit.per_si, summary.axis_end(lo, extend)? * unit.per_si))
+            Some((lo * unit.per_si, shown_range(summary)?.1 * unit.per_si))
         };
         let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         // If all values are equal, the bins get a width that can be drawn.

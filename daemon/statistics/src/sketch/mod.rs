@@ -97,6 +97,20 @@ impl Sketch {
         negative.chain(zero).chain(positive)
     }
 
+    /// Iterates over lower end, midpoint and upper end of all bins that are not empty, in ascending order.
+    pub(crate) fn bin_ends(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
+        let negative = self.negative.iter().rev().map(|(key, _)| {
+            let (lower, upper) = bins::range(key);
+            (-upper, -bins::middle(key), -lower)
+        });
+        let zero = (self.zero > 0).then_some((0.0, 0.0, 0.0));
+        let positive = self.positive.iter().map(|(key, _)| {
+            let (lower, upper) = bins::range(key);
+            (lower, bins::middle(key), upper)
+        });
+        negative.chain(zero).chain(positive)
+    }
+
     /// Returns the number of values below `x`, for drawing. The values of a bin are taken as evenly distributed within the
     /// bin, so that the result may be a fraction.
     pub fn count_below(&self, x: f64) -> f64 {

@@ -7,6 +7,7 @@ mod series;
 use std::collections::HashMap;
 
 use peernet_logger::Name;
+use peernet_statistics::histogram::{BinCounts, Binning};
 use peernet_statistics::{Moments, Sketch, Summary};
 use sqlx::FromRow;
 
@@ -75,34 +76,14 @@ pub(crate) async fn histogram(
     readers: &Readers,
     run: i64,
     stage: &str,
-    bins: usize,
+    max_bins: usize,
 ) -> Result<Option<Histogram>, StoreError> {
     let Some(samples) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
     let Some(figures) = samples.figures() else { return Ok(None) };
-    let bins = bins.clamp(1, 500);
-    let low = figures.min;
-    let extend = |low: f64, quantile: f64, factor: f64| low + (quantile - low) * factor;
-    let high = samples.summary.axis_end(low, extend).unwrap_or(figures.max);
-    // If all samples are equal, the bin gets a width that can be drawn.
-    let high = if high > low { high } else { low + low.abs().max(1e-9) * 0.01 };
-    let edges: Vec<f64> = (0..=bins).map(|index| low + (high - low) * index as f64 / bins as f64).collect();
-    let mut limits = edges.clone();
-    // If the axis ends at the maximum, no sample is beyond the axis.
-    if let Some(last) = limits.last_mut()
-        && high >= figures.max
-    {
-        *last = f64::INFINITY;
-    }
-    // The cumulative counts are rounded instead of the bins, so that the bins add up to the number of samples.
-    let (mut below, mut rounded_below) = (0.0, 0);
-    let counts = samples.summary.histogram(&limits).into_iter().map(|count| {
-        below += count;
-        let rounded = (f64::round(below) as u64).min(figures.count);
-        rounded - std::mem::replace(&mut rounded_below, rounded)
-    });
-    let counts: Vec<u64> = counts.collect();
-    let beyond = figures.count - counts.iter().sum::<u64>().min(figures.count);
-    Ok(Some(Histogram { stage: stage.into(), unit: samples.unit, edges, counts, beyond, figures }))
+    let Some(binning) = Binning::of(&samples.summary, max_bins) else { return Ok(None) };
+    let BinCounts { below, counts, above } = samples.summary.count_in(&binning);
+    let (stage, edges) = (stage.into(), binning.edges());
+    Ok(Some(Histogram { stage, unit: samples.unit, edges, counts, below, beyond: above, figures }))
 }
 
 /// Returns the statistics of all names of a run, in the order of tables.

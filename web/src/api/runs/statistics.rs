@@ -172,6 +172,8 @@ pub(crate) struct Histogram {
     /// Edges of the bins, increasing; one more than `counts`.
     pub edges: Vec<f64>,
     pub counts: Vec<u64>,
+    /// Number of samples below the first edge.
+    pub below: u64,
     /// Number of samples above the last edge.
     pub beyond: u64,
     pub figures: QuantityStatistics,
@@ -184,6 +186,7 @@ impl From<store::Histogram> for Histogram {
             unit: histogram.unit,
             edges: histogram.edges,
             counts: histogram.counts,
+            below: histogram.below,
             beyond: histogram.beyond,
             figures: histogram.figures,
         }

@@ -1,19 +1,7 @@
 //! Bins of a histogram.
 
 use peernet_analysis::order::SortedValues;
-
-/// Minimum and maximum number of bins.
-const MIN_BINS: usize = 8;
-const MAX_BINS: usize = 60;
-/// At most one value in this number is cut off at one end. If there are few values, [`CUT_OF_FEW`] may be cut off, but never more than
-/// one in [`MAX_CUT_ONE_IN`].
-const CUT_ONE_IN: usize = 100;
-const CUT_OF_FEW: usize = 3;
-const MAX_CUT_ONE_IN: usize = 8;
-/// Values are cut off only if they would widen the axis by at least this factor.
-const MIN_GAIN: f64 = 1.5;
-/// Tukey's far fence: distance from the quartile in interquartile ranges.
-const FAR_FENCE: f64 = 3.0;
+use peernet_statistics::histogram::{Binning, MAX_BINS, shown_range};
 
 /// Values counted in bins of equal width.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,27 +17,11 @@ pub struct Bins {
 }
 
 impl Bins {
-    /// Returns between 8 and 60 bins with the width of Freedman and Diaconis (1981): twice the interquartile range, divided by the cube root of
-    /// the count. Equal values are in a single bin. Tails that would compress the rest are outside of the bins. `None` without a finite value.
+    /// Counts values in the bins of [`Binning`]. `None` without a finite value.
     pub fn of(values: &SortedValues) -> Option<Self> {
         let finite: SortedValues =
             values.values().iter().copied().filter(|value| value.is_finite()).collect();
-        let (lo, hi) = range(&finite)?;
-        let n = finite.len() as f64;
-        let interquartile_range = finite.quantile(0.75)? - finite.quantile(0.25)?;
-        let count = if lo == hi {
-            1
-        } else {
-            let bin_count = (hi - lo) / (2.0 * interquartile_range / n.cbrt());
-            // If all but a few values are equal, the interquartile range gives no width.
-            if bin_count.is_finite() {
-                (bin_count.ceil() as usize).clamp(MIN_BINS, MAX_BINS)
-            } else {
-                MAX_BINS
-            }
-        };
-        let width = if lo == hi { lo.abs().max(f64::MIN_POSITIVE) / 50.0 } else { (hi - lo) / count as f64 };
-        let from = if lo == hi { lo - width / 2.0 } else { lo };
+        let Binning { range: (lo, hi), from, width, count } = Binning::of(finite.values(), MAX_BINS)?;
         let mut bins = Self { from, width, counts: vec![0; count], beyond: (0, 0) };
         for value in finite.values() {
             if *value < lo {
@@ -85,30 +57,9 @@ impl Bins {
     }
 }
 
-/// Returns the range of values that a figure shows: all values, except tails that would compress the rest. `None` without values.
-///
-/// A value is in such a tail if both conditions hold:
-///
-/// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
-/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all values
-///   except 1 % at each end. Of fewer than 400 values, three at each end are left out; of fewer than 24 values, one in eight at each end.
+/// Returns the range of the values that are shown on an axis; `None` without values.
 pub(in crate::drawing) fn range(all: &SortedValues) -> Option<(f64, f64)> {
-    let values = all.values();
-    let (lo, hi) = (*values.first()?, *values.last()?);
-    let max_cut = (values.len() / CUT_ONE_IN).max((values.len() / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
-    // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
-    let (low, high) = (values[max_cut], values[values.len() - 1 - max_cut]);
-    let width = high - low;
-    // If all but a few values are equal, there is no width to compare with.
-    if max_cut == 0 || width <= 0.0 || !width.is_finite() {
-        return Some((lo, hi));
-    }
-    let (lower, upper) = (all.quantile(0.25)?, all.quantile(0.75)?);
-    let fence = FAR_FENCE * (upper - lower);
-    let top = (low + MIN_GAIN * width).max(upper + fence);
-    let bottom = (high - MIN_GAIN * width).min(lower - fence);
-    let inside = || values.iter().copied().filter(|value| (bottom..=top).contains(value));
-    inside().next().zip(inside().next_back())
+    shown_range(all.values())
 }
 
 #[cfg(test)]

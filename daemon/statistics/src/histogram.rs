@@ -1,0 +1,221 @@
+//! Range and bins of a histogram, for single values and for summaries.
+
+use crate::Summary;
+
+/// Minimum number of bins, unless fewer are asked for.
+const MIN_BINS: usize = 8;
+/// Maximum number of bins of the rule by Freedman and Diaconis.
+pub const MAX_BINS: usize = 60;
+/// At most one value in this number is cut off at one end. If there are few values, [`CUT_OF_FEW`] may be cut off, but never more than
+/// one in [`MAX_CUT_ONE_IN`].
+const CUT_ONE_IN: u64 = 100;
+const CUT_OF_FEW: u64 = 3;
+const MAX_CUT_ONE_IN: u64 = 8;
+/// Values are cut off only if they would widen the axis by at least this factor.
+const MIN_GAIN: f64 = 1.5;
+/// Tukey's far fence: distance from the quartile in interquartile ranges.
+const FAR_FENCE: f64 = 3.0;
+
+/// Values in ascending order.
+pub trait OrderedValues {
+    /// Returns the number of values.
+    fn count(&self) -> u64;
+
+    /// Returns the value with this rank, from 0. `None` if there are fewer values.
+    fn at(&self, rank: u64) -> Option<f64>;
+
+    /// Returns the smallest and the largest value between two limits. `None` if there are no such values.
+    fn ends_within(&self, limits: (f64, f64)) -> Option<(f64, f64)>;
+
+    /// Returns the quantile at `p` from 0 to 1, by linear interpolation between neighbours (definition 7 of Hyndman and Fan 1996). `None`
+    /// without values.
+    fn quantile_of_ranks(&self, p: f64) -> Option<f64> {
+        let rank = p.clamp(0.0, 1.0) * self.count().checked_sub(1)? as f64;
+        let (below, above) = (self.at(rank.floor() as u64)?, self.at(rank.ceil() as u64)?);
+        // Equal values may both be infinite, and their difference would be NaN.
+        Some(if below == above { below } else { below + (above - below) * rank.fract() })
+    }
+}
+
+/// Values in ascending order, without NaN.
+impl OrderedValues for [f64] {
+    fn count(&self) -> u64 {
+        self.len() as u64
+    }
+
+    fn at(&self, rank: u64) -> Option<f64> {
+        self.get(usize::try_from(rank).ok()?).copied()
+    }
+
+    fn ends_within(&self, (bottom, top): (f64, f64)) -> Option<(f64, f64)> {
+        let inside =
+            &self[self.partition_point(|value| *value < bottom)..self.partition_point(|value| *value <= top)];
+        Some((*inside.first()?, *inside.last()?))
+    }
+}
+
+/// Values are known within 1 %. The ends of a range are the ends of bins of the sketch, so that no bin is counted in part.
+impl OrderedValues for Summary {
+    fn count(&self) -> u64 {
+        self.count()
+    }
+
+    fn at(&self, rank: u64) -> Option<f64> {
+        let mut cumulative_count = 0;
+        let value = self.sketch.bins().find_map(|(value, count)| {
+            cumulative_count += count;
+            (cumulative_count > rank).then_some(value)
+        })?;
+        Some(value.max(self.moments.min).min(self.moments.max))
+    }
+
+    fn ends_within(&self, (bottom, top): (f64, f64)) -> Option<(f64, f64)> {
+        let (min, max) = (self.moments.min, self.moments.max);
+        let is_inside = |value: f64| (bottom..=top).contains(&value.max(min).min(max));
+        let mut inside = self.sketch.bin_ends().filter(|(_, value, _)| is_inside(*value));
+        let (lower, _, first_upper) = inside.next()?;
+        let upper = inside.last().map_or(first_upper, |(_, _, upper)| upper);
+        Some((lower.max(min), upper.min(max)))
+    }
+}
+
+/// Returns the range of the values that are shown on an axis: all values, except a tail that would compress the rest. `None` without values.
+///
+/// A value is in such a tail if both conditions hold:
+///
+/// - It is beyond the far fence of Tukey (*Exploratory Data Analysis*, 1977), three interquartile ranges beyond the quartile.
+/// - It is beyond the range of the typical values by more than half the width of that range. The typical values are all values
+///   except 1 % at each end. Of fewer than 400 values, three at each end are left out; of fewer than 24 values, one in eight at each end.
+pub fn shown_range<V: OrderedValues + ?Sized>(values: &V) -> Option<(f64, f64)> {
+    let count = values.count();
+    let all = (values.at(0)?, values.at(count.checked_sub(1)?)?);
+    let max_cut = (count / CUT_ONE_IN).max((count / MAX_CUT_ONE_IN).min(CUT_OF_FEW));
+    // Ranks are used, because interpolated quantiles would depend on the value that is to be excluded.
+    let (low, high) = (values.at(max_cut)?, values.at(count - 1 - max_cut)?);
+    let width = high - low;
+    // If all but a few values are equal, there is no width to compare with.
+    if max_cut == 0 || width <= 0.0 || !width.is_finite() {
+        return values.ends_within(all);
+    }
+    let (lower, upper) = (values.quantile_of_ranks(0.25)?, values.quantile_of_ranks(0.75)?);
+    let fence = FAR_FENCE * (upper - lower);
+    let top = (low + MIN_GAIN * width).max(upper + fence);
+    let bottom = (high - MIN_GAIN * width).min(lower - fence);
+    values.ends_within((bottom, top))
+}
+
+/// Bins of equal width.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Binning {
+    /// Range of the values that are shown.
+    pub range: (f64, f64),
+    /// Lower end of the first bin.
+    pub from: f64,
+    /// Width of a bin.
+    pub width: f64,
+    /// Number of bins.
+    pub count: usize,
+}
+
+impl Binning {
+    /// Returns between 8 and 60 bins with the width of Freedman and Diaconis (1981): twice the interquartile range, divided by the cube root of
+    /// the count; at most `max_bins`. Equal values are in a single bin. The bins cover the [shown range](shown_range). `None` without values
+    /// and if the range is infinite.
+    pub fn of<V: OrderedValues + ?Sized>(values: &V, max_bins: usize) -> Option<Self> {
+        let (lo, hi) = shown_range(values).filter(|(lo, hi)| lo.is_finite() && hi.is_finite())?;
+        if lo == hi {
+            let width = lo.abs().max(f64::MIN_POSITIVE) / 50.0;
+            return Some(Self { range: (lo, hi), from: lo - width / 2.0, width, count: 1 });
+        }
+        let interquartile_range = values.quantile_of_ranks(0.75)? - values.quantile_of_ranks(0.25)?;
+        let bin_count = (hi - lo) / (2.0 * interquartile_range / (values.count() as f64).cbrt());
+        // If all but a few values are equal, the interquartile range gives no width.
+        let bin_count = if bin_count.is_finite() { bin_count.ceil() as usize } else { MAX_BINS };
+        let count = bin_count.clamp(MIN_BINS, MAX_BINS).min(max_bins.max(1));
+        Some(Self { range: (lo, hi), from: lo, width: (hi - lo) / count as f64, count })
+    }
+
+    /// Returns the edges of the bins in ascending order, one more than there are bins.
+    pub fn edges(&self) -> Vec<f64> {
+        (0..=self.count).map(|number| self.from + self.width * number as f64).collect()
+    }
+}
+
+/// Values of a summary, counted in bins.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BinCounts {
+    /// Number of values below the first bin.
+    pub below: u64,
+    /// Number of values in each bin.
+    pub counts: Vec<u64>,
+    /// Number of values above the last bin.
+    pub above: u64,
+}
+
+impl Summary {
+    /// Counts the values in bins. Each value is counted once.
+    pub fn count_in(&self, binning: &Binning) -> BinCounts {
+        let total = self.count();
+        // The cumulative counts are rounded instead of the bins, so that the counts add up to the number of values.
+        let below = |x: f64| (self.fraction_below(x).unwrap_or(0.0) * total as f64).round() as u64;
+        let mut cumulative: Vec<u64> = binning.edges().into_iter().map(below).collect();
+        // The edges are rounded. The first and the last bin must not lose values to that.
+        if let Some(first) = cumulative.first_mut().filter(|_| binning.range.0 <= self.moments.min) {
+            *first = 0;
+        }
+        if let Some(last) = cumulative.last_mut().filter(|_| binning.range.1 >= self.moments.max) {
+            *last = total;
+        }
+        let [first, last] = [cumulative.first(), cumulative.last()].map(|count| count.copied().unwrap_or(0));
+        let counts = cumulative.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+        BinCounts { below: first, counts, above: total - last }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::SplitMix64;
+
+    fn both(values: impl IntoIterator<Item = f64>) -> (Vec<f64>, Summary) {
+        let mut sorted: Vec<f64> = values.into_iter().collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        let mut summary = Summary::default();
+        sorted.iter().for_each(|value| summary.record(*value));
+        (sorted, summary)
+    }
+
+    #[test]
+    fn summary_has_range_and_bins_of_its_values() {
+        let mut noise = SplitMix64::new(5);
+        let log_normal: Vec<f64> = (0..5_000).map(|_| 0.010 * (0.4 * noise.normal()).exp()).collect();
+        let with_stalls = log_normal.iter().copied().chain([1.0, 2.0, 9.0]);
+        for values in [log_normal.clone(), with_stalls.collect(), (1..=40).map(f64::from).collect()] {
+            let (sorted, summary) = both(values);
+            let exact = Binning::of(sorted.as_slice(), MAX_BINS).expect("values");
+            let stored = Binning::of(&summary, MAX_BINS).expect("values");
+            let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.03;
+            assert!(
+                near(exact.range.0, stored.range.0) && near(exact.range.1, stored.range.1),
+                "{exact:?} {stored:?}"
+            );
+            assert!(exact.count.abs_diff(stored.count) <= 2, "{exact:?} {stored:?}");
+            let outside = sorted.iter().filter(|value| **value > exact.range.1).count() as u64;
+            let counts = summary.count_in(&stored);
+            assert_eq!((counts.below, counts.above), (0, outside));
+            assert_eq!(counts.counts.iter().sum::<u64>() + outside, sorted.len() as u64);
+        }
+    }
+
+    #[test]
+    fn equal_values_of_summary_are_in_one_bin() {
+        for value in [0.0, -3.0, 1e-9, 7.0] {
+            let (_, summary) = both([value; 40]);
+            let binning = Binning::of(&summary, MAX_BINS).expect("values");
+            assert_eq!((binning.range, binning.count), ((value, value), 1));
+            assert_eq!(summary.count_in(&binning), BinCounts { below: 0, counts: vec![40], above: 0 });
+        }
+        assert_eq!(Binning::of(&Summary::default(), MAX_BINS), None);
+        assert_eq!(Binning::of(both([1.0, 2.0, 3.0]).0.as_slice(), 2).map(|bins| bins.count), Some(2));
+    }
+}
