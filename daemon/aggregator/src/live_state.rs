@@ -193,7 +193,7 @@ pub struct PipelineSnapshot {
 /// The 95th percentile of the total latency over time. Each value is the percentile of all iterations of its bucket, whose
 /// sketches are merged.
 ///
-/// The bucket's length is the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 s with enough iterations at the
+/// The bucket's length is the shortest of 1, 2, 5, 10, 20, 30, 60, 120, 300 and 600 s with enough iterations at the
 /// pipeline's rate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PercentileSeries {

@@ -1,5 +1,6 @@
 //! Storing and reading of clock samples, by the second and by the bucket.
 
+use peernet_analysis::clock_points::{ClockBucket, bucket_number};
 use peernet_clock::{DelaySource, RawTime, RelatedClocks, Span, Verdict, WallTime};
 use peernet_logger::{HostId, RunId};
 use peernet_stream::{ClockSample, EstimateBasis, Event, HostDescription, Iteration, NetworkName};
@@ -222,7 +223,7 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
     });
     store(&mut test_store, samples).await;
     for (max_points, width) in
-        [(1_000, 1), (999, 2), (500, 2), (200, 5), (199, 10), (34, 30), (1, 1_800), (0, 1_800)]
+        [(1_000, 1), (999, 2), (500, 2), (200, 5), (199, 10), (34, 30), (1, 3_600), (0, 3_600)]
     {
         let series = series(&test_store, max_points).await;
         assert_eq!(series.bucket_s, width);
@@ -254,6 +255,27 @@ async fn buckets_hold_widest_bounds_all_probes_and_median_delay() {
         .await
         .expect("answers");
     assert_eq!(wide_series.points[1].up.expect("judged").verdict, Verdict::Stale);
+}
+
+#[tokio::test]
+async fn buckets_equal_points_that_a_page_merges() {
+    let mut test_store = TestStore::new().await;
+    let cloud = test_store.cloud;
+    let samples = (1..=60).map(|second| {
+        let sample = sample(cloud, second, 40 + second % 7);
+        ClockSample { window: u64::from(second > 25), ..sample }
+    });
+    store(&mut test_store, samples).await;
+    let seconds = series(&test_store, 1_000).await;
+    let buckets = series(&test_store, 6).await;
+    assert_eq!((seconds.bucket_s, buckets.bucket_s, buckets.points.len()), (1, 10, 6));
+    let merged = seconds.points.chunk_by(|a, b| bucket_number(a.at, 10) == bucket_number(b.at, 10));
+    for (bucket, points) in buckets.points.iter().zip(merged) {
+        let mut page = ClockBucket::default();
+        points.iter().for_each(|point| page.add(point));
+        let page = page.into_point().expect("points");
+        assert_eq!(*bucket, ClockPoint { at: bucket.at, ..page });
+    }
 }
 
 #[tokio::test]

@@ -47,7 +47,7 @@ pub(crate) struct Pipeline {
 /// 95th percentile of `total` over time. A bucket's value covers all iterations of the bucket, because their sketches are merged.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub(crate) struct TotalOverTime {
-    /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 30, 60, 120, 300 and 600 that holds 60 iterations at the
+    /// Length of each bucket, seconds: the shortest of 1, 2, 5, 10, 20, 30, 60, 120, 300 and 600 that holds 60 iterations at the
     /// pipeline's rate; null if even the longest holds fewer.
     pub bucket_s: Option<u32>,
     /// Buckets of at least 60 iterations, oldest first; the newest one may be incomplete.

@@ -14,11 +14,11 @@ pub(crate) mod table;
 pub(crate) mod time_series;
 pub(crate) mod tracks;
 pub(crate) mod traffic;
-mod trend;
 
 use std::sync::Arc;
 
 use peernet_aggregator::{LinkSnapshot, LiveState};
+pub(crate) use peernet_analysis::offset_trend::estimate_and_half_width;
 use peernet_clock::{Offset, RelatedClocks, Span, Verdict, WallTime};
 use peernet_store::{ClockPoint, DelayAssumptions, LinkKey, LinkRow};
 use peernet_stream::{NetworkName, Placement, PlacementKind};
@@ -119,13 +119,6 @@ pub(crate) struct Subject<'a> {
     last_offset: Option<Offset>,
     /// Assumptions of the bounds; `None` if both hosts read one clock, or no assumptions were reported.
     pub assumptions: Option<DelayAssumptions>,
-}
-
-/// Returns the estimate of an offset and half the width of its bounds, seconds. `None` if sources or exchanges contradict each other:
-/// such an offset has no value.
-pub(crate) fn estimate_and_half_width(offset: &Offset) -> Option<(f64, f64)> {
-    let half = offset.bounds.width().seconds() / 2.0;
-    (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
 }
 
 /// Text for an offset without a value, because its sources or exchanges contradict each other.

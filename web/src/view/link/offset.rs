@@ -1,5 +1,6 @@
 //! The clock offset of a link over time: the band of its bounds, the estimate in the band, and the intervals of other sources.
 
+use peernet_analysis::offset_trend::OffsetTrend;
 use peernet_analysis::order::SortedValues;
 use peernet_clock::{DelaySource, Interval, RelatedClocks, Span};
 use peernet_figures::plot::Path;
@@ -9,7 +10,6 @@ use peernet_store::ClockPoint;
 use super::chart::{OffsetView, Plan, beyond, distance_from_top, reach};
 use super::estimate_and_half_width;
 use super::tracks::Track;
-use super::trend::Trend;
 
 /// An interval of another source extends the scale only up to this multiple of the band.
 const MAX_OTHER_RATIO: f64 = 4.0;
@@ -32,8 +32,8 @@ fn usual_size(sizes: impl Iterator<Item = f64>) -> f64 {
 pub(super) fn track(cloud: &str, plan: &Plan<'_>, view: OffsetView) -> Track {
     let points = &plan.time_series.points;
     let trend = match view {
-        OffsetView::Removed => Trend::of(points),
-        OffsetView::Measured => Trend::default(),
+        OffsetView::Removed => OffsetTrend::of(points),
+        OffsetView::Measured => OffsetTrend::default(),
     };
     // The offset of a bucket is the offset at one time within the bucket, so the trend at that time is subtracted.
     let without_trend = |point: &ClockPoint, span: Span| {

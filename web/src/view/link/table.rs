@@ -1,5 +1,6 @@
 //! The time series of a link as a table, with the same numbers as its chart.
 
+use peernet_statistics::BUCKET_WIDTHS_S;
 use peernet_statistics::number::{NONE, bound_ms, count, offset_ms, trip_ms};
 use peernet_store::ClockPoint;
 
@@ -36,13 +37,17 @@ pub(crate) struct Direction {
 
 /// Approximate number of rows of a table.
 const ROWS: f64 = 30.0;
+/// Minimum time that a row covers, seconds.
+const MIN_ROW_S: i64 = 10;
 
 impl Row {
     /// Returns the rows of a time series, newest first.
     pub(crate) fn all(time_series: &LinkTimeSeries, zone: Zone) -> Vec<Self> {
-        const STEPS: [i64; 8] = [10, 30, 60, 120, 300, 600, 1_800, 3_600];
-        let approximate_seconds = (time_series.seconds() / ROWS) as i64;
-        let seconds = STEPS.into_iter().find(|step| *step >= approximate_seconds).unwrap_or(3_600);
+        let approximate_seconds = ((time_series.seconds() / ROWS) as i64).max(MIN_ROW_S);
+        let mut widths = BUCKET_WIDTHS_S.into_iter().map(i64::from);
+        // Each row covers whole points.
+        let is_suitable = |width: &i64| *width >= approximate_seconds && *width % time_series.bucket == 0;
+        let seconds = widths.find(is_suitable).unwrap_or(time_series.bucket);
         time_series.merged(seconds).points.iter().rev().map(|point| Self::of(point, zone)).collect()
     }
 

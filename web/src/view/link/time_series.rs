@@ -2,13 +2,11 @@
 
 use std::sync::Arc;
 
+use peernet_analysis::clock_points::{ClockBucket, bucket_number};
 use peernet_analysis::delays::merged_round_trip;
-use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
+use peernet_clock::{RelatedClocks, Span, WallTime};
 use peernet_store::{ClockPoint, ClockSeries};
-use peernet_stream::{DelaySecond, ProbeCounts};
-
-use super::super::speed::NetworkDirection;
-use super::delays::Delays;
+use peernet_stream::ProbeCounts;
 
 /// Time series of a link between two times of the edge's wall clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,8 +52,8 @@ impl LinkTimeSeries {
     /// Merges points so that each covers `seconds` seconds.
     pub(crate) fn merged(&self, seconds: i64) -> Self {
         let seconds = seconds.max(1);
-        // The time of a point is its end, so a point at the end of a bucket belongs to this bucket.
-        let bucket = |point: &ClockPoint| (point.at.unix_nanos() - 1).div_euclid(seconds * 1_000_000_000);
+        let width = u32::try_from(seconds).unwrap_or(u32::MAX);
+        let bucket = |point: &ClockPoint| bucket_number(point.at, width);
         let points = self.points.chunk_by(|a, b| bucket(a) == bucket(b)).filter_map(merge_points).collect();
         Self { bucket: self.bucket.max(seconds), points, ..*self }
     }
@@ -89,36 +87,9 @@ impl LinkTimeSeries {
     }
 }
 
-/// Returns the offset with the widest bounds, and among equal widths the newest. The store's buckets follow the same rule.
-fn widest_offset(points: &[ClockPoint]) -> Option<Offset> {
-    let offsets = points.iter().filter_map(|point| point.offset.as_ref());
-    offsets.max_by_key(|offset| offset.bounds.width()).cloned()
-}
-
-fn delays(points: &[ClockPoint], way: NetworkDirection) -> Option<DelaySecond> {
-    let delays = Delays::of(way, points);
-    let count = u32::try_from(delays.count).unwrap_or(u32::MAX);
-    Some(DelaySecond { count, median: delays.median, verdict: delays.verdict? })
-}
-
-/// Merges several points into one.
+/// Merges several points into one, as the store merges seconds.
 fn merge_points(points: &[ClockPoint]) -> Option<ClockPoint> {
-    let last = points.last()?;
-    if points.len() == 1 {
-        return Some(last.clone());
-    }
-    // A new window begins after a clock step. Samples from before the step say nothing about the offset after it.
-    let begin = points.iter().rposition(|point| point.window != last.window).map_or(0, |index| index + 1);
-    Some(ClockPoint {
-        at: last.at,
-        window: last.window,
-        offset: widest_offset(&points[begin..]),
-        probes: points.iter().map(|point| point.probes).sum(),
-        round_trip: merged_round_trip(points.iter().filter_map(|point| point.round_trip)),
-        up: delays(points, NetworkDirection::Up),
-        down: delays(points, NetworkDirection::Down),
-        clocks: last.clocks,
-        proven_skew_ppm: last.proven_skew_ppm,
-        grown_window: points.iter().filter_map(|point| point.grown_window).max(),
-    })
+    let mut bucket = ClockBucket::default();
+    points.iter().for_each(|point| bucket.add(point));
+    bucket.into_point()
 }

@@ -7,7 +7,9 @@ mod repeats;
 use std::iter::successors;
 
 use futures::TryStreamExt;
+use peernet_analysis::clock_points::bucket_number;
 use peernet_clock::{DelaySource, Interval, Offset, RelatedClocks, Span, Verdict, WallTime};
+use peernet_statistics::BUCKET_WIDTHS_S;
 use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
@@ -26,8 +28,6 @@ use crate::write::UNKNOWN;
 const WHAT: &str = "clock samples";
 /// Maximum number of points in one answer.
 const MAX_POINTS: u32 = 10_000;
-/// Possible widths of a bucket, seconds. Beyond the last of these, each width is twice the previous width.
-const WIDTHS_S: [u32; 12] = [1, 2, 5, 10, 30, 60, 300, 600, 1_800, 3_600, 21_600, 86_400];
 
 #[derive(FromRow)]
 struct Link {
@@ -105,7 +105,7 @@ pub(crate) async fn series(
     (from, to): (WallTime, WallTime),
     max_points: u32,
 ) -> Result<ClockSeries, StoreError> {
-    let empty_series = ClockSeries { bucket_s: WIDTHS_S[0], points: Vec::new() };
+    let empty_series = ClockSeries { bucket_s: BUCKET_WIDTHS_S[0], points: Vec::new() };
     let link: Option<i64> = sqlx::query_scalar(sql::LINK)
         .bind(edge.to_string())
         .bind(cloud.to_string())
@@ -177,11 +177,11 @@ impl Points {
         if self.repeats.is_superseded(row.window, row.at_ns) {
             return Ok(());
         }
-        let index = index(row.at_ns, self.width);
-        if self.bucket.as_ref().is_some_and(|bucket| bucket.index() != index) {
+        let number = index(row.at_ns, self.width);
+        if self.bucket.as_ref().is_some_and(|bucket| bucket.number() != number) {
             self.finish();
         }
-        self.bucket.get_or_insert_with(|| Bucket::new(index)).add(row)
+        self.bucket.get_or_insert_with(|| Bucket::new(number)).add(row)
     }
 
     fn finish(&mut self) {
@@ -195,24 +195,40 @@ impl Points {
     }
 }
 
-/// Returns the smallest width with at most `max_points` buckets.
+/// Returns the smallest width with at most `max_points` buckets. Beyond the last of [`BUCKET_WIDTHS_S`], each width is twice the previous width.
 fn width(first: i64, last: i64, max_points: u32) -> u32 {
-    let [.., day] = WIDTHS_S;
+    let [.., day] = BUCKET_WIDTHS_S;
     let wider_widths = successors(day.checked_mul(2), |width| width.checked_mul(2));
     let fits = |width: &u32| {
         u64::try_from(index(last, *width) - index(first, *width))
             .is_ok_and(|difference| difference < u64::from(max_points))
     };
-    let mut widths = WIDTHS_S.into_iter().chain(wider_widths.clone());
+    let mut widths = BUCKET_WIDTHS_S.into_iter().chain(wider_widths.clone());
     widths.find(fits).or_else(|| wider_widths.last()).unwrap_or(day)
 }
 
-/// Returns the index of the bucket of a second. `at_ns` is the end of the second. The end of a bucket belongs to the bucket.
+/// Returns the number of the bucket of a second. `at_ns` is the end of the second.
 fn index(at_ns: i64, width: u32) -> i64 {
-    at_ns.saturating_sub(1).div_euclid(i64::from(width) * 1_000_000_000)
+    bucket_number(wall(at_ns), width)
 }
 
 impl Row {
+    /// Returns the second without its offset.
+    fn point_without_offset(&self) -> Result<ClockPoint, StoreError> {
+        Ok(ClockPoint {
+            at: wall(self.at_ns),
+            window: self.window.cast_unsigned(),
+            offset: None,
+            probes: self.probes(),
+            round_trip: self.round_trip(),
+            up: self.up()?,
+            down: self.down()?,
+            clocks: self.clocks()?,
+            proven_skew_ppm: self.proven_skew_min_ppm.zip(self.proven_skew_max_ppm),
+            grown_window: self.grown_window_ns.map(Span::from_nanos),
+        })
+    }
+
     fn clocks(&self) -> Result<RelatedClocks, StoreError> {
         self.clocks
             // Samples of agents before 0.3.0 have no number; they relate wall clocks.

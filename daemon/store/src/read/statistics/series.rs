@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use futures::TryStreamExt as _;
 use peernet_logger::Name;
-use peernet_statistics::Summary;
+use peernet_statistics::{BUCKET_WIDTHS_S, Summary};
 
 use super::super::{corrupt_data, runs, sql, wall};
 use super::WHAT;
@@ -15,8 +15,6 @@ use crate::readers::Readers;
 use crate::rollups::{RollupRow, WIDTHS_S, bucket};
 use crate::types::{Series, SeriesPoint, StageBuckets, StageSeries};
 
-/// Possible widths of a point, seconds: multiples of a stored width, with at most fifteen buckets per point.
-const POINTS_S: [i64; 15] = [1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 900, 3_600, 7_200, 21_600, 86_400];
 const DAY_S: i64 = 86_400;
 
 pub(crate) async fn series(
@@ -83,7 +81,7 @@ impl StoredWidths {
         let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
-        for width_s in POINTS_S {
+        for width_s in BUCKET_WIDTHS_S.map(i64::from) {
             let fits = to.div_euclid(width_s) - from.div_euclid(width_s) < max_points;
             let stored = self.0.iter().rfind(|stored| width_s % stored.width_s == 0);
             let is_usable = |stored: &&Width| stored.is_complete || stored.width_s == hour;

@@ -1,5 +1,6 @@
 //! The chart of offset and delays.
 
+use peernet_analysis::offset_trend::OffsetTrend;
 use peernet_clock::Interval;
 
 use super::super::chart::{OffsetView, tracks};
@@ -63,7 +64,7 @@ fn points_outside_the_range_change_neither_line_nor_scale() {
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
     let points: Vec<ClockPoint> = link.history.iter().map(|point| (**point).clone()).collect();
-    let trend = trend::Trend::of(&points);
+    let trend = OffsetTrend::of(&points);
     for point in &points[62..] {
         let residual = point.offset.as_ref().expect("known").estimate.seconds() - trend.at(2, point.at);
         assert!(residual.abs() < 1e-6, "{residual}");

@@ -1,5 +1,7 @@
 //! The points of a chart: put together, and the steady drift in them.
 
+use peernet_analysis::offset_trend::OffsetTrend;
+
 use super::super::time_series::LinkTimeSeries;
 use super::super::*;
 use crate::tests::samples::{NOW, clock_point};
@@ -12,7 +14,7 @@ fn chart_removes_steady_drift_and_breaks_at_step() {
     points[50..].iter_mut().filter_map(|point| point.offset.as_mut()).for_each(|offset| {
         offset.estimate += Span::from_seconds(3);
     });
-    let trend = trend::Trend::of(&points);
+    let trend = OffsetTrend::of(&points);
     for point in &points {
         let estimate = point.offset.as_ref().expect("known").estimate.seconds();
         assert!((estimate - trend.at(point.window, point.at)).abs() < 1e-9);

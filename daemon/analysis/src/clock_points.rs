@@ -1,0 +1,113 @@
+//! The relation of two clocks over time: points of a second or longer, and how several of them become one.
+
+use std::convert::Infallible;
+
+use peernet_clock::{Offset, RelatedClocks, Span, WallTime};
+use peernet_stream::{DelaySecond, ProbeCounts, RoundTrip};
+use serde::Serialize;
+
+use crate::delays::{DelaySummary, merged_round_trip};
+
+/// The relation of two clocks at one time, and the state of the network between their hosts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClockPoint {
+    /// End of the second (or of the bucket), on the edge's wall clock.
+    pub at: WallTime,
+    /// Number of the window; changes when a clock was stepped.
+    pub window: u64,
+    /// The cloud's clock minus the edge's clock, with bounds; `None` while unknown. In a bucket, the offset with the widest bounds.
+    pub offset: Option<Offset>,
+    /// Counts of probes.
+    pub probes: ProbeCounts,
+    /// Round trips of probes.
+    pub round_trip: Option<RoundTrip>,
+    /// Delays of data, edge to cloud.
+    pub up: Option<DelaySecond>,
+    /// Delays of data, cloud to edge.
+    pub down: Option<DelaySecond>,
+    /// The related clocks.
+    pub clocks: RelatedClocks,
+    /// Lowest and highest rate between the related clocks that the exchanges allow, parts per million. In a bucket, the newest rates.
+    pub proven_skew_ppm: Option<(f64, f64)>,
+    /// Age of the oldest exchange that is used, if it is older than the configured window. In a bucket, the greatest age.
+    pub grown_window: Option<Span>,
+}
+
+/// Points of one bucket, summed up in order of time.
+#[derive(Clone, Debug, Default)]
+pub struct ClockBucket {
+    /// Time and window of the newest point.
+    newest: Option<(WallTime, u64)>,
+    /// Offset with the widest bounds in the newest window; of equal widths, the newest.
+    widest: Option<Offset>,
+    probes: ProbeCounts,
+    round_trips: Vec<RoundTrip>,
+    up: DelaySummary,
+    down: DelaySummary,
+    clocks: Option<RelatedClocks>,
+    proven_skew_ppm: Option<(f64, f64)>,
+    grown_window: Option<Span>,
+}
+
+impl ClockBucket {
+    /// Adds a point. Its `offset` is ignored: `offset` returns it, and is called only if the offset is used, because building it from a stored
+    /// row takes most of the time. `width` is the width of its bounds, `None` without an offset.
+    ///
+    /// # Errors
+    /// The error of `offset`.
+    pub fn add_with<E>(
+        &mut self,
+        point: &ClockPoint,
+        width: Option<Span>,
+        offset: impl FnOnce() -> Result<Option<Offset>, E>,
+    ) -> Result<(), E> {
+        if self.newest.is_some_and(|(_, previous)| previous != point.window) {
+            // Values from before a step of a clock do not apply after it.
+            self.widest = None;
+        }
+        if let Some(width) = width
+            && self.widest.as_ref().is_none_or(|widest| widest.bounds.width() <= width)
+            && let Some(offset) = offset()?
+        {
+            self.widest = Some(offset);
+        }
+        self.probes = [self.probes, point.probes].into_iter().sum();
+        self.round_trips.extend(point.round_trip);
+        point.up.iter().for_each(|second| self.up.add(second));
+        point.down.iter().for_each(|second| self.down.add(second));
+        self.newest = Some((point.at, point.window));
+        self.clocks = Some(point.clocks);
+        self.proven_skew_ppm = point.proven_skew_ppm;
+        self.grown_window = self.grown_window.max(point.grown_window);
+        Ok(())
+    }
+
+    /// Adds a point with its offset.
+    pub fn add(&mut self, point: &ClockPoint) {
+        let width = point.offset.as_ref().map(|offset| offset.bounds.width());
+        let Ok(()) = self.add_with(point, width, || Ok::<_, Infallible>(point.offset.clone()));
+    }
+
+    /// Returns the bucket as a point at the time of its newest point; `None` if it is empty.
+    pub fn into_point(self) -> Option<ClockPoint> {
+        let (at, window) = self.newest?;
+        Some(ClockPoint {
+            at,
+            window,
+            offset: self.widest,
+            probes: self.probes,
+            round_trip: merged_round_trip(self.round_trips),
+            up: self.up.second(),
+            down: self.down.second(),
+            clocks: self.clocks?,
+            proven_skew_ppm: self.proven_skew_ppm,
+            grown_window: self.grown_window,
+        })
+    }
+}
+
+/// Returns the number of the bucket of a point, counted from 1970. The time of a point is its end, and the end of a bucket belongs to the
+/// bucket.
+pub fn bucket_number(at: WallTime, width_s: u32) -> i64 {
+    at.unix_nanos().saturating_sub(1).div_euclid(i64::from(width_s.max(1)) * 1_000_000_000)
+}

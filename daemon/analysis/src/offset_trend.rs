@@ -1,0 +1,89 @@
+//! The part of an offset between two clocks that a steady drift explains, so that a chart can subtract it.
+
+use std::collections::BTreeMap;
+
+use peernet_clock::{Offset, Verdict, WallTime};
+
+use crate::clock_points::ClockPoint;
+use crate::fit::{Point, theil_sen};
+use crate::order::SortedValues;
+
+/// Returns the estimate of an offset and half the width of its bounds, seconds. `None` if sources or exchanges contradict each other:
+/// such an offset has no value.
+pub fn estimate_and_half_width(offset: &Offset) -> Option<(f64, f64)> {
+    let half = offset.bounds.width().seconds() / 2.0;
+    (offset.verdict != Verdict::Inconsistent).then(|| (offset.estimate.seconds(), half))
+}
+
+/// Straight lines through the estimates: one line for each window. A new window begins after each clock step.
+#[derive(Clone, Debug, Default)]
+pub struct OffsetTrend {
+    lines: BTreeMap<u64, Line>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    /// Time of the middle estimate.
+    middle: WallTime,
+    /// Value of the line at `middle`, seconds.
+    level: f64,
+    /// Growth in seconds per second.
+    slope: f64,
+}
+
+impl OffsetTrend {
+    /// Fits the trend to points.
+    pub fn of(points: &[ClockPoint]) -> Self {
+        let mut windows: BTreeMap<u64, Vec<(WallTime, f64)>> = BTreeMap::new();
+        for point in points {
+            if let Some(offset) =
+                point.offset.as_ref().filter(|offset| estimate_and_half_width(offset).is_some())
+            {
+                windows.entry(point.window).or_default().push((offset.at, offset.estimate.seconds()));
+            }
+        }
+        let lines =
+            windows.into_iter().filter_map(|(window, estimates)| Some((window, Line::through(&estimates)?)));
+        Self { lines: lines.collect() }
+    }
+
+    /// Returns the value of the trend at a time, seconds; zero without a trend.
+    pub fn at(&self, window: u64, at: WallTime) -> f64 {
+        self.lines.get(&window).map_or(0.0, |line| line.level + line.slope * (at - line.middle).seconds())
+    }
+}
+
+impl Line {
+    /// Fits a line by the Theil–Sen estimator, which a few outliers do not affect. With too few points the line is horizontal.
+    fn through(estimates: &[(WallTime, f64)]) -> Option<Self> {
+        let middle = estimates.get(estimates.len() / 2)?.0;
+        let points: Vec<Point> =
+            estimates.iter().map(|(at, value)| Point { x: (*at - middle).seconds(), y: *value }).collect();
+        let horizontal =
+            || Some((points.iter().map(|point| point.y).collect::<SortedValues>().median()?, 0.0));
+        let fit = theil_sen(&points).map(|fit| (fit.intercept.value, fit.slope.value));
+        let (level, slope) = fit.or_else(horizontal)?;
+        Some(Self { middle, level, slope })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::Span;
+
+    use super::*;
+
+    #[test]
+    fn few_estimates_have_horizontal_line() {
+        let at = |second| WallTime::from_unix_nanos(second * 1_000_000_000);
+        let line = Line::through(&[(at(0), 1.0), (at(10), 3.0)]).expect("estimates");
+        assert_eq!((line.level, line.slope), (2.0, 0.0));
+        let drift = |second: i64| (at(second), 1e-6 * second as f64);
+        let line = Line::through(&(0..20).map(drift).collect::<Vec<_>>()).expect("estimates");
+        assert!(
+            (line.slope - 1e-6).abs() < 1e-12 && line.middle == at(0) + Span::from_seconds(10),
+            "{line:?}"
+        );
+        assert_eq!(OffsetTrend::of(&[]).at(1, at(5)), 0.0);
+    }
+}
