@@ -80,6 +80,18 @@ pub fn median_bounds(bounds: impl Iterator<Item = Option<(f64, f64)>>) -> Option
     median(lower).zip(median(upper))
 }
 
+/// Returns the median width of bounds, which belong to delays that have a value; `None` without bounds.
+pub(crate) fn median_width(bounds: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    bounds.map(|(lo, hi)| hi - lo).collect::<SortedValues>().median()
+}
+
+/// Returns the interval of the median of delays that are summed up: the median minus and plus the median of half the widths of their bounds, at
+/// least 0, because no message arrives before it was sent. Sketches of delays and widths do not say which width belongs to which delay, so this
+/// interval is that of [`median_bounds`] only if all bounds are about equally wide; files have the bounds of each value and use that function.
+pub fn interval_of_median(median: f64, median_half_width: f64) -> (f64, f64) {
+    ((median - median_half_width).max(0.0), median + median_half_width)
+}
+
 /// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. If there are two medians in the
 /// middle, the smaller is used. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
@@ -95,6 +107,7 @@ pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option
 #[cfg(test)]
 mod tests {
     use peernet_clock::Interval;
+    use peernet_statistics::Summary;
 
     use super::*;
 
@@ -119,6 +132,30 @@ mod tests {
             [second(9, Some(-2), Verdict::Ok), second(1, None, Verdict::Ok)].iter().collect();
         assert_eq!(negative.second().expect("judged").median, None);
         assert_eq!(DelaySummary::default().second(), None);
+    }
+
+    #[test]
+    fn files_and_summaries_agree_on_equally_wide_bounds() {
+        let delays = || (0..1_000).map(|number| 5e-3 + f64::from(number * 37 % 1_000) * 1e-6);
+        let (mut values, mut half_widths) = (Summary::default(), Summary::default());
+        delays().for_each(|delay| {
+            values.record(delay);
+            half_widths.record(0.4e-3);
+        });
+        let (lo, hi) =
+            median_bounds(delays().map(|delay| Some((delay - 0.4e-3, delay + 0.4e-3)))).expect("bounds");
+        let median = |summary: &Summary| summary.quantile(0.5).expect("values");
+        let summed_up = interval_of_median(median(&values), median(&half_widths));
+        // A sketch is within 1 %.
+        assert!(
+            (lo - summed_up.0).abs() < 0.01 * hi && (hi - summed_up.1).abs() < 0.01 * hi,
+            "{lo} {hi} {summed_up:?}"
+        );
+        assert_eq!(interval_of_median(1e-3, 4e-3), (0.0, 5e-3));
+        assert_eq!(
+            [median_bounds([Some((0.0, 1.0)), None].into_iter()), median_bounds(std::iter::empty())],
+            [None, None]
+        );
     }
 
     #[test]

@@ -181,6 +181,14 @@ pub struct OneWayDelay {
 }
 
 impl OneWayDelay {
+    /// Returns half the width of the bounds in seconds: the ± of the delay. `None` without bounds, and for a delay without a value, which no
+    /// statistics include.
+    pub fn half_width(&self) -> Option<f64> {
+        self.value?;
+        // Rounded as the difference of the stored ends, so that a rebuild of the statistics gives equal numbers.
+        self.bounds.map(|bounds| (bounds.hi.seconds() - bounds.lo.seconds()) / 2.0)
+    }
+
     /// Creates a delay between two hosts whose clocks were never related. It has the raw difference only.
     pub const fn unsynchronised(raw: Span) -> Self {
         Self { raw, value: None, bounds: None, source: DelaySource::None, verdict: Verdict::Unsynchronised }

@@ -1,6 +1,5 @@
 //! The statistics of one second.
 
-use peernet_clock::Interval;
 use peernet_logger::{Measure, Name, Node, Tree};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second};
@@ -81,9 +80,8 @@ impl SecondStatistics {
     fn record_delay(&mut self, node: &Node) {
         let Measure::Transit(transit) = &node.measure else { return };
         let Some(delay) = transit.delay else { return };
-        // A delay without a value is not averaged, so its bounds are left out, too.
-        if let Some(bounds) = delay.bounds.filter(|_| delay.value.is_some()) {
-            self.bounds.record(0, &node.name, half_width(bounds));
+        if let Some(half_width) = delay.half_width() {
+            self.bounds.record(0, &node.name, half_width);
         }
         let verdict = delay.verdict.name();
         let existing_count = self
@@ -107,11 +105,6 @@ impl SecondStatistics {
             verdicts: self.verdicts.clone(),
         }
     }
-}
-
-/// Returns half the width of an interval in seconds: the ± of a delay.
-fn half_width(bounds: Interval) -> f64 {
-    bounds.width().seconds() / 2.0
 }
 
 /// Summaries by name, in the order in which the names first occurred.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::Passage;
-use crate::order::SortedValues;
+use crate::delays::median_width;
 use crate::rows::Rows;
 
 /// Quality of the delays of a run, without warm-up and unanswered iterations.
@@ -64,7 +64,7 @@ impl Clocks {
 impl ClockCounts {
     fn from_passages(passages: impl Iterator<Item = (f64, Passage)>) -> Self {
         let (mut verdicts, mut sources) = (BTreeMap::new(), BTreeMap::new());
-        let mut widths: Vec<f64> = Vec::new();
+        let mut bounds: Vec<(f64, f64)> = Vec::new();
         let (mut first, mut last) = (None, None);
         for (at, passage) in passages {
             let delay = &passage.delay;
@@ -74,7 +74,7 @@ impl ClockCounts {
             }
             *verdicts.entry(delay.verdict.name()).or_default() += 1;
             *sources.entry(delay.source.name()).or_default() += 1;
-            widths.extend(delay.bounds.map(|bounds| bounds.width().seconds()));
+            bounds.extend(passage.bounds());
         }
         let with_owned_names = |counts: BTreeMap<&str, u64>| {
             counts.into_iter().map(|(name, count)| (name.to_owned(), count)).collect()
@@ -82,7 +82,7 @@ impl ClockCounts {
         Self {
             verdicts: with_owned_names(verdicts),
             sources: with_owned_names(sources),
-            median_width: widths.into_iter().collect::<SortedValues>().median(),
+            median_width: median_width(bounds.into_iter()),
             first_offset: first.map(|(_, offset)| offset),
             last_offset: last.map(|(_, offset)| offset),
             skew: first.zip(last).and_then(|(first, last)| skew(first, last)),

@@ -83,7 +83,7 @@ impl Summary {
                 return Quantity::from_values(name.clone(), rows.iter().filter_map(|row| row.value(name)));
             }
             let quantity = Quantity::from_values(name.clone(), rows.counted_values(name))?;
-            Some(Quantity { bounds: bounds(rows, name), ..quantity })
+            Some(Quantity { bounds: median_bounds_of(rows, name), ..quantity })
         };
         Self {
             title: String::new(),
@@ -123,8 +123,8 @@ fn is_bound(column: &str) -> bool {
     column.ends_with("-throughput-lo") || column.ends_with("-throughput-hi")
 }
 
-/// Returns the bounds of the median of a column; `None` if the column has no bounds.
-fn bounds(rows: &Rows, column: &str) -> Option<(f64, f64)> {
+/// Returns the [bounds of the median](median_bounds) of a column; `None` unless every counted value has bounds.
+pub fn median_bounds_of(rows: &Rows, column: &str) -> Option<(f64, f64)> {
     let columns_with_bounds = ["upload", "download", "upload-throughput", "download-throughput"];
     columns_with_bounds.contains(&column).then_some(())?;
     let [lower, upper] = ["lo", "hi"].map(|suffix| format!("{column}-{suffix}"));

@@ -12,7 +12,7 @@ use peernet_analysis::loaded::Loaded;
 use peernet_analysis::order::SortedValues;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
-use peernet_analysis::summary::Scale;
+use peernet_analysis::summary::{Scale, median_bounds_of};
 
 /// Returns the histograms of the paper's original program. A histogram without values is left out if the placement of the run does not have
 /// such values.
@@ -67,15 +67,7 @@ fn negative_delays_note(column: &str, values: &SortedValues) -> Option<String> {
 /// Returns a note on the bounds of the true median. The true median lies between the median of the lower clock bounds and the median of the
 /// upper clock bounds. `None` if some counted value of the column has no bounds, or if one clock measured both ends of all delays.
 fn clock_bounds_note(rows: &Rows, column: &str) -> Option<String> {
-    let median_bound = |suffix: &str| -> Option<f64> {
-        let bound_column = format!("{column}-{suffix}");
-        let counted = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());
-        counted.map(|row| row.value(&bound_column)).collect::<Option<SortedValues>>()?.median()
-    };
-    if !["upload", "download", "upload-throughput", "download-throughput"].contains(&column) {
-        return None;
-    }
-    let (lo, hi) = (median_bound("lo")?, median_bound("hi")?);
+    let (lo, hi) = median_bounds_of(rows, column)?;
     let interval = match Scale::for_column(column, None) {
         Scale::MegabytesPerSecond => {
             format!("{} MB/s", throughput_between((lo, Some(hi))))

@@ -71,7 +71,8 @@ pub(super) async fn sum_up(
             }
             if let Some(verdict) = verdict {
                 *verdicts.entry((name, verdict)).or_default() += 1;
-                if let (Some(lo), Some(hi)) = (lo, hi) {
+                // As `OneWayDelay::half_width`: only of delays with a value.
+                if let (Some(_), Some(lo), Some(hi)) = (value, lo, hi) {
                     record(Quantity::HalfWidth, (hi - lo) / 2.0);
                 }
             }

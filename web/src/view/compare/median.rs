@@ -1,5 +1,6 @@
 //! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
 
+use peernet_analysis::delays::interval_of_median;
 use peernet_analysis::transfer::speed_between;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
@@ -41,7 +42,8 @@ impl Median {
         let half = bound.and_then(|bound| bound.median_half_width()).filter(|half| *half > 0.0);
         let ends = half.zip(delay).and_then(|(half, delay)| {
             if delay == name {
-                return Some(((value - half).max(0.0), Some(value + half)));
+                let (lo, hi) = interval_of_median(value, half);
+                return Some((lo, Some(hi)));
             }
             Some(speed_between(value, mergeable.summary(delay)?.quantile(0.5)?, half))
         });

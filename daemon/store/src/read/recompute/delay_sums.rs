@@ -21,8 +21,8 @@ impl DelaySums {
         if let Some(value) = delay.value {
             self.delay.record(value.seconds());
         }
-        if let Some(bounds) = delay.bounds {
-            self.half_width.record((bounds.hi.seconds() - bounds.lo.seconds()) / 2.0);
+        if let Some(half_width) = delay.half_width() {
+            self.half_width.record(half_width);
         }
         let verdicts = Verdict::ALL.iter().zip(&mut self.verdicts);
         verdicts.filter(|(verdict, _)| **verdict == delay.verdict).for_each(|(_, count)| *count += 1);

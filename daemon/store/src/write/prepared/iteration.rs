@@ -54,7 +54,8 @@ impl BatchBuilder {
                 let row = transit_row(index, id, transit);
                 if let (true, Some(verdict)) = (is_in_statistics, row.verdict) {
                     *self.verdicts.entry((run, name, verdict)).or_default() += 1;
-                    self.summaries.record(run, name, Quantity::HalfWidth, second_s, (hi - lo) / 2.0);
+                    let half_width = transit.delay.and_then(|delay| delay.half_width()).unwrap_or(f64::NAN);
+                    self.summaries.record(run, name, Quantity::HalfWidth, second_s, half_width);
                 }
                 self.batch.transits.push(row);
             }
