@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use peernet_statistics::Summary;
+use peernet_statistics::{Moments, Summary};
 
 use super::binned::BinnedAxis;
 use crate::look::{Fill, INK, Stage, Style};
@@ -18,8 +18,6 @@ const SHADES: f64 = 14.0;
 const POINT_DIAMETER: f64 = 2.4;
 /// Width of a distribution at the side of the plot in a file, points.
 const SIDE_WIDTH: f64 = 26.0;
-/// Number of pieces of the line through the points, so that it ends where it leaves the plot.
-const PIECES: u32 = 64;
 /// Width of the line through the points in a file, points.
 const LINE_WIDTH: f64 = 0.75;
 
@@ -69,10 +67,10 @@ impl Joint<'_> {
             plot.items.push(Item::path(Path::dots(points), style));
         }
         if let Some((intercept, slope)) = self.line {
-            let ends = (self.x.1.moments.min, self.x.1.moments.max.min(x.end()));
-            let xs = (0..=PIECES)
-                .map(|piece| x.scale.between(ends.0, ends.1, f64::from(piece) / f64::from(PIECES)));
-            let line = Path::line(xs.map(|x| self.position((x, intercept + slope * x))));
+            let Moments { min, max, .. } = self.x.1.moments;
+            let [x_per_si, y_per_si] = [x.unit.per_si, y.unit.per_si];
+            let ends = (min * x_per_si, max.min(x.end()) * x_per_si);
+            let line = plot.curve(ends, |x| (intercept + slope * x / x_per_si) * y_per_si);
             // The line needs a halo only over cells.
             let styles = [Style::halo(), Style::line("fit", INK.light, LINE_WIDTH)];
             let shown = styles.into_iter().skip(usize::from(!self.has_cells()));

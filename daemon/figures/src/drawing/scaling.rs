@@ -3,7 +3,7 @@
 use peernet_statistics::number::bytes;
 
 use crate::look::{Fill, Mark, Style, stage};
-use crate::plot::{At, Figure, Item, Key, Path, Plot, Swatch, Unit};
+use crate::plot::{At, Figure, Item, Key, Plot, Swatch, Unit};
 use crate::scale::Scale;
 
 /// Half the distance between two series at one size, points.
@@ -18,10 +18,6 @@ const PLOT_WIDTH: f64 = 220.0;
 const RADIUS: f64 = 1.9;
 const LINE_WIDTH: f64 = 0.75;
 const WHISKER_WIDTH: f64 = 0.45;
-/// Number of points of a drawn line, which is a curve on logarithmic axes.
-const LINE_POINTS: u32 = 60;
-/// Number of bisections to find where a line leaves the plot: to a millionth of the distance of two points.
-const BISECTIONS: u32 = 20;
 /// Room beyond the values at each end of the vertical axis: a factor that is this power of the ratio of the ends, and its minimum.
 const AXIS_MARGIN: (f64, f64) = (0.06, 1.15);
 /// Space on both sides of the sizes, as a factor.
@@ -189,7 +185,7 @@ impl Scaling {
         let (line_style, mark_style) = look(series);
         let mut items = Vec::new();
         if let Some((intercept, slope)) = series.line.filter(|_| !self.is_far(series)) {
-            let line = line(plot, |bytes| in_shown_unit(intercept + slope * bytes));
+            let line = plot.curve(plot.x.scale.ends(), |bytes| in_shown_unit(intercept + slope * bytes));
             // A line that is not level is moved like the points, so that points that fit the line lie on it.
             let dx = if slope == 0.0 { 0.0 } else { dx };
             items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
@@ -219,31 +215,6 @@ impl Scaling {
         }
         items
     }
-}
-
-/// Returns a function of the values of the horizontal axis as a path. It ends where it leaves the plot.
-fn line(plot: &Plot, function: impl Fn(f64) -> f64) -> Path {
-    let is_inside = |x: f64| plot.y.scale.has(function(x));
-    // Returns the value between `inside` and `outside` at which the function leaves the plot.
-    let end = |mut inside: f64, mut outside: f64| {
-        for _ in 0..BISECTIONS {
-            let middle = plot.x.scale.between(inside, outside, 0.5);
-            *(if is_inside(middle) { &mut inside } else { &mut outside }) = middle;
-        }
-        inside
-    };
-    let mut xs: Vec<Option<f64>> = Vec::new();
-    let mut previous: Option<f64> = None;
-    for x in plot.x.scale.along(LINE_POINTS) {
-        match (previous, is_inside(x)) {
-            (Some(before), true) if !is_inside(before) => xs.extend([Some(end(x, before)), Some(x)]),
-            (Some(before), false) if is_inside(before) => xs.extend([Some(end(before, x)), None]),
-            (_, true) => xs.push(Some(x)),
-            (_, false) => {}
-        }
-        previous = Some(x);
-    }
-    Path::line(xs.into_iter().map(|x| x.map(|x| (plot.x.scale.at(x), plot.y_share(function(x))))))
 }
 
 /// Returns the styles of the line and of the points.

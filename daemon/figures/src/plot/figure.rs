@@ -3,6 +3,12 @@
 use super::axis::Axis;
 use super::item::{At, Item};
 use super::legend::Key;
+use super::path::Path;
+
+/// Number of pieces of a drawn function, which is a curve on logarithmic axes.
+const CURVE_PIECES: u32 = 64;
+/// Number of bisections to find where a curve leaves the plot: to a millionth of the length of a piece.
+const BISECTIONS: u32 = 20;
 
 /// Strip along one side of a plot, such as the distribution of one of the plot's quantities. Positions are shares of the strip.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -46,6 +52,32 @@ pub struct Plot {
 }
 
 impl Plot {
+    /// Returns a function of the values of the horizontal axis between two of its values as a path. It ends where it leaves the plot.
+    pub fn curve(&self, (from, to): (f64, f64), function: impl Fn(f64) -> f64) -> Path {
+        let is_inside = |x: f64| self.y.scale.has(function(x));
+        // Returns the value between `inside` and `outside` at which the function leaves the plot.
+        let end = |mut inside: f64, mut outside: f64| {
+            for _ in 0..BISECTIONS {
+                let middle = self.x.scale.between(inside, outside, 0.5);
+                *(if is_inside(middle) { &mut inside } else { &mut outside }) = middle;
+            }
+            inside
+        };
+        let mut xs: Vec<Option<f64>> = Vec::new();
+        let mut previous: Option<f64> = None;
+        for piece in 0..=CURVE_PIECES {
+            let x = self.x.scale.between(from, to, f64::from(piece) / f64::from(CURVE_PIECES));
+            match (previous, is_inside(x)) {
+                (Some(before), true) if !is_inside(before) => xs.extend([Some(end(x, before)), Some(x)]),
+                (Some(before), false) if is_inside(before) => xs.extend([Some(end(before, x)), None]),
+                (_, true) => xs.push(Some(x)),
+                (_, false) => {}
+            }
+            previous = Some(x);
+        }
+        Path::line(xs.into_iter().map(|x| x.map(|x| (self.x.scale.at(x), self.y_share(function(x))))))
+    }
+
     /// Returns an empty plot.
     pub fn new(x: Axis, y: Axis) -> Self {
         let (items, top_strip, right_strip, remark) = (Vec::new(), None, None, None);
@@ -120,5 +152,24 @@ impl Figure {
         lines.extend(self.notes.iter().cloned());
         lines.retain(|line| !line.is_empty());
         lines.join("\n") + "\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scale::Scale;
+
+    #[test]
+    fn curve_ends_exactly_at_border() {
+        let axis = |ends| Axis::new(Scale::linear(ends), "", "");
+        let plot = Plot::new(axis((0.0, 10.0)), axis((1.0, 5.0)));
+        let path = plot.curve((0.0, 10.0), |x| x);
+        let points: Vec<(f64, f64)> = path.points().collect();
+        let is_near = |point: Option<&(f64, f64)>, x: f64, y: f64| {
+            point.is_some_and(|point| (point.0 - x).abs() < 1e-6 && (point.1 - y).abs() < 1e-6)
+        };
+        assert!(is_near(points.first(), 0.1, 1.0) && is_near(points.last(), 0.5, 0.0), "{points:?}");
+        assert!(plot.curve((0.0, 10.0), |_| 9.0).is_empty());
     }
 }

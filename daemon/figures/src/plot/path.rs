@@ -29,6 +29,14 @@ impl Path {
         self.steps.is_empty()
     }
 
+    /// Returns the points that the path moves or draws to.
+    pub fn points(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        self.steps.iter().filter_map(|step| match step {
+            Step::Move(x, y) | Step::Line(x, y) => Some((*x, *y)),
+            Step::Close => None,
+        })
+    }
+
     /// Returns the same path, which a file moves to the right by `dx` points.
     #[must_use]
     pub fn offset_by(self, dx: f64) -> Self {

@@ -3,10 +3,10 @@
 mod names;
 
 use crate::look::{Mark, Stage, Style};
-use crate::plot::{At, Axis, Item, Key, Path, Plot, Swatch};
+use crate::plot::{At, Axis, Item, Key, Plot, Swatch};
 use names::{NamedPoint, labels};
 
-/// Number of pieces of a drawn line, because a straight line is a curve on a logarithmic axis.
+/// Number of pieces of an error bar that names avoid.
 const STEPS: u32 = 64;
 /// Radius of a point, points.
 const RADIUS: f64 = 3.75;
@@ -90,12 +90,8 @@ impl Scatter {
         for series in &self.series {
             let look = series.stage;
             for line in &series.lines {
-                let steps = (0..=STEPS).map(|step| f64::from(step) / f64::from(STEPS));
-                let xs = steps.map(|step| plot.x.scale.between(line.from, line.to, step));
-                let positions: Vec<_> =
-                    xs.map(|x| position(&plot, x, line.intercept + line.slope * x)).collect();
-                line_points.extend(&positions);
-                let path = Path::line(positions.into_iter().map(Some));
+                let path = plot.curve((line.from, line.to), |x| line.intercept + line.slope * x);
+                line_points.extend(path.points());
                 plot.items.push(Item::path(path, look.line(0.75).with("fit")));
             }
             for (index, point) in series.points.iter().enumerate() {

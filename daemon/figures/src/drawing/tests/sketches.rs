@@ -125,12 +125,12 @@ fn joint_plot_has_points_and_both_distributions() {
 
 #[test]
 fn line_ends_where_it_leaves_the_plot() {
-    // The longest answer of 349 tokens took 399 ms; the line says 420 ms.
-    let (plot, ..) = joint(&talk(300), Some((0.05, 1.06e-3)));
+    // The longest answer of 349 tokens took 399 ms; the line says 748 ms.
+    let (plot, ..) = joint(&talk(300), Some((0.05, 2e-3)));
     let html = page::plot(&plot, "joint", "A");
     let line = html.split("<path class=\"fit\" d=\"").nth(1).and_then(|rest| rest.split('"').next());
     let pieces = line.expect("a line").matches('L').count();
-    assert!((50..64).contains(&pieces), "{pieces} in {html}");
+    assert!((30..50).contains(&pieces), "{pieces} in {html}");
 }
 
 #[test]
