@@ -17,16 +17,29 @@ const MIN_LENGTH_RATIO: f64 = 1.5;
 /// that count tokens of the question. Of several such quantities, the first in alphabetical order is returned, and without any,
 /// `download-bytes`.
 pub fn answer_length<'a>(names: impl Iterator<Item = &'a str>) -> &'a str {
-    let counts_question = |name: &str| QUESTION_WORDS.iter().any(|word| name.contains(word));
     names
         .filter(|name| is_tokens(name))
         .min_by_key(|name| (counts_question(name), *name))
         .unwrap_or(ANSWER_BYTES)
 }
 
+fn counts_question(name: &str) -> bool {
+    QUESTION_WORDS.iter().any(|word| name.contains(word))
+}
+
+/// Returns the name of the quantity that counts the tokens of an answer; `None` if no tokens of answers are counted.
+pub fn answer_tokens<'a>(names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    Some(answer_length(names)).filter(|name| is_tokens(name) && !counts_question(name))
+}
+
 /// Returns whether a length is counted in tokens; otherwise it is in bytes.
 pub fn is_tokens(name: &str) -> bool {
     name.ends_with(TOKENS_SUFFIX)
+}
+
+/// Returns the name of a column that counts tokens without its stage: `output-tokens` of `inference_output-tokens`. `None` for other columns.
+pub fn tokens_of_column(column: &str) -> Option<&str> {
+    is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
 }
 
 /// Returns whether the lengths of the answers differ enough for a figure of latency against length.
@@ -103,5 +116,10 @@ mod tests {
         let names = ["a-prompt-tokens", "zeta-tokens", "total", "completion-tokens", "input-tokens"];
         assert_eq!(answer_length(names.into_iter()), "completion-tokens");
         assert_eq!(answer_length(["total", "tokens-per-second"].into_iter()), "download-bytes");
+        assert_eq!(answer_tokens(["total", "completion-tokens"].into_iter()), Some("completion-tokens"));
+        assert_eq!(
+            [answer_tokens(["prompt-tokens"].into_iter()), answer_tokens(["total"].into_iter())],
+            [None; 2]
+        );
     }
 }

@@ -1,20 +1,36 @@
 //! Split of the mean total latency into the means of its stages.
 
 use peernet_logger::{Name, stage};
+use peernet_statistics::{Moments, Summary};
 
-use crate::rows::LATENESS;
+use crate::rows::{LATENESS, Rows};
 use crate::slowness::{self, BOTH_DIRECTIONS};
 
 /// If the time in no stage is less than this share of the total, it is a rounding error.
 const MIN_REST_SHARE: f64 = 1e-9;
+/// If at least this share of the total is unexplained, the trust report has a caveat and the overview warns.
+pub const NOTABLE_UNEXPLAINED_SHARE: f64 = 0.05;
+/// A shorter unexplained time is negligible, even if it is a large share of the total: it is the normal cost of instructions and of the
+/// scheduler. Seconds.
+pub const NEGLIGIBLE_UNEXPLAINED_S: f64 = 1e-4;
 
 /// Parts that add up to the mean total latency, unless the clocks show a stage as longer than it was.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StageSplit {
     /// Mean of each part per iteration, seconds, in the order of the stages. The last is `unattributed`: the time in no stage.
     pub parts: Vec<(Name, f64)>,
-    /// Part of `unattributed` before the real start of the iteration, seconds.
+    /// Part of `unattributed` before the real start of the iteration, seconds. It is not longer than `unattributed`, even if the clocks
+    /// disagree.
     pub late_start: f64,
+    /// Mean of the total, seconds; 0 without a total.
+    pub total: f64,
+    /// Mean time from the intended to the real start, seconds; `None` in a closed loop.
+    pub lateness: Option<f64>,
+    /// Mean wait for a process of the model that was restarted, seconds. It is a part of `unattributed`, because it is no stage. The wait for
+    /// the process of a sensor or actuator is a part of the stage that waited.
+    pub model_restarts: f64,
+    /// Total minus all stages, seconds, negative if stages overlap. `None` if the stages of no iteration are all known.
+    rest: Option<f64>,
 }
 
 /// Number of values of a node, and their mean in seconds.
@@ -56,8 +72,47 @@ impl StageSplit {
         if unattributed > MIN_REST_SHARE * total {
             parts.push((stage::UNATTRIBUTED, unattributed));
         }
-        let late_start = mean_of(LATENESS).map_or(0.0, |lateness| mean_per_iteration(lateness, iterations));
-        Self { parts, late_start: late_start.clamp(0.0, unattributed.max(0.0)) }
+        let per_iteration = |name: &str| mean_of(name).map(|values| mean_per_iteration(values, iterations));
+        let lateness = per_iteration(LATENESS);
+        Self {
+            parts,
+            late_start: lateness.unwrap_or_default().clamp(0.0, unattributed.max(0.0)),
+            total,
+            lateness,
+            model_restarts: per_iteration(&stage::RESTART).unwrap_or_default(),
+            rest: mean_of(&stage::UNATTRIBUTED).map(|_| unattributed),
+        }
+    }
+
+    /// Returns the time that neither a stage nor a late start nor the restart of a process of the model explains, seconds; negative if
+    /// stages overlap. `None` if the stages of no iteration are all known.
+    pub fn unexplained(&self) -> Option<f64> {
+        Some(self.rest? - self.lateness.unwrap_or_default() - self.model_restarts)
+    }
+
+    /// Returns the share of these seconds in the mean total; 0 without a total.
+    pub fn share(&self, seconds: f64) -> f64 {
+        if self.total > 0.0 { seconds / self.total } else { 0.0 }
+    }
+
+    /// Returns whether this unexplained time is long enough to be reported. `notable_share` is a share of the total.
+    pub fn is_notable(&self, unexplained: f64, notable_share: f64) -> bool {
+        unexplained.abs() >= NEGLIGIBLE_UNEXPLAINED_S && self.share(unexplained.abs()) >= notable_share
+    }
+
+    /// Returns the split of the counted rows of a run.
+    pub fn from_rows(rows: &Rows) -> Self {
+        let mut sent = [0; 2];
+        for row in rows.iter().filter(|row| row.is_counted()) {
+            sent.iter_mut().zip(row.has_messages()).for_each(|(sent, one)| *sent += u64::from(one));
+        }
+        let mean_of = |name: &str| {
+            let mut moments = Moments::default();
+            let values = rows.counted_values(name).filter(|value| Summary::accepts(*value));
+            values.for_each(|value| moments.record(value));
+            (moments.count > 0).then_some((moments.count, moments.mean))
+        };
+        Self::new(sent, mean_of)
     }
 
     /// Returns the time in no stage without the late start, seconds.
@@ -98,6 +153,19 @@ pub fn index_of_network(parts: &[(Name, f64)]) -> usize {
 /// Returns the mean of a node per iteration, from the number and the mean of its values. Iterations without the node count as zero.
 pub fn mean_per_iteration((count, mean): CountAndMean, iterations: u64) -> f64 {
     mean * count as f64 / iterations.max(1) as f64
+}
+
+/// Returns the mean per iteration of a node over groups of iterations, such as seconds: each group has its number of iterations and its mean per
+/// iteration. The iterations of a group without the node count as zero. `None` without iterations, and if no group has the node.
+pub fn mean_of_groups(groups: impl IntoIterator<Item = (u64, Option<f64>)>) -> Option<f64> {
+    let (mut iterations, mut sum) = (0, None);
+    for (count, mean) in groups {
+        iterations += count;
+        if let Some(mean) = mean {
+            *sum.get_or_insert(0.0) += mean * count as f64;
+        }
+    }
+    sum.filter(|_| iterations > 0).map(|sum| sum / iterations as f64)
 }
 
 #[cfg(test)]
@@ -175,6 +243,36 @@ mod tests {
             ["upload", "inference", "unattributed", "capture", "total", "sensing"].map(share),
             [Some(500.0), Some(200.0), Some(300.0), Some(100.0), Some(1_000.0), None]
         );
+    }
+
+    #[test]
+    fn groups_are_weighted_by_their_iterations() {
+        assert_eq!(mean_of_groups([(10, Some(2.0)), (30, Some(4.0)), (40, None)]), Some(1.75));
+        assert_eq!([mean_of_groups([(10, None)]), mean_of_groups([(0, Some(1.0))])], [None, None]);
+    }
+
+    #[test]
+    fn late_start_and_restart_are_explained() {
+        let of = |nodes: &'static [(&'static str, u64, f64)]| {
+            StageSplit::new([0; 2], |name| {
+                nodes.iter().find(|(node, ..)| *node == name).map(|(_, count, mean)| (*count, *mean))
+            })
+        };
+        let split = of(&[
+            ("total", 50, 0.020),
+            ("sensing", 50, 0.010),
+            ("unattributed", 40, 0.010),
+            ("lateness", 50, 0.004),
+            ("restart", 1, 0.250),
+        ]);
+        let unexplained = split.unexplained().expect("stages are known");
+        assert!((unexplained - 0.001).abs() < 1e-12 && !split.is_notable(unexplained, 0.06), "{split:?}");
+        assert!(split.is_notable(unexplained, 0.04) && split.is_notable(-unexplained, 0.04));
+        assert!(!split.is_notable(0.9 * NEGLIGIBLE_UNEXPLAINED_S, 0.0));
+        // Without the sum of the stages of any iteration, the rest may be a stage whose duration is unknown.
+        assert_eq!(of(&[("total", 50, 0.020), ("sensing", 50, 0.010)]).unexplained(), None);
+        let overlap = of(&[("total", 50, 0.020), ("sensing", 50, 0.030), ("unattributed", 50, -0.010)]);
+        assert!((overlap.unexplained().expect("known") + 0.010).abs() < 1e-12 && overlap.late_start == 0.0);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The `[web.warn]` table of the configuration file: limits beyond which the overview warns.
 
+use peernet_analysis::stage_split::NOTABLE_UNEXPLAINED_SHARE;
+use peernet_analysis::trust::NOTABLE_SHARE;
 use serde::{Deserialize, Serialize};
 
 use super::ConfigProblem;
@@ -12,7 +14,8 @@ pub struct WarnConfig {
     pub p99_over_median: f64,
     /// Busy share of a host's cores in percent, exceeded for ten seconds.
     pub cpu_percent: f64,
-    /// Time that no stage accounts for, without late starts, in percent of `total` over the last minute.
+    /// Time that neither a stage nor a late start nor the restart of a process of the model explains, in percent of `total` over the last minute.
+    /// The default is the limit of the trust report.
     pub unattributed_percent: f64,
     /// Skipped starts in percent of the starts that were due in the last minute.
     pub skipped_percent: f64,
@@ -25,8 +28,8 @@ impl Default for WarnConfig {
         Self {
             p99_over_median: 5.0,
             cpu_percent: 90.0,
-            unattributed_percent: 10.0,
-            skipped_percent: 0.1,
+            unattributed_percent: NOTABLE_UNEXPLAINED_SHARE * 100.0,
+            skipped_percent: NOTABLE_SHARE * 100.0,
             late_percent: 10.0,
         }
     }

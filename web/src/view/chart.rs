@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use peernet_aggregator::{LiveSecond, LiveState, PercentileSeries, PipelineSnapshot};
+use peernet_analysis::stage_split::mean_of_groups;
 use peernet_analysis::transfer::Transfer;
 use peernet_clock::WallTime;
 use peernet_logger::{Name, stage};
@@ -232,14 +233,12 @@ fn minutes(series: &[std::sync::Arc<LiveSecond>], columns: &[&'static str], zone
     }
     let rows = by_minute.into_iter().rev().map(|(minute, seconds)| {
         // A second without a part counts as zero, as in the chart.
-        let iterations: u64 = seconds.iter().map(|second| second.counts.ok).sum();
         let average = |name: &str| {
-            let sums = seconds.iter().filter_map(|second| {
-                let (_, mean) = drawn_means(second).find(|(node, _)| node == name)?;
-                Some(mean * second.counts.ok as f64)
+            let means = seconds.iter().map(|second| {
+                let mean = drawn_means(second).find(|(node, _)| node == name).map(|(_, mean)| *mean);
+                (second.counts.ok, mean)
             });
-            let sum = sums.reduce(|sum, one| sum + one).filter(|_| iterations > 0);
-            sum.map_or_else(|| NONE.to_owned(), |sum| stage_ms(sum / iterations as f64))
+            mean_of_groups(means).map_or_else(|| NONE.to_owned(), stage_ms)
         };
         Minute {
             at: zone.moment(WallTime::from_unix_nanos(minute.saturating_mul(60_000_000_000))),

@@ -1,8 +1,9 @@
 //! The health of the system in sentences: the title of the overview and the notes under it.
 
 use peernet_aggregator::{HostSnapshot, LiveState, PipelineSnapshot};
+use peernet_analysis::trust::NOTABLE_SHARE;
 use peernet_clock::WallTime;
-use peernet_logger::{Name, stage};
+use peernet_logger::Name;
 use peernet_statistics::number::{count, length, percent, roughly};
 use peernet_stream::PipelineState;
 
@@ -16,8 +17,6 @@ use crate::zone::Zone;
 
 /// Maximum number of notes that are shown. Of further notes only the number is shown.
 const MAX_NOTES: usize = 5;
-/// A note is shown if more than this share of the iterations has no answer.
-const MIN_WARNED_LOSS: f64 = 0.001;
 
 /// Title and notes.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -134,7 +133,7 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
         return notes;
     }
     let Some(window) = pipeline.window(60) else { return notes };
-    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > MIN_WARNED_LOSS) {
+    if let Some(lost) = window.lost_fraction.filter(|lost| *lost > NOTABLE_SHARE) {
         let text =
             format!("had no answer for {}\u{202f}% of its iterations in the last minute.", percent(lost));
         notes.push(note(Chip::new(Tone::Warn, "gap", "losses"), text));
@@ -143,11 +142,5 @@ fn pipeline_notes(pipeline: &PipelineSnapshot, snapshot: &LiveState, warn: &Warn
     let link = link::of_placement(snapshot, pipeline.host_name.as_str(), &pipeline.placement);
     let value = |name: &Name| window.value(name).copied();
     notes.extend(Note::delay_notes(&subject, &href, link.as_deref(), &window.bounds, value));
-    if let Some(total) = window.value(&stage::UNATTRIBUTED)
-        && total.mean < 0.0
-    {
-        let text = "has stages that overlap: their sum exceeds the total.".to_owned();
-        notes.push(note(Chip::new(Tone::Warn, "inconsistent", "sum"), text));
-    }
     notes
 }

@@ -2,7 +2,7 @@
 
 use peernet_aggregator::{HostSnapshot, MetricsPoint, Window};
 use peernet_analysis::rows::SKIPPED_STARTS;
-use peernet_analysis::stage_split::StageSplit;
+use peernet_analysis::stage_split::{NEGLIGIBLE_UNEXPLAINED_S, StageSplit};
 use peernet_analysis::trust::Starts;
 use peernet_clock::{Span, WallTime};
 use peernet_logger::stage;
@@ -14,9 +14,6 @@ use crate::config::WarnConfig;
 
 /// Minimum time for which the processors must have been busy.
 const MIN_BUSY_TIME: Span = Span::from_seconds(10);
-/// Minimum unattributed time or lateness that causes a warning, seconds. Shorter times are the normal cost of instructions and of the
-/// scheduler.
-const MIN_WARNED_S: f64 = 1e-4;
 
 /// Returns a warning if a host's processors have been busy for ten seconds.
 pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig) -> Option<(Chip, String)> {
@@ -43,11 +40,12 @@ pub(crate) fn host_warning(host: &HostSnapshot, now: WallTime, warn: &WarnConfig
 
 /// Returns the warnings about a pipeline's last minute.
 pub(crate) fn pipeline_warnings(minute: &Window, warn: &WarnConfig) -> Vec<(Chip, String)> {
+    let split = split(minute);
     [
         tail_warning(minute, warn),
-        unattributed_warning(minute, warn),
+        unattributed_warning(&split, warn),
         skipped_warning(minute, warn),
-        late_warning(minute, warn),
+        late_warning(&split, warn),
     ]
     .into_iter()
     .flatten()
@@ -66,25 +64,26 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
     Some((Chip::new(Tone::Warn, "slow", "tail"), text))
 }
 
-/// Returns the share of `seconds` in the mean total of an iteration; `None` below [`MIN_WARNED_S`].
-fn share(minute: &Window, seconds: f64) -> Option<f64> {
-    let total = minute.value(&stage::TOTAL)?;
-    (seconds > MIN_WARNED_S && total.mean > 0.0).then(|| seconds / total.mean)
-}
-
 /// Returns the split of the mean total of the minute.
 fn split(minute: &Window) -> StageSplit {
     let mean_of = |name: &str| minute.value(name).map(|figures| (figures.count, figures.mean));
     StageSplit::new(DelayAccuracy::sent(&minute.bounds), mean_of)
 }
 
-fn unattributed_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let seconds = split(minute).unattributed_without_late_start();
-    let share = share(minute, seconds).filter(|share| *share > warn.unattributed_percent / 100.0)?;
+/// Returns the warning about time that nothing explains, or about stages that overlap. The trust report has the same rule.
+fn unattributed_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let seconds = split.unexplained()?;
+    split.is_notable(seconds, warn.unattributed_percent / 100.0).then_some(())?;
+    let share = percent(split.share(seconds.abs()));
+    if seconds < 0.0 {
+        let text = format!(
+            "has stages that overlap: their sum exceeds the total by {share}{SPACE}% in the last minute."
+        );
+        return Some((Chip::new(Tone::Warn, "inconsistent", "sum"), text));
+    }
     let text = format!(
-        "has {} per iteration in no stage, {}{SPACE}% of its total in the last minute.",
-        duration(seconds),
-        percent(share)
+        "has {} per iteration in no stage, {share}{SPACE}% of its total in the last minute.",
+        duration(seconds)
     );
     Some((Chip::new(Tone::Warn, "unknown", "unattributed"), text))
 }
@@ -102,15 +101,15 @@ fn skipped_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)>
         .then_some((Chip::new(Tone::Warn, "gap", "skipped"), text))
 }
 
-fn late_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
-    let seconds = split(minute).late_start;
-    let share = share(minute, seconds).filter(|share| *share > warn.late_percent / 100.0)?;
+fn late_warning(split: &StageSplit, warn: &WarnConfig) -> Option<(Chip, String)> {
+    let seconds = split.lateness.filter(|seconds| *seconds >= NEGLIGIBLE_UNEXPLAINED_S)?;
+    let share = split.share(seconds);
     let text = format!(
         "starts {} late on average, {}{SPACE}% of its total in the last minute.",
         duration(seconds),
         percent(share)
     );
-    Some((Chip::new(Tone::Warn, "slow", "late"), text))
+    (share > warn.late_percent / 100.0).then_some((Chip::new(Tone::Warn, "slow", "late"), text))
 }
 
 #[cfg(test)]
@@ -160,14 +159,26 @@ mod tests {
             let stages = stage::ORDER;
             let sum: f64 = stages.iter().filter_map(|name| minute.value(name)).map(|stage| stage.mean).sum();
             (total(minute).mean, total(minute).p99) = (sum + seconds, None);
+            set(minute, &stage::UNATTRIBUTED, seconds);
         };
         assert_eq!(words(|minute| set_unattributed(minute, 0.0020)), ["unattributed"]);
-        assert_eq!(words(|minute| set_unattributed(minute, 0.0014)), [] as [&str; 0]);
+        assert_eq!(words(|minute| set_unattributed(minute, 0.0008)), [] as [&str; 0]);
         let late = |minute: &mut Window| {
             set_unattributed(minute, 0.0025);
             set(minute, LATENESS, 0.0024);
         };
         assert_eq!(words(late), ["late"]);
+        let restarted = |minute: &mut Window| {
+            set_unattributed(minute, 0.0025);
+            set(minute, &stage::RESTART, 0.0024);
+        };
+        assert_eq!(words(restarted), [] as [&str; 0], "the wait for a restart is explained");
+        assert_eq!(words(|minute| set_unattributed(minute, -0.0025)), ["sum"]);
+        let unrelated = |minute: &mut Window| {
+            set_unattributed(minute, 0.0080);
+            minute.values.retain(|(name, _)| *name != stage::UNATTRIBUTED);
+        };
+        assert_eq!(words(unrelated), [] as [&str; 0], "the stages are not all known");
     }
 
     #[test]

@@ -107,6 +107,13 @@ impl<'a> RowRef<'a> {
         [0, 1].map(|direction: usize| self.rows.verdicts[direction][self.index].map(|(verdict, _)| verdict))
     }
 
+    /// Returns whether a message was sent to the other host, and back. Results of other programs have delays without verdicts.
+    pub fn has_messages(&self) -> [bool; 2] {
+        let has_delay = |column: &str| self.value(column).is_some();
+        let [up, down] = self.verdicts().map(|verdict| verdict.is_some());
+        [up || has_delay(UPLOAD[0]), down || has_delay(DOWNLOAD[0])]
+    }
+
     fn passage(&self, direction: usize, columns: [&str; 6]) -> Option<Passage> {
         let (verdict, source) = self.rows.verdicts[direction][self.index]?;
         let [value, payload, metadata, raw, lo, hi] = columns.map(|column| self.value(column));

@@ -22,11 +22,14 @@ mod trust_input;
 
 pub(crate) use ended_early::measured_seconds;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
+pub use judge::NOTABLE_SHARE;
 pub use load::{Load, Starts, start_rate};
 pub use publication::publication_caveats;
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};
-pub use trust_input::{Clocks, Counts, MissingEvents, OVERRUN, TrustInput, replayed_latencies};
+pub use trust_input::{
+    Clocks, Counts, MissingEvents, OVERRUN, TrustInput, names_of_distributions, replayed_latencies,
+};
 
 use std::cmp::Reverse;
 

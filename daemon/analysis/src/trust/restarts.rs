@@ -25,12 +25,6 @@ impl Restarts {
         ("actuator", stage::ACTUATION_RESTART, "actuation_actuation-restart"),
     ];
 
-    /// Returns whether the time is a part of `unattributed`. This is so for a model; the time of a sensor or actuator is a part of the stage
-    /// that waited.
-    pub(super) fn is_unattributed(&self) -> bool {
-        self.owner == "model"
-    }
-
     pub(super) fn from_rows(rows: &Rows) -> Vec<Self> {
         let restarts_of = |(owner, _, column): (_, Name, &str)| {
             let affected_rows = rows.iter().filter(|row| row.is_counted() && row.value(column).is_some());

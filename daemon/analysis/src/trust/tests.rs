@@ -1,5 +1,7 @@
 //! Tests of the findings about runs with known properties.
 
+mod answers;
+
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict};
 use peernet_statistics::SplitMix64;
 
@@ -184,7 +186,10 @@ fn long_unattributed_time_is_doubtful() {
         (0.000_2, 0.4, Grade::Good),
     ] {
         let mut rows = rows((0..200).map(|_| seconds));
-        rows.change(|row| row.values[2].1 = seconds * share);
+        rows.change(|row| {
+            row.values[0].1 = seconds * (1.0 - share);
+            row.values[2].1 = seconds * share;
+        });
         let report = judged(&rows);
         assert_eq!(about(&report, "unattributed").0, grade, "{}", report.text());
     }
@@ -222,6 +227,7 @@ fn lateness_is_separated_from_unattributed_time() {
     for (lateness, grade) in [(0.085, Grade::Good), (0.070, Grade::Doubtful), (0.020, Grade::Bad)] {
         let mut rows = rows((0..200).map(|_| 0.2));
         rows.change(|row| {
+            row.values[0].1 = 0.2 - 0.086;
             row.values[2].1 = 0.086;
             row.values.push(("lateness".into(), lateness));
         });

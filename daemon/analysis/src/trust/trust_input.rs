@@ -4,13 +4,18 @@ use std::collections::BTreeMap;
 
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
+use peernet_statistics::{Summary, TwoModes};
 use peernet_stream::{Condition, EndReason, FaultyHost};
 
 use super::{EndedEarly, Restarts, Starts, TimeSeries};
 use crate::Passage;
 use crate::accuracy::{Accuracy, UnknownLabels};
+use crate::actuator_results::ActuatorResults;
+use crate::answer_length::{answer_tokens, tokens_of_column};
+use crate::delays::median_width;
 use crate::order::SortedValues;
-use crate::rows::{LATENESS, Outcome, RowRef, Rows};
+use crate::rows::{Outcome, RowRef, Rows};
+use crate::stage_split::StageSplit;
 
 /// Name of the fact by which a model says that its latencies are drawn from a distribution.
 const REPLAYED_FACT: &str = "Replayed";
@@ -46,10 +51,12 @@ pub struct TrustInput {
     pub total: Option<TimeSeries>,
     /// Duration of each stage, by name.
     pub stages: Vec<(String, TimeSeries)>,
-    /// Mean of the total minus the stages, seconds. It is negative if stages overlap.
-    pub unattributed: Option<f64>,
-    /// Mean lateness, a part of the unattributed time; seconds. `None` in a closed loop.
-    pub lateness: Option<f64>,
+    /// Split of the mean total into its stages.
+    pub split: StageSplit,
+    /// Number of counted iterations whose answer was not acted on, because it was superseded.
+    pub superseded: u64,
+    /// Distributions with two modes, by name: the total, and the length of answers in tokens.
+    pub two_modes: Vec<(String, TwoModes)>,
     /// Processes that were restarted while iterations waited for them.
     pub restarts: Vec<Restarts>,
     /// Quality of the one-way delays, for each direction.
@@ -113,12 +120,9 @@ impl TrustInput {
         let counted = || rows.iter().filter(|row| row.is_counted());
         let time_series =
             |column: &str| TimeSeries::from_values(&rows.counted_values(column).collect::<Vec<f64>>());
-        // Both means cover the same iterations: those whose unattributed time is known. It is known only if both delays are known.
-        let with_unattributed = || counted().filter(|row| row.value(&stage::UNATTRIBUTED).is_some());
         let mean = |column: &str| {
-            let values = || with_unattributed().filter_map(|row| row.value(column));
-            let count = values().count();
-            (count > 0).then(|| values().sum::<f64>() / count as f64)
+            let count = rows.counted_values(column).count();
+            (count > 0).then(|| rows.counted_values(column).sum::<f64>() / count as f64)
         };
         let stages =
             stage::ORDER.into_iter().filter_map(|name| Some((name.to_string(), time_series(&name)?)));
@@ -139,9 +143,10 @@ impl TrustInput {
             starts: Starts::from_rows(rows),
             total: time_series(&stage::TOTAL).or_else(|| time_series(&stage::SENSING)),
             stages: stages.collect(),
-            unattributed: mean(&stage::UNATTRIBUTED),
-            lateness: mean(LATENESS),
+            split: StageSplit::from_rows(rows),
             overrun: mean(OVERRUN_COLUMN),
+            superseded: ActuatorResults::from_rows(rows).superseded,
+            two_modes: two_modes(rows),
             restarts: Restarts::from_rows(rows),
             clocks: directions
                 .into_iter()
@@ -171,6 +176,27 @@ impl TrustInput {
     }
 }
 
+/// Returns the names of the distributions that may have two modes: the total, or `sensing` if the pipeline only senses, and the length of answers
+/// in tokens. `names` are the names of all quantities.
+pub fn names_of_distributions<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<&'a str> {
+    let mut latency = [stage::TOTAL, stage::SENSING].into_iter();
+    let latency = latency.find_map(|name| names.clone().find(|other| name == **other));
+    latency.into_iter().chain(answer_tokens(names)).collect()
+}
+
+fn two_modes(rows: &Rows) -> Vec<(String, TwoModes)> {
+    let with_values = rows.names().iter().map(AsRef::as_ref);
+    let with_values = with_values.filter(|name| rows.counted_values(name).next().is_some());
+    let modes_of = |name: &str| {
+        let mut summary = Summary::default();
+        rows.counted_values(name).for_each(|value| summary.record(value));
+        // As in the store, where a node has no prefix.
+        let node = tokens_of_column(name).unwrap_or(name);
+        Some((node.to_owned(), summary.two_modes()?))
+    };
+    names_of_distributions(with_values).into_iter().filter_map(modes_of).collect()
+}
+
 impl Counts {
     /// Returns the number of iterations without the warm-up.
     pub const fn measured(&self) -> u64 {
@@ -186,21 +212,20 @@ impl Counts {
 impl Clocks {
     fn from_passages(stage: &str, passages: impl Iterator<Item = Passage>) -> Option<Self> {
         let mut verdicts = BTreeMap::<usize, (Verdict, u64)>::new();
-        let (mut delays, mut half_widths) = (Vec::new(), Vec::new());
+        let (mut delays, mut bounds) = (Vec::new(), Vec::new());
         for passage in passages {
             let verdict = passage.delay.verdict;
             let order = Verdict::ALL.iter().position(|other| *other == verdict).unwrap_or(usize::MAX);
             verdicts.entry(order).or_insert((verdict, 0)).1 += 1;
             delays.extend(passage.seconds());
-            half_widths.extend(passage.bounds().map(|(lo, hi)| (hi - lo) / 2.0));
+            bounds.extend(passage.bounds());
         }
-        let median = |values: Vec<f64>| values.into_iter().collect::<SortedValues>().median();
         let verdicts: Vec<(Verdict, u64)> = verdicts.into_values().collect();
         (!verdicts.is_empty()).then(|| Self {
             stage: stage.to_owned(),
             verdicts,
-            delay: median(delays),
-            half_width: median(half_widths),
+            delay: delays.into_iter().collect::<SortedValues>().median(),
+            half_width: median_width(bounds.into_iter()).map(|width| width / 2.0),
         })
     }
 }

@@ -5,18 +5,13 @@ use super::columns::{count_note, heading, is_drawable, too_large_note, unit, wit
 use super::missing_data::MissingData;
 use super::written_figures::{AnyFigure, Drawing};
 use crate::drawing::{Lengths, Unit};
-use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, varies};
+use peernet_analysis::answer_length::{Growth, LATENCY, answer_length, is_tokens, tokens_of_column, varies};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{RowRef, Rows};
 
 /// Returns whether the answers of a run are counted in tokens, as those of a language model are.
 pub(super) fn has_tokens(rows: &Rows) -> bool {
     rows.names().iter().any(|name| is_tokens(name) && rows.counted_values(name).next().is_some())
-}
-
-/// Returns the name of a column that counts tokens without its stage: `output-tokens` of `inference_output-tokens`.
-fn tokens(column: &str) -> Option<&str> {
-    is_tokens(column).then(|| column.rsplit_once('_').map_or(column, |(_, name)| name))
 }
 
 /// Returns the figure of length and latency of each answer.
@@ -47,7 +42,7 @@ pub(super) fn drawings(
     if columns.x.is_none() && !varies(shortest, longest) {
         return Err(MissingData::SimilarLength { x });
     }
-    let (x_unit, x_words) = match tokens(&x) {
+    let (x_unit, x_words) = match tokens_of_column(&x) {
         Some(tokens) => (Unit { title: heading(tokens), symbol: "".into(), per_si: 1.0 }, tokens),
         None => (unit(&record.units, &x, &heading(&x)), x.as_str()),
     };

@@ -102,11 +102,7 @@ fn bar(runs: &[&Loaded], column: TotalColumn) -> Option<LatencyBar> {
                 .into_iter()
                 .for_each(|value| moments.record(value));
         }
-        // Results of other programs have delays without verdicts.
-        let directions = DIRECTIONS.into_iter().zip(row.verdicts());
-        for (sent, (direction, verdict)) in sent.iter_mut().zip(directions) {
-            *sent += u64::from(verdict.is_some() || row.value(&direction).is_some());
-        }
+        sent.iter_mut().zip(row.has_messages()).for_each(|(sent, one)| *sent += u64::from(one));
     }
     LatencyBar::new(column, iterations, sent, |name| {
         let (_, moments) = names.iter().zip(&moments).find(|(node, _)| **node == *name)?;

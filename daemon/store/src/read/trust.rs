@@ -1,19 +1,21 @@
 //! Reads the values from which the trust findings of a run are computed: its stored statistics.
 
 use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
-use peernet_analysis::rows::LATENESS;
+use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::trust::{
     Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, Starts, TimeSeries,
-    TrustInput, start_rate,
+    TrustInput, names_of_distributions, start_rate,
 };
 use peernet_clock::WallTime;
 use peernet_logger::stage;
+use peernet_statistics::TwoModes;
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
 use super::episodes::first_measured_start;
-use super::statistics::{stage_buckets, statistics};
+use super::statistics::{stage_buckets, statistics, whole_runs};
 use crate::error::StoreError;
+use crate::figures::DelayAccuracy;
 use crate::readers::Readers;
 use crate::types::{RunDetail, RunStatistics, RunSummary, StageBuckets};
 
@@ -29,7 +31,22 @@ pub(crate) async fn trust_input(readers: &Readers, run: &RunDetail) -> Result<Tr
         first_measured_start(readers, number)
     )?;
     let run_statistics = run_statistics.into_iter().next().unwrap_or_default();
-    Ok(collect(run, first_start, &run_statistics, &stages_over_time))
+    let input = collect(run, first_start, &run_statistics, &stages_over_time);
+    Ok(TrustInput { two_modes: two_modes(readers, number, &run_statistics).await?, ..input })
+}
+
+/// Returns the distributions of a run that have two modes.
+async fn two_modes(
+    readers: &Readers,
+    run: i64,
+    statistics: &RunStatistics,
+) -> Result<Vec<(String, TwoModes)>, StoreError> {
+    let mut found = Vec::new();
+    for name in names_of_distributions(statistics.stages.iter().map(|stage| stage.stage.as_str())) {
+        let summary = whole_runs(readers, &[run], name).await?.remove(&run);
+        found.extend(summary.and_then(|named| Some((name.to_owned(), named.summary.two_modes()?))));
+    }
+    Ok(found)
 }
 
 /// Reads the time series of the total latency. If the run has no totals, because it only reads a sensor, reads the time series of
@@ -101,9 +118,11 @@ fn collect(
             .map(|gap| MissingEvents { count: gap.count, reason: gap.reason.clone() })
             .collect(),
         total: total.or_else(sensing),
-        unattributed: figures(&stage::UNATTRIBUTED).map(|figures| figures.mean),
-        lateness: figures(LATENESS).map(|figures| figures.mean),
+        split: StageSplit::new(DelayAccuracy::sent(bounds), |name| {
+            figures(name).map(|figures| (figures.count, figures.mean))
+        }),
         overrun: figures(OVERRUN).map(|figures| figures.mean),
+        superseded: run.summary.actuator.superseded,
         restarts: Restarts::NODES
             .into_iter()
             .filter_map(|(owner, name, _)| {

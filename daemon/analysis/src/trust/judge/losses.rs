@@ -1,4 +1,4 @@
-//! Judgement of missing measurements: unanswered iterations, skipped starts, missing events and an early end.
+//! Judgement of missing measurements: unanswered iterations, skipped starts, superseded answers, missing events and an early end.
 
 use peernet_statistics::MIN_VALUES_FOR_P95;
 use peernet_statistics::number::{counted, fixed, significant};
@@ -7,9 +7,10 @@ use peernet_stream::Grade;
 use super::{END, finding, iterations, percent, with_advice};
 use crate::trust::{Counts, EndedEarly, Finding, MissingEvents, Starts, TrustInput};
 
-/// The finding is doubtful if more than this share of the iterations has no answer, or more than this share of the starts was skipped.
-const NOTABLE_SHARE: f64 = 0.001;
-/// Above this share of unanswered iterations, or of skipped starts, the latency of the answered iterations is misleading.
+/// The finding is doubtful if more than this share of the iterations has no answer, more than this share of the starts was skipped, or more than
+/// this share of the answers was superseded.
+pub const NOTABLE_SHARE: f64 = 0.001;
+/// Above this share of unanswered iterations, of skipped starts, or of superseded answers, the latency of the answered iterations is misleading.
 const MISLEADING_SHARE: f64 = 0.1;
 /// If at least this share of the events is missing, the received events do not represent the whole run.
 const MAX_MISSING_SHARE: f64 = 0.05;
@@ -22,6 +23,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     if counts.measured() > 0 {
         findings.push(judge_unanswered(counts));
         findings.extend(judge_skipped_starts(&input.starts));
+        findings.extend(judge_superseded(input));
     }
     findings.push(judge_missing_events(counts, missing));
     findings.extend(judge_end(input));
@@ -151,6 +153,29 @@ fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
         }
         share if share > NOTABLE_SHARE => with_advice(finding(about, Grade::Doubtful, text), advice),
         _ => finding(about, Grade::Good, text),
+    })
+}
+
+/// Returns the finding about answers that were not acted on; `None` without such answers.
+fn judge_superseded(input: &TrustInput) -> Option<Finding> {
+    (input.superseded > 0 && input.counts.ok > 0).then_some(())?;
+    let share = input.superseded as f64 / input.counts.ok as f64;
+    let text = format!(
+        "{} of {} ({}) {} superseded: the actuator did not act on them, because it had acted on a newer answer or the \
+         episode had ended. The latency includes them, although they moved nothing.",
+        fixed(input.superseded as f64, 0),
+        counted(input.counts.ok, "answer"),
+        percent(share),
+        if input.superseded == 1 { "was" } else { "were" }
+    );
+    let advice = "report their share beside the latency; with a lower rate, or fewer iterations in flight, answers arrive in order";
+    Some(match share {
+        share if share > MISLEADING_SHARE => {
+            let text = format!("{text} The robot acted less often than it got answers.");
+            with_advice(finding("superseded", Grade::Bad, text), advice)
+        }
+        share if share > NOTABLE_SHARE => with_advice(finding("superseded", Grade::Doubtful, text), advice),
+        _ => finding("superseded", Grade::Good, text),
     })
 }
 

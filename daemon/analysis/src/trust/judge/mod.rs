@@ -4,10 +4,12 @@ mod accuracy;
 mod clocks;
 mod conditions;
 mod losses;
+mod modes;
 mod replayed;
 mod restarts;
 mod time_series;
 
+pub use losses::NOTABLE_SHARE;
 use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
@@ -21,6 +23,7 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let mut findings = Vec::new();
     findings.extend(losses::findings(input));
     findings.extend(time_series::findings(input));
+    findings.extend(modes::findings(input));
     findings.extend(restarts::findings(input));
     findings.extend(replayed::findings(input));
     findings.extend(clocks::findings(input));

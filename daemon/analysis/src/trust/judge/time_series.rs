@@ -4,6 +4,7 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::Grade;
 
 use super::{finding, ms, percent, with_advice};
+use crate::stage_split::{NOTABLE_UNEXPLAINED_SHARE, StageSplit};
 use crate::trust::time_series::MIN_NOTABLE_CHANGE;
 use crate::trust::trend::chance_of_trend;
 use crate::trust::{Finding, TimeSeries, TrustInput};
@@ -18,12 +19,8 @@ const MAX_CHANCE: f64 = 0.05;
 const MAX_COLD_EXCESS: f64 = 0.1;
 /// The finding is doubtful if outliers contribute at least this share of the mean.
 const MAX_INFLUENCE: f64 = 0.05;
-/// The finding is doubtful if at least this share of the total lies outside of all stages.
-const MAX_UNATTRIBUTED_SHARE: f64 = 0.05;
 /// The finding is bad if at least this share of the total lies outside of all stages.
 const BAD_UNATTRIBUTED_SHARE: f64 = 0.25;
-/// A shorter time outside of all stages is negligible, even if it is a large share of the total. Seconds.
-const NEGLIGIBLE_SECONDS: f64 = 100e-6;
 /// Minimum number of iterations for a judgement of the series.
 const MIN_ITERATIONS: u64 = 100;
 
@@ -31,8 +28,8 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     let Some(total) = &input.total else { return Vec::new() };
     let mut findings =
         vec![judge_stationarity(total, &input.stages), judge_warm_up(total), judge_outliers(total)];
-    findings.extend(input.unattributed.map(|seconds| judge_unattributed(seconds, input, total)));
-    findings.extend(input.lateness.map(|seconds| judge_lateness(seconds, total)));
+    findings.extend(judge_unattributed(&input.split));
+    findings.extend(input.split.lateness.map(|seconds| judge_lateness(seconds, &input.split)));
     findings
 }
 
@@ -168,19 +165,17 @@ fn judge_outliers(total: &TimeSeries) -> Finding {
 }
 
 /// Returns the finding about the time outside of all stages. Lateness and the wait for a restarted process of the model are subtracted:
-/// they are not stages, but they are measured and have separate findings.
-fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries) -> Finding {
+/// they are not stages, but they are measured and have separate findings. `None` if the stages are not known.
+fn judge_unattributed(split: &StageSplit) -> Option<Finding> {
     let about = "unattributed";
-    let waits = input.restarts.iter().filter(|restarts| restarts.is_unattributed());
-    let waited = waits.map(|restarts| restarts.seconds).sum::<f64>() / input.counts.ok.max(1) as f64;
-    let seconds = unattributed - input.lateness.unwrap_or_default() - waited;
-    let exclusion = match (input.lateness.is_some(), waited > 0.0) {
+    let seconds = split.unexplained()?;
+    let exclusion = match (split.lateness.is_some(), split.model_restarts > 0.0) {
         (true, true) => ", late starts and restarts excluded",
         (true, false) => ", late starts excluded",
         (false, true) => ", restarts excluded",
         (false, false) => "",
     };
-    let share = if total.mean > 0.0 { seconds.abs() / total.mean } else { 0.0 };
+    let share = split.share(seconds.abs());
     let text = if seconds < 0.0 {
         format!(
             "The stages add up to {} more than the total{exclusion}: some stages overlap.",
@@ -193,21 +188,20 @@ fn judge_unattributed(unattributed: f64, input: &TrustInput, total: &TimeSeries)
             ms(seconds)
         )
     };
-    if share < MAX_UNATTRIBUTED_SHARE || seconds.abs() < NEGLIGIBLE_SECONDS {
-        return finding(about, Grade::Good, text);
+    if !split.is_notable(seconds, NOTABLE_UNEXPLAINED_SHARE) {
+        return Some(finding(about, Grade::Good, text));
     }
     let advice = "publish the measured total, not the sum of the stages; the columns of data.csv, and an iteration's waterfall on the dashboard, show where the rest is";
     let grade = if share >= BAD_UNATTRIBUTED_SHARE { Grade::Bad } else { Grade::Doubtful };
-    with_advice(finding(about, grade, text), advice)
+    Some(with_advice(finding(about, grade, text), advice))
 }
 
 /// Returns the finding about lateness, the wait for earlier iterations. It is part of the total and no defect.
-fn judge_lateness(seconds: f64, total: &TimeSeries) -> Finding {
-    let share = if total.mean > 0.0 { seconds / total.mean } else { 0.0 };
+fn judge_lateness(seconds: f64, split: &StageSplit) -> Finding {
     let text = format!(
         "Iterations began {} after their scheduled start on average: this late start is {} of the total.",
         ms(seconds),
-        percent(share)
+        percent(split.share(seconds))
     );
     finding("late start", Grade::Good, text)
 }

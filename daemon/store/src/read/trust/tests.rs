@@ -1,8 +1,11 @@
 //! Tests of the input of a run's judgement.
 
+use peernet_analysis::Passage;
+use peernet_analysis::rows::{LATENESS, Outcome, Row, RowRef, Rows};
 use peernet_analysis::trust::Report;
-use peernet_clock::{Span, WallTime};
+use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
 use peernet_logger::{HostId, Name, RunId};
+use peernet_statistics::Summary;
 use peernet_stream::{Grade, OutcomeCounts, Placement, PlacementKind};
 
 use super::*;
@@ -157,4 +160,105 @@ fn unknown_number_of_missing_events_is_not_reported() {
     run.summary.ended = None;
     let open = "The run has not ended: the findings cover the iterations so far.";
     assert_eq!(end(&run), Some((Grade::Unknown, open.to_owned())));
+}
+
+/// Returns the row of an iteration of a run in an open loop: its delays are known unless its number is a multiple of five.
+fn row(iteration: u64) -> Row {
+    let milliseconds = |value: f64| value / 1e3;
+    let noise = (iteration % 7) as f64 / 10.0;
+    let passage = |value: f64| {
+        let [lo, value, hi] =
+            [value - 0.2, value, value + 0.2].map(|value| Span::from_seconds_f64(milliseconds(value)));
+        let is_known = !iteration.is_multiple_of(5);
+        let delay = OneWayDelay {
+            raw: value,
+            value: is_known.then_some(value),
+            bounds: is_known.then_some(Interval { lo, hi }),
+            source: DelaySource::InBand,
+            verdict: if is_known { Verdict::Ok } else { Verdict::Unsynchronised },
+        };
+        Passage { payload_bytes: 1_000, logger_bytes: 100, delay }
+    };
+    let (up, down) = (passage(6.0 + noise), passage(2.0 + noise));
+    let delays = [("upload", up), ("download", down)].map(|(name, one)| (name, one.seconds()));
+    let others = [
+        ("sensing", Some(milliseconds(3.0))),
+        ("inference", Some(milliseconds(9.0))),
+        ("total", Some(milliseconds(22.0 + 3.0 * noise))),
+        ("unattributed", up.seconds().map(|_| milliseconds(2.0 + noise))),
+        (LATENESS, Some(milliseconds(1.0 + noise))),
+        ("restart", (iteration == 33).then_some(0.05)),
+        ("inference_overrun", Some(milliseconds(noise))),
+        ("upload-bytes", Some(1_000.0)),
+        ("upload-logger-bytes", Some(100.0)),
+        ("download-bytes", Some(1_000.0)),
+        ("download-logger-bytes", Some(100.0)),
+    ];
+    let values = delays.into_iter().chain(others);
+    Row {
+        iteration,
+        at: iteration as f64,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome: Outcome::Ok,
+        reason: None,
+        values: values.filter_map(|(name, value)| Some((name.into(), value?))).collect(),
+        upload: Some(up),
+        download: Some(down),
+    }
+}
+
+#[test]
+fn rows_and_roll_ups_give_same_findings() {
+    let rows: Rows = (1..=300).map(row).collect();
+    let input = TrustInput::from_rows(&rows, &[]);
+    // The same values as the aggregator stores them.
+    let of_values = |name: &str, values: &mut dyn Iterator<Item = f64>| {
+        let mut summary = Summary::default();
+        values.for_each(|value| summary.record(value));
+        let figures = QuantityStatistics::from_summary(&summary)?;
+        Some(StageStatistics { figures, ..node(name, 0, 0.0) })
+    };
+    let names = ["sensing", "upload", "inference", "download", "total", "unattributed", LATENESS, "restart"];
+    let stages = names.into_iter().filter_map(|name| of_values(name, &mut rows.counted_values(name)));
+    let overrun = of_values(OVERRUN, &mut rows.counted_values("inference_overrun"));
+    type ReadPassage = fn(&RowRef<'_>) -> Option<Passage>;
+    let directions: [(Name, ReadPassage); 2] =
+        [(stage::UPLOAD, |row| row.upload()), (stage::DOWNLOAD, |row| row.download())];
+    let bounds = directions.map(|(stage, passage)| {
+        let passages = || rows.iter().filter_map(|row| passage(&row));
+        let verdicts = [Verdict::Ok, Verdict::Unsynchronised]
+            .map(|verdict| (verdict, passages().filter(|one| one.delay.verdict == verdict).count() as u64));
+        let mut half_widths = passages().filter_map(|one| one.bounds()).map(|(lo, hi)| (hi - lo) / 2.0);
+        let half_width = of_values(&stage, &mut half_widths).map(|one| one.figures);
+        DelayAccuracy { stage, half_width, verdicts: verdicts.to_vec() }
+    });
+    let statistics = RunStatistics {
+        stages: stages.chain(overrun).collect(),
+        bounds: bounds.to_vec(),
+        ..RunStatistics::default()
+    };
+    let stored = collect(&detail("", "finished"), Some(NOW), &statistics, &[]);
+    let near = |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a - b).abs() < 1e-9);
+    assert!(
+        near(input.split.unexplained(), stored.split.unexplained()),
+        "{:?} {:?}",
+        input.split,
+        stored.split
+    );
+    assert!(near(input.split.lateness, stored.split.lateness) && near(input.overrun, stored.overrun));
+    let restarts =
+        |input: &TrustInput| input.restarts.iter().map(|one| (one.owner, one.count)).collect::<Vec<_>>();
+    assert_eq!(restarts(&input), restarts(&stored));
+    for (rows, stored) in input.clocks.iter().zip(&stored.clocks) {
+        assert_eq!((&rows.stage, &rows.verdicts), (&stored.stage, &stored.verdicts));
+        let within =
+            |a: Option<f64>, b: Option<f64>| a.zip(b).is_some_and(|(a, b)| (a / b - 1.0).abs() < 0.011);
+        assert!(
+            within(rows.delay, stored.delay) && within(rows.half_width, stored.half_width),
+            "{rows:?} {stored:?}"
+        );
+    }
+    assert_eq!((input.clocks.len(), stored.clocks.len()), (2, 2));
 }

@@ -1,0 +1,43 @@
+//! Tests of the findings about answers: superseded ones, and lengths in two groups.
+
+use super::*;
+use crate::actuator_results::SUPERSEDED;
+
+#[test]
+fn superseded_answers_are_counted_and_graded() {
+    for (every, grade) in [(2_000, Grade::Good), (100, Grade::Doubtful), (5, Grade::Bad)] {
+        let mut rows = rows(quiet(4_005));
+        rows.change(|row| {
+            if row.iteration % every == 0 {
+                row.values.push((SUPERSEDED.into(), 1.0));
+            }
+        });
+        let report = judged(&rows);
+        let (found, text) = about(&report, "superseded");
+        assert_eq!(found, grade, "one in {every}: {text}");
+        let count = (6..=4_005).filter(|iteration| iteration % every == 0).count();
+        assert!(text.starts_with(&format!("{count} of 4,000 answers")), "{text}");
+    }
+    assert!(judged(&rows(quiet(200))).findings.iter().all(|finding| finding.about != "superseded"));
+}
+
+#[test]
+fn two_modes_of_answers_are_a_caveat() {
+    let mut noise = SplitMix64::new(11);
+    let mut rows = rows(quiet(1_005));
+    let mut tokens = |row: &mut Row| {
+        let middle = if row.iteration.is_multiple_of(4) { 400.0 } else { 30.0 };
+        let length = (middle * (0.2 * noise.normal()).exp()).round();
+        row.values.push(("inference_completion-tokens".into(), length));
+    };
+    rows.change(&mut tokens);
+    let report = judged(&rows);
+    let (grade, text) = about(&report, "two modes");
+    assert!(
+        grade == Grade::Doubtful && text.contains("`completion-tokens` have two modes: 75\u{202f}%"),
+        "{text}"
+    );
+    assert_eq!(report.verdict, Publish::WithRemarks, "{}", report.text());
+    let one_mode = judged(&super::testing::rows(quiet(1_005)));
+    assert!(one_mode.findings.iter().all(|finding| finding.about != "two modes"));
+}
