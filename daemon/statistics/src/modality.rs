@@ -4,8 +4,9 @@ use crate::Summary;
 
 /// Minimum number of values.
 const MIN_VALUES: u64 = 100;
-/// The excess mass of a uniform distribution exceeds this number, divided by the square root of the number of values, in 1 % of all cases. It
-/// is twice the 99th percentile of the dip (Hartigan and Hartigan 1985, table 1).
+/// The excess mass of a uniform distribution exceeds this number, divided by the square root of the number of values, in fewer than 1 % of all
+/// samples of 100 to 500 values. In simulations, the 99th percentile is 1.04 for 100 values, 1.11 for 300 and 1.19 for 1,000. Above 529
+/// values, [`MIN_EXCESS`] is the higher limit.
 const EXCESS_BY_CHANCE: f64 = 1.15;
 /// Minimum excess mass: a twentieth of the values would have to be moved to remove the second mode.
 const MIN_EXCESS: f64 = 0.05;
@@ -42,8 +43,9 @@ struct Bin {
 impl Summary {
     /// Returns the two modes if the values above zero clearly have two: the excess mass of two modes over one (Müller and Sawitzki, *Excess mass
     /// estimates and tests for multimodality*, Journal of the American Statistical Association 86, 1991) is larger than by chance, p < 0.01,
-    /// and at least a twentieth of the values. The excess mass is twice the dip of Hartigan and Hartigan (1985); the uniform distribution has
-    /// the largest of all distributions with one mode, so that others cause even fewer false alarms. The groups are divided at the threshold
+    /// and at least a twentieth of the values. The excess mass is twice the dip of Hartigan and Hartigan (The Annals of Statistics 13, 1985).
+    /// As in their test, chance is that of a uniform distribution; distributions with a peak, such as log-normal ones, cause even fewer false
+    /// alarms. The groups are divided at the threshold
     /// of Otsu (IEEE Transactions on Systems, Man, and Cybernetics 9, 1979), on a logarithmic axis.
     ///
     /// `None` with fewer than 100 values, with one mode, and if the upper mode is less than 20 % above the lower.
