@@ -1,8 +1,9 @@
 //! Statistics of a stream of numbers in bounded memory.
 //!
 //! [`Moments`] are count, mean, variance and extremes, computed without cancellation. [`Sketch`] is a mergeable quantile
-//! sketch with a guaranteed error. [`Summary`] combines both. [`RecentSeconds`] is a ring of one-second cells. [`number`]
-//! formats numbers for people. [`SplitMix64`] generates reproducible random numbers.
+//! sketch with a guaranteed error. [`Summary`] combines both. [`RecentSeconds`] is a ring of one-second cells. [`histogram`]
+//! has range and bins of a distribution, [`TwoModes`] is the result of a test for two modes. [`number`] formats numbers for
+//! people. [`SplitMix64`] generates reproducible random numbers.
 //!
 //! All statistics can be merged. The merged statistics of several hosts, seconds or buckets equal the statistics of all
 //! their numbers together. [`Moments`] and [`Sketch`] are sent in live updates and stored; both are checked when they are
