@@ -109,13 +109,13 @@ def measure(quick: bool) -> Section:
         serve = peer("token_server", "serve", BURST, PACED, INTERVAL_MS, folder / "stamps")
         with Program(serve, folder / "server.log") as server:
             server.wait_until("it listens", lambda: server.text().endswith("\n"))
-            port, (cloud_port, old_port) = int(server.text()), free_ports(2)
+            port, (cloud_port, *other_ports) = int(server.text()), free_ports(3)
             bench = Bench(folder, port, cloud_port, counts)
             models = "".join(_openai(port, model) for model in counts)
-            with cloud(folder, cloud_port, models + _echo()):
+            with cloud(folder, cloud_port, models):
                 _burst(section, bench, repeats)
                 _paced(section, bench, repeats)
-                _whole(section, bench, repeats, old_port)
+                _whole(section, bench, repeats, other_ports)
     return section
 
 
@@ -181,28 +181,29 @@ def _delays(bench: Bench, answers: list[Answer]) -> AnswerDelays:
     return delays
 
 
-def _whole(section: Section, bench: Bench, repeats: int, old_port: int) -> None:
+def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> None:
     count, baseline = bench.counts["whole"], _baseline()
     columns: dict[str, list[dict[str, dict[str, float]]]] = {}
 
     def add(name: str) -> None:
         model = "whole" if name == "one part" else "echo"
-        port, program = bench.cloud, PEERNET
-        if baseline and name == "baseline":
-            port, program = old_port, baseline / "peernet"
+        port, program = places[name]
         text = _experiment(model, count, port, "")
         (run,) = run_experiment(bench.folder, f"{name.replace(' ', '-')}-cloud", text, program=program)
         total, inference = run.samples("total"), run.samples("inference")
         outside = [a - b for a, b in zip(total, inference, strict=True)]
         columns.setdefault(name, []).append({"total": spread(total), "outside": spread(outside)})
 
-    names = ["not streamed", "one part"]
-    if baseline:
-        names.append("baseline")
-        with cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"):
-            _in_turn("not streamed", repeats, names, add)
-    else:
-        _in_turn("not streamed", repeats, names, add)
+    # Clouds that offer the model `echo` alone: further models of a process cost some microseconds per request.
+    echo_port, old_port = ports
+    places = {"not streamed": (echo_port, PEERNET), "one part": (bench.cloud, PEERNET)}
+    with cloud(bench.folder, echo_port, _echo()):
+        if baseline:
+            places["baseline"] = (old_port, baseline / "peernet")
+            with cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"):
+                _in_turn("not streamed", repeats, list(places), add)
+        else:
+            _in_turn("not streamed", repeats, list(places), add)
     section.say(
         f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
         "the server above in one token. `total` of the latter includes the request to the server; *total without "
@@ -210,7 +211,7 @@ def _whole(section: Section, bench: Bench, repeats: int, old_port: int) -> None:
         + (f" *Baseline*: not streamed, by the build that `{BASELINE}` names." if baseline else "")
     )
     table = Table("µs", "total p50", "p99", "total without inference p50", "p99")
-    for name in names:
+    for name in places:
         spreads = [median_spread([one[key] for one in columns[name]]) for key in ("total", "outside")]
         table.row(name, *(micros(one[key]) for one in spreads for key in ("p50", "p99")))
     section.table(table)
