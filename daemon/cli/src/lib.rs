@@ -42,7 +42,7 @@ pub const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("PEERNET
 /// Names of the command line: our own and those of the published program.
 pub const NAMES: [&str; 3] = ["peernet", "PEERNet", "peernet_cli"];
 
-/// PEERNet's command line: the published experiments, measured links, a running aggregator's answers.
+/// PEERNet's command line: the experiments of the paper, measured links, a running aggregator's answers.
 #[derive(Debug, Parser)]
 #[command(
     name = "peernet",

@@ -162,7 +162,7 @@ impl Devices {
             ));
         }
         // Only the server's address is used, so the file may also have addresses of networks that this build lacks.
-        if let Err(problem) = self.address.check_host() {
+        if let Err(problem) = self.address.check_usable_on_this_host() {
             return invalid(format!("{file}: the address of the server {server} cannot be used: {problem}"));
         }
         match (serves, server == name.as_str()) {
@@ -190,7 +190,7 @@ mod tests {
         let text = "devices: { edge: 127.0.0.1, cluster: 'ros2://0/cluster' }\nserver: cluster\n";
         let devices = Devices::parse(text, "net.yaml", None).expect("reads");
         let checked = devices.check(&"cluster".parse().expect("a name"), true);
-        match devices.address.check_host() {
+        match devices.address.check_usable_on_this_host() {
             Ok(()) => assert!(checked.is_ok(), "this build has ROS 2"),
             Err(_) => {
                 let error = checked.expect_err("this build has no ROS 2").error.to_string();

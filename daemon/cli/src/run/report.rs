@@ -50,6 +50,7 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
     let users = Users::from_runs(&all);
     let mut comparison = Comparison::new(&all);
     let stages = record.runs().map(|(run, state)| (&*run.folder, state.stage));
+    // The caveat is "Shown without the runs of experiment … that are not done: …".
     comparison
         .caveats
         .extend(unfinished_runs_note(record.name.as_str(), stages).map(|note| format!("Shown {note}.")));
@@ -76,7 +77,8 @@ pub(super) fn write(folder: &Folder, record: &Record, plots: bool) -> Result<Rep
         let files = [("txt", sensors.text()), ("md", sensors.markdown()), ("tex", sensors.latex())];
         save(folder.path(), "sensors", &files)?;
         if sensors.covers_all_runs {
-            // Stages after the sensor are empty, and the shortest sensing does not make the best sensor.
+            // The comparison is omitted: stages after the sensor are empty, and it would rank the sensors by the shortest
+            // sensing, which does not make a sensor the best one.
             parts.clear();
         }
         parts.push(sensors.text());

@@ -80,7 +80,7 @@ pub(in crate::run) enum Order {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Network {
-    /// Path of the published file of devices.
+    /// Path of the network configuration of the paper, which has the addresses of devices.
     pub(super) config: PathBuf,
 }
 

@@ -1,4 +1,4 @@
-//! Lookup of peers by their names in the published file of devices.
+//! Lookup of peers by their names in the network configuration of the paper.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
