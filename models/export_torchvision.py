@@ -6,7 +6,7 @@
     python3 models/export_torchvision.py efficientnet_v2_s --weights none --seed 7
 
 The card carries the weights' own transforms (resize, crop, normalisation) and their labels. `--weights none` needs no
-download: the weights are random, so that the answers mean nothing, but take exactly as long; the transforms are those of
+download: the weights are random, so the answers mean nothing, but take exactly as long; the transforms are those of
 the model's default weights.
 
 See docs/models.md.

@@ -156,7 +156,7 @@ def fetch(arch, destination, force):
     pip = find_pip()
     print(f"fetching onnxruntime {version} for {arch} from PyPI into {destination}", flush=True)
     destination.parent.mkdir(parents=True, exist_ok=True)
-    # On the file system of the destination, so that the files can be renamed into it.
+    # The folder is on the file system of the destination, so that the files can be renamed into it.
     with tempfile.TemporaryDirectory(prefix=".onnxruntime-", dir=destination.parent) as scratch:
         scratch = Path(scratch)
         names = unpack(download(pip, version, pin, scratch), scratch)

@@ -54,7 +54,7 @@ fi
 for entry in $limits; do
     unit=peernet-${entry%:*}.service
     limit=${entry#*:}
-    # Not recursive, so that errors of other units of this machine are ignored.
+    # The check is not recursive, so that errors of other units of this machine are ignored.
     quiet "$unit: verify" systemd-analyze verify --recursive-errors=no --man=no --generators=no "$scratch/units/$unit"
     succeeds "$unit: exposure at most $limit/100" \
         systemd-analyze security --offline=yes --no-pager --threshold="$limit" "$scratch/units/$unit"

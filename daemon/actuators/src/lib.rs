@@ -53,7 +53,7 @@ pub trait Actuator: Send {
         Vec::new()
     }
 
-    /// Returns whether `act` may block, so that it must not run on an I/O thread.
+    /// Returns whether `act` may block, so it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         false
     }

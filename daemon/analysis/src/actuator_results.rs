@@ -15,9 +15,10 @@ pub const EPISODE_SUCCESS: &str = "episode-success";
 /// Name of the node, and of the column, with the return of the episode that ended with an iteration: the sum of its rewards.
 pub const EPISODE_RETURN: &str = "episode-return";
 /// Values that belong to an episode. They are stored with the last iteration of the episode. They count even if that iteration has no
-/// answer or was a warm-up step. The agent records no such values for the episodes of the warm-up.
+/// answer, or is one of the first steps of its episode, which are warm-up. Episodes that begin in the warm-up at the start of the run have no
+/// such values.
 pub const EPISODE_VALUES: [&str; 2] = [EPISODE_SUCCESS, EPISODE_RETURN];
-/// Reports of the actuator after each action, whose means over actions mean little: the values of the episodes say what they add up to.
+/// Reports of the actuator after each action. Their means over all actions say little; [`EPISODE_VALUES`] has the results of whole episodes.
 pub const ACTION_REPORTS: [&str; 2] = ["success", "episode-ended"];
 
 /// Results of the actuator of one or several runs.
@@ -100,8 +101,8 @@ impl ActuatorResults {
     /// Returns sentences about the results; `answered` is the number of counted iterations.
     pub fn sentences(&self, answered: u64) -> Vec<String> {
         let superseded = (self.superseded > 0).then(|| {
-            let [of, all] = [self.superseded, answered].map(|count| fixed(count as f64, 0));
-            format!("Superseded: {of} of {all} answers were not acted on, because a newer answer had been or the episode had ended.")
+            let [superseded, answered] = [self.superseded, answered].map(|count| fixed(count as f64, 0));
+            format!("Superseded: {superseded} of {answered} answers were not acted on, because a newer answer had been acted on or the episode had ended.")
         });
         let success = self.success.map(|success| {
             let SuccessRate { rate, interval: (lo, hi), episodes } = success;
@@ -168,7 +169,7 @@ mod tests {
         assert_eq!(
             found.sentences(1_000),
             [
-                "Superseded: 1 of 1,000 answers were not acted on, because a newer answer had been or the episode had ended.",
+                "Superseded: 1 of 1,000 answers were not acted on, because a newer answer had been acted on or the episode had ended.",
                 "Success: 50 % of 2 episodes (95 % confidence: 9.5 – 91 %).",
                 "Return per episode: 2.00 ± 1.41 over 2 episodes."
             ]

@@ -95,7 +95,7 @@ pub struct Candidate {
     pub repeat: Option<Repeat>,
     /// Position in time: a later run has a larger number.
     pub sequence: i64,
-    /// True if a user names the run, so that its progress does not matter.
+    /// True if a user names the run, so its progress does not matter.
     pub is_named: bool,
     /// Rank of the results. If there are several results of one run, the results with the lowest rank are used.
     pub rank: u8,

@@ -25,7 +25,7 @@ struct Traffic {
 const TRAFFIC: [Traffic; 4] = [
     Traffic { name: "probes, 10 a second", hz: 10, wait: |n| exponential(n, 15_000.0) },
     Traffic { name: "data, 1,000 a second", hz: 1_000, wait: |n| exponential(n, 15_000.0) },
-    // Bounds of neighbouring exchanges differ by less than the drift between them, so that every exchange narrows the
+    // Bounds of neighbouring exchanges differ by less than the drift between them, so every exchange narrows the
     // band.
     Traffic { name: "worst: none hides another, 1,000 a second", hz: 1_000, wait: |n| (n % 2 * 49) as i64 },
     Traffic { name: "worst, 50 a second", hz: 50, wait: |n| (n % 2 * 990) as i64 },

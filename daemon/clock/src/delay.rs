@@ -167,7 +167,7 @@ names!(Verdict {
 pub struct OneWayDelay {
     /// Receive stamp minus send stamp, each from its own host's clock. May be negative, because it contains the offset of
     /// the clocks.
-    // Always present, so that the correction can be computed again.
+    // It is always present, so that the correction can be computed again.
     pub raw: Span,
     /// Estimate; `None` if the verdict is `unsynchronised`, `stepped` or `inconsistent`. A delay is never negative; a
     /// difference between two receivers may be.

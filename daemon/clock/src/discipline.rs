@@ -19,7 +19,7 @@ impl Discipline {
     pub fn offset(edge: &Self, cloud: &Self) -> (DelaySource, Interval) {
         let is_chrony = [edge, cloud].iter().any(|claim| claim.source == DelaySource::Chrony);
         let source = if is_chrony { DelaySource::Chrony } else { edge.source };
-        // The offset is the cloud's error minus the edge's error, so that its bounds are the extreme differences.
+        // The offset is the cloud's error minus the edge's error, so its bounds are the extreme differences.
         (source, Interval { lo: cloud.error.lo - edge.error.hi, hi: cloud.error.hi - edge.error.lo })
     }
 }

@@ -18,8 +18,8 @@ pub struct Exchange {
     pub replied: RawTime,
     /// Time on the edge's clock at which the answer arrived there, or later.
     pub returned: RawTime,
-    /// Largest sum by which a departure is stamped too late and its arrival too early: the resolution of the clocks and
-    /// of the format in which stamps are sent.
+    /// Upper limit of the sum of two errors: by how much a departure is stamped too late, and by how much its arrival is
+    /// stamped too early. They come from the resolution of the clocks and of the format in which stamps are sent.
     pub uncertainty: Span,
 }
 
@@ -53,8 +53,9 @@ impl Exchange {
 pub struct ExchangeObservation {
     /// The stamps.
     pub exchange: Exchange,
-    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of its wall clock. A
-    /// difference shows a step of the wall clock in between. `None` unless the monotonic clock was read together with
+    /// Time from `received` to `replied` by the cloud's monotonic clock, if these two stamps are of its wall clock
+    /// ([`RawTime`] holds times of either clock). If the stamps differ by another time, the wall clock was stepped in
+    /// between. `None` unless the monotonic clock was read together with
     /// both stamps.
     // A kernel's stamp does not qualify: it is earlier than the program's reading of another clock by as long as the
     // program waited for the processor.

@@ -64,7 +64,7 @@ pub trait Clock: Send + Sync + fmt::Debug {
         let read_clocks = || PairedReading { before: self.raw(), between: self.wall(), after: self.raw() };
         let PairedReading { before, between, after } = PairedReading::read_uninterrupted(read_clocks);
         let ahead = |raw: RawTime| Span::from_nanos(between.unix_nanos().saturating_sub(raw.nanos()));
-        // A hull, because a free-running clock with an injected step may go back between the two reads.
+        // The hull of the readings is used, because a free-running clock with an injected step may go back between the two reads.
         Interval::exactly(ahead(after)).hull(Interval::exactly(ahead(before)))
     }
 
@@ -152,7 +152,7 @@ fn read_with_mono(other: impl Fn() -> i64) -> PairedReading {
 }
 
 fn lock(watch: &Mutex<StepWatch>) -> MutexGuard<'_, StepWatch> {
-    // The state is valid after each assignment, so that a poisoned lock does no harm.
+    // The state is valid after each assignment, so a poisoned lock does no harm.
     watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -188,7 +188,7 @@ impl Clock for SystemClock {
     }
 
     fn epoch(&self) -> u32 {
-        // Both clocks run at the same rate, so that any change between them is sleep.
+        // Both clocks run at the same rate, so any change between them is sleep.
         lock(&self.sleeps).compare(read_with_mono(|| read(BOOT)))
     }
 

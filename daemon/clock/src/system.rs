@@ -13,7 +13,7 @@ pub(crate) const BOOT: ClockId = ClockId::CLOCK_BOOTTIME;
 
 /// Returns the time of a clock in nanoseconds since its own origin.
 // The call goes through the C library, so that a preloaded library such as libfaketime changes all clocks alike. The C
-// library uses the kernel's vDSO, so that the call is as fast as a direct one.
+// library uses the kernel's vDSO, so the call is as fast as a direct one.
 #[inline]
 pub(crate) fn read(clock: ClockId) -> i64 {
     let time = clock_gettime(clock).expect("Linux has had these four clocks since version 2.6.39");
@@ -22,7 +22,7 @@ pub(crate) fn read(clock: ClockId) -> i64 {
 
 /// Returns whether the C library returns the same time as a direct system call, which no preloaded library can change.
 pub(crate) fn matches_kernel(clock: ClockId, direct: rustix::time::ClockId) -> bool {
-    // Several attempts, because the wall clock may be set between two reads.
+    // There are several attempts, because the wall clock may be set between two reads.
     (0..4).any(|_| {
         let before = read_by_system_call(direct);
         let shown = read(clock);

@@ -24,7 +24,7 @@ pub struct MonoTime(i64);
 
 /// Instant of a host's free-running clock (`CLOCK_MONOTONIC_RAW`): nanoseconds since an arbitrary moment near boot.
 ///
-/// No time daemon steps or slews this clock, so that it drifts steadily against the free-running clock of another host.
+/// No time daemon steps or slews this clock, so it drifts steadily against the free-running clock of another host.
 /// Comparable only with stamps of the same host since the same boot, unless a [`Relation`](crate::Relation) translates
 /// them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -119,7 +119,7 @@ impl Span {
 
     /// Returns the seconds, the unit in which durations are stored and served.
     pub fn seconds(self) -> f64 {
-        // A division, because 1e-9 is not exact in binary: the product would print as 60.00000000000001.
+        // The number is divided, because 1e-9 is not exact in binary: the product would print as 60.00000000000001.
         self.0 as f64 / 1e9
     }
 

@@ -59,7 +59,7 @@ mod tests {
         encoder.set_color(color);
         encoder.set_depth(depth);
         if color == ColorType::Indexed {
-            // All colours are equal, so that only the numbers distinguish the classes.
+            // All colours are equal, so only the numbers distinguish the classes.
             encoder.set_palette(vec![7; 3 * 256]);
         }
         let mut writer = encoder.write_header().expect("has a size");

@@ -35,7 +35,7 @@ pub fn crop(picture: &Picture, crop: Crop, target: &mut Picture) -> Result<(), I
     let (row, cut) = (picture_width as usize * channels, width as usize * channels);
     let rows = picture.pixels().chunks_exact(row).skip(y as usize);
     let pixels = target.reshape(picture.format(), width, height);
-    // The pixels of a row are contiguous, so that each row is one copy.
+    // The pixels of a row are contiguous, so each row is one copy.
     for (to, from) in pixels.chunks_exact_mut(cut).zip(rows) {
         let start = x as usize * channels;
         to.copy_from_slice(&from[start..start + cut]);

@@ -2,9 +2,9 @@
 //!
 //! JPEG is decoded at full size, by a SIMD decoder. Decoding at a half, a quarter or an eighth of the size, which the
 //! format allows, was measured and is not used: entropy decoding takes most of the time and stays the same, the pixels
-//! change, and the one decoder in Rust that offers it is slower at half the size than this one at full size (for four
-//! pictures of 1 to 2 megapixels 4.0, 5.5, 7.8 and 15.3 ms against 3.3, 4.4, 7.1 and 15.5 ms). The pictures of a batch
-//! are decoded at the same time instead, by the caller.
+//! change, and the one decoder in Rust that offers it is at half the size not faster than this one at full size (for
+//! four pictures of 1 to 2 megapixels 4.0, 5.5, 7.8 and 15.3 ms against 3.3, 4.4, 7.1 and 15.5 ms). The pictures of a
+//! batch are decoded at the same time instead, by the caller.
 
 use std::io::Cursor;
 
@@ -33,7 +33,7 @@ pub(crate) fn detect_format(file: &[u8]) -> Result<MediaType, ImageError> {
     }
 }
 
-/// Decodes a JPEG or PNG file into `picture`, in the given order of channels.
+/// Decodes a JPEG or PNG file into `picture`, in the given pixel format.
 ///
 /// Transparency is dropped. Colour profiles are ignored, and so is the orientation tag, as in most training code; see
 /// [`turn_upright`](crate::turn_upright).

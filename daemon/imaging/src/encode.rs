@@ -25,7 +25,7 @@ pub enum Encoding {
 /// # Errors
 /// If the picture is empty, or larger than the format allows.
 pub fn encode(picture: &Picture, encoding: Encoding) -> Result<Part, ImageError> {
-    // An estimate of the file's size, so that the buffer rarely grows.
+    // This is an estimate of the file's size, so that the buffer rarely grows.
     let mut file = Vec::with_capacity(picture.pixels().len() / 8 + 1024);
     let media = match encoding {
         Encoding::Jpeg { quality } => {

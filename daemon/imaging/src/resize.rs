@@ -95,7 +95,7 @@ impl Resizer {
                 self.resize_pixels::<fir::pixels::U8>(picture, width, height, scaling.into(), pixels)
             }
         };
-        // Both sizes were checked and both buffers have the resulting length, so that no step can fail.
+        // Both sizes were checked and both buffers have the resulting length, so no step can fail.
         resized.ok_or(ImageError::Size { width: u64::from(width), height: u64::from(height) })
     }
 

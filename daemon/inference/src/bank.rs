@@ -250,7 +250,7 @@ impl Bank {
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
         let entries = self.all_entries();
-        // One place for each model: a thread that ends late must not wait for a receiver.
+        // There is one place for each model: a thread that ends late must not wait for a receiver.
         let (done, ended) = mpsc::sync_channel(entries.len());
         let mut running: Vec<(usize, Slug)> =
             entries.iter().enumerate().map(|(index, entry)| (index, entry.config.name().clone())).collect();

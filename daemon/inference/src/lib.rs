@@ -65,7 +65,7 @@ pub trait Model: Send + Sync {
     /// If the device has no memory for another worker.
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError>;
 
-    /// Returns whether `infer` may block or compute for long, so that it must not run on an I/O thread.
+    /// Returns whether `infer` may block or compute for long, so it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }

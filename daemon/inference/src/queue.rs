@@ -56,7 +56,7 @@ impl<T> Queue<T> {
             return Err((item, Rejection::Full));
         }
         state.waiting.push_back(item);
-        // Before the notification, so that the woken consumer does not wait for the lock.
+        // This comes before the notification, so that the woken consumer does not wait for the lock.
         drop(state);
         self.changed.notify_one();
         Ok(())
@@ -107,7 +107,7 @@ impl<T> Queue<T> {
         waiting
     }
 
-    /// Locks the state. No code here panics while it holds the lock, so that the state behind a poisoned lock is consistent.
+    /// Locks the state. No code here panics while it holds the lock, so the state behind a poisoned lock is consistent.
     fn lock(&self) -> MutexGuard<'_, State<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -84,7 +84,7 @@ impl WorkerSlot {
             }
         };
         let count = jobs.len();
-        // The panic closes the recorders' open nodes as it unwinds, so that they stay usable. The worker is discarded.
+        // The panic closes the recorders' open nodes as it unwinds, so they stay usable. The worker is discarded.
         let outcome = catch_unwind(AssertUnwindSafe(|| match jobs {
             [Job { sample, recorder, requester, .. }] => vec![worker.infer(sample, recorder, &**requester)],
             jobs => {

@@ -20,4 +20,4 @@ pub const MAX_ANCHORS: usize = 8;
 pub const MAX_NAME_BYTES: usize = 128;
 
 /// Largest number of bytes of the wire form of a tree or a tree delta.
-pub const MAX_BYTES: usize = 1024 * 1024;
+pub const MAX_TREE_BYTES: usize = 1024 * 1024;

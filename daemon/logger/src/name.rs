@@ -104,7 +104,7 @@ impl Ord for Name {
 
 impl Hash for Name {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        // By the text, as `Borrow<str>` requires; a static and a shared name with one text are equal.
+        // The text decides, as `Borrow<str>` requires; a static and a shared name with one text are equal.
         self.as_str().hash(state);
     }
 }

@@ -92,7 +92,7 @@ impl Recorder {
             }
             _ => return Err(TreeError::NotInFlight(transit.index())),
         }
-        // The arrival is the origin of this host's times, so that they need no relation to the sender's clock.
+        // The arrival is the origin of this host's times, so they need no relation to the sender's clock.
         tree.anchors.push(Anchor { host, wall: arrival.wall });
         let host = HostIndex((tree.anchors.len() - 1) as u8);
         let resume_state = Some(ResumeState { base, closed: (transit, arrival.wall) });

@@ -8,7 +8,7 @@ static ORDER: [Name; stage::COUNT] = stage::ORDER;
 
 /// Durations of the standard stages of a finished tree, and their sum.
 ///
-/// `upload` and `download` cross hosts, so that each contains the error of the offset between the two hosts' clocks.
+/// `upload` and `download` cross hosts, so each contains the error of the offset between the two hosts' clocks.
 /// Their *sum* needs no offset. With the offset θ (cloud minus edge), the raw differences are `upload + θ` and
 /// `download − θ`; in the sum θ cancels. In other words, the sum is the round trip on the edge's clock minus the time
 /// between receipt and reply on the cloud's clock, and each of these two is a difference on one clock. The sum of all

@@ -48,7 +48,7 @@ impl fmt::Display for Text<'_> {
                 children[parent.index()].push(id);
             }
         }
-        // A stack instead of recursion, so that a hostile tree cannot exhaust the call stack.
+        // The function uses a stack instead of recursion, so that a hostile tree cannot exhaust the call stack.
         let mut pending = vec![(NodeId::ROOT, 0)];
         while let Some((id, depth)) = pending.pop() {
             let Some(node) = tree.get(id) else { continue };

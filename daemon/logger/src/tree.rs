@@ -139,7 +139,7 @@ impl Tree {
 
     /// Returns the children of a node in the order in which they were opened.
     pub fn children(&self, parent: NodeId) -> impl Iterator<Item = (NodeId, &Node)> {
-        // Parents precede their children, so that the search starts after the node.
+        // Parents precede their children, so the search starts after the node.
         self.iter().skip(parent.index() + 1).filter(move |(_, node)| node.parent == Some(parent))
     }
 

@@ -55,7 +55,7 @@ pub enum ProbeResult {
     Sent,
     /// The probe was answered.
     Answered(ExchangeObservation),
-    /// The probe was answered, but this host's free-running clock was interrupted in between, so that the stamps cannot
+    /// The probe was answered, but this host's free-running clock was interrupted in between, so the stamps cannot
     /// be compared. The value is the clock's new epoch.
     Stepped(u32),
     /// An exchange that was reported as answered, with a better stamp of the reply's departure.
@@ -104,7 +104,7 @@ impl Prober {
         let target = config.target;
         let socket = ProbeSocket::open_for_target(target, config.stamps, clock.clone())
             .map_err(|error| OpenError::Socket { target, error })?;
-        // Not zero: reflectors that do not know session identifiers leave zero.
+        // The identifier is not zero: reflectors that do not know session identifiers leave zero.
         let ssid = rand::random_range(1..=u16::MAX);
         let sender = SenderState::new(SenderConfig {
             key: config.key.clone(),

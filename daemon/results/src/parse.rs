@@ -27,7 +27,7 @@ pub(crate) enum ParseError {
 /// State of reading a file line by line.
 pub(crate) struct RowParser {
     columns: Vec<ColumnParser>,
-    /// True if the file does not have the sum of the stages, so that the parser adds it.
+    /// True if the file does not have the sum of the stages, so the parser adds it.
     needs_sum: bool,
     rows: Rows,
 }

@@ -69,7 +69,7 @@ impl RowWriter {
     /// Adds a row.
     ///
     /// A row may have columns that no earlier row had. They are appended: the file is rewritten if its number of rows
-    /// has at least doubled since the last rewriting, so that rewriting costs no more than writing. Values without a
+    /// has at least doubled since the last rewriting, so rewriting costs no more than writing. Values without a
     /// column are left out until [`ResultFolder::finish`](super::ResultFolder::finish) adds them.
     pub fn write(&mut self, row: &Row) {
         if self.rows.1 >= 2 * self.rows.0 && !self.header.covers(row) {
@@ -79,7 +79,7 @@ impl RowWriter {
         self.rows.1 += 1;
         // Bytes that the last attempt left do not count; on a full disk, each row would otherwise try again.
         let has_many_bytes = self.pending.len() >= self.pending_after_attempt + MAX_PENDING_BYTES;
-        // The absolute difference, because a clock that was set back must not stop the writing.
+        // The absolute difference is used, because a clock that was set back must not stop the writing.
         if has_many_bytes || (row.at - self.written_at).abs() >= WRITE_INTERVAL_S {
             self.flush();
             self.written_at = row.at;

@@ -54,7 +54,7 @@ pub trait Sensor: Send {
         Ok(())
     }
 
-    /// Returns whether `sample` may block or compute for long, so that it must not run on an I/O thread.
+    /// Returns whether `sample` may block or compute for long, so it must not run on an I/O thread.
     fn blocks(&self) -> bool {
         true
     }

@@ -30,7 +30,7 @@ impl SplitMix64 {
 
     /// Returns an exponentially distributed number with mean 1.
     pub fn exponential(&mut self) -> f64 {
-        // 1 − u is never 0, so that the logarithm is finite.
+        // 1 − u is never 0, so the logarithm is finite.
         -(1.0 - self.unit()).ln()
     }
 

@@ -146,7 +146,7 @@ impl Connection {
 
     /// Receives a line, without its line feed. Each datagram is one line and may end with a line feed.
     fn receive_line(&mut self, deadline: &Deadline) -> Result<Vec<u8>, SocketError> {
-        // One byte more than the longest line, so that a longer datagram is not cut to a valid one.
+        // The buffer has one byte more than the longest line, so that a longer datagram is not cut to a valid one.
         let mut buffer = vec![0; MAX_LINE_BYTES + 1];
         loop {
             if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {

@@ -63,7 +63,7 @@ fn tcp_controller_gets_lines_and_answers_each() {
                 (&line["answer"], &line["source"]),
                 (&["left", "right"][number].into(), &"eye".into())
             );
-            // In two segments, as a network may deliver them.
+            // The line arrives in two segments, as a network may deliver them.
             let (start, end) = reply.split_at(5);
             stream.get_mut().write_all(start.as_bytes()).expect("is read");
             stream.get_mut().flush().expect("is sent");

@@ -243,7 +243,7 @@ impl Comparison {
         let any = |has: fn(&Line) -> bool| self.lines.iter().any(has);
         let notes = [
             any(|line| line.actuator.superseded > 0).then_some(
-                "Superseded: answers that were not acted on, because a newer answer had been or the episode had ended.",
+                "Superseded: answers that were not acted on, because a newer answer had been acted on or the episode had ended.",
             ),
             any(|line| line.actuator.success.is_some()).then_some(
                 "Success: episodes that were a success in %, with the 95 % confidence interval (Wilson), which assumes that the \

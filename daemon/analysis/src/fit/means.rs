@@ -20,7 +20,7 @@ pub struct MeanAtSize {
     pub std: Option<f64>,
 }
 
-/// Returns whether two sizes differ by less than a tenth, so that they count as one size.
+/// Returns whether two sizes differ by less than a tenth, so they count as one size.
 pub fn is_same_size(a: f64, b: f64) -> bool {
     a.max(b) <= a.min(b) * SAME_SIZE_RATIO
 }

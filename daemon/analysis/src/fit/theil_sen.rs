@@ -15,7 +15,7 @@ const MAX_BISECTIONS: usize = 80;
 /// follow from Kendall's statistic. The interval of the intercept combines the uncertainty of the slope and of the median (sign test), each at
 /// half the risk (Bonferroni). The intervals are valid for any distribution of the deviations that is the same for all points.
 ///
-/// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so that 100,000 samples are possible.
+/// Each count of the pairs takes O(n log n) time, and the pairs are not stored, so 100,000 samples are possible.
 pub fn theil_sen(points: &[Point]) -> Option<Fit> {
     if !can_be_fitted(points.iter().copied()) {
         return None;

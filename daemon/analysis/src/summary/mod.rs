@@ -71,7 +71,7 @@ impl Summary {
             FIXED_COLUMNS.get(*index).is_none_or(|(_, kind)| *kind == ColumnKind::Node) && !is_bound(name)
         });
         let quantity = |(_, name): (usize, &Column)| {
-            // This column includes unanswered iterations, so that its mean is the miss rate.
+            // This column includes unanswered iterations, so its mean is the miss rate.
             if *name == DEADLINE_MISSED {
                 let without_warm_up = rows.iter().filter(|row| !row.warm_up());
                 return Quantity::from_values(

@@ -152,7 +152,7 @@ impl Band {
             return Some(Contradiction::Drift);
         }
         let change = self.drift.change?;
-        // A cheap check first: an exchange contradicts nothing if the newest exchanges give bounds as good as its own.
+        // A cheap check comes first: an exchange contradicts nothing if the newest exchanges give bounds as good as its own.
         let improves = |point: Point, side: fn(&Bounds) -> Point| {
             self.latest.iter().all(|bounds| side(bounds).bound_at(limit, point.x) > point.bound)
         };

@@ -10,7 +10,7 @@
 //!   L_a) / (b−a) + κ(q−a)(q−b)/2, and likewise before them.
 //!
 //! Convex hulls select the two points that bound θ(q) best: the hull of the points (x, U + κx²/2) of one side and of the
-//! points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so that one
+//! points (x, U − κx²/2) of the other. A shift of the origin of x adds a straight line and changes no hull, so one
 //! set of hulls serves every q. The selection uses floating point; the bound of the selected two is an integer that is
 //! rounded up. Bounds from below are the same with the opposite sign. `docs/clocks.md` contains the proof.
 
@@ -208,7 +208,7 @@ fn multiply_divide(part: u64, value: i128, whole: u64) -> Option<i64> {
     if whole == 0 || part > MAX_LENGTH_NANOS || whole > MAX_LENGTH_NANOS {
         return None;
     }
-    // Integers, because the bound must be rounded up and never down.
+    // The computation uses integers, because the bound must be rounded up and never down.
     let product = value.checked_mul(i128::from(part))?;
     let quotient = match i64::try_from(product) {
         // Most products fit 64 bits, for which the processor has a division instruction.

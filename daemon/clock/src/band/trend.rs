@@ -2,7 +2,7 @@
 //!
 //! The estimate keeps the best point of each second on either side. The skew is the mean slope of two lines, one below
 //! all upper points and the other above all lower points, of about twenty seconds around the time of the query. After the skew is
-//! removed, the remaining drift is a wander much slower than the limit, so that the band of these points is much
+//! removed, the remaining drift is a wander much slower than the limit, so the band of these points is much
 //! narrower. The estimate is the middle of this narrow band. It assumes that the shortest delays of both directions are
 //! equal. This cannot be verified, and the bounds do not rely on it.
 //!
@@ -32,7 +32,7 @@ const MAX_WANDER: f64 = 2e-6;
 /// Smallest number of exchanges from which a skew is computed.
 const MIN_EXCHANGES: u64 = 8;
 /// Shortest time between the first and the last exchange from which a skew is computed.
-const MIN_NANOS: i64 = 5 * SECOND;
+const MIN_EXCHANGE_RANGE_NANOS: i64 = 5 * SECOND;
 
 /// The best points of each second on either side.
 #[derive(Clone, Debug)]
@@ -103,7 +103,7 @@ impl Trend {
         self.slope(x, ESTIMATE_SECONDS, limit)
     }
 
-    /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so that clocks
+    /// Returns the rate of the offset over the latest exchanges in seconds per second. No limit applies, so clocks
     /// that exceed the limit are visible.
     pub(super) fn skew(&self) -> Option<f64> {
         self.slope(self.time_range?.1, SKEW_SECONDS, f64::INFINITY)
@@ -121,7 +121,7 @@ impl Trend {
     /// Returns the rate of the offset by the points of the `seconds` seconds nearest to `x`, in seconds per second.
     fn slope(&self, x: i64, seconds: usize, limit: f64) -> Option<f64> {
         let (first, last) = self.time_range?;
-        if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_NANOS {
+        if self.exchanges < MIN_EXCHANGES || last.saturating_sub(first) < MIN_EXCHANGE_RANGE_NANOS {
             return None;
         }
         let compute = || {

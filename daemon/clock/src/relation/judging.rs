@@ -49,7 +49,7 @@ impl Relation {
     /// sender's host comes first.
     ///
     /// A difference and its interval may be negative, because each receiver has its own delay.
-    // The relation learns nothing from these stamps. None of them is a departure, so that they do not bound the offset.
+    // The relation learns nothing from these stamps. None of them is a departure, so they do not bound the offset.
     pub fn reception_differences(
         &self,
         up: (RawTime, RawTime),
@@ -196,7 +196,7 @@ impl Relation {
         }
         let drift = Span::from_nanos(self.windows.limit().max_change_over(hi.nanos()));
         let bounds = Interval { lo: (lo - drift).max(Span::ZERO), hi: hi + drift };
-        // The estimate assumes a symmetric path, so that it may lie outside of the proven interval.
+        // The estimate assumes a symmetric path, so it may lie outside of the proven interval.
         let value = value.clamp(lo.max(Span::ZERO), hi);
         self.with_verdict(at, raw, (value, bounds), &offset, is_fresh)
     }
@@ -215,7 +215,7 @@ impl Relation {
             Verdict::Ok if is_wide || self.windows.is_near_suspected_jump(at) => Verdict::Limited,
             verdict => verdict,
         };
-        // One of the sources is wrong, and it is unknown which, so that there is no valid interval.
+        // One of the sources is wrong, and it is unknown which, so there is no valid interval.
         let is_valid = verdict != Verdict::Inconsistent;
         OneWayDelay {
             raw,

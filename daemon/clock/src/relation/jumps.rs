@@ -175,7 +175,7 @@ impl ShortestRoundTrips {
 
     /// Updates the shortest round trip and the spread.
     fn update_shortest(&mut self) {
-        // The newest interval is incomplete, so that its shortest round trip is not final.
+        // The newest interval is incomplete, so its shortest round trip is not final.
         let complete_intervals = self.points.len().saturating_sub(1).max(1);
         let mut trips = [i64::MAX; MAX_POINTS];
         for (trip, point) in trips.iter_mut().zip(self.points.iter().take(complete_intervals)) {

@@ -26,7 +26,7 @@ pub use types::{
 use windows::Windows;
 
 /// Largest magnitude of stamps and offsets: 73 years.
-// A host whose clock has no battery starts in 1970, so that large offsets are valid.
+// A host whose clock has no battery starts in 1970, so large offsets are valid.
 const MAX_STAMP: Span = Span::from_nanos(1 << 61);
 /// Largest difference between the progress of a wall clock and of the monotonic clock that does not count as a step.
 // The two clocks are read one after the other.
@@ -73,7 +73,7 @@ impl Relation {
         }
     }
 
-    /// Returns whether both hosts read one clock, so that the offset is exactly zero.
+    /// Returns whether both hosts read one clock, so the offset is exactly zero.
     pub const fn is_same_clock(&self) -> bool {
         self.same_clock
     }

@@ -11,7 +11,7 @@ const LOWER_EPOCHS_FOR_RESTART: u32 = 8;
 // exclusion: in its stamps the step is visible as a difference between the wall clock and the monotonic clock.
 const MAX_EDGE_REACH: Span = Span::from_seconds(2);
 /// The same limit for a step of the cloud.
-// Long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
+// The time is long, because a step of the cloud does not change the edge's stamps, by which the reach is measured.
 const MAX_CLOUD_REACH: Span = Span::from_seconds(60);
 
 /// The epochs of both hosts, and the exclusion of exchanges that the last step requires.
@@ -26,7 +26,7 @@ pub(super) struct StepTracker {
 
 /// Rule that excludes exchanges which were in flight during a step.
 // The edge compares its epoch before and after an exchange. The cloud's epoch is read after its
-// stamps, so that a stamp may belong to an earlier epoch, but never to a later one.
+// stamps, so a stamp may belong to an earlier epoch, but never to a later one.
 #[derive(Clone, Copy, Debug, Default)]
 enum Barrier {
     /// Excludes nothing.
@@ -44,7 +44,7 @@ enum Barrier {
 pub(super) struct StepReport {
     pub(super) has_edge_step: bool,
     pub(super) has_cloud_step: bool,
-    /// `true` if the epochs of the exchange equal the previous ones, so that it reports no step.
+    /// `true` if the epochs of the exchange equal the previous ones, so it reports no step.
     pub(super) is_current: bool,
 }
 
@@ -77,7 +77,7 @@ impl StepTracker {
             self.barrier = Barrier::Before(returned, MAX_EDGE_REACH);
         }
         let cloud = observation.cloud_epoch.map(|reported| (reported, *self.cloud.get_or_insert(reported)));
-        // Answers can overtake each other, so that a lower epoch usually comes with a late answer.
+        // Answers can overtake each other, so a lower epoch usually comes with a late answer.
         let is_overtaken = cloud
             .is_some_and(|(reported, previous)| reported < previous && !self.count_lower_epoch(reported));
         let mut has_cloud_step = false;
@@ -94,7 +94,7 @@ impl StepTracker {
         StepReport { has_edge_step, has_cloud_step, is_current }
     }
 
-    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried this epoch, so that the cloud
+    /// Counts an answer with a lower epoch. Returns whether enough answers in a row carried this epoch, so the cloud
     /// counts as restarted.
     fn count_lower_epoch(&mut self, reported: u32) -> bool {
         let count = match self.lower_epoch {

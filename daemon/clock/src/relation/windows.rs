@@ -15,7 +15,7 @@ const MAX_MESSAGE_DURATION: Span = Span::from_seconds(60);
 /// Bounds of the offset by the exchanges of each window.
 ///
 /// A suspected jump happened at some time between two exchanges. The earlier window holds before the first of these
-/// exchanges, and the later window holds after the second. Between the two exchanges either window may hold, so that the
+/// exchanges, and the later window holds after the second. Between the two exchanges either window may hold, so the
 /// interval is the hull of both.
 #[derive(Clone, Debug)]
 pub(super) struct Windows {
@@ -42,7 +42,7 @@ struct PastWindow {
 impl Windows {
     pub(super) fn new(settings: &RelationSettings) -> Self {
         let limit = DriftLimit::new(settings.max_drift_ppm);
-        // A time daemon may change the rate of a wall clock at once, so that its drift has no limited change.
+        // A time daemon may change the rate of a wall clock at once, so its drift has no limited change.
         let are_free_running = settings.clocks.are_free_running();
         let change =
             are_free_running.then(|| DriftChangeLimit::new(settings.max_drift_change_ppm_per_s, limit));
@@ -91,7 +91,7 @@ impl Windows {
             let mut band = std::mem::replace(&mut self.current, new_band);
             // Exchanges that returned later may be from after the jump, and too wide to show it.
             band.truncate(returned);
-            // The edge's own clock may have jumped back, so that the second exchange has the earlier stamps.
+            // The edge's own clock may have jumped back, so the second exchange has the earlier stamps.
             let (holds_until, next_holds_from) = (sent.min(exchange.sent), returned.max(exchange.returned));
             self.past.push_back(PastWindow { band, holds_until, next_holds_from, next_sent: exchange.sent });
             // Older windows can answer no query any more.
@@ -136,7 +136,7 @@ impl Windows {
         self.current.offset_change(from, to)
     }
 
-    /// Returns whether a jump is suspected within the length of the window before a time, so that delays are `limited`.
+    /// Returns whether a jump is suspected within the length of the window before a time, so delays are `limited`.
     pub(super) fn is_near_suspected_jump(&self, at: RawTime) -> bool {
         self.past.iter().any(|past| past.holds_until <= at && at <= past.next_holds_from + self.window)
     }

@@ -16,15 +16,15 @@ use crate::{MonoTime, RawTime, Span, WallTime};
 pub struct Readings {
     /// `CLOCK_REALTIME`, with injected faults if there are any.
     pub wall: WallTime,
-    /// `CLOCK_MONOTONIC`: slewed like the wall clock, so that the two differ by steps only.
+    /// `CLOCK_MONOTONIC`: slewed like the wall clock, so the two differ by steps only.
     pub mono: MonoTime,
-    /// `CLOCK_MONOTONIC_RAW`: never slewed, so that the wall clock's slews show against it.
+    /// `CLOCK_MONOTONIC_RAW`: never slewed, so the wall clock's slews show against it.
     pub raw: RawTime,
     /// `CLOCK_BOOTTIME`: continues while the machine sleeps.
     pub boot: MonoTime,
 }
 
-/// Largest change between two clocks that does not count as a step.
+/// A change between two clocks counts as a step only if it is larger than this.
 // Smaller changes may come from the time that reading takes.
 const MIN_STEP: Span = Span::from_micros(20);
 

@@ -48,7 +48,7 @@ impl PairedReading {
 }
 
 /// Counter of the steps of a clock against `CLOCK_MONOTONIC`.
-// The monotonic clock is slewed together with the wall clock, so that only a step changes the difference between these two
+// The monotonic clock is slewed together with the wall clock, so only a step changes the difference between these two
 // clocks. Only a sleep changes the difference between the monotonic clock and `CLOCK_BOOTTIME`.
 #[derive(Debug, Default)]
 pub(crate) struct StepWatch {
@@ -60,7 +60,7 @@ pub(crate) struct StepWatch {
 impl StepWatch {
     /// Largest difference in rate that does not count as a step, parts per million.
     // libfaketime can give the wall clock another rate.
-    const RATE_PPM: f64 = 200.0;
+    const MAX_RATE_DIFFERENCE_PPM: f64 = 200.0;
 
     /// Compares a new reading with the last one. Returns the number of steps so far, [`begin_epoch`](Self::begin_epoch) included.
     pub(crate) fn compare(&mut self, now: PairedReading) -> u32 {
@@ -68,12 +68,15 @@ impl StepWatch {
         let change = now.difference() - last.difference();
         // Each reading is uncertain by half of its gap.
         let uncertainty = Span::from_nanos((now.gap() + last.gap()).nanos() / 2);
-        if change.abs() > MIN_STEP + uncertainty + parts_per_million(Self::RATE_PPM, now.after - last.before)
+        if change.abs()
+            > MIN_STEP
+                + uncertainty
+                + parts_per_million(Self::MAX_RATE_DIFFERENCE_PPM, now.after - last.before)
         {
             self.epoch += 1;
             self.last_step = Some(change);
         } else if now.gap() > MAX_UNINTERRUPTED_GAP && last.gap() < now.gap() {
-            // An interrupted reading is uncertain and could hide a step from all later readings, so that the better one
+            // An interrupted reading is uncertain and could hide a step from all later readings, so the better one
             // is kept.
             self.last = Some(last);
         }

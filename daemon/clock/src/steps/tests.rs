@@ -29,7 +29,7 @@ fn step_exceeds_uncertainty_of_readings() {
     assert_eq!(compare(&mut steps, 20, micros(50), calm), 1);
     assert_eq!(steps.last_step(), Some(micros(35)));
     assert_eq!(compare(&mut steps, 30, micros(-3_000_000), calm), 2);
-    // The reading was interrupted, so that a step of 40 µs cannot be told from the gap.
+    // The reading was interrupted, so a step of 40 µs cannot be told from the gap.
     assert_eq!(compare(&mut steps, 40, micros(-3_000_040), micros(200)), 2);
     // An uninterrupted reading shows the same difference, which is now certain.
     assert_eq!(compare(&mut steps, 41, micros(-3_000_040), calm), 3);
@@ -79,7 +79,7 @@ fn slew_is_distinguished_from_constant_drift() {
     let rate =
         |tenth: i64, ppm: i64| readings(Span::from_millis(100 * tenth), Span::from_nanos(tenth * 100 * ppm));
     assert_eq!(disturbances_of(50.0, 60, |tenth| rate(tenth, 60)), []);
-    // Then 300 ppm more for twenty seconds. The monotonic clock is slewed as well, so that no step shows.
+    // Then 300 ppm more for twenty seconds. The monotonic clock is slewed as well, so no step shows.
     let slewed = |tenth: i64| {
         let slew = Span::from_nanos((tenth - 300).clamp(0, 200) * 100 * 300);
         let plain = rate(tenth, 60);

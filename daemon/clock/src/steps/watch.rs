@@ -21,7 +21,7 @@ pub enum Disturbance {
 /// whose crystal is off by 60 ppm and whose time daemon compensates for it, the rate is a constant 60 ppm and the wall
 /// clock is excellent. A rate that exceeds the rate error of any crystal (100 ppm) by more than the limit counts as a
 /// slew from the start.
-// The limit applies to a pair of hosts. No host knows how much the other host contributes, so that each may use the
+// The limit applies to a pair of hosts. No host knows how much the other host contributes, so each may use the
 // whole limit. Exchanges between the two hosts detect what this check misses.
 #[derive(Debug)]
 pub struct ClockWatch {
@@ -37,7 +37,7 @@ pub struct ClockWatch {
 
 impl ClockWatch {
     /// Largest difference in rate that does not count as a step, for clocks with injected drift; parts per million.
-    const RATE_PPM: f64 = 500.0;
+    const MAX_RATE_DIFFERENCE_PPM: f64 = 500.0;
     /// Shortest sleep that is reported.
     // The time between the reads of two clocks is shorter.
     const MIN_SLEEP: Span = Span::from_millis(100);
@@ -68,7 +68,7 @@ impl ClockWatch {
         }
         // The wall clock continues while the machine sleeps, and is set from a coarser clock when it wakes.
         let step = (now.wall - last.wall) - elapsed;
-        if step.abs() > MIN_STEP + parts_per_million(Self::RATE_PPM, elapsed) {
+        if step.abs() > MIN_STEP + parts_per_million(Self::MAX_RATE_DIFFERENCE_PPM, elapsed) {
             disturbances.push(Disturbance::Step(step));
         }
         if disturbances.is_empty() {
@@ -101,7 +101,7 @@ impl ClockWatch {
         let is_same_rate = self.deviating_rate.1 > 0
             && (rate - self.deviating_rate.0).abs() <= 1.0 + self.max_drift_ppm / 10.0;
         self.deviating_rate = (rate, if is_same_rate { self.deviating_rate.1 + 1 } else { 1 });
-        // A lasting rate becomes the usual one, so that it is not reported for ever.
+        // A lasting rate becomes the usual one, so it is not reported for ever.
         if self.deviating_rate.1 >= Self::MEASUREMENTS_TO_SETTLE {
             self.usual_rate = Some(crystal_rate);
             self.deviating_rate.1 = 0;

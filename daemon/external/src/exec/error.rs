@@ -4,7 +4,7 @@ use std::num::NonZeroU64;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, VERSION};
+use super::{MAX_LINES, MAX_PARTS, MAX_SAMPLE_BYTES, VERSION};
 use crate::process::{MAX_TIMEOUT_MS, ProcessError};
 
 /// Reply that does not follow the framing.
@@ -38,7 +38,7 @@ pub enum FramingError {
         form: &'static str,
     },
     /// The payload is larger than the limit.
-    #[error("it announced {0} bytes; a sample has at most {MAX_BYTES}")]
+    #[error("it announced {0} bytes; a sample has at most {MAX_SAMPLE_BYTES}")]
     TooLarge(u64),
     /// The payload's length does not match its shape.
     #[error("it announced {bytes} bytes, but its shape and type need {expected}")]
@@ -86,7 +86,7 @@ pub enum CommandError {
     /// The command is empty.
     #[error("the command is empty")]
     Empty,
-    /// A word contains a zero byte, where the system would end it.
+    /// A word contains a zero byte, at which the system would end it.
     #[error("the command of {program:?} contains a zero byte")]
     ZeroByte {
         /// The first word.

@@ -47,7 +47,7 @@ pub const MAX_LINES: usize = 256;
 /// Largest number of parts of one sample.
 pub const MAX_PARTS: usize = 16;
 /// Largest size of one sample, bytes (1 GiB).
-pub const MAX_BYTES: u64 = 1 << 30;
+pub const MAX_SAMPLE_BYTES: u64 = 1 << 30;
 
 /// Role of a program in a pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

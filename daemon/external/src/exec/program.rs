@@ -226,7 +226,7 @@ fn send_and_receive(
                 ReplyInput::Line
             }
             ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
-            // The count is at most `MAX_BYTES`, which fits into a usize.
+            // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
             ReplyInput::Bytes(count) => assembler.push_bytes(process.read_exact(count as usize, until)?),
             ReplyInput::Reply(reply) => return Ok(reply),
         }

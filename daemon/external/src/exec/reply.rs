@@ -6,7 +6,7 @@ use peernet_sample::{MediaType, Part};
 
 use super::error::FramingError;
 use super::text_line::{shorten, split_first_word, text};
-use super::{MAX_BYTES, MAX_LINES, MAX_PARTS, Role, VERSION, shape};
+use super::{MAX_LINES, MAX_PARTS, MAX_SAMPLE_BYTES, Role, VERSION, shape};
 use peernet_sample::printable_lines;
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
@@ -253,7 +253,7 @@ impl ReplyAssembler {
         }
         // Checked before the bytes arrive, because the reader allocates the announced length.
         self.bytes = self.bytes.saturating_add(bytes);
-        if self.bytes > MAX_BYTES {
+        if self.bytes > MAX_SAMPLE_BYTES {
             return Err(Some(FramingError::TooLarge(self.bytes)));
         }
         if let Some(expected) = expected.filter(|expected| *expected != bytes) {

@@ -31,7 +31,7 @@ impl ProgramCall {
     }
 
     /// Returns the interval from the restart of the program to its reply, if it was restarted. A program does not
-    /// report when it is ready, so that the duration of the start itself is unknown.
+    /// report when it is ready, so the duration of the start itself is unknown.
     pub fn restart_interval(&self) -> Option<(MonoTime, MonoTime)> {
         self.restarted_at.map(|from| (from, self.ended_at))
     }

@@ -15,7 +15,7 @@ pub enum ProcessError {
         /// Error of the operating system.
         error: io::Error,
     },
-    /// The process ended or closed its pipe, so that no further call can succeed.
+    /// The process ended or closed its pipe, so no further call can succeed.
     #[error("{0}")]
     ProcessEnd(ProcessEnd),
     /// The process neither read nor wrote before the deadline.

@@ -72,7 +72,7 @@ impl Group {
         let _ = self.leader.kill();
         let status = self.leader.wait().ok();
         if let Some(mut watcher) = self.watcher.take() {
-            // The watcher was killed with its group, so that its status means nothing.
+            // The watcher was killed with its group, so its status means nothing.
             let _ = watcher.child.wait();
         }
         status

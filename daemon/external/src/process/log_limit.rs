@@ -9,7 +9,7 @@ const PERIOD: Span = Span::from_millis(10_000);
 /// Largest number of lines in one period.
 const MAX_LINES: u64 = 200;
 /// Largest number of bytes in one period.
-const MAX_BYTES: u64 = 32 << 10;
+const MAX_PERIOD_BYTES: u64 = 32 << 10;
 
 /// Limit of the lines and bytes that one process writes to the log in each period. A program that prints in a loop would
 /// otherwise fill the disk with its log, and hide the lines of all other parts.
@@ -44,7 +44,7 @@ impl LogLimit {
             self.period_end = Some(now + PERIOD);
             self.logged = LogVolume::default();
         }
-        let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_BYTES;
+        let is_admitted = self.logged.lines < MAX_LINES && self.logged.bytes < MAX_PERIOD_BYTES;
         let volume = if is_admitted { &mut self.logged } else { &mut self.omitted };
         volume.add(line);
         is_admitted
@@ -69,7 +69,11 @@ impl LogLimit {
 
     /// Returns the limits in words.
     pub(super) fn in_words() -> String {
-        format!("at most {MAX_LINES} lines and {} KiB are logged in {} s", MAX_BYTES >> 10, PERIOD.seconds())
+        format!(
+            "at most {MAX_LINES} lines and {} KiB are logged in {} s",
+            MAX_PERIOD_BYTES >> 10,
+            PERIOD.seconds()
+        )
     }
 }
 

@@ -48,7 +48,7 @@ impl Process {
         let start_error = |error| ProcessError::Start { program: launch.describe(), error };
         let mut group = Group::start(launch.command()).map_err(start_error)?;
         let pipes = Self::take_pipes(&mut group, launch, clock).inspect_err(|_| {
-            // The process was killed, so that its status means nothing.
+            // The process was killed, so its status means nothing.
             let _ = group.finish();
         });
         let (input, output, stderr_log) = pipes.map_err(start_error)?;

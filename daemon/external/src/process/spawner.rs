@@ -36,7 +36,7 @@ pub(super) fn spawn(command: Command) -> io::Result<Child> {
 /// Starts a process for each request.
 fn serve(requests: &Receiver<SpawnRequest>) {
     for SpawnRequest { mut command, reply } in requests {
-        // The requester waits for the reply, so that this cannot fail.
+        // The requester waits for the reply, so this cannot fail.
         let _ = reply.send(command.spawn());
     }
 }

@@ -19,7 +19,7 @@ pub(super) const PREFIX_BYTES: usize = 8;
 /// Longest header, bytes.
 pub(super) const MAX_HEADER_BYTES: usize = 1 << 20;
 /// Largest size of all parts of a value, bytes (1 GiB).
-pub(super) const MAX_BYTES: u64 = 1 << 30;
+pub(super) const MAX_VALUE_BYTES: u64 = 1 << 30;
 /// Media type of a pickled object. The parts after the pickled object are its buffers (pickle protocol 5, PEP 574).
 pub const PICKLE: &str = "application/x-python-pickle";
 
@@ -121,7 +121,7 @@ pub enum FrameError {
     #[error(transparent)]
     Header(#[from] serde_json::Error),
     /// The parts are longer than allowed.
-    #[error("its value has more than {MAX_BYTES} bytes")]
+    #[error("its value has more than {MAX_VALUE_BYTES} bytes")]
     ValueLength,
     /// The worker sent a message that does not answer the request.
     #[error("it sent a message that does not answer the request")]

@@ -21,7 +21,7 @@ const MIN_SHARED_BYTES: usize = 4 << 10;
 /// Alignment of each part, bytes: a cache line.
 const ALIGNMENT: usize = 64;
 /// Initial size, bytes.
-const INITIAL_BYTES: usize = 1 << 20;
+const INITIAL_SIZE_BYTES: usize = 1 << 20;
 /// Memory that stays allocated between calls, bytes. Memory beyond it is returned to the system after a call.
 const MAX_KEPT_BYTES: u64 = 64 << 20;
 
@@ -46,7 +46,7 @@ impl SharedMemory {
         // `SEAL` forbids further seals, with which the other side could prevent growing or writing.
         fcntl_add_seals(&file, SealFlags::SHRINK | SealFlags::SEAL)?;
         let file = File::from(file);
-        file.set_len(INITIAL_BYTES as u64)?;
+        file.set_len(INITIAL_SIZE_BYTES as u64)?;
         Ok(Self { map: MmapRaw::map_raw(&file)?, file: Arc::new(file) })
     }
 
@@ -157,7 +157,7 @@ mod tests {
     fn positions_outside_memory_are_refused() {
         let mut shared_memory = SharedMemory::new().expect("there is memory");
         for (at, length) in
-            [(0, INITIAL_BYTES + 1), (INITIAL_BYTES as u64, 1), (u64::MAX, 1), (1, usize::MAX)]
+            [(0, INITIAL_SIZE_BYTES + 1), (INITIAL_SIZE_BYTES as u64, 1), (u64::MAX, 1), (1, usize::MAX)]
         {
             assert_eq!(
                 shared_memory.read_part(at, length).expect("nothing is wrong with it"),
@@ -172,12 +172,12 @@ mod tests {
         let mut shared_memory = SharedMemory::new().expect("there is memory");
         let peer_file = shared_memory.file();
         peer_file.set_len(0).expect_err("it is sealed");
-        peer_file.set_len(2 * INITIAL_BYTES as u64).expect("it may grow");
-        peer_file.write_all_at(b"late", INITIAL_BYTES as u64 + 7).expect("there is room");
-        let bytes = shared_memory.read_part(INITIAL_BYTES as u64 + 7, 4).expect("it is mapped");
+        peer_file.set_len(2 * INITIAL_SIZE_BYTES as u64).expect("it may grow");
+        peer_file.write_all_at(b"late", INITIAL_SIZE_BYTES as u64 + 7).expect("there is room");
+        let bytes = shared_memory.read_part(INITIAL_SIZE_BYTES as u64 + 7, 4).expect("it is mapped");
         assert_eq!(bytes.as_deref(), Some(&b"late"[..]));
-        peer_file.set_len(16 * INITIAL_BYTES as u64).expect("it may grow");
-        shared_memory.write_parts(&[part(3 * INITIAL_BYTES)]).expect("it is there already");
+        peer_file.set_len(16 * INITIAL_SIZE_BYTES as u64).expect("it may grow");
+        shared_memory.write_parts(&[part(3 * INITIAL_SIZE_BYTES)]).expect("it is there already");
     }
 
     #[test]

@@ -148,7 +148,7 @@ class Encoder:
         return part({"pixels": name}, value.tobytes(), (value.height, value.width, channels), "u8")
 
     def has_only_builtins(self, value, depth=0):
-        """Whether a value is made of built-in types alone, so that nothing is lost without a pickle."""
+        """Whether a value is made of built-in types alone, so nothing is lost without a pickle."""
         kind = type(value)
         if value is None or kind in (bool, int, float):
             return True

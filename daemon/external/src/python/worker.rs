@@ -8,7 +8,7 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_sample::Part;
 
 use super::SOURCE;
-use super::frame::{self, FrameError, MAX_BYTES, PREFIX_BYTES, PartHead, Reply, Request};
+use super::frame::{self, FrameError, MAX_VALUE_BYTES, PREFIX_BYTES, PartHead, Reply, Request};
 use super::shared_memory::SharedMemory;
 use crate::process::{Launch, Process, ProcessEnd, ProcessError};
 
@@ -78,7 +78,7 @@ impl Worker {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker waits for this request, so that a part in the shared memory is read before the next part is written.
+            // The worker waits for this request, so a part in the shared memory is read before the next part is written.
             let is_awaited = on_part(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
             self.process.write(&[&encode_request(&request)?], deadline())?;
@@ -121,7 +121,7 @@ impl Worker {
             return Ok((reply, Vec::new()));
         };
         let total = parts.iter().try_fold(0_u64, |sum, part| sum.checked_add(part.length));
-        if total.is_none_or(|total| total > MAX_BYTES) {
+        if total.is_none_or(|total| total > MAX_VALUE_BYTES) {
             return Err(FrameError::ValueLength.into());
         }
         let bytes = parts.iter().map(|part| self.read_part(part, deadline)).collect::<Result<_, _>>()?;
@@ -130,7 +130,7 @@ impl Worker {
 
     /// Returns the bytes of a part, from the shared memory or from the pipe.
     fn read_part(&mut self, part: &PartHead, deadline: MonoTime) -> Result<Bytes, WorkerError> {
-        // At most `MAX_BYTES`: `receive_reply` has checked the sum of all parts.
+        // The length is at most `MAX_VALUE_BYTES`: `receive_reply` has checked the sum of all parts.
         let length = part.length as usize;
         let Some(at) = part.at else { return Ok(self.process.read_exact(length, deadline)?) };
         let bytes = self.shared_memory.read_part(at, length).map_err(WorkerError::Memory)?;

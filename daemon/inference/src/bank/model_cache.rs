@@ -102,7 +102,7 @@ impl ModelCache {
         errors
     }
 
-    /// Locks the entries. No code panics while it holds the lock, so that the state behind a poisoned lock is
+    /// Locks the entries. No code panics while it holds the lock, so the state behind a poisoned lock is
     /// consistent.
     fn lock(&self) -> MutexGuard<'_, Vec<Arc<CacheEntry>>> {
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
@@ -124,7 +124,7 @@ fn entries_to_unload(
     stamp: &FilesStamp,
     most: usize,
 ) -> Result<ToUnload, LoadError> {
-    // The caller holds the lock of the list, so that no other thread can get an entry that only the list references.
+    // The caller holds the lock of the list, so no other thread can get an entry that only the list references.
     let is_idle = |entry: &Arc<CacheEntry>| Arc::strong_count(entry) == 1 && entry.is_idle();
     if let Some(at) = entries.iter().position(|entry| is_entry(entry, name, device)) {
         if entries[at].stamp.as_ref() == Some(stamp) {

@@ -133,7 +133,7 @@ impl Worker for PythonWorker {
         }
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
         let parts = called.result.map_err(|error| match error {
-            // The failure came after the conversion of the sample, so that it concerns the answer.
+            // The failure came after the conversion of the sample, so it concerns the answer.
             PythonError::Value(reason) if has_inferred => failed(format!("its answer: {reason}")),
             PythonError::Value(reason) => {
                 let (model, sample) = (self.model.clone(), sample.source.clone());

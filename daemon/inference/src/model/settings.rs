@@ -27,7 +27,7 @@ impl ModelConfig {
         let keys = table.as_object().into_iter().flatten();
         let entry = |(key, value): (&String, &Value)| match value {
             _ if unpublished.contains(&key.as_str()) => None,
-            // Values of environment variables may be secret, so that only the names are recorded.
+            // Values of environment variables may be secret, so only the names are recorded.
             Value::Object(variables) if key == ENVIRONMENT => {
                 let names: Vec<&str> = variables.keys().map(String::as_str).collect();
                 Some(format!("{key} with {}", names.join(" ")))

@@ -1,4 +1,4 @@
-//! The table of one model: keys that several kinds share, and the keys of its kind.
+//! The table of one model: keys that several kinds of model share, and the keys of its kind.
 
 use std::num::NonZeroUsize;
 
@@ -13,7 +13,7 @@ use super::ModelKind;
 /// Keys with their values.
 pub type Keys = Map<String, Value>;
 
-/// Keys that several kinds share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
+/// Keys that several kinds of model share. A kind lists the keys that it has ([`ModelKind::shared_keys`]); the other keys have their
 /// defaults.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SharedKeys {

@@ -96,7 +96,7 @@ fn answer(result: Result<Sample, InferenceError>) -> Answer {
 
 /// Picture of the demo with its label.
 #[derive(Deserialize)]
-struct Labelled {
+struct LabelledPicture {
     file: String,
     label: String,
 }
@@ -108,6 +108,8 @@ fn pictures(folder: &str) -> Vec<(Vec<u8>, String)> {
     labels
         .deserialize()
         .map(|row| row.expect("has file and label"))
-        .map(|Labelled { file, label }| (std::fs::read(folder.join(file)).expect("is committed"), label))
+        .map(|LabelledPicture { file, label }| {
+            (std::fs::read(folder.join(file)).expect("is committed"), label)
+        })
         .collect()
 }

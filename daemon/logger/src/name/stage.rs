@@ -107,7 +107,7 @@ pub const BATCH_WAIT: Name = Name::from_static("batch-wait");
 // The wire form contains it as text, like names supplied by users.
 pub const IPC: Name = Name::from_static("ipc");
 /// Overhead of the communication with a sensor's worker process, below `capture`.
-// A separate name, because statistics are grouped by name.
+// It has a separate name, because statistics are grouped by name.
 pub const CAPTURE_IPC: Name = Name::from_static("capture-ipc");
 /// Overhead of the communication with an actuator's worker process, below `actuation`.
 pub const ACTUATION_IPC: Name = Name::from_static("actuation-ipc");

@@ -40,7 +40,7 @@ impl Drop for TimerGuard<'_> {
     #[inline]
     fn drop(&mut self) {
         let recorder = &mut *self.recorder;
-        // Guards are dropped innermost first, so that the outer node becomes the innermost open node.
+        // Guards are dropped innermost first, so the outer node becomes the innermost open node.
         (recorder.innermost, recorder.level) = (self.outer, self.outer_level);
         if let Some(node) = recorder.tree.nodes.get_mut(self.node.index())
             && let Measure::Timer(duration) = &mut node.measure

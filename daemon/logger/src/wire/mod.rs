@@ -29,7 +29,7 @@ mod writer;
 use peernet_clock::WallTime;
 
 use self::reader::Reader;
-use crate::limits::MAX_BYTES;
+use crate::limits::MAX_TREE_BYTES;
 use crate::{NodeId, Tree, TreeDelta, TreeError};
 
 /// Version of the wire form.
@@ -39,7 +39,7 @@ pub const VERSION: u64 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum WireError {
     /// The input is longer than the limit.
-    #[error("the input has {0} bytes, the limit is {MAX_BYTES}")]
+    #[error("the input has {0} bytes, the limit is {MAX_TREE_BYTES}")]
     TooLong(usize),
     /// The input was written by another version of this program.
     #[error("wire form version {0} is not supported, only version {VERSION}")]

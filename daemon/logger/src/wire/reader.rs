@@ -4,12 +4,12 @@ use peernet_clock::{DelaySource, Interval, OneWayDelay, RawTime, Span, Verdict, 
 use rmp::{Marker, decode};
 
 use super::{VERSION, WireError};
-use crate::limits::{MAX_ANCHORS, MAX_BYTES, MAX_NAME_BYTES, MAX_NODES};
+use crate::limits::{MAX_ANCHORS, MAX_NAME_BYTES, MAX_NODES, MAX_TREE_BYTES};
 use crate::{Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Rate, RawStamps, Transit, Unit, stage};
 
 /// Length of the shortest node.
 // The length of the remaining input divided by this length limits the capacity that is reserved for nodes.
-// One byte each for the array, its parent, its name, its host, its start and its kind.
+// This is one byte each for the array, its parent, its name, its host, its start and its kind.
 const MIN_NODE_BYTES: usize = 6;
 /// Length of the shortest anchor. It limits the capacity that is reserved for anchors.
 // The array, the head and the 16 bytes of the host, and one byte for the time: 1 + 2 + 16 + 1.
@@ -27,7 +27,7 @@ type ReadResult<T> = Result<T, WireError>;
 impl<'a> Reader<'a> {
     /// Reads the header that trees and tree deltas share.
     pub(super) fn new(bytes: &'a [u8], fields: u32, item: &'static str) -> ReadResult<Self> {
-        if bytes.len() > MAX_BYTES {
+        if bytes.len() > MAX_TREE_BYTES {
             return Err(WireError::TooLong(bytes.len()));
         }
         let mut reader = Self { rest: bytes, length: bytes.len() };
@@ -150,7 +150,7 @@ impl<'a> Reader<'a> {
         if count > MAX_ANCHORS {
             return Err(WireError::Limit { what: "hosts", found: count, limit: MAX_ANCHORS });
         }
-        // The stated count may be wrong, so that the length of the input limits the capacity.
+        // The stated count may be wrong, so the length of the input limits the capacity.
         let mut anchors = Vec::with_capacity(count.min(self.rest.len() / MIN_ANCHOR_BYTES));
         for _ in 0..count {
             anchors.push(self.anchor()?);
@@ -163,7 +163,7 @@ impl<'a> Reader<'a> {
         if count > MAX_NODES {
             return Err(WireError::Limit { what: "nodes", found: count, limit: MAX_NODES });
         }
-        // A little more capacity than needed, because the edge adds computed nodes.
+        // The capacity is a little larger than needed, because the edge adds computed nodes.
         let mut nodes = Vec::with_capacity(count.min(self.rest.len() / MIN_NODE_BYTES) + 8);
         for _ in 0..count {
             nodes.push(self.node()?);

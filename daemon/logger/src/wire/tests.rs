@@ -74,7 +74,7 @@ fn tree() -> impl Strategy<Value = Tree> {
             let hosts = anchors.len();
             let mut tree_nodes: Vec<Node> = Vec::new();
             for (index, (parent, name, host, start, measure)) in nodes.into_iter().enumerate() {
-                // Parents near the root, so that no branch exceeds the largest depth.
+                // All parents are near the root, so that no branch exceeds the largest depth.
                 let parent = (index > 0).then(|| NodeId(parent.index(index.min(MAX_DEPTH - 1)) as u32));
                 let host = HostIndex(host.index(hosts) as u8);
                 tree_nodes.push(Node { parent, name, host, start, measure });
@@ -173,7 +173,7 @@ fn error_names_exceeded_limit() {
     assert_eq!(decode(&encode_by_hand(1, &[ROOT])).map(|tree| tree.nodes().len()), Ok(1));
 
     let limit = |what, found, limit| Err(WireError::Limit { what, found, limit });
-    assert_eq!(decode(&vec![0; MAX_BYTES + 1]), Err(WireError::TooLong(MAX_BYTES + 1)));
+    assert_eq!(decode(&vec![0; MAX_TREE_BYTES + 1]), Err(WireError::TooLong(MAX_TREE_BYTES + 1)));
     assert_eq!(decode(&[0x93, 2, 0x90, 0x90]), Err(WireError::Version(2)));
     assert_eq!(decode(&encode_by_hand(9, &[ROOT])), limit("hosts", 9, MAX_ANCHORS));
     assert_eq!(

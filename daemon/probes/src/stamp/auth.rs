@@ -71,7 +71,7 @@ impl Key {
 
         let read_error = |error| KeyError::Read { path: path.to_owned(), error };
         let file = std::fs::File::open(path).map_err(read_error)?;
-        // Of the open file: the path may lead to another file by now.
+        // The metadata is of the open file: the path may lead to another file by now.
         let mode = file.metadata().map_err(read_error)?.permissions().mode() & 0o7777;
         if mode & 0o077 != 0 {
             return Err(KeyError::OpenToOthers { path: path.to_owned(), mode });

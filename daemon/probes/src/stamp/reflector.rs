@@ -59,7 +59,7 @@ pub struct Arrival {
     pub source: SocketAddr,
     /// Time of arrival by the wall clock.
     pub received: WallTime,
-    /// Time of arrival by the free-running clock. Not earlier than the true one.
+    /// Time of arrival by the free-running clock; not earlier than the true time.
     pub received_raw: RawTime,
     /// Time of arrival by the monotonic clock.
     pub now: MonoTime,
@@ -154,7 +154,7 @@ impl ReflectorState {
             return Err(Refusal::Reply);
         }
         let address = arrival.source.ip();
-        // After the checks, so that only requests that would be answered use the rate.
+        // The rate is limited after the checks, so that only requests that would be answered use the rate.
         self.limiter.admit(address, arrival.now)?;
 
         let is_peer = self.limiter.is_peer(address);

@@ -28,7 +28,7 @@ pub struct SenderConfig {
     pub key: Option<Key>,
     /// The only accepted reflector, by its [`Origin::instance`]; `None` accepts any.
     pub instance: Option<u64>,
-    /// `true` if each request carries random octets that its answer must return. Only used with a key.
+    /// `true` if each request carries random octets that its answer must return. It is used only with a key.
     // The octets prove that the TLVs of an answer were written for this request, and not for another request with the same
     // number and key.
     pub with_nonce: bool,
@@ -71,7 +71,7 @@ pub struct Departure {
     nonce: Option<Nonce>,
     /// Difference wall clock minus free-running clock, read before the stamp.
     ahead: Interval,
-    /// Edge's epoch, read before the stamp, so that the stamp belongs to this epoch or a later epoch.
+    /// Edge's epoch, read before the stamp, so the stamp belongs to this epoch or a later epoch.
     epoch: u32,
 }
 
@@ -120,7 +120,7 @@ pub struct ReplyArrival {
 pub struct ReplyResult {
     /// An earlier exchange, now with the stamp of its reply's true departure.
     pub refined: Option<ExchangeObservation>,
-    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between, so that the stamps
+    /// The exchange that the reply completes. `None` if the edge's clock was interrupted in between, so the stamps
     /// cannot be compared.
     pub answered: Option<ExchangeObservation>,
 }
@@ -446,7 +446,7 @@ fn refine_departure(
 /// Returns the values of the intact TLVs (RFC 8972, section 4).
 fn read_tlvs(key: Option<&Key>, sequence: u32, tlvs: &[u8]) -> TlvValues {
     let mut tlv_values = TlvValues::default();
-    // Checked first: a reflector that sets this flag returns the TLVs unchanged, so that their code does not match.
+    // Checked first: a reflector that sets this flag returns the TLVs unchanged, so their code does not match.
     if tlv::headers(tlvs).any(|header| header.flags & tlv::NOT_INTACT != 0) {
         return TlvValues { alteration: Some(ALTERED_PROBE_TLVS), ..tlv_values };
     }

@@ -149,9 +149,9 @@ impl Origin {
 pub struct RawStamps {
     /// Epoch of the reflector's free-running clock, [`epoch`](peernet_clock::Clock::epoch).
     pub epoch: u32,
-    /// Arrival of the request. Not earlier than the true one.
+    /// Arrival of the request; not earlier than the true arrival.
     pub received: RawTime,
-    /// Departure of the reply. Not later than the true one.
+    /// Departure of the reply; not later than the true departure.
     pub replied: RawTime,
     /// Number of an earlier reply, and its departure, which is not later than the true one.
     pub previous: Option<(u32, RawTime)>,

@@ -420,7 +420,7 @@ async fn prober_ends_when_receiver_is_dropped() {
     let silent_socket = UdpSocket::bind(loopback()).await.expect("a socket");
     let config = prober_config(silent_socket.local_addr().expect("bound"));
     let prober = Prober::open(config, system_clock("edge")).expect("a socket");
-    // The rate stays at zero, so that there is no result through which the prober could notice.
+    // The rate stays at zero, so there is no result through which the prober could notice.
     let (_rate, rate_hz) = tokio::sync::watch::channel(0.0);
     let (result_sender, results) = tokio::sync::mpsc::channel(1);
     let task = tokio::spawn(prober.run(rate_hz, result_sender, CancellationToken::new()));

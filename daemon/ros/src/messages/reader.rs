@@ -151,7 +151,7 @@ impl Reader {
     /// If the remaining bytes cannot hold this number of elements.
     pub fn take_length(&mut self, min_element_bytes: usize) -> Result<usize, DecodeError> {
         let claimed = u32::from_le_bytes(self.take_number()?);
-        // Saturating, so that an impossible claim remains impossible.
+        // The conversion saturates, so that an impossible claim remains impossible.
         let length = usize::try_from(claimed).unwrap_or(usize::MAX);
         let needed = length.saturating_mul(min_element_bytes);
         let (offset, available) = (self.offset, self.remaining());

@@ -260,7 +260,7 @@ impl OutgoingConnection {
                         Err(_) => break,
                     }
                 }
-                // Only if something is unsent, because a socket is writable nearly all the time.
+                // The socket is awaited only if something is unsent, because it is writable nearly all the time.
                 _ = self.stream.writable(), if has_unsent => self.write_unsent(),
                 () = self.write_needed.notified() => {}
             }

@@ -208,7 +208,7 @@ impl PublishedTopic {
         if self.publication.is_latching {
             state.latched_message = Some((message.clone(), prefix));
         }
-        // A copy, so that the topic is not locked while messages are written to sockets.
+        // The list is copied, so that the topic is not locked while messages are written to sockets.
         state.connections.clone()
     }
 
@@ -225,7 +225,7 @@ impl PublishedTopic {
 
     pub(super) fn counts(&self) -> SendCounts {
         let state = self.state();
-        // Under the lock, so that a connection that ends meanwhile is counted exactly once.
+        // This is done under the lock, so that a connection that ends meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.connections.iter().for_each(|connection| sum.add(&connection.counts()));
         sum

@@ -252,7 +252,7 @@ impl PublisherLink {
             // Stamped before the message is queued, because it may have to wait for space in the queue.
             let received = topic.clock.stamp();
             {
-                // In a block, so that the lock is released before the queue is awaited.
+                // This is a block, so that the lock is released before the queue is awaited.
                 let counts = &mut self.state().counts;
                 counts.messages += 1;
                 counts.bytes += bytes.len() as u64;

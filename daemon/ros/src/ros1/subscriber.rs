@@ -130,7 +130,7 @@ impl Subscriber {
     /// If the node has ended.
     pub async fn recv(&mut self) -> Result<ReceivedMessage, NodeError> {
         tokio::select! {
-            // Biased, so that messages that arrived before the end are returned before the error.
+            // The choice is biased, so that messages that arrived before the end are returned before the error.
             biased;
             message = self.topic.queue.pop() => Ok(message),
             () = self.topic.stop.cancelled() => {
@@ -276,7 +276,7 @@ impl SubscribedTopic {
 
     pub(super) fn counts(&self) -> ReceiveCounts {
         let state = self.state();
-        // Under the lock, so that a publisher that leaves meanwhile is counted exactly once.
+        // This is done under the lock, so that a publisher that leaves meanwhile is counted exactly once.
         let mut sum = state.ended_counts;
         state.links.values().for_each(|link| sum.add(&link.status().counts));
         sum

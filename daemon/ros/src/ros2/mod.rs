@@ -4,7 +4,7 @@
 //! bytes: a CDR encapsulation header of 4 bytes, then the CDR form of the message. A received message is copied once; a
 //! message to be sent is not copied.
 //!
-//! Settings, names and QoS are part of every build, so that a configuration is checked everywhere. DDS needs the cargo
+//! Settings, names and QoS are part of every build, so a configuration is checked everywhere. DDS needs the cargo
 //! feature `ros2`, which is off by default because it brings many crates. Without it [`Ros2Node::new`] returns
 //! [`Ros2Error::NotBuilt`], so that callers need no `cfg`.
 

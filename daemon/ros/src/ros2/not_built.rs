@@ -101,7 +101,7 @@ impl Ros2Node {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub fn create_publisher(
         &self,
         _topic: &str,
@@ -115,7 +115,7 @@ impl Ros2Node {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub fn create_subscription(
         &self,
         _topic: &str,
@@ -129,7 +129,7 @@ impl Ros2Node {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub async fn shut_down(self) -> Result<(), Ros2Error> {
         match self {}
     }
@@ -140,7 +140,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub async fn publish(&self, _payload: Bytes, _source_time: WallTime) -> Result<i64, Ros2Error> {
         match *self {}
     }
@@ -159,7 +159,7 @@ impl Ros2Publisher {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub async fn wait_for_acknowledgment(&self, _time_limit: Duration) -> Result<(), Ros2Error> {
         match *self {}
     }
@@ -175,7 +175,7 @@ impl Ros2Subscription {
     ///
     /// # Errors
     ///
-    /// Never called.
+    /// This function is never called.
     pub async fn receive(&mut self) -> Result<ReceivedSample, Ros2Error> {
         match *self {}
     }
@@ -203,7 +203,7 @@ macro_rules! endpoint {
             ///
             /// # Errors
             ///
-            /// Never called.
+            /// This function is never called.
             pub async fn wait_for_peer(&self, _time_limit: Duration) -> Result<(), Ros2Error> {
                 match *self {}
             }

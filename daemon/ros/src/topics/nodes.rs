@@ -20,7 +20,7 @@ static RUNTIME: LazyLock<io::Result<Runtime>> =
 /// ROS 1 nodes that are in use.
 static ROS1_NODES: Mutex<Vec<Weak<SharedNode>>> = Mutex::const_new(Vec::new());
 
-/// ROS 2 node, while it is in use. The environment selects its domain, so that one node suffices.
+/// ROS 2 node, while it is in use. The environment selects its domain, so one node suffices.
 static ROS2_NODE: Mutex<Weak<Ros2Node>> = Mutex::const_new(Weak::new());
 
 /// Number of ROS 1 nodes that this process has created.

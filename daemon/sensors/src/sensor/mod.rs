@@ -74,7 +74,7 @@ pub enum SensorConfig {
     Synthetic(synthetic::SyntheticConfig),
 }
 
-/// Default of the key `seed`, which several kinds have.
+/// Default of the key `seed`, which several kinds of sensor have.
 const fn default_seed() -> u64 {
     1
 }

@@ -47,7 +47,7 @@ impl Sensor for Python {
         if let Some(from) = called.times.restarted_at {
             recorder.record_timer(stage::CAPTURE_RESTART, from, started_at);
         }
-        // Statistics group nodes by name, so that this stage must not have the name of the model's `ipc`.
+        // Statistics group nodes by name, so this stage must not have the name of the model's `ipc`.
         recorder.record_timer(stage::CAPTURE_IPC, started_at, started_at + called.times.overhead());
         let Some(parts) = called.result? else { return Ok(None) };
         Ok(Some(Sample { parts, source: self.name.clone(), label: None }))

@@ -12,7 +12,7 @@ use super::{SensorConfig, SensorKind, default_seed};
 use crate::{Sensor, SensorError};
 
 /// Largest payload, bytes (1 GiB).
-const MAX_BYTES: usize = 1 << 30;
+const MAX_PAYLOAD_BYTES: usize = 1 << 30;
 
 /// Configuration of the sensor: `{ kind = "synthetic", … }`. Payloads are created when the sensor is opened, so that
 /// a sample takes no time.
@@ -41,7 +41,7 @@ impl SensorKind for SyntheticConfig {
             None => &self.sizes_bytes,
         };
         let largest = match sizes.iter().max() {
-            Some(&largest) if largest <= MAX_BYTES => largest,
+            Some(&largest) if largest <= MAX_PAYLOAD_BYTES => largest,
             Some(_) => return config_error("produces at most 1073741824 bytes per sample; lower its size"),
             None => return config_error("needs size_bytes or sizes_bytes"),
         };

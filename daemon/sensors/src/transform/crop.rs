@@ -42,7 +42,7 @@ impl Transform for CropTransform {
         let Self { crop: rectangle, picture } = self;
         transform_pictures(sample, "crop", |part| {
             read_part(part, working_format(part), picture)?;
-            // A new buffer for each sample, because it becomes the part. The buffer of the decoded picture is used
+            // Each sample gets a new buffer, because it becomes the part. The buffer of the decoded picture is used
             // again.
             let mut cropped = Picture::default();
             crop(picture, *rectangle, &mut cropped)?;

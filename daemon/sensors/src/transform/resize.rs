@@ -39,7 +39,7 @@ impl Transform for Resize {
         let Self { to: ResizeConfig { width, height, filter }, resizer, picture } = self;
         transform_pictures(sample, "resize", |part| {
             read_part(part, working_format(part), picture)?;
-            // A new buffer for each sample, because it becomes the part. The buffer of the decoded picture is used
+            // Each sample gets a new buffer, because it becomes the part. The buffer of the decoded picture is used
             // again.
             let mut small = Picture::default();
             resizer.resize(picture, *width, *height, *filter, &mut small)?;

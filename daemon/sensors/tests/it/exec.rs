@@ -15,7 +15,7 @@ fn samples_labels_and_drops_come_from_the_program() {
                   done; read -r next; echo end; cat";
     let mut sensor = config(script).open(&real_clock()).expect("sh is there");
     assert!(sensor.blocks());
-    // A command may contain secrets, so that facts name the program only.
+    // A command may contain secrets, so facts name the program only.
     assert!(sensor.facts().iter().all(|(_, fact)| !fact.contains("for n in")), "{:?}", sensor.facts());
     for (number, dropped) in [(5, 0.0), (6, 0.0), (9, 2.0), (1, 0.0)] {
         let mut recorder = recorder();

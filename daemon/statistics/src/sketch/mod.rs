@@ -49,7 +49,7 @@ impl Sketch {
     #[inline]
     pub fn record(&mut self, value: f64) {
         let magnitude = value.abs();
-        // Zero has no logarithm, so that it has a count of its own.
+        // Zero has no logarithm, so it has a count of its own.
         if magnitude < Self::MIN_MAGNITUDE {
             self.zero += 1;
         } else if magnitude.is_finite() {
@@ -112,7 +112,7 @@ impl Sketch {
     }
 
     /// Returns the number of values below `x`, for drawing. The values of a bin are taken as evenly distributed within the
-    /// bin, so that the result may be a fraction.
+    /// bin, so the result may be a fraction.
     pub fn count_below(&self, x: f64) -> f64 {
         let share_below = |lower: f64, upper: f64| ((x - lower) / (upper - lower)).clamp(0.0, 1.0);
         let negative = self.negative.iter().map(|(key, count)| {

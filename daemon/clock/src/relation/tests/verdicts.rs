@@ -79,7 +79,7 @@ fn free_running_clock_and_wall_clock_are_never_one() {
 fn delay_without_fresh_exchange_is_stale() {
     let host_clocks = host_clocks(Span::from_millis(5));
     let mut relation = relation_with_history(&host_clocks);
-    // An image whose transfer takes half a second, so that the interval is narrow beside the delay and the verdict is not `limited`.
+    // An image whose transfer takes half a second, so the interval is narrow beside the delay and the verdict is not `limited`.
     let trip_with_large_image = |t: f64| host_clocks.trip(t, 500e6, 100e3, 30e3);
     assert_eq!(relation.judge(&trip_with_large_image(10.5e9).observation()).up.verdict, Verdict::Ok);
     let late_trip = trip_with_large_image(40e9);

@@ -117,7 +117,7 @@ fn excess_drift_on_short_path_is_noticed_within_window() {
     }
 }
 
-/// A jump as after the migration of a virtual machine. It is smaller than the round trip, so that no exchange
+/// A jump as after the migration of a virtual machine. It is smaller than the round trip, so no exchange
 /// contradicts the others.
 #[test]
 fn unannounced_jump_is_suspected_by_first_exchanges() {

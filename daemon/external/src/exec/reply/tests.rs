@@ -159,17 +159,17 @@ fn lines_and_parts_are_bounded() {
         feed(Role::Model, "part 0\n".repeat(MAX_PARTS + 1).as_bytes()),
         Err(FramingError::TooManyParts)
     );
-    let longest_header = format!("answer {MAX_BYTES}\n");
+    let longest_header = format!("answer {MAX_SAMPLE_BYTES}\n");
     assert_eq!(
         ReplyAssembler::new(Role::Model).push_line(longest_header.trim_end().as_bytes()),
-        Ok(ReplyInput::Bytes(MAX_BYTES))
+        Ok(ReplyInput::Bytes(MAX_SAMPLE_BYTES))
     );
     let mut assembler = ReplyAssembler::new(Role::Model);
     assembler.push_line(b"part 1").expect("is small");
     assembler.push_bytes(Bytes::from_static(b"x"));
     assert_eq!(
         assembler.push_line(longest_header.trim_end().as_bytes()),
-        Err(FramingError::TooLarge(MAX_BYTES + 1))
+        Err(FramingError::TooLarge(MAX_SAMPLE_BYTES + 1))
     );
 }
 

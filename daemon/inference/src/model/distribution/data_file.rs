@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
 
-use super::latency::MAX_SECONDS;
+use super::latency::MAX_LATENCY_S;
 use crate::LoadError;
 
 /// Name of the file in a folder of results.
@@ -77,14 +77,14 @@ fn latency(record: &StringRecord, at: usize) -> Result<Option<f64>, String> {
         return Ok(None);
     }
     let number: f64 = cell.parse().map_err(|_| format!("{cell:?} is not a number"))?;
-    // As in `peernet compare`: such a cell is unknown.
+    // This is as in `peernet compare`: such a cell is unknown.
     if !number.is_finite() || number.abs() > MAX_NUMBER {
         return Ok(None);
     }
-    if (0.0..=MAX_SECONDS).contains(&number) {
+    if (0.0..=MAX_LATENCY_S).contains(&number) {
         Ok(Some(number))
     } else {
-        Err(format!("{cell} is not a latency in seconds, from 0 to {MAX_SECONDS}; name another column"))
+        Err(format!("{cell} is not a latency in seconds, from 0 to {MAX_LATENCY_S}; name another column"))
     }
 }
 

@@ -7,7 +7,7 @@ use peernet_statistics::number::{counted, significant};
 use serde::{Deserialize, Serialize};
 
 /// Longest latency, seconds: one day.
-pub(super) const MAX_SECONDS: f64 = 24.0 * 3600.0;
+pub(super) const MAX_LATENCY_S: f64 = 24.0 * 3600.0;
 /// Largest number of bins of a histogram.
 const MAX_BINS: usize = 10_000;
 
@@ -46,7 +46,7 @@ impl Histogram {
     /// Checks the histogram.
     ///
     /// # Errors
-    /// With the defect, if no latency can be drawn from it.
+    /// Returns a description of the defect if no latency can be drawn from it.
     pub(super) fn check(&self) -> Result<(), String> {
         let Self { edges_ms, counts } = self;
         if counts.is_empty() || edges_ms.len() != counts.len() + 1 {
@@ -92,7 +92,7 @@ impl Histogram {
 }
 
 impl LatencyDistribution {
-    /// Returns a random latency, seconds: 0 to [`MAX_SECONDS`].
+    /// Returns a random latency, seconds: 0 to [`MAX_LATENCY_S`].
     pub(super) fn draw(&self, random: &mut SplitMix64) -> f64 {
         let drawn = match self {
             Self::Empirical { latencies, .. } => {
@@ -108,7 +108,7 @@ impl LatencyDistribution {
                 (location + variance.sqrt() * normal(random)).exp() / 1e3
             }
         };
-        drawn.clamp(0.0, MAX_SECONDS)
+        drawn.clamp(0.0, MAX_LATENCY_S)
     }
 
     /// Returns the description for people, such as `a log-normal distribution with mean 80 ms and …`.
@@ -138,12 +138,12 @@ impl LatencyDistribution {
 /// Checks a latency of the configuration, milliseconds.
 ///
 /// # Errors
-/// With the defect, if it is not a number from 0 to a day.
+/// Returns a description of the defect if it is not a number from 0 to a day.
 pub(super) fn check_ms(latency: f64) -> Result<(), String> {
-    if (0.0..=MAX_SECONDS * 1e3).contains(&latency) {
+    if (0.0..=MAX_LATENCY_S * 1e3).contains(&latency) {
         Ok(())
     } else {
-        Err(format!("{latency} is not a latency; write milliseconds from 0 to {}", MAX_SECONDS * 1e3))
+        Err(format!("{latency} is not a latency; write milliseconds from 0 to {}", MAX_LATENCY_S * 1e3))
     }
 }
 
@@ -151,7 +151,7 @@ pub(super) fn check_ms(latency: f64) -> Result<(), String> {
 /// random normal deviates*, 1958).
 // `SplitMix64::normal` has no values beyond ±6, and too few beyond ±3: the slowest latencies would be too fast.
 fn normal(random: &mut SplitMix64) -> f64 {
-    // 1 − u is never 0, so that the logarithm is finite.
+    // 1 − u is never 0, so the logarithm is finite.
     let radius = (-2.0 * (1.0 - random.unit()).ln()).sqrt();
     radius * (TAU * random.unit()).cos()
 }

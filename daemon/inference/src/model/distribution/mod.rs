@@ -223,7 +223,7 @@ impl Worker for DistributionWorker {
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             Some(inner) => {
-                // Its stages are below a node of their own, so that they do not count as stages of the iteration.
+                // Its stages are below a node of their own, so they do not count as stages of the iteration.
                 let answer = inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?;
                 let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
                 inference.value(OVERRUN, overrun.seconds(), Unit::SECONDS);

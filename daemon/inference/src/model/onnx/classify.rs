@@ -32,7 +32,7 @@ pub(super) fn classify(output: &Classification, numbers: &mut [f32]) -> Result<V
     activate(output.activation, numbers);
     let ranked = output.labels.iter().zip(numbers.iter());
     let mut top: Vec<_> = ranked.map(|(label, score)| RankedLabel { label, score: *score }).collect();
-    // A stable sort: classes with equal scores stay in the order of the labels.
+    // The sort is stable: classes with equal scores stay in the order of the labels.
     top.sort_by(|a, b| b.score.total_cmp(&a.score));
     top.truncate(output.listed_classes());
     let best = top.first().ok_or(OutputError::NoClasses)?;

@@ -65,7 +65,7 @@ const CARD_HASH: &str = "Card SHA-256";
 /// Name of the fact with the number of classes and some of their names.
 const CLASSES: &str = "Classes";
 
-/// Value 1 beside the stages of a sample whose label is not a class of the model, so that no answer could be right.
+/// Value 1 beside the stages of a sample whose label is not a class of the model, so no answer could be right.
 pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
 
 /// Checks the name of a device.

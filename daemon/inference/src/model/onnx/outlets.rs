@@ -20,7 +20,7 @@ pub(super) enum MismatchError {
         "it has the input {0:?}, which its card does not name; add an [[input]], with `value` if it is a constant"
     )]
     UnnamedInput(String),
-    /// The model takes a fixed number of samples, so that it cannot compute batches.
+    /// The model takes a fixed number of samples, so it cannot compute batches.
     #[error(
         "its input {0:?} takes one sample at a time; remove `batch`, or export the model with an open first dimension \
          (dynamic_axes) and write the length 1 in the card"

@@ -37,7 +37,7 @@ pub(super) enum OutputError {
     #[error("it has no classes")]
     NoClasses,
     /// A vector of zeros has no direction.
-    #[error("its output {0:?} has the length 0, so that it cannot be normalised")]
+    #[error("its output {0:?} has the length 0, so it cannot be normalised")]
     NoDirection(String),
     /// The answer relates to a picture, and there was none.
     #[error("it had no picture")]
@@ -137,7 +137,7 @@ impl<'a> Output<'a> {
     /// If one is not a number.
     pub(super) fn numbers(&self) -> Result<Cow<'a, [f32]>, OutputError> {
         let numbers = self.unchecked_numbers()?;
-        // Without a branch for each number, so that the compiler vectorises.
+        // The loop has no branch for each number, so that the compiler vectorises.
         if numbers.iter().fold(false, |any, number| any | number.is_nan()) {
             return Err(OutputError::NotANumber(self.name.to_owned()));
         }

@@ -99,7 +99,7 @@ impl ClassMap {
         let scores = output.numbers()?;
         let mut best = scores[..width * height].to_vec();
         let mut classes = vec![0; width * height];
-        // Class by class, because the scores of one class are contiguous.
+        // The scores are read class by class, because the scores of one class are contiguous.
         for (class, scores) in scores.chunks_exact(width * height).enumerate().skip(1) {
             for ((best, named), score) in best.iter_mut().zip(&mut classes).zip(scores) {
                 if *score > *best {

@@ -1,6 +1,6 @@
 //! One copy of a model's weights for several workers.
 //!
-//! Optimising a model rearranges its weights, so that each session that optimises has its own copy; prepacked
+//! Optimising a model rearranges its weights, so each session that optimises has its own copy; prepacked
 //! weights do not avoid that. With a ResNet-50 of 94 MB each further worker took another 120 MB. Therefore the model
 //! is optimised once and written to a temporary folder, with its weights in a separate file. Each session maps that
 //! file, and the kernel keeps one copy for all: a further worker takes 10 MB and is ready after 55 ms instead of 350

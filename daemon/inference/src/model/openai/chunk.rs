@@ -1,6 +1,6 @@
 //! Chunks of a streamed answer, as JSON: the object `chat.completion.chunk` of the OpenAI API.
 //!
-//! Servers differ, so that every field may be missing or null, and unknown fields are ignored.
+//! Servers differ, so every field may be missing or null, and unknown fields are ignored.
 
 use serde::Deserialize;
 use serde_json::Value;

@@ -45,7 +45,7 @@ impl Connector {
     /// operating system, or those that `SSL_CERT_FILE` and `SSL_CERT_DIR` name.
     ///
     /// # Errors
-    /// With the reason, if the host is no valid name or no certificate can be read.
+    /// Returns the reason if the host is no valid name or no certificate can be read.
     pub(super) fn tls(host: String, port: u16) -> Result<Self, String> {
         let name = ServerName::try_from(host.clone())
             .map_err(|error| format!("{host:?} is no host name or address for TLS: {error}"))?;

@@ -15,7 +15,7 @@ pub(super) struct EventStream {
     line: Vec<u8>,
     /// Lines of the event's data, each with a line feed.
     data: Vec<u8>,
-    /// Whether the last byte was a carriage return, so that a line feed after it ends no further line.
+    /// Whether the last byte was a carriage return, so a line feed after it ends no further line.
     ends_with_return: bool,
     /// Whether the first line has ended.
     has_line: bool,

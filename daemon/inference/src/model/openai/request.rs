@@ -11,7 +11,7 @@ use super::OpenaiConfig;
 /// Creates the body of the request for a sample: the prompt, then the parts of the sample in their order.
 ///
 /// # Errors
-/// With the defect, if a part is neither text nor a JPEG or PNG file.
+/// Returns a description of the sample's defect if a part is neither text nor a JPEG or PNG file.
 pub(super) fn body(config: &OpenaiConfig, sample: &Sample) -> Result<Bytes, String> {
     let mut messages = Vec::new();
     if let Some(text) = &config.system_prompt {
@@ -43,7 +43,7 @@ fn content(config: &OpenaiConfig, sample: &Sample) -> Result<Value, String> {
             MediaType::Jpeg | MediaType::Png => items.push(picture_item(part)),
             other => {
                 return Err(format!(
-                    "a part is {}; a language model takes text, JPEG and PNG (the transform encode makes files of pixels)",
+                    "a part is {}; a language model takes text, JPEG and PNG (the transform `encode` turns pixels into JPEG or PNG)",
                     other.iana()
                 ));
             }

@@ -70,7 +70,8 @@ impl Server {
     /// Creates a server from its URL, such as `http://127.0.0.1:8080/v1` or `https://gpu.example/v1`.
     ///
     /// # Errors
-    /// With the defect of the URL; for `https://`, if the certificates of trusted authorities cannot be read.
+    /// Returns a description of the defect if the URL is invalid or, for `https://`, if the certificates of trusted
+    /// authorities cannot be read.
     pub(super) fn new(url: &str, key: Option<ApiKey>) -> Result<Self, String> {
         let uri: Uri = url.parse().map_err(|error| format!("{url:?} is not a URL: {error}"))?;
         // Both would be secrets in the file, and the URL is published with the results.

@@ -78,11 +78,11 @@ fn answer_has_text_times_and_token_counts() {
         tree.find(&["inference"]).and_then(|(_, node)| node.measure.value()).expect("is recorded");
     let gap = value("inter-token-latency").expect("is recorded");
     assert!(first >= 0.040, "the chunk with the role is no token: {first}");
-    // A busy machine may stamp the first chunk late, so that only the time until the second has a lower limit.
+    // A busy machine may stamp the first chunk late, so only the time until the second has a lower limit.
     assert!(gap > 0.0 && first + gap >= 0.070 && inference >= first + gap, "{inference} {first} {gap}");
     assert_eq!(value("inter-token-latency-max"), Some(gap));
     assert_eq!(value("inter-token-latency-p50"), Some(gap));
-    // Two chunks have five tokens, so that four tokens arrived in the time of one gap.
+    // Two chunks have five tokens, so four tokens arrived in the time of one gap.
     let per_token = value("time-per-output-token").expect("is recorded");
     assert!((per_token * 4.0 - gap).abs() < 1e-6, "{per_token} {gap}");
     let rate = value("output-token-rate").expect("is recorded");

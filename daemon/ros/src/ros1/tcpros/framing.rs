@@ -76,13 +76,13 @@ impl FrameBuffer {
         let (arrived_bytes, frame_bytes) = (self.bytes.len(), PREFIX_BYTES + length);
         let missing = frame_bytes.saturating_sub(arrived_bytes).max(1);
         if self.bytes.capacity() - arrived_bytes < missing.min(READ_BYTES) {
-            // The buffer of a long frame has no space for the next frame, so that the two do not share memory.
+            // The buffer of a long frame has no space for the next frame, so the two do not share memory.
             let growth = (arrived_bytes * MAX_GROWTH).max(READ_BYTES);
             self.bytes.reserve(missing.clamp(READ_BYTES, growth));
         }
         let mut room = self.bytes.capacity() - arrived_bytes;
         if frame_bytes > READ_BYTES {
-            // At most twice the bytes that have arrived, so that a claimed length takes no memory from others.
+            // The buffer is at most twice as long as the bytes that have arrived, so a claimed length takes no memory from others.
             let max_bytes = frame_bytes.min((2 * arrived_bytes).max(READ_BYTES));
             if !self.memory.grow(max_bytes, self.limits.memory.as_ref()) {
                 return Err(FrameError::NoMemory { length });

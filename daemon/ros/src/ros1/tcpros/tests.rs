@@ -184,7 +184,7 @@ proptest! {
         let mut received = Vec::new();
         let (mut rest, mut reads) = (&stream[..], reads.iter().cycle());
         while !rest.is_empty() {
-            // At most as many bytes as fit, like a socket.
+            // It takes at most as many bytes as fit, like a socket.
             let mut input = buffer.input().unwrap();
             let capacity = input.remaining_mut();
             prop_assert!(capacity > 0);

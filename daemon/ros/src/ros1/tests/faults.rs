@@ -18,7 +18,7 @@ fn message(length: usize) -> Bytes {
 
 #[tokio::test]
 async fn missing_master_is_named() {
-    // The socket is bound and does not listen, so that connections are refused.
+    // The socket is bound and does not listen, so connections are refused.
     let socket = tokio::net::TcpSocket::new_v4().unwrap();
     socket.bind("127.0.0.1:0".parse().unwrap()).unwrap();
     let uri = format!("http://{}", socket.local_addr().unwrap());

@@ -9,7 +9,7 @@ pub enum Value {
     Bool(bool),
     /// `double`.
     Double(f64),
-    /// `string`. Also `dateTime.iso8601` and `base64`, as they were written; ROS uses these types only in
+    /// `string`, and `dateTime.iso8601` and `base64` as they were written; ROS uses these types only in
     /// parameters.
     Text(String),
     /// `array`.

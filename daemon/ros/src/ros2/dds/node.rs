@@ -307,7 +307,7 @@ impl NodeState {
         if self.closed.is_cancelled() {
             return;
         }
-        // The lock is taken before the endpoints are read, so that a newer list is never followed by an older list.
+        // The lock is taken before the endpoints are read, so a newer list is never followed by an older list.
         let mut list = self.node_list.lock().unwrap_or_else(PoisonError::into_inner);
         list.entry.endpoints = self.discovery().local_endpoints();
         let Some(message) = RawMessage::from_payload(list.entry.to_payload()) else { return };
@@ -333,7 +333,7 @@ impl NodeListPublisher {
             max_blocking_ms: 0,
             ..QosProfile::default()
         };
-        // The topic has no keys, so that the entries of all participants are in one history.
+        // The topic has no keys, so the entries of all participants are in one history.
         let reader_qos = QosProfile { depth: MAX_UNREAD_ENTRIES, ..qos };
         let reader_qos = qos_policies(EndpointRole::Subscription, &reader_qos);
         let qos = qos_policies(EndpointRole::Publisher, &qos);

@@ -15,7 +15,7 @@ use crate::SensorError;
 pub(super) const LABELS_FILE: &str = "labels.csv";
 
 /// Defect of a file without any label.
-const NO_LABEL: &str = "it contains no label, so that no answer can be scored; write a first line `file,label` and one line per picture, or \
+const NO_LABEL: &str = "it contains no label, so no answer can be scored; write a first line `file,label` and one line per picture, or \
      remove the file";
 
 /// Expected answer to a picture.

@@ -46,7 +46,7 @@ impl Rows {
         if count == 0 || row == 0 {
             return Ok(Bytes::new());
         }
-        // The sizes come from the publisher, so that their products may overflow. The last row needs no padding.
+        // The sizes come from the publisher, so their products may overflow. The last row needs no padding.
         let required = (count - 1).checked_mul(stride).and_then(|before| before.checked_add(row));
         if (count > 1 && stride < row) || required.is_none_or(|required| required > data.len()) {
             return Err(error);

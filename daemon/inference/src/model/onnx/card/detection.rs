@@ -220,7 +220,7 @@ impl DetectionTable {
             Layout::Detr => DetectionOutputs::Detr {
                 scores: required("scores", self.scores)?,
                 boxes: required("boxes", self.boxes)?,
-                // Softmax and sigmoid differ in the number of logits, so that no default is safe.
+                // Softmax and sigmoid differ in the number of logits, so no default is safe.
                 is_softmax: match activation {
                     Activation::Softmax => true,
                     Activation::Sigmoid => false,

@@ -69,7 +69,7 @@ impl<'a> Candidates<'a> {
         for row in output.numbers()?.chunks_exact(length) {
             let (numbers, scores) = row.split_at(4);
             let object = activated(activation, scores[0]);
-            // The product cannot exceed the score of an object, so that most rows end here.
+            // The product cannot exceed the score of an object, so most rows end here.
             if object <= self.detection.score_threshold {
                 continue;
             }
@@ -88,7 +88,7 @@ impl<'a> Candidates<'a> {
         }
         let numbers = output.numbers()?;
         let (boxes, scores) = numbers.split_at(4 * count);
-        // Class by class, because the scores of one class are contiguous.
+        // The scores are read class by class, because the scores of one class are contiguous.
         let mut best = vec![(0, f32::NEG_INFINITY); count];
         // A model may return no candidates, and `chunks_exact(0)` panics.
         for (class, scores) in scores.chunks_exact(count.max(1)).enumerate() {

@@ -60,7 +60,7 @@ pub(super) fn check(
     input: (u32, u32),
 ) -> Result<(), OutputError> {
     match Candidates::read(detection, outputs, input) {
-        // Zeros are not a picture, so that their answer may be anything.
+        // Zeros are not a picture, so their answer may be anything.
         Ok(_) | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. }) => Ok(()),
         Err(error) => Err(error),
     }
