@@ -86,8 +86,8 @@ impl Cumulative {
         let mut notes = self.notes.clone();
         let mut plots = Vec::new();
         if let Some(scale) = self.scale() {
-            let up = Axis::new(Scale::linear((0.0, 100.0)), "Share of iterations, %", "%");
-            let mut plot = Plot::new(self.unit.axis(scale).with_grid(), up.with_grid());
+            let y_axis = Axis::new(Scale::linear((0.0, 100.0)), "Share of iterations, %", "%");
+            let mut plot = Plot::new(self.unit.axis(scale).with_grid(), y_axis.with_grid());
             for (number, (curve, _)) in self.shown_curves().enumerate() {
                 plot.items.extend(self.curve(&plot, number, curve));
             }

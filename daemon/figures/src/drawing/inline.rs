@@ -1,4 +1,4 @@
-//! Small pictures in the lines of tables, beside their numbers. Only pages have them.
+//! Small pictures in the lines of tables, beside their numbers. They are drawn only on web pages, not in files.
 
 use crate::look::{Style, stage};
 use crate::plot::{At, Item, Label, Path};

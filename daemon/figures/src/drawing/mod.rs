@@ -36,7 +36,7 @@ pub use quartiles::Quartiles;
 pub use scaling::{Parts, Scaling, Series, Value};
 pub use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
-pub use stack::{Direction, Stack};
+pub use stack::{Orientation, Stack};
 pub use stacked::{Bar, Stacked};
 pub use stage_bar::{BarPlace, StageBar, StagePart};
 pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};

@@ -1,9 +1,9 @@
-//! Horizontal box plot of a distribution; several box plots share one scale. Only pages have this kind.
+//! Horizontal box plot of a distribution; several box plots share one scale. Box plots are drawn only on web pages, not in files.
 
 use peernet_statistics::Summary;
 use peernet_statistics::number::{SPACE, count, milliseconds};
 
-use super::stack::Direction;
+use super::stack::Orientation;
 use crate::look::{Mark, Style, stage};
 use crate::plot::{At, Item};
 use crate::scale::Scale;
@@ -55,7 +55,7 @@ impl Quartiles {
         let [p25, p50, p75] = self.middle;
         let mut items = Item::grid(scale);
         if let Some((p5, p95)) = self.tails {
-            items.extend(Direction::Level.whisker(
+            items.extend(Orientation::Horizontal.whisker(
                 [at(p5, 0.5), at(p95, 0.5)],
                 [true; 2],
                 CAP,
@@ -66,6 +66,7 @@ impl Quartiles {
         items.extend(
             [Style::halo(), Style::whisker()].map(|style| Item::line(at(p50, 0.0), at(p50, 1.0), style)),
         );
+        // The page's style fills the disc with the colour of the background, so it looks like a ring.
         items.push(Item::mark(at(self.mean, 0.5), Mark::Disc, RADIUS, Style::of_page("mean")));
         items
     }

@@ -150,10 +150,10 @@ impl Scaling {
         let levels = self.series.iter().filter_map(|series| self.level(series)).filter(|(_, near)| *near);
         let (low, high) = levels.fold(self.heights()?, |(lo, hi), (level, _)| (lo.min(level), hi.max(level)));
         let room = (high / low).powf(AXIS_MARGIN.0).max(AXIS_MARGIN.1);
-        let up = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
+        let y_scale = Scale::logarithmic((low * self.unit.per_si / room, high * self.unit.per_si * room));
         let sizes = Scale::logarithmic((small / SIDE_FACTOR, large * SIDE_FACTOR));
         let sizes = crate::plot::Axis::new(sizes, "Size on the wire", "");
-        Some(Plot::new(sizes.labelled(|tick| bytes(tick.value).plain()), self.unit.axis(up).with_grid()))
+        Some(Plot::new(sizes.labelled(|tick| bytes(tick.value).plain()), self.unit.axis(y_scale).with_grid()))
     }
 
     /// Lays the figure out.

@@ -161,13 +161,13 @@ impl Sharing {
     }
 
     fn plots(&self, (low, high): (f64, f64), across: Axis) -> Vec<Plot> {
-        let up = if low > 0.0 && high > low * LOGARITHMIC_RATIO {
+        let y_scale = if low > 0.0 && high > low * LOGARITHMIC_RATIO {
             let room = (high / low).powf(AXIS_MARGIN);
             Scale::logarithmic((low / room, high * room))
         } else {
             Scale::from_zero((0.0, high))
         };
-        let mut latency = Plot::new(across.clone(), self.unit.axis(up).with_grid());
+        let mut latency = Plot::new(across.clone(), self.unit.axis(y_scale).with_grid());
         for (number, curve) in self.curves.iter().enumerate() {
             let items = self.curve(&latency, number, curve);
             latency.items.extend(items);

@@ -9,27 +9,27 @@ const MIN_LENGTH: f64 = 0.6;
 /// A part that is shorter than this share of the scale has no line between itself and the part before it.
 const MIN_SEPARATED_SHARE: f64 = 0.006;
 
-/// Direction of a bar.
+/// Orientation of a bar or of a whisker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
+pub enum Orientation {
     /// From bottom to top.
-    Upright,
+    Vertical,
     /// From left to right.
-    Level,
+    Horizontal,
 }
 
-impl Direction {
+impl Orientation {
     /// Returns the place at a share along the scale and a share across the scale. The share across is counted from the left or from the top.
     pub fn at(self, along: f64, across: f64) -> At {
         match self {
-            Self::Upright => At::new(across, 1.0 - along),
-            Self::Level => At::new(along, across),
+            Self::Vertical => At::new(across, 1.0 - along),
+            Self::Horizontal => At::new(along, across),
         }
     }
 
     /// Returns a whisker along the scale. `has_cap` says which ends have a cap. A cap extends `cap` points to each side.
     pub fn whisker(self, ends: [At; 2], has_cap: [bool; 2], cap: f64, style: &Style) -> Vec<Item> {
-        if self == Self::Upright {
+        if self == Self::Vertical {
             return Item::whisker(ends, has_cap, cap, style);
         }
         let mut items = vec![Item::line(ends[0], ends[1], style.clone())];
@@ -78,16 +78,16 @@ impl Stack<'_> {
     }
 
     /// Lays the parts out in a bar between two positions across the scale.
-    pub fn items(&self, (near, far): (f64, f64), direction: Direction) -> Vec<Item> {
+    pub fn items(&self, (near, far): (f64, f64), orientation: Orientation) -> Vec<Item> {
         let mut items = Vec::new();
-        let least = if direction == Direction::Upright { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
+        let least = if orientation == Orientation::Vertical { (0.0, MIN_LENGTH) } else { (MIN_LENGTH, 0.0) };
         for (name, from, to) in self.segments() {
             let [begin, end] = [from, to].map(|value| self.scale.at(value));
-            let corners = [direction.at(begin, near), direction.at(end, far)];
+            let corners = [orientation.at(begin, near), orientation.at(end, far)];
             items.push(Item::Rect { from: corners[0], to: corners[1], least, style: stage(name).area() });
             // Neighbours can have the same grey, so a line separates them.
             if from != 0.0 && (end - begin).abs() > MIN_SEPARATED_SHARE {
-                items.push(Item::line(direction.at(begin, near), direction.at(begin, far), Style::cut()));
+                items.push(Item::line(orientation.at(begin, near), orientation.at(begin, far), Style::cut()));
             }
         }
         items

@@ -4,7 +4,7 @@ use peernet_analysis::compare::{LatencyBar, part_order};
 use peernet_logger::Name;
 use peernet_statistics::number::fixed;
 
-use super::stack::Direction;
+use super::stack::Orientation;
 use super::stage_bar::{BarPlace, StageBar, StagePart};
 use crate::look::{TextStyle, label, stage};
 use crate::plot::{Anchor, Axis, Figure, Height, Item, Key, Label, Marks, Plot, Swatch, Unit};
@@ -170,10 +170,10 @@ impl Stacked {
         let mut plot = Plot::new(names, self.unit.axis(values).with_grid());
         let half = (BAR_SHARE / count / 2.0).min(MAX_BAR_SHARE / 2.0);
         for (number, bar) in self.bars.iter().enumerate() {
-            let (items, end) = self.bar(bar, values, (place(number), half), Direction::Upright);
+            let (items, end) = self.bar(bar, values, (place(number), half), Orientation::Vertical);
             plot.items.extend(items);
             let label = Label::new(
-                Direction::Upright.at(values.at(end), place(number)),
+                Orientation::Vertical.at(values.at(end), place(number)),
                 bar.sum_text(&self.unit),
                 TextStyle::MARK,
             );
@@ -197,9 +197,9 @@ impl Stacked {
         plot.free_right = self.free_space(values);
         for (number, bar) in self.bars.iter().enumerate() {
             let (items, end) =
-                self.bar(bar, values, (place(number), BAR_SHARE / count / 2.0), Direction::Level);
+                self.bar(bar, values, (place(number), BAR_SHARE / count / 2.0), Orientation::Horizontal);
             plot.items.extend(items);
-            let at = Direction::Level.at(values.at(end), place(number));
+            let at = Orientation::Horizontal.at(values.at(end), place(number));
             plot.items.push(Item::Text(
                 Label::new(at, bar.sum_text(&self.unit), TextStyle::MARK).shifted(0.4, 0.36),
             ));
@@ -227,10 +227,10 @@ impl Stacked {
         bar: &Bar,
         values: Scale,
         (middle, half): (f64, f64),
-        direction: Direction,
+        orientation: Orientation,
     ) -> (Vec<Item>, f64) {
         let parts = self.parts(bar);
-        let place = BarPlace { direction, sides: (middle - half, middle + half), cap: CAP_HALF_WIDTH };
+        let place = BarPlace { orientation, sides: (middle - half, middle + half), cap: CAP_HALF_WIDTH };
         let stage_bar = StageBar {
             has_grid: false,
             has_values: false,

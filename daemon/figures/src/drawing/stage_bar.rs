@@ -4,7 +4,7 @@
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 use peernet_statistics::number::{figure, fixed};
 
-use super::stack::{Direction, Stack};
+use super::stack::{Orientation, Stack};
 use crate::look::{INK_2, INK_3, Style, TextStyle, stage};
 use crate::plot::{Anchor, At, Item, Label};
 use crate::scale::Scale;
@@ -19,8 +19,8 @@ const BOUND_CAP_HALF_WIDTH: f64 = 1.5;
 /// Place of a bar in its plot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BarPlace {
-    /// Direction of the scale.
-    pub direction: Direction,
+    /// Orientation of the scale.
+    pub orientation: Orientation,
     /// Both sides of the bar, as shares across the scale.
     pub sides: (f64, f64),
     /// Half the width of the caps of the total's whisker, points.
@@ -30,7 +30,7 @@ pub struct BarPlace {
 impl Default for BarPlace {
     /// Returns the place of a bar that is alone in its picture.
     fn default() -> Self {
-        Self { direction: Direction::Level, sides: (0.15, 0.85), cap: 3.8 }
+        Self { orientation: Orientation::Horizontal, sides: (0.15, 0.85), cap: 3.8 }
     }
 }
 
@@ -90,7 +90,7 @@ impl<'a> StageBar<'a> {
         let parts = self.parts.iter().map(|part| (part.name.as_str(), part.seconds * 1e3)).collect();
         let stack = Stack { parts, scale: self.scale };
         let mut items = if self.has_grid { Item::grid(&self.scale) } else { Vec::new() };
-        items.extend(stack.items(self.place.sides, self.place.direction));
+        items.extend(stack.items(self.place.sides, self.place.orientation));
         if self.has_values {
             items.extend(stack.segments().into_iter().map(|segment| Item::Text(self.value_label(segment))));
             items.extend(self.bound_whiskers(&stack));
@@ -103,10 +103,10 @@ impl<'a> StageBar<'a> {
     /// Returns the whisker of the total. An end beyond the scale has no cap.
     fn spread_whisker(&self) -> Vec<Item> {
         let Some((mean, std)) = self.spread else { return Vec::new() };
-        let BarPlace { direction, sides: (near, far), cap } = self.place;
+        let BarPlace { orientation, sides: (near, far), cap } = self.place;
         let values = [mean - std, mean + std].map(|seconds| seconds * 1e3);
-        let ends = values.map(|value| direction.at(self.scale.at(value), f64::midpoint(near, far)));
-        direction.rimmed_whisker(ends, values.map(|value| self.scale.has(value)), cap)
+        let ends = values.map(|value| orientation.at(self.scale.at(value), f64::midpoint(near, far)));
+        orientation.rimmed_whisker(ends, values.map(|value| self.scale.has(value)), cap)
     }
 
     /// Returns the positions of both ends of the total's whisker.
@@ -140,7 +140,7 @@ impl<'a> StageBar<'a> {
             let ends =
                 [boundary - bound, boundary + bound].map(|value| At::new(self.scale.at(value), BOUND_Y));
             (ends[1].x - ends[0].x >= MIN_BOUND_LENGTH)
-                .then(|| Direction::Level.rimmed_whisker(ends, [true; 2], BOUND_CAP_HALF_WIDTH))
+                .then(|| Orientation::Horizontal.rimmed_whisker(ends, [true; 2], BOUND_CAP_HALF_WIDTH))
         };
         stack.segments().into_iter().filter_map(whisker).flatten().collect()
     }

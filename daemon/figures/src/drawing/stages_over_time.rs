@@ -1,4 +1,5 @@
-//! Stages of one run over time, stacked, with the quantiles of the total. Several runs share their axes. Only pages have this kind.
+//! Stages of one run over time, stacked, with the quantiles of the total. Several runs share their axes. This plot is drawn only on web pages,
+//! not in files.
 
 use peernet_analysis::slowness::BOTH_DIRECTIONS;
 

@@ -15,9 +15,9 @@ pub enum Hatch {
     /// `\`
     Falling,
     /// `–`
-    Level,
+    Horizontal,
     /// `|`
-    Upright,
+    Vertical,
     /// `×`
     Cross,
 }
@@ -54,8 +54,8 @@ pub(crate) fn lines([(left, top), (right, bottom)]: Line, hatch: Hatch) -> Vec<L
         Hatch::Rising => rising().collect(),
         Hatch::Falling => falling().collect(),
         Hatch::Cross => rising().chain(falling()).collect(),
-        Hatch::Level => multiples(top, bottom, STEP / 1.5).map(|y| [(left, y), (right, y)]).collect(),
-        Hatch::Upright => multiples(left, right, STEP / 1.5).map(|x| [(x, top), (x, bottom)]).collect(),
+        Hatch::Horizontal => multiples(top, bottom, STEP / 1.5).map(|y| [(left, y), (right, y)]).collect(),
+        Hatch::Vertical => multiples(left, right, STEP / 1.5).map(|x| [(x, top), (x, bottom)]).collect(),
     }
 }
 
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn hatch_lines_stay_inside_their_area() {
-        let all = [Hatch::Rising, Hatch::Falling, Hatch::Level, Hatch::Upright, Hatch::Cross];
+        let all = [Hatch::Rising, Hatch::Falling, Hatch::Horizontal, Hatch::Vertical, Hatch::Cross];
         let areas = [
             [(0.0, 0.0), (30.0, 9.0)],
             [(20.0, 116.0), (21.0, 165.0)],

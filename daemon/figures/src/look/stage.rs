@@ -48,14 +48,17 @@ const fn pale(name: &'static str, class: &'static str, colour: Token, edge: Toke
 /// Every stage in the order of stacks, keys and tables; the unattributed time is the last.
 pub const STAGES: [Stage; 14] = [
     dark("sensing", Token::new("s-sensing", 0x10_9e6d, 0x29_b783), Hatch::Plain),
-    pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Level),
+    pale("encode", "encode", ENCODE, ENCODE_EDGE, Hatch::Horizontal),
     Stage {
         line: Some(Rgb::hex(0xa0_8600)),
         ..pale("send-queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Falling)
     },
     dark("upload", Token::new("s-upload", 0xd5_5e00, 0xee_6c16), Hatch::Rising),
     pale("queue", "queue", QUEUE, QUEUE_EDGE, Hatch::Rising),
-    Stage { line: Some(Rgb::hex(0x6b_5a00)), ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Level) },
+    Stage {
+        line: Some(Rgb::hex(0x6b_5a00)),
+        ..pale("batch-wait", "queue", QUEUE, QUEUE_EDGE, Hatch::Horizontal)
+    },
     // Handing a sample to a model in a separate process is similar to encoding it for the network, so it has similar colours.
     Stage { line: Some(Rgb::hex(0x2f_6b48)), ..pale("ipc", "encode", ENCODE, ENCODE_EDGE, Hatch::Cross) },
     pale(
@@ -63,12 +66,12 @@ pub const STAGES: [Stage; 14] = [
         "preprocessing",
         Token::new("s-preprocessing", 0x56_bfec, 0x9a_dcf8),
         Token::new("e-preprocessing", 0x1a_86b5, 0x9a_dcf8),
-        Hatch::Upright,
+        Hatch::Vertical,
     ),
     dark("inference", Token::new("s-inference", 0x0b_4796, 0x3b_7ddb), Hatch::Plain),
     dark("postprocessing", Token::new("s-postprocessing", 0x73_77cc, 0xa3_a6f2), Hatch::Cross),
     dark("download", Token::new("s-download", 0xae_5485, 0xcc_749f), Hatch::Falling),
-    dark("actuation", Token::new("s-actuation", 0x0c_5232, 0x38_785a), Hatch::Level),
+    dark("actuation", Token::new("s-actuation", 0x0c_5232, 0x38_785a), Hatch::Horizontal),
     Stage {
         line: Some(Rgb::hex(0x4a_525c)),
         ..pale(LATENESS, UNATTRIBUTED, UNKNOWN, UNKNOWN_EDGE, Hatch::Cross)

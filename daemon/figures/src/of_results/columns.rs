@@ -1,4 +1,4 @@
-//! Columns of results as quantities of figures.
+//! Values, units and notes of the columns of results, as figures show them.
 
 use peernet_statistics::number::fixed;
 

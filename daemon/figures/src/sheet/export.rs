@@ -24,7 +24,8 @@ const HEADER_BYTES: usize = 8 + 25;
 /// Chunk `pHYs` (ibid., 11.3.4.3): [`PIXELS_PER_INCH`] as 18,898 pixels per metre, and the checksum. Without this chunk, programs that
 /// typeset papers place a picture at the resolution of a screen.
 const DENSITY_CHUNK: [u8; 21] = *b"\0\0\0\x09pHYs\0\0\x49\xd2\0\0\x49\xd2\x01\xa8\x45\x8a\xf8";
-/// Endings of the names of a figure's files. The text has `-caption`, because tables have the same names.
+/// Endings of the names of a figure's files. The caption's file does not end in `.txt` alone, because a table with the same stem has that
+/// name.
 pub const ENDINGS: [&str; 4] = [".png", ".svg", ".pdf", "-caption.txt"];
 
 /// Error of turning a figure into another format.
@@ -52,7 +53,7 @@ static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
 });
 
 /// Figure as paths and positioned glyphs, which can be drawn as pixels or PDF.
-pub struct Exported(usvg::Tree);
+pub struct ParsedFigure(usvg::Tree);
 
 /// Pixels, three bytes each, row by row.
 pub struct Pixels {
@@ -64,7 +65,7 @@ pub struct Pixels {
     pub rgb: Vec<u8>,
 }
 
-impl Exported {
+impl ParsedFigure {
     /// Reads an SVG that [`file::svg`] made.
     ///
     /// # Errors
@@ -136,7 +137,7 @@ pub fn write(figure: &Figure, folder: &Path, stem: &str) -> Result<[PathBuf; 4],
     let files = ENDINGS.map(|ending| folder.join(format!("{stem}{ending}")));
     let svg = file::svg(figure);
     write_file(&files[1], svg.as_bytes())?;
-    let exported = Exported::of(&svg).map_err(WriteError::at(&files[0]))?;
+    let exported = ParsedFigure::of(&svg).map_err(WriteError::at(&files[0]))?;
     // A figure with many points is a long text, so the text is freed before the pixels are drawn.
     drop(svg);
     write_file(&files[0], &exported.png().map_err(WriteError::at(&files[0]))?)?;

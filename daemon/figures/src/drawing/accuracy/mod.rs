@@ -197,8 +197,8 @@ impl Accuracy {
         } else {
             Scale::from_zero((0.0, slow * 1.04))
         };
-        let up = Axis::new(values, shown.axis, shown.symbol);
-        Some(Plot::new(self.unit.axis(across).with_grid(), up.with_grid()))
+        let y_axis = Axis::new(values, shown.axis, shown.symbol);
+        Some(Plot::new(self.unit.axis(across).with_grid(), y_axis.with_grid()))
     }
 
     fn spots(&self, plot: &Plot) -> Vec<Spot> {

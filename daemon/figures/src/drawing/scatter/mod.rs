@@ -1,4 +1,4 @@
-//! Points of several series with their names and error bars, and lines through the points. Only pages have this kind.
+//! Points of several series with their names and error bars, and lines through the points. This plot is drawn only on web pages, not in files.
 
 mod names;
 

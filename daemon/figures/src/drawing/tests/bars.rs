@@ -28,7 +28,7 @@ fn bars_are_as_high_as_bin_counts() {
     {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -47,7 +47,7 @@ fn long_tail_is_counted_instead_of_drawn() {
     let figure = histogram(millis((0..1000).map(|i| f64::from(i) / 100.0 + 10.0).chain([9e5, 1e6])));
     let svg = figure.svg();
     assert!(texts(&svg).iter().any(|text| text == "2 beyond 20.0 ms →"), "{:?}", texts(&svg));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn unusual_values_give_valid_figure() {
         assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
         assert!(texts(&svg).iter().all(|text| text.chars().count() < 40), "{:?}", texts(&svg));
         assert!(!has(&svg, "1.5"), "iterations are whole: {:?}", texts(&svg));
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
 }
 
@@ -135,7 +135,7 @@ fn parts_are_consecutive_and_proportional() {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
     assert!(figure.words().contains("configurations: network"), "{}", figure.words());
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -147,7 +147,7 @@ fn few_bars_with_short_labels_stand_upright() {
     assert!((upload.numbers("height")[0] / sensing.numbers("height")[0] - 4.0).abs() < 0.1);
     assert_eq!(sensing.numbers("width")[0], upload.numbers("width")[0]);
     assert!(["LAN", "no", "CAN", "yes"].iter().all(|text| has(&svg, text)), "{:?}", texts(&svg));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -164,7 +164,7 @@ fn sixty_configurations_have_a_bar_each() {
     };
     assert!((0..60).all(shown), "shortened, and still told apart: {:?}", texts(&svg));
     assert!((600.0..680.0).contains(&size(&svg).1), "{:?}", size(&svg));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn negative_parts_extend_below_zero() {
         (upload.numbers("x")[0] + upload.numbers("width")[0] - sensing.numbers("x")[0]).abs() <= 0.6,
         "{svg}"
     );
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
     let empty = stacked(Vec::new());
     assert!(has(&empty.svg(), "no values"));
 }

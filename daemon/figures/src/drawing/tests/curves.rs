@@ -39,7 +39,7 @@ fn curve_rises_from_zero_to_one() {
     let (x, y) = (f64::midpoint(first.0, last.0), f64::midpoint(first.1, last.1));
     assert!((middle.0 - x).abs() < 1.0 && (middle.1 - y).abs() < 1.0, "{middle:?}");
     assert!(has(&svg, "Share of iterations, %") && has(&svg, "Total by configuration · n = 9 each"));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -52,14 +52,14 @@ fn values_beyond_axis_are_counted_per_curve() {
     assert!(two.words().contains(note), "{}", two.words());
     let apart = cumulative(vec![millis([1.0, 1.1, 1.2]), millis([900.0, 910.0])]);
     assert!(has(&apart.svg(), "Total, ms (log scale)"), "{:?}", texts(&apart.svg()));
-    assert_on_paper(&apart.svg());
+    assert_within_paper(&apart.svg());
 }
 
 #[test]
 fn unusual_curves_give_valid_figure() {
     for values in [vec![], vec![7.0], vec![0.0; 30], vec![-2.0, 1.0], vec![f64::NAN, 3.0, f64::INFINITY]] {
         let figure = cumulative(vec![millis(values.clone()), millis([])]);
-        assert_on_paper(&figure.svg());
+        assert_within_paper(&figure.svg());
         assert!(!values.is_empty() || has(&figure.svg(), "no values"));
     }
 }

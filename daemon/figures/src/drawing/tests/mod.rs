@@ -99,7 +99,7 @@ fn size(svg: &str) -> (f64, f64) {
 }
 
 /// Asserts that everything that is drawn lies on the paper, and that every text is complete, large enough and in the font.
-fn assert_on_paper(svg: &str) {
+fn assert_within_paper(svg: &str) {
     let (width, height) = size(svg);
     for (tag, along, across) in
         [("rect", "x", "y"), ("circle", "cx", "cy"), ("text", "x", "y"), ("line", "x1", "y1")]
@@ -165,7 +165,7 @@ fn names_cannot_break_a_file() {
     let svg = figure.svg();
     assert!(svg.contains("a b &lt;c&gt; &amp;  [2J"), "{svg}");
     assert!(!svg.chars().any(|char| char.is_control() && char != '\n'), "{svg}");
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 /// Every character in the texts of figures has a glyph.

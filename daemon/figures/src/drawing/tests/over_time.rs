@@ -31,7 +31,7 @@ fn warm_up_episodes_and_losses_are_marked() {
     assert!((shade.numbers("width")[1] - 228.0 * 5.0 / 99.0).abs() < 1.5, "{:?}", shade.numbers("width"));
     // The legend's, and two of three losses, because two are at one place.
     assert_eq!(Elements::of(&svg, "path").with("stroke", "#9b1620").0.len(), 3, "{svg}");
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -41,7 +41,7 @@ fn figure_of_100000_iterations_is_small_file() {
     let svg = figure.svg();
     assert!(svg.len() < 100_000, "{}", svg.len());
     assert!(texts(&svg).iter().any(|text| text.starts_with("1 beyond 6")), "{:?}", texts(&svg));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -88,7 +88,7 @@ fn unusual_runs_give_valid_figure() {
         };
         let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), values.is_empty(), "{values:?}");
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
     let many = TimeSeries {
         episodes: (0..500).map(f64::from).collect(),

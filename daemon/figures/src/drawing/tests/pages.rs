@@ -6,7 +6,7 @@ use crate::plot::{Anchor, At, Item, Label};
 use crate::scale::Scale;
 use crate::sheet::page;
 
-fn assert_of_a_page(html: &str) {
+fn assert_valid_for_page(html: &str) {
     for never in [" style=", "fill=\"", "stroke=\"", "#", "NaN", "\"inf"] {
         assert!(!html.contains(never), "{never} in {html}");
     }
@@ -16,7 +16,7 @@ fn assert_of_a_page(html: &str) {
 fn page_distribution_has_bars_and_lines() {
     let figure = bars::histogram(millis((0..1000).map(f64::from).chain([9e5, 1e6]))).figure();
     let html = page::plot(&figure.plots[0], "histogram", "in words");
-    assert_of_a_page(&html);
+    assert_valid_for_page(&html);
     assert!(html.matches("class=\"bin f-upload\"").count() >= 8, "{html}");
     for part in ["class=\"mark median\"", "class=\"mark p95\"", ">median 500 ms<", "2 beyond 999 ms →"] {
         assert!(html.contains(part), "{part} is not in {html}");
@@ -31,7 +31,7 @@ fn lengths_and_scaling_are_drawn_on_page() {
     let lengths =
         Lengths { title, x: unit, y: Unit::milliseconds("Inference"), stage, points, line: None, notes };
     let html = page::plot(&lengths.figure().plots[0], "joint", "in words");
-    assert_of_a_page(&html.replace("fill-opacity=\"", ""));
+    assert_valid_for_page(&html.replace("fill-opacity=\"", ""));
     assert!(html.contains("class=\"over\"") && html.contains("class=\"beside\""), "{html}");
     assert!(html.contains("<path class=\"f-inference\""), "{html}");
     let value =
@@ -51,7 +51,7 @@ fn lengths_and_scaling_are_drawn_on_page() {
     };
     let figure = scaling.figure();
     let html = page::plot(&figure.plots[0], "histogram", "in words");
-    assert_of_a_page(&html);
+    assert_valid_for_page(&html);
     assert!(html.contains("<path class=\"g-upload fit\" d=\"M"), "{html}");
     assert_eq!(html.matches("class=\"f-upload\"").count(), 2, "{html}");
     let legend = page::legend(&figure.legend, "key plain points");
@@ -62,21 +62,21 @@ fn lengths_and_scaling_are_drawn_on_page() {
 fn stack_values_are_labelled_if_they_fit() {
     let scale = Scale::linear((0.0, 40.0)).widened(6);
     let stack = Stack { parts: vec![("sensing", 3.0), ("encode", 0.02), ("upload", 9.0)], scale };
-    let mut items = stack.items((0.15, 0.85), Direction::Level);
+    let mut items = stack.items((0.15, 0.85), Orientation::Horizontal);
     for (name, from, to) in stack.segments() {
         let middle = At::new(scale.at(f64::midpoint(from, to)), 0.5);
         let label =
             Label::new(middle, format!("{:.1}", to - from), stage(name).text()).anchored(Anchor::Middle);
         items.push(Item::Text(label.fits_within(scale.at(to) - scale.at(from))));
     }
-    items.extend(Direction::Level.whisker(
+    items.extend(Orientation::Horizontal.whisker(
         [0.3, 0.4].map(|at| At::new(at, 0.5)),
         [true; 2],
         4.0,
         &Style::whisker(),
     ));
     let html = page::picture(&items, "stages", "in words");
-    assert_of_a_page(&html);
+    assert_valid_for_page(&html);
     assert!(html.contains("<rect class=\"f-encode edge\""), "{html}");
     assert!(html.contains("<text class=\"o-upload fits w") && !html.contains(">0.0<"), "{html}");
 }

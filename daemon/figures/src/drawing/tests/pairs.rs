@@ -35,7 +35,7 @@ fn many_values_are_shape_few_are_points() {
     // A reader who counts the marks finds one more than there are values.
     assert!(figure.words().contains("the black mark among them is the median"), "{}", figure.words());
     assert!(!paired(vec![vec![hill(50.0, 400), hill(20.0, 400)]]).words().contains("black mark"));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -45,7 +45,7 @@ fn very_different_models_share_logarithmic_axis() {
     for text in ["Inference, ms (log scale)", "1", "10,000"] {
         assert!(has(&svg, text), "{text} in {:?}", texts(&svg));
     }
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
     let zero = paired(vec![vec![millis([0.0, 1.0, 2.0]), hill(9000.0, 400)]]);
     assert!(has(&zero.svg(), "Inference, ms"), "zero has no logarithm");
 }
@@ -69,7 +69,8 @@ fn shape_with_narrow_peaks_is_complete() {
     let far: SortedValues =
         millis(hill(2.0, 150).chain(hill(9.0, 60)).chain([20.0, 30.0, 40.0, 40.1, 40.2, 41.0]));
     let figure = paired(vec![vec![far]]);
-    let picture = export::Exported::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
+    let picture =
+        export::ParsedFigure::of(&figure.svg()).and_then(|exported| exported.pixels()).expect("drawn");
     let row = picture.width as usize * 3;
     // About the middle line of the shape.
     let area = file::areas(&figure.figure())[0];
@@ -94,7 +95,7 @@ fn each_distribution_has_its_count() {
     let many = paired(vec![vec![hill(50.0, 400), hill(20.0, 9)]; 12]);
     let svg = many.svg();
     assert!(many.words().contains("n = 9 to 400 each") && !has(&svg, "n = 9"), "{:?}", texts(&svg));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -137,7 +138,7 @@ fn unusual_pairs_give_valid_figure() {
             values.is_empty() || values.iter().any(|v| v.is_infinite()),
             "{values:?}"
         );
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
 }
 
@@ -170,7 +171,7 @@ fn points_have_a_distribution_on_both_sides() {
     let bars = Elements::of(&svg, "rect").with("fill", "#8a94a3");
     assert!(bars.0.len() >= 16, "{svg}");
     assert!(["Tokens", "Inference, ms"].iter().all(|text| has(&svg, text)));
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -189,7 +190,7 @@ fn unusual_points_give_valid_figure() {
         let figure = lengths(points.clone());
         let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), points.is_empty(), "{points:?}");
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
     let far = (0..300).map(|i| (f64::from(i % 50), 0.1)).chain([(1e6, 0.1)]).collect();
     assert!(has(&lengths(far).svg(), "1 beyond the axes"));

@@ -48,7 +48,7 @@ fn level_line_is_drawn_at_height_or_omitted() {
         "{discs:?} {line:?}"
     );
     assert!(figure.words().contains("point: size ÷ median delay · line: by slope"), "{}", figure.words());
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
     let far = scaling(Some((1e11, 0.0)), None);
     assert!(levels(&far.svg()).is_empty());
     for text in ["point: size ÷ median delay\n", "far beyond the axis and not drawn: the line of upload"] {
@@ -108,7 +108,7 @@ fn each_configuration_is_numbered_point() {
     let count = |number: &str| texts.iter().filter(|text| *text == number).count();
     assert_eq!(["1", "2", "3"].map(count), [2, 2, 2], "at the point and in the key: {texts:?}");
     assert!(figure.words().contains("across: to the 95th percentile"), "{}", figure.words());
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn extreme_scores_give_a_valid_figure() {
         let figure = accuracy(scores);
         let svg = figure.svg();
         assert_eq!(has(&svg, "no values"), figure.scores.iter().all(|score| score.median.is_nan()));
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
 }
 

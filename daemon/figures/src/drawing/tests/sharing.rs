@@ -38,7 +38,7 @@ fn axis_ticks_are_measured_edge_counts() {
     assert!(((y[0] - y[3]) - 7.0 * (y[0] - y[1])).abs() < 0.3, "{y:?}");
     // The cases range from all answers for one edge to equal shares.
     assert!(y[4] < y[5] && y[5] < y[6] && y[6] < y[7] && y[4] > y[0], "{y:?}");
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn curves_differ_by_mark_and_line() {
         .map(|line| line.get("stroke-dasharray").cloned().unwrap_or_default())
         .collect();
     assert_eq!(dashes.len(), 4, "{svg}");
-    assert_on_paper(&svg);
+    assert_within_paper(&svg);
 }
 
 #[test]
@@ -81,6 +81,6 @@ fn missing_and_extreme_points_give_valid_figure() {
         let judged =
             figure.curves.iter().flat_map(|curve| &curve.points).any(|point| point.fairness.is_some());
         assert_eq!(texts(&svg).iter().any(|text| text.contains("Jain")), judged);
-        assert_on_paper(&svg);
+        assert_within_paper(&svg);
     }
 }

@@ -103,9 +103,9 @@ fn talk(count: u32) -> Vec<(f64, f64)> {
 fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
     let [x, y] = [summary(points.iter().map(|it| it.0)), summary(points.iter().map(|it| it.1))];
     let across = BinnedAxis::from_zero([&x].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
-    let up = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
-    let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&up, &y), line };
-    (joint.plot(), joint.has_cells(), up.beyond(&y))
+    let y_axis = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
+    let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&y_axis, &y), line };
+    (joint.plot(), joint.has_cells(), y_axis.beyond(&y))
 }
 
 #[test]

@@ -23,7 +23,7 @@ const RADIUS: f64 = 1.7;
 const MAX_MARKS: usize = 7;
 /// Number of different positions of marks. Lines have their marks at different positions, so that the marks do not overlap.
 const SHIFTED_LINES: usize = 4;
-/// Maximum distance between two values, in columns, that a line always bridges. It is interrupted at longer gaps.
+/// A line is interrupted between two values only if they are farther apart than this. Columns.
 const MIN_GAP_COLUMNS: f64 = 12.0;
 /// Maximum number of borders between episodes. More borders would hide everything else, so none is drawn.
 const MAX_BORDERS: usize = 30;
@@ -135,8 +135,8 @@ impl TimeSeries {
     fn plot(&self, times: (f64, f64), shown: (f64, f64)) -> Plot {
         let x = Scale::linear(times);
         let x = Axis::new(if self.x_is_iteration { x.whole() } else { x }, self.x.clone(), "");
-        let up = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
-        let mut plot = Plot::new(x, self.unit.axis(up).with_grid());
+        let y_scale = Scale::from_zero((shown.0 * self.unit.per_si, shown.1 * self.unit.per_si));
+        let mut plot = Plot::new(x, self.unit.axis(y_scale).with_grid());
         let mut items = self.background_items(&plot);
         items.extend(self.line_items(&plot, &self.total, None));
         for (number, line) in self.stages.iter().enumerate() {
@@ -144,7 +144,7 @@ impl TimeSeries {
         }
         plot.items = items;
         plot.top_strip = self.rail(&plot);
-        plot.remark = self.remark(up.ends().1);
+        plot.remark = self.remark(y_scale.ends().1);
         plot
     }
 

@@ -1,6 +1,6 @@
 //! Figures as files get them.
 
-use super::super::export::Exported;
+use super::super::export::ParsedFigure;
 use super::*;
 use crate::look::{Mark, Style, TextStyle, series, stage};
 use crate::plot::{Axis, Height, Item, Key, Label, Marks, Path, Plot, Strip, Swatch, Table};
@@ -95,7 +95,7 @@ fn height_of_plot_adds_to_height_of_sheet() {
 
 #[test]
 fn png_and_pdf_show_the_same_figure() {
-    let exported = Exported::of(&svg(&figure())).expect("an SVG");
+    let exported = ParsedFigure::of(&svg(&figure())).expect("an SVG");
     let pixels = exported.pixels().expect("drawn");
     assert_eq!(pixels.width, 1_680);
     let dark = pixels.rgb.chunks(3).filter(|pixel| pixel.iter().all(|part| *part < 0x50)).count();
