@@ -204,7 +204,7 @@ fn remove_abandoned_disks(parent: &Path) {
 }
 
 fn remove(folder: &Path) {
-    // Detached, so that a process with an open file does not keep it mounted.
+    // The file system is detached, so that a process with an open file does not keep it mounted.
     let _ = unmount(folder, UnmountFlags::DETACH);
     let _ = std::fs::remove_dir(folder);
     let _ = std::fs::remove_file(folder.with_extension("img"));

@@ -96,7 +96,7 @@ pub(crate) async fn accept(
         let serve = serve(tcp_stream, router.clone(), stream_slots, stop.clone(), limits);
         tasks.spawn(async move {
             evict.run_until_cancelled(serve).await;
-            // Last, so that there are never more open connections than slots.
+            // It is dropped last, so that there are never more open connections than slots.
             drop(slot);
         });
     }

@@ -145,11 +145,11 @@ impl WebError {
         let detail = match self {
             // The text names no internals: /readyz shows it, too.
             Self::Store(error @ StoreError::Damaged { .. }) => &error.to_string(),
-            Self::Store(_) => {
-                "the stored data could not be read; the aggregator's log has the cause under this id"
-            }
+            Self::Store(_) => &format!(
+                "the stored data could not be read; the aggregator's log has the cause under the id {id}"
+            ),
             Self::TookTooLong(_) => "the answer took too long; try again, or request less at once",
-            _ => "an internal error occurred; the aggregator's log has the cause under this id",
+            _ => &format!("an internal error occurred; the aggregator's log has the cause under the id {id}"),
         };
         ProblemDetails::new(status, detail.to_owned(), Some(id))
     }

@@ -146,19 +146,19 @@ impl Timeline {
         tree: &Tree,
         parent: NodeId,
         depth: u8,
-        figures: &[(Name, QuantityStatistics)],
+        run_statistics: &[(Name, QuantityStatistics)],
     ) {
         for (id, node) in tree.children(parent) {
             let is_sum = matches!(node.name.as_str(), "total" | "stages-total" | "unattributed");
             if depth == 0 && is_sum {
                 continue;
             }
-            if let Some(placed) = self.position_node(node, depth, figures) {
+            if let Some(placed) = self.position_node(node, depth, run_statistics) {
                 self.nodes.push(placed);
             }
             // An agent with bad intent may send a deep tree. The API returns the nodes that are too deep for the page.
             if depth < 6 {
-                self.add_children(tree, id, depth + 1, figures);
+                self.add_children(tree, id, depth + 1, run_statistics);
             }
         }
     }
@@ -175,10 +175,11 @@ impl Timeline {
         &self,
         node: &Node,
         depth: u8,
-        figures: &[(Name, QuantityStatistics)],
+        run_statistics: &[(Name, QuantityStatistics)],
     ) -> Option<PlacedNode> {
         let zero = self.zero(node.host);
-        let median = figures.iter().find(|(name, _)| *name == node.name).map(|(_, figures)| figures.p50);
+        let median =
+            run_statistics.iter().find(|(name, _)| *name == node.name).map(|(_, statistics)| statistics.p50);
         let start = zero.map(|zero| zero + node.start.seconds());
         let placed = PlacedNode {
             name: node.name.clone(),

@@ -187,7 +187,7 @@ fn check_serve(report: &mut Report, serve: &ServeConfig, is_empty: bool) {
     report.check_settings("serve.session", &serve.session);
     for address in serve.listen.as_slice() {
         report.check_result("serve.network", address.check_network(serve.network));
-        report.check_result("serve.listen", address.check_host());
+        report.check_result("serve.listen", address.check_usable_on_this_host());
         check_listen(report, address);
     }
 }
@@ -236,7 +236,7 @@ fn check_pipeline(
     if let PlacementConfig::Remote(remote) = &pipeline.placement {
         report.check_settings(&format!("{prefix}.placement.session"), &remote.session);
         report.check_result(format!("{prefix}.placement.network"), remote.peer.check_network(remote.network));
-        report.check_result(format!("{prefix}.placement.peer"), remote.peer.check_host());
+        report.check_result(format!("{prefix}.placement.peer"), remote.peer.check_usable_on_this_host());
     }
     if let PlacementConfig::Local { model } = &pipeline.placement
         && !models.contains(model)
@@ -305,7 +305,7 @@ fn check_observed(report: &mut Report, prefix: &str, pipeline: &PipelineConfig, 
         report.add(format!("{prefix}.placement.{}", error.key()), error);
     }
     if let Some(peer) = &observed.peer {
-        report.check_result(format!("{prefix}.placement.peer"), peer.check_host());
+        report.check_result(format!("{prefix}.placement.peer"), peer.check_usable_on_this_host());
     }
     match observed.resolve_version(|name| std::env::var(name).ok()) {
         Ok(version) => {

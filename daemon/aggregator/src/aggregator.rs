@@ -120,7 +120,7 @@ impl Aggregator {
             integrity.clone(),
         ));
 
-        // A child token, because a failed task stops the others and must not stop the rest of the program.
+        // It is a child token, because a failed task stops the others and must not stop the rest of the program.
         let stop = stop.child_token();
         let mut running = RunningAggregator {
             handle: Self {

@@ -216,7 +216,7 @@ pub struct PercentilePoint {
 
 /// Figures of the last seconds of the edge's wall clock.
 ///
-/// Covers the given number of complete seconds and the incomplete second, so that a figure is current and not computed
+/// Covers the given number of complete seconds and the incomplete second, so that a number is current and not computed
 /// from a few milliseconds only. Rates refer to the time really covered: the time since the pipeline's first second if
 /// that second is within the window.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -267,7 +267,7 @@ pub struct LiveSecond {
 }
 
 impl Window {
-    /// Returns the figures of a node name.
+    /// Returns the statistics of a node name.
     pub fn value(&self, name: &str) -> Option<&QuantityStatistics> {
         self.values.iter().find(|(other, _)| other == name).map(|(_, statistics)| statistics)
     }

@@ -19,9 +19,9 @@ pub use message::{
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
 };
 pub use session::{
-    Announcer, Awaited, BindError, CloseReason, Exchange, FIRST_PART, FIRST_PART_DOWNLOAD, Failure, Incoming,
-    IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PartHandler, PartSender, RequestCancelled,
-    RequestError, Responder, Session, StatisticsReader,
+    Announcer, AwaitedEvent, BindError, CloseReason, Exchange, FIRST_PART, FIRST_PART_DOWNLOAD, Failure,
+    Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PartHandler, PartSender,
+    RequestCancelled, RequestError, Responder, Session, StatisticsReader,
 };
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};
 pub use statistics::{ConnectionAddresses, ConnectionStatistics, DirectionStatistics, TransportRoundTrip};

@@ -156,7 +156,7 @@ impl SessionSettings {
     /// Returns the settings with every value brought into the range that [`check`](Self::check) allows.
     pub(crate) fn clamped(self) -> Self {
         let clamped = |value: u64, (min, max): (u64, u64)| value.clamp(min, max);
-        // At most half of the range, so that a timeout of twice the interval is within the range.
+        // At most half of the range, so a timeout of twice the interval is within the range.
         let heartbeat_interval_ms =
             clamped(self.heartbeat_interval_ms, (TIME_MS_RANGE.0, TIME_MS_RANGE.1 / 2));
         Self {

@@ -193,7 +193,7 @@ async fn stop_in_reverse(parts: Vec<Part>, deadline: Duration) -> Exit {
 
 /// Returns a timer with half the interval of the service manager's watchdog; `None` without a watchdog.
 fn watchdog() -> Option<tokio::time::Interval> {
-    // Half of the timeout, as sd_watchdog_enabled(3) recommends.
+    // This is half of the timeout, as sd_watchdog_enabled(3) recommends.
     sd_notify::watchdog_enabled().map(|timeout| tokio::time::interval(timeout / 2))
 }
 

@@ -24,9 +24,9 @@ const CACHE: &str = "-65536";
 /// (1,000 interleaved runs, a busy machine).
 const CHECKPOINT_PAGES: &str = "16000";
 
-/// Size in bytes to which SQLite truncates the log's file when it begins to write the log from its start again. A reader may have
+/// Size in bytes to which SQLite truncates the write-ahead log's file when it begins to write the log from its start again. A reader may have
 /// made the file grow. This is the usual size: 16,000 pages with their frames' headers.
-const LOG_BYTES: &str = "65920032";
+const TRUNCATED_WAL_BYTES: &str = "65920032";
 
 pub(crate) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations");
 
@@ -43,7 +43,7 @@ pub(crate) fn write_options(path: &Path) -> SqliteConnectOptions {
         .foreign_keys(true)
         .pragma("cache_size", CACHE)
         .pragma("wal_autocheckpoint", CHECKPOINT_PAGES)
-        .pragma("journal_size_limit", LOG_BYTES)
+        .pragma("journal_size_limit", TRUNCATED_WAL_BYTES)
         .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }

@@ -13,7 +13,7 @@ pub(crate) fn is_damage(error: &sqlx::Error) -> bool {
     matches!(primary_code(error), Some(CORRUPT | NOT_A_DATABASE))
 }
 
-/// Returns whether an error means that a part of a database is damaged, so that the rest may be salvaged.
+/// Returns whether an error means that a part of a database is damaged, so the rest may be salvaged.
 pub(crate) fn is_partial_damage(error: &sqlx::Error) -> bool {
     primary_code(error) == Some(CORRUPT)
 }

@@ -50,7 +50,7 @@ pub enum OpenError {
     /// Another process has locked the database.
     #[error("cannot start the aggregator: {0}")]
     Lock(#[from] LockError),
-    /// The log of another database lies beside the file.
+    /// The write-ahead log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The database was written by a newer version.

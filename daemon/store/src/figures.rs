@@ -8,7 +8,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 /// Statistics of one quantity, in its SI unit. Quantiles are within 1 % of the true ones.
-// The REST API sends this type as it is: these comments are its documentation, where an absent number is null.
+// The REST API sends this type as it is: these comments are its documentation. There an absent number is null.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, ToSchema)]
 #[expect(missing_docs, reason = "the names of the other fields say what they are")]
 // The schema's name in the REST API stays.

@@ -19,12 +19,12 @@ use super::integrity::pages::be32;
 const ID_OFFSET: usize = 60;
 /// First word of a log. Its lowest bit gives the byte order of the checksum's words.
 const MAGIC: u32 = 0x377f_0682;
-/// Size of the log's header, bytes.
+/// Size of the write-ahead log's header, bytes.
 const LOG_HEADER: usize = 32;
 /// Size of the header of a frame, bytes. A frame holds one page.
 const FRAME_HEADER: usize = 24;
 
-/// The log at the path belongs to another file, which was at the database's path before.
+/// The write-ahead log at the path belongs to another file, which was at the database's path before.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "the write-ahead log {} belongs to another database, which was at this path before; move it beside that \
@@ -34,7 +34,7 @@ pub struct ForeignLog(pub(crate) PathBuf);
 
 /// Gives the file an id if it has none.
 ///
-/// Always writes page 1, so that the log contains the id. Commits that change only other pages, such as the commits of an
+/// Always writes page 1, so that the write-ahead log contains the id. Commits that change only other pages, such as the commits of an
 /// aggregator without agents, would not write page 1.
 pub(crate) async fn assign_id(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let id: i32 = sqlx::query_scalar("PRAGMA user_version").fetch_one(&mut *connection).await?;
@@ -53,7 +53,7 @@ fn random_id() -> i32 {
     ((Uuid::new_v4().as_u128() & 0x7fff_ffff) as i32).max(1)
 }
 
-/// Refuses the log beside a database if it belongs to another file. Has to be called before SQLite opens the file.
+/// Refuses the write-ahead log beside a database if it belongs to another file. Has to be called before SQLite opens the file.
 ///
 /// The descriptor has to stay open as long as SQLite's (see [`DatabaseLock`](super::lock::DatabaseLock)). A file of an earlier
 /// version has no id and is not checked. Read errors are only logged here; SQLite reports them when it opens the file.
@@ -67,7 +67,7 @@ pub(crate) fn refuse_foreign_log(database: &Path, file: &File) -> Result<(), For
         Ok(false) => Ok(()),
         Ok(true) => Err(ForeignLog(log)),
         Err(error) => {
-            tracing::warn!(%error, log = %log.display(), "cannot determine whether the log belongs to the database; SQLite will read it");
+            tracing::warn!(%error, log = %log.display(), "cannot determine whether the write-ahead log belongs to the database; SQLite will read it");
             Ok(())
         }
     }
@@ -85,7 +85,7 @@ fn read_id(file: &File) -> io::Result<Option<u32>> {
     Ok(Some(be32(&header, ID_OFFSET)).filter(|id| is_database && *id != 0))
 }
 
-/// Returns whether the log belongs to another database. Of the part of the log that SQLite would apply, the copies of page 1 are
+/// Returns whether the write-ahead log belongs to another database. Of the part of the log that SQLite would apply, the copies of page 1 are
 /// examined: at least one has the id of another database, and none has the id of this database.
 fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     let log = match File::open(log) {
@@ -109,7 +109,7 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
         let (head, page) = frame.split_at(FRAME_HEADER);
         checksum.add(&head[..8]);
         checksum.add(page);
-        // The frames after this one are older than the start of the log, or were not written completely. SQLite stops here, too.
+        // The frames after this one are older than the start of the write-ahead log, or were not written completely. SQLite stops here, too.
         if head[8..16] != header[16..24] || !checksum.equals_stored(&head[16..]) {
             break;
         }
@@ -124,7 +124,7 @@ fn is_foreign(log: &Path, database_id: u32) -> io::Result<bool> {
     Ok(has_other_id)
 }
 
-/// SQLite's checksum over the log up to a frame.
+/// SQLite's checksum over the write-ahead log up to a frame.
 struct Checksum {
     big_endian: bool,
     words: (u32, u32),

@@ -50,9 +50,9 @@ pub use stored::{ClockPoint, StoredCounts};
 pub use types::{
     AggregatorIncidentKind, ClockSeries, DelayAssumptions, DelayRow, Episodes, ExperimentSummary, GapRow,
     Histogram, HostRow, IncidentFilter, IncidentRow, IterationDetail, IterationFilter, IterationRow,
-    Judgement, LinkKey, LinkRow, MeanBucket, MeasuredTime, MeasuredWithin, MergeableStatistics, Recomputed,
-    RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint, StageBuckets,
-    StageMeans, StageSeries, StageStatistics, ValuePairs,
+    Judgement, LinkKey, LinkRow, MeanBucket, MeasuredTime, MeasuredWithin, MergeableStatistics,
+    RecomputedDelays, RecomputedStage, RunDetail, RunFilter, RunStatistics, RunSummary, Series, SeriesPoint,
+    StageBuckets, StageMeans, StageSeries, StageStatistics, ValuePairs,
 };
 
 /// Types for the one process that writes to the database.
@@ -62,7 +62,7 @@ pub mod writing {
     pub use crate::readers::Readers;
     pub use crate::retention::Step;
     pub use crate::write::{
-        CommitError, Committed, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
+        CommitError, CommitResult, ConnectionSample, FormerFiles, Introduction, PendingIncidents, RunName,
         Streams, UnstorableBatch, Work, Writer,
     };
 }
@@ -271,7 +271,7 @@ impl Store {
     }
 
     /// Judges the one-way delays of a run again, with the exchanges that were stored after the delays. Writes nothing.
-    pub async fn recompute(&self, run: i64) -> Result<Option<Recomputed>, StoreError> {
+    pub async fn recompute(&self, run: i64) -> Result<Option<RecomputedDelays>, StoreError> {
         read::recompute::recompute(&self.readers, run).await
     }
 }

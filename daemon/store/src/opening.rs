@@ -61,7 +61,7 @@ pub enum ReopenError {
     /// The file at the path is empty.
     #[error("the database file {} is empty; put the right file there, or restart the aggregator to create a new database in it", .0.display())]
     Empty(PathBuf),
-    /// The log at the path belongs to another database, which was at this path before. SQLite would apply it to the new file.
+    /// The write-ahead log at the path belongs to another database, which was at this path before. SQLite would apply it to the new file.
     #[error(transparent)]
     ForeignLog(ForeignLog),
     /// Another process holds the lock, or the file cannot be opened for writing.
@@ -150,13 +150,13 @@ impl OpenDatabase {
         Ok((Self { writer, check, lock }, state))
     }
 
-    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the log into the file
+    /// Closes the connection and releases the lock. If it is the last connection to the file, SQLite checkpoints the write-ahead log into the file
     /// and removes the log. Returns the identities of the files, for reopening.
     pub async fn close(self) -> (FormerFiles, Result<(), DatabaseError>) {
         let Self { writer, check, lock } = self;
         check.stop().await;
         let closed = writer.close().await;
-        // Last, because closing this descriptor releases the locks that SQLite holds on the file.
+        // This comes last, because closing this descriptor releases the locks that SQLite holds on the file.
         drop(lock);
         closed
     }

@@ -6,7 +6,7 @@ const DAY_S: i64 = 86_400;
 /// Longest period: a hundred years.
 const MAX_DAYS: u32 = 36_525;
 /// Smallest size limit that a run fits into.
-const MIN_BYTES: u64 = 16 << 20;
+const MIN_SIZE_LIMIT_BYTES: u64 = 16 << 20;
 
 /// The `[aggregator.retention]` table.
 ///
@@ -75,10 +75,10 @@ impl RetentionConfig {
             }
         }
         let limit = self.size_limit_bytes;
-        if limit > 0 && limit < MIN_BYTES {
+        if limit > 0 && limit < MIN_SIZE_LIMIT_BYTES {
             problems.push((
                 "retention.size_limit_bytes",
-                format!("{limit} is below {MIN_BYTES}; 0 means no limit"),
+                format!("{limit} is below {MIN_SIZE_LIMIT_BYTES}; 0 means no limit"),
             ));
         }
         problems

@@ -36,7 +36,7 @@ pub struct RunFilter {
     pub host: Option<HostId>,
     /// Maximum number of runs, 1 to 1,000.
     pub limit: u32,
-    /// Only runs with a smaller number: the number of the last run of the previous page.
+    /// Selects the runs with a smaller number than this: the number of the last run of the previous page.
     pub before: Option<i64>,
 }
 
@@ -85,7 +85,7 @@ pub struct RunSummary {
     pub total: Option<QuantityStatistics>,
     /// `true` if a clock fault was injected on one of the run's hosts.
     pub has_clock_fault: bool,
-    /// `true` if the run is pinned, so that retention deletes none of its data.
+    /// `true` if the run is pinned, so retention deletes none of its data.
     pub pinned: bool,
     /// Number of the last iteration that was deleted because of its age or the size limit; 0 if none was deleted.
     pub nodes_from: u64,
@@ -200,7 +200,7 @@ pub struct SeriesPoint {
 /// Selection of the iterations of a run to list, by ascending number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IterationFilter {
-    /// Only iterations with a greater number: the last number of the previous page; 0 for the first page.
+    /// Selects the iterations with a greater number than this: the last number of the previous page; 0 for the first page.
     pub after: u64,
     /// Maximum number of iterations, 1 to 1,000.
     pub limit: u32,
@@ -335,11 +335,11 @@ impl IterationDetail {
 pub struct IncidentFilter {
     /// Maximum number of incidents, 1 to 1,000.
     pub limit: u32,
-    /// Only incidents before the incident with this id, which is the last incident of the previous page.
+    /// Selects the incidents before the incident with this id, which is the last incident of the previous page.
     pub before: Option<i64>,
-    /// Only incidents of this kind.
+    /// Selects the incidents of this kind.
     pub kind: Option<String>,
-    /// Only incidents that the host of this name reported.
+    /// Selects the incidents that the host of this name reported.
     pub host: Option<String>,
 }
 
@@ -462,7 +462,7 @@ pub struct ClockSeries {
 /// The one-way delays of a run: as they were judged during the run, and as they are judged from all exchanges, including exchanges
 /// after the delays. The recorded stamps stay unchanged.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Recomputed {
+pub struct RecomputedDelays {
     /// The number of the run.
     pub number: i64,
     /// Number of stored clock samples that were used.

@@ -12,12 +12,12 @@ where
     T: Deserialize<'de>,
     D: Deserializer<'de>,
 {
-    deserializer.deserialize_seq(Bounded::<MAX, T>(PhantomData))
+    deserializer.deserialize_seq(BoundedListVisitor::<MAX, T>(PhantomData))
 }
 
-struct Bounded<const MAX: usize, T>(PhantomData<T>);
+struct BoundedListVisitor<const MAX: usize, T>(PhantomData<T>);
 
-impl<'de, const MAX: usize, T: Deserialize<'de>> Visitor<'de> for Bounded<MAX, T> {
+impl<'de, const MAX: usize, T: Deserialize<'de>> Visitor<'de> for BoundedListVisitor<MAX, T> {
     type Value = Vec<T>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -194,7 +194,8 @@ pub struct LinkLive {
     /// Clock of the cloud.
     pub cloud: Option<HostClock>,
     /// Sample of the last complete second, or of the current second so far if the last one has no sample.
-    pub now: ClockSample,
+    #[serde(rename = "now")]
+    pub latest_sample: ClockSample,
     /// Open connections, one per pipeline, at most [`MAX_PIPELINES`]. Since version 6 of the event stream.
     #[serde(default, deserialize_with = "at_most::<MAX_PIPELINES, _, _>")]
     pub connections: Vec<Connection>,
@@ -217,7 +218,7 @@ impl Serialize for LinkLive {
         to.serialize_field("probing", &self.probing)?;
         to.serialize_field("edge", &self.edge)?;
         to.serialize_field("cloud", &self.cloud)?;
-        to.serialize_field("now", &self.now)?;
+        to.serialize_field("now", &self.latest_sample)?;
         if has_connections {
             to.serialize_field("connections", &self.connections)?;
         }
@@ -247,7 +248,7 @@ pub struct ReflectorLive {
 impl LinkLive {
     /// Returns the network of the link.
     pub const fn network(&self) -> &NetworkName {
-        &self.now.network
+        &self.latest_sample.network
     }
 }
 

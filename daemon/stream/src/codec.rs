@@ -1,6 +1,6 @@
 //! Encoding of the event stream's messages and batches: MessagePack with one message per frame, and frames of batches.
 //!
-//! A batch's frame begins with a byte that no MessagePack value begins with, so that batches and messages cannot be
+//! A batch's frame begins with a byte that no MessagePack value begins with, so batches and messages cannot be
 //! confused.
 //! Numbers are big-endian:
 //!

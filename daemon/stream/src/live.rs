@@ -51,17 +51,17 @@ pub struct PipelineLive {
 /// Current activity of a pipeline.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PipelineState {
-    /// It prepares its sensor and its model.
+    /// The pipeline prepares its sensor and its model.
     Starting,
-    /// It waits for its peer; the text gives the reason.
+    /// The pipeline waits for its peer; the text gives the reason.
     Waiting(String),
-    /// It runs iterations.
+    /// The pipeline runs iterations.
     Running,
-    /// It reached its limit, or was stopped together with its agent.
+    /// The pipeline reached its limit, or was stopped together with its agent.
     Finished,
-    /// It could not start or had to stop; the text gives the reason.
+    /// The pipeline could not start or had to stop; the text gives the reason.
     Failed(String),
-    /// Its host is not connected, so that its activity is unknown. Only the aggregator uses this state.
+    /// The pipeline's host is not connected, so its activity is unknown. Only the aggregator uses this state.
     Away,
 }
 

@@ -124,7 +124,7 @@ impl SpoolState {
 impl SpoolState {
     /// Records the losses of an earlier process. `counted` are the events that were submitted to that process; `settled`
     /// are those events that are in the spool or counted as dropped. The other events were lost when the process was
-    /// killed. Returns the number of lost events; `None` if the process sent batches that are not in the spool, so that
+    /// killed. Returns the number of lost events; `None` if the process sent batches that are not in the spool, so
     /// only the aggregator knows which events are lost ([`Self::unresolved`]).
     ///
     /// The total is exact. The losses of a run that was not counted separately are reported in a gap without a run.

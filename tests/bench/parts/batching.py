@@ -109,7 +109,7 @@ def _combine(edges: list[Run]) -> CombinedUsers:
     end = min(at + total for at, total in (one[-1] for one in times))
     totals = [total for one in times for at, total in one if at >= begin and at + total <= end]
     if not totals:
-        raise Failure(f"{len(edges)} users measured at different times, so that no iteration counts")
+        raise Failure(f"{len(edges)} users measured at different times, so no iteration counts")
     figures = spread(totals)
     return CombinedUsers(len(totals) / (end - begin), figures["p50"], figures["p99"])
 

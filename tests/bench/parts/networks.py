@@ -58,7 +58,7 @@ def prepare() -> None:
     need_root()
     transports.prepare()
     build = ["cargo", "build", "--release", "--quiet"]
-    # Together, so that the daemon's features do not change what it is built of.
+    # They are built together, so that the daemon's features do not change what it is built of.
     ours = [*build, "--locked", "--package", "peernetd", "--package", "peernet-tests", "--bins"]
     subprocess.run([*ours, "--features", "peernetd/ros2,peernet-tests/ros2"], cwd=ROOT, check=True)
     foreign = ["--manifest-path", "tests/bench/roslibrust/Cargo.toml", "--target-dir", "target/interop"]

@@ -3,7 +3,7 @@
 //!
 //! State machine, socket and aggregator are those of PEERNet. The spool is in memory. All messages are delayed at both
 //! ends of the path, by half a round trip. Without control, requests for echoes are answered here as soon as the
-//! state machine has nothing more to send, so that it always believes that everything has arrived.
+//! state machine has nothing more to send, so it always believes that everything has arrived.
 //!
 //! `event-stream ADDRESS ITERATIONS ROUND-TRIP-MS on|off`, which prints one JSON object.
 

@@ -42,7 +42,7 @@ def token(model: str, text: str) -> bytes:
 
 
 class Server:
-    """Server whose answers are encoded in advance, so that it adds little time."""
+    """Server whose answers are encoded in advance, so it adds little time."""
 
     def __init__(self, burst: int, paced: int, interval_s: float, stamps: Path) -> None:
         self.interval_s = interval_s

@@ -72,7 +72,7 @@ impl ClockErrors {
         let ends = segments.iter().skip(1).map(|next| next.begin).chain([RawTime::from_nanos(i64::MAX)]);
         let truth = |(segment, end): (&Segment, RawTime)| {
             let mut truth = shown - segment.ahead;
-            // The rate is far below one, so that the iteration converges quickly.
+            // The rate is far below one, so the iteration converges quickly.
             for _ in 0..8 {
                 truth = shown - segment.ahead_at(truth);
             }

@@ -153,7 +153,7 @@ impl Network {
         let commands = self.wire.as_ref().expect("a wire");
         let mut stream = wait_until("the wire", || UnixStream::connect(commands).ok());
         for delay in [up.delay("LR"), down.delay("RL")] {
-            // One write, because the wire takes the result of one `read` as a whole command.
+            // This is one write, because the wire takes the result of one `read` as a whole command.
             stream.write_all(format!("delay {delay}\n").as_bytes()).expect("the wire listens");
             let mut answer = Vec::new();
             // Each answer ends with a code, which is 1000 for success, and a prompt.

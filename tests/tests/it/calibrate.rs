@@ -115,7 +115,7 @@ fn calibration_is_right_despite_clock_errors() {
     assert_eq!((&study["setting"]["cloud"], &study["setting"]["rehearsed"]), (&"cloud".into(), &true.into()));
     for (direction, ahead) in [("up", 1.0), ("down", -1.0)] {
         let direction = &study[direction];
-        // Both hosts read the same kernel's clock, so that the raw stamps without the injected second are the truth.
+        // Both hosts read the same kernel's clock, so the raw stamps without the injected second are the truth.
         let intercept =
             |path: &str| number(&direction["fits"].pointer(path).expect("a fit")["intercept"]["value"]);
         let (reported, raw) = (intercept("/samples/least_squares"), intercept("/raw"));

@@ -65,7 +65,7 @@ fn offloaded_picture_is_stored_with_all_stages() {
     );
     assert_eq!(detail["placement"]["peer"], "cloud");
 
-    // Both hosts share one clock, so that every delay is exact, and the stages with the unattributed time add up to
+    // Both hosts share one clock, so every delay is exact, and the stages with the unattributed time add up to
     // the total.
     for name in STAGES {
         let stage = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));

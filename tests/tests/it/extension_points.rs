@@ -98,7 +98,7 @@ fn kinds(registry: &'static str, registration: &str) -> Vec<Kind> {
     let kind = |(variant, module, config): (String, String, Option<String>)| {
         let [file, module_folder] = [folder.join(format!("{module}.rs")), folder.join(&module)];
         let files = if file.is_file() { file } else { module_folder };
-        // A configuration that several kinds share is declared elsewhere.
+        // A configuration that several kinds of model or sensor share is declared elsewhere.
         let config = config.filter(|config| declares(&files, config));
         let (parent, registration) = (parent.clone(), registration.clone());
         Kind { registry, variant, parent, module, config, files, registration }

@@ -192,7 +192,7 @@ fn observed_delays_contain_truth_despite_clock_errors() {
     assert_eq!(agent.stop().code(), 0);
 }
 
-/// The node stamps its answers again, so that no answer has the stamp of its input message.
+/// The node stamps its answers again, so no answer has the stamp of its input message.
 #[test]
 fn equal_sequence_numbers_keep_delays_true() {
     let scene = RosOverWire::new(&["restamp", "model", "/camera", "/result", "20"]);

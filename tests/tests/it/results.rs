@@ -125,7 +125,7 @@ fn full_disk_keeps_rows_that_fit() {
         ResultFolder::create(&disk.folder().join("results"), Overwrite::Refuse).expect("there is room");
     let mut writer = folder.writer().expect("there is room");
     let path = writer.path().to_owned();
-    // All rows belong to one second, so that they are written together.
+    // All rows belong to one second, so they are written together.
     (1..=9000).for_each(|number| writer.write(&Row { at: 0.5, ..row(number) }));
     assert!(writer.finish().is_err(), "there is no room for all");
     let written = numbers(&path);

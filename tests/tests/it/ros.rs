@@ -158,7 +158,7 @@ fn busy_pipeline_counts_dropped_messages() {
     // read it.
     let sensed = api.json(&format!("/api/v1/runs/{run}"))["counts"]["ok"].as_f64().expect("a number");
     assert_eq!(sensed + sensed * api.mean(run, "dropped-samples"), 10.0);
-    // Texts have no header, so that there is no capture time.
+    // Texts have no header, so there is no capture time.
     assert!(api.figures(run, "capture-delay").is_none());
     assert_eq!(edge.stop().code(), 0);
 }

@@ -28,7 +28,11 @@ pub(crate) async fn serve(document: utoipa::openapi::OpenApi) -> Json<utoipa::op
 const ERRORS: [(&str, &str, &str); 4] = [
     ("400", "BadRequest", "a parameter or the Host header is invalid; the detail names it"),
     ("421", "MisdirectedRequest", "the Host header names another server"),
-    ("500", "InternalServerError", "internal error; the aggregator's log has the cause under this id"),
+    (
+        "500",
+        "InternalServerError",
+        "internal error; the aggregator's log has the cause under the id in the field `id`",
+    ),
     (
         "503",
         "ServiceUnavailable",

@@ -7,7 +7,7 @@ use super::table::{Sample, Sink};
 
 /// Figures of the aggregator.
 #[derive(Debug)]
-pub(super) struct AggregatorFigures {
+pub(super) struct AggregatorNumbers {
     pub(super) ready: bool,
     /// Number of hosts that report.
     pub(super) connected: u64,
@@ -22,8 +22,8 @@ pub(super) struct AggregatorFigures {
     pub(super) totals: Totals,
 }
 
-impl AggregatorFigures {
-    /// Returns the figures of the live state. All other fields have the values of an aggregator that is not ready and has no database.
+impl AggregatorNumbers {
+    /// Returns the numbers of the live state. All other fields have the values of an aggregator that is not ready and has no database.
     pub(super) fn from_live_state(live_state: &LiveState) -> Self {
         Self {
             ready: false,

@@ -27,7 +27,7 @@ pub(super) fn write_each(
 
 /// Returns half the width of the offset's interval; `None` if the sources contradict each other.
 pub(super) fn half_width(link: &LinkSnapshot) -> Option<Sample> {
-    let (_, half_width) = estimate_and_half_width(link.live.now.offset.as_ref()?)?;
+    let (_, half_width) = estimate_and_half_width(link.live.latest_sample.offset.as_ref()?)?;
     Some(Sample::Value(half_width))
 }
 

@@ -23,7 +23,7 @@ use prometheus_client::registry::{Registry, Unit};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use self::aggregator::AggregatorFigures;
+use self::aggregator::AggregatorNumbers;
 use self::scrape::Scrape;
 use self::table::{Kind, METRICS, Sample};
 use crate::error::WebError;
@@ -43,12 +43,12 @@ pub(crate) fn routes() -> OpenApiRouter<App> {
 ))]
 async fn serve(State(app): State<App>) -> Result<Response, WebError> {
     let snapshot = app.live_state();
-    let figures = AggregatorFigures {
+    let aggregator = AggregatorNumbers {
         ready: app.aggregator.current_readiness() == Readiness::Ready,
         database_bytes: app.aggregator.database_bytes(),
-        ..AggregatorFigures::from_live_state(&snapshot).with_rejections(app.aggregator.rejections())
+        ..AggregatorNumbers::from_live_state(&snapshot).with_rejections(app.aggregator.rejections())
     };
-    let text = render(Scrape::from_live_state(&snapshot, figures))?;
+    let text = render(Scrape::from_live_state(&snapshot, aggregator))?;
     Ok(([(CONTENT_TYPE, CONTENT_TYPE_OPENMETRICS)], text).into_response())
 }
 

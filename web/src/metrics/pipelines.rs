@@ -38,7 +38,7 @@ pub(super) fn write_iterations(scrape: &Scrape, sink: &mut Sink<'_>) {
                 ("timeout", counts.timeout),
             ];
             for (outcome, count) in outcomes {
-                // Not a counter, because the count of a window also falls.
+                // This is not a counter, because the count of a window also falls.
                 sink(&[host, name, outcome, label], Sample::Size(count));
             }
         }
@@ -71,12 +71,12 @@ pub(super) fn write_missed(scrape: &Scrape, sink: &mut Sink<'_>) {
 
 /// Writes the numbers of superseded answers.
 pub(super) fn write_superseded(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_figures(scrape, sink, SUPERSEDED, |figures| Sample::Size(figures.count));
+    write_figures(scrape, sink, SUPERSEDED, |statistics| Sample::Size(statistics.count));
 }
 
 /// Writes the success rates of episodes.
 pub(super) fn write_episode_success(scrape: &Scrape, sink: &mut Sink<'_>) {
-    write_figures(scrape, sink, EPISODE_SUCCESS, |figures| Sample::Value(figures.mean));
+    write_figures(scrape, sink, EPISODE_SUCCESS, |statistics| Sample::Value(statistics.mean));
 }
 
 fn write_figures(
@@ -88,8 +88,8 @@ fn write_figures(
     for one in &scrape.pipelines {
         let [host, name] = names(one);
         for (seconds, label) in WINDOWS {
-            if let Some(figures) = one.window(seconds).and_then(|window| window.value(value)) {
-                sink(&[host, name, label], sample(figures));
+            if let Some(statistics) = one.window(seconds).and_then(|window| window.value(value)) {
+                sink(&[host, name, label], sample(statistics));
             }
         }
     }
@@ -101,8 +101,9 @@ pub(super) fn write_stages(scrape: &Scrape, sink: &mut Sink<'_>) {
         let [host, name] = names(one);
         let Some(window) = one.window(60) else { continue };
         for stage in stage::ORDER.iter().chain(&[stage::TOTAL, stage::UNATTRIBUTED]) {
-            let Some(figures) = window.value(stage) else { continue };
-            let quantiles = [("0.5", Some(figures.p50)), ("0.95", figures.p95), ("0.99", figures.p99)];
+            let Some(statistics) = window.value(stage) else { continue };
+            let quantiles =
+                [("0.5", Some(statistics.p50)), ("0.95", statistics.p95), ("0.99", statistics.p99)];
             for (quantile, value) in quantiles {
                 if let Some(value) = value {
                     sink(&[host, name, stage, quantile], Sample::Value(value));

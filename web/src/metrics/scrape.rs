@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_aggregator::{HostSnapshot, LinkSnapshot, LiveState, PipelineSnapshot};
 use peernet_stream::Connection;
 
-use super::aggregator::AggregatorFigures;
+use super::aggregator::AggregatorNumbers;
 use super::table::{Sample, Sink};
 
 /// Maximum number of hosts in one answer; each makes about twenty lines.
@@ -21,7 +21,7 @@ const MAX_CONNECTIONS: usize = 1_000;
 /// Snapshot from which all samples of an answer are made.
 #[derive(Debug)]
 pub(super) struct Scrape {
-    pub(super) aggregator: AggregatorFigures,
+    pub(super) aggregator: AggregatorNumbers,
     pub(super) hosts: Vec<Arc<HostSnapshot>>,
     pub(super) pipelines: Vec<Arc<PipelineSnapshot>>,
     pub(super) links: Vec<Arc<LinkSnapshot>>,
@@ -33,7 +33,7 @@ pub(super) struct Scrape {
 impl Scrape {
     /// Copies the required data of the live state. Samples are labelled with names of hosts. If several hosts have the same name, only
     /// one is taken: a connected host rather than a disconnected host, and among these the host that reported last.
-    pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorFigures) -> Self {
+    pub(super) fn from_live_state(live_state: &LiveState, aggregator: AggregatorNumbers) -> Self {
         let mut by_name: BTreeMap<&str, &Arc<HostSnapshot>> = BTreeMap::new();
         for host in &live_state.hosts {
             let current = by_name.entry(host.description.name.as_str()).or_insert(host);
@@ -105,12 +105,13 @@ mod tests {
         let mut old = samples::host("cam-1", "Orin");
         (old.id, old.connected) = (HostId::from_bytes([8; 16]), false);
         old.last_seen = samples::NOW + Span::from_seconds(9);
-        let line = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-        let mut twin = line.clone();
+        let pipeline = samples::pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+        let mut twin = pipeline.clone();
         twin.host = old.id;
-        let mut live_state = samples::snapshot(vec![old, samples::host("cam-1", "Orin")], vec![twin, line]);
+        let mut live_state =
+            samples::snapshot(vec![old, samples::host("cam-1", "Orin")], vec![twin, pipeline]);
         live_state.links = vec![Arc::new(samples::link(None, &[])), Arc::new(samples::link(None, &[]))];
-        let scrape = Scrape::from_live_state(&live_state, AggregatorFigures::from_live_state(&live_state));
+        let scrape = Scrape::from_live_state(&live_state, AggregatorNumbers::from_live_state(&live_state));
         assert_eq!(scrape.hosts.iter().map(|host| host.connected).collect::<Vec<_>>(), [true]);
         assert_eq!((scrape.pipelines.len(), scrape.links.len(), scrape.aggregator.known), (1, 1, 2));
         assert_eq!(scrape.pipelines[0].host, scrape.hosts[0].id);
@@ -118,12 +119,12 @@ mod tests {
 
     #[test]
     fn answer_is_bounded_and_counts_omitted_items() {
-        let line = |index| samples::pipeline(&format!("line-{index}"), 30.0, 1.0, Verdict::Ok, &[]);
+        let pipeline = |index| samples::pipeline(&format!("line-{index}"), 30.0, 1.0, Verdict::Ok, &[]);
         let live_state =
-            samples::snapshot(vec![samples::host("cam-1", "Orin")], (0..1_200).map(line).collect());
-        let aggregator = AggregatorFigures {
+            samples::snapshot(vec![samples::host("cam-1", "Orin")], (0..1_200).map(pipeline).collect());
+        let aggregator = AggregatorNumbers {
             database_bytes: Some(4_096),
-            ..AggregatorFigures::from_live_state(&live_state)
+            ..AggregatorNumbers::from_live_state(&live_state)
         };
         let text =
             super::super::render(Scrape::from_live_state(&live_state, aggregator)).expect("plain text");

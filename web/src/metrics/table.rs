@@ -10,7 +10,7 @@ pub(super) enum Kind {
     Gauge,
 }
 
-/// One figure.
+/// Value of one sample of a metric.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Sample {
     /// Value of a counter.
@@ -28,7 +28,7 @@ impl Sample {
     }
 }
 
-/// Receiver of samples: the values of the metric's labels, in their order, and the figure.
+/// Receiver of samples: the values of the metric's labels, in their order, and the number.
 pub(super) type Sink<'a> = dyn FnMut(&[&str], Sample) + 'a;
 
 /// One metric. Its full name is `peernet_<name>_<unit>`, and `peernet_<name>_<unit>_total` for a counter.
@@ -115,7 +115,7 @@ pub(super) const METRICS: &[Metric] = &[
     metric((Gauge, "pipeline_window", "iterations"), OUTCOME, "Iterations within the window by outcome (ok, failed, lost, timeout), without warm-up.", pipelines::write_iterations),
     metric((Gauge, "pipeline_rate", "hertz"), WINDOW, "Iterations of any outcome per second, over the window.", pipelines::write_rate),
     metric((Gauge, "pipeline_deadline_missed", "ratio"), WINDOW, "Share of iterations within the window that took longer than their deadline or have no answer, 0 to 1; absent without a deadline.", pipelines::write_missed),
-    metric((Gauge, "pipeline_superseded", "answers"), WINDOW, "Answers within the window that were not acted on, because the answer to a newer sample had been or the episode had ended; absent if there are none.", pipelines::write_superseded),
+    metric((Gauge, "pipeline_superseded", "answers"), WINDOW, "Answers within the window that were not acted on, because the answer to a newer sample had been acted on or the episode had ended; absent if there are none.", pipelines::write_superseded),
     metric((Gauge, "pipeline_episode_success", "ratio"), WINDOW, "Share of the episodes that ended within the window that were a success, 0 to 1; absent if none ended or no success is reported.", pipelines::write_episode_success),
     metric((Gauge, "pipeline_stage", "seconds"), STAGE, "Quantiles of the standard stages, total and unattributed over 60 s; successful iterations only.", pipelines::write_stages),
     metric((Gauge, "pipeline_throughput", "bits_per_second"), DIRECTION, "Speed while sending (upload, download) over 60 s: bits divided by their transfer time; absent while no delay is known.", pipelines::write_speed),

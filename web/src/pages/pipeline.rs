@@ -80,18 +80,18 @@ struct PipelinePage {
     bar: Picture,
     stages: Vec<StageRow>,
     name: String,
-    /// Always one chart. It is a list because the page shares the template of charts with the overview.
+    /// The charts of the pipeline: always one. It is a list because the page shares the template of charts with the overview.
     charts: Vec<ChartCard>,
     runs: Vec<RunLine>,
     data: JsonBlock,
 }
 
-/// A figure with its name and unit.
+/// A number with its name and unit.
 struct Stat {
     name: &'static str,
     number: String,
     unit: &'static str,
-    /// Reason for a missing figure; empty if the figure is present.
+    /// Reason for a missing number; empty if the number is present.
     title: String,
 }
 
@@ -174,13 +174,13 @@ fn title(pipeline: &PipelineSnapshot, stack: &Stack) -> String {
 
 fn stats(kind: PlacementKind, window: &Window) -> Vec<Stat> {
     let total = window.value(&stage::TOTAL);
-    let time = |name, figure_of: fn(&QuantityStatistics) -> Option<f64>| {
-        let value = total.and_then(figure_of).map(short_duration);
+    let time = |name, number_of: fn(&QuantityStatistics) -> Option<f64>| {
+        let value = total.and_then(number_of).map(short_duration);
         let (number, unit) = value.map_or((NONE.to_owned(), ""), |value| (value.number, value.unit));
         Stat { name, number, unit, title: if unit.is_empty() { TOO_FEW.to_owned() } else { String::new() } }
     };
-    let speed = |name, way| {
-        let cell = speed::cell(kind, window, way);
+    let speed = |name, direction| {
+        let cell = speed::cell(kind, window, direction);
         Stat {
             name,
             unit: if cell.text == NONE { "" } else { "MB/s" },

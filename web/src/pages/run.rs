@@ -28,7 +28,7 @@ use crate::view::clocks::ClockCell;
 use crate::view::data::JsonBlock;
 use crate::view::histogram::histogram;
 use crate::view::notes::Note;
-use crate::view::run::{Bucket, OtherStatistics, SlowIteration, Stored, Unanswered};
+use crate::view::run::{Bucket, OtherStatistics, SlowIteration, StoredRun, UnansweredRow};
 use crate::view::runs::End;
 use crate::view::stack::Stack;
 use crate::view::stages::{StageRow, TOO_FEW, directions};
@@ -118,12 +118,12 @@ struct Run {
     has_p95: bool,
     axis: Picture,
     slowest: Vec<SlowIteration>,
-    unanswered: Vec<Unanswered>,
+    unanswered: Vec<UnansweredRow>,
     trust: Trust,
     experiment: Option<ExperimentPlace>,
     /// Label of each accuracy, its value in percent, and the interval of the value.
     accuracies: Vec<(&'static str, String, Option<String>)>,
-    actuator: ActuatorFigures,
+    actuator: ActuatorNumbers,
     configuration: Vec<(String, String)>,
     toml: String,
     data: JsonBlock,
@@ -170,7 +170,7 @@ async fn show(
     )?;
     let plot = stored_histogram.map(|stored| histogram(&stored, query.view, query.scale == CountScale::Log));
     let distribution = Distribution::new(stage_name, plot, &query);
-    let stored = Stored {
+    let stored = StoredRun {
         run: &run,
         statistics: &statistics,
         series: &series,
@@ -204,9 +204,9 @@ impl Distribution {
     }
 }
 
-/// Results of the actuator: each a figure and words about its base.
+/// Results of the actuator: each a number and words about its base.
 #[derive(Debug, PartialEq)]
-struct ActuatorFigures {
+struct ActuatorNumbers {
     /// Success rate in percent with its interval; `None` if no success is reported.
     success: Option<(String, String)>,
     /// Return per episode; `None` if no rewards are reported.
@@ -215,7 +215,7 @@ struct ActuatorFigures {
     superseded: Option<(String, String)>,
 }
 
-impl ActuatorFigures {
+impl ActuatorNumbers {
     fn new(results: &ActuatorResults, answered: u64) -> Self {
         let episodes =
             |number: u64| format!("{} {}", count(number), if number == 1 { "episode" } else { "episodes" });
@@ -271,11 +271,11 @@ fn facts(run: &RunDetail, zone: Zone) -> Vec<String> {
 
 fn assemble(
     app: &AppState,
-    stored: &Stored<'_>,
+    stored: &StoredRun<'_>,
     distribution: Distribution,
     report: &Report,
 ) -> Result<Run, WebError> {
-    let Stored { run, statistics: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
+    let StoredRun { run, statistics: RunStatistics { stages, bounds, .. }, series, episodes, .. } = stored;
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
@@ -345,7 +345,7 @@ fn assemble(
         trust: Trust::from(report),
         experiment: summary.experiment.clone(),
         accuracies: accuracies(stages),
-        actuator: ActuatorFigures::new(&summary.actuator, summary.counts.ok),
+        actuator: ActuatorNumbers::new(&summary.actuator, summary.counts.ok),
         configuration: configuration(run),
         toml: run.configuration.clone(),
         data: stored.data()?,
@@ -355,8 +355,8 @@ fn assemble(
 /// Returns the accuracies of the model; empty if samples had no labels.
 fn accuracies(stages: &[StageStatistics]) -> Vec<(&'static str, String, Option<String>)> {
     let accuracies = look::ACCURACIES.into_iter().filter_map(|(name, label)| {
-        let figures = stages.iter().find(|stage| stage.stage == *name)?.figures;
-        Some((label, share(figures.mean), accuracy::interval(&figures)))
+        let statistics = stages.iter().find(|stage| stage.stage == *name)?.figures;
+        Some((label, share(statistics.mean), accuracy::interval(&statistics)))
     });
     accuracies.collect()
 }
@@ -388,15 +388,15 @@ mod tests {
 
     #[test]
     fn actuator_figures_have_their_base() {
-        let none = ActuatorFigures { success: None, episode_return: None, superseded: None };
-        assert_eq!(ActuatorFigures::new(&ActuatorResults::default(), 9), none);
-        let figures = |name: &str| match name {
+        let none = ActuatorNumbers { success: None, episode_return: None, superseded: None };
+        assert_eq!(ActuatorNumbers::new(&ActuatorResults::default(), 9), none);
+        let statistics_of = |name: &str| match name {
             "superseded" => Some((12, 1.0, Some(0.0))),
             "episode-success" => Some((263, 81.0 / 263.0, None)),
             "episode-return" => Some((1, 2.5, None)),
             _ => None,
         };
-        let found = ActuatorFigures::new(&ActuatorResults::from_statistics(figures), 1_000);
+        let found = ActuatorNumbers::new(&ActuatorResults::from_statistics(statistics_of), 1_000);
         let text = |text: &str, words: &str| Some((text.to_owned(), words.to_owned()));
         assert_eq!(found.success, text("30.8", "25.5\u{202f}–\u{202f}36.6, 263 episodes"));
         assert_eq!(found.episode_return, text("2.50", "1 episode"));

@@ -57,10 +57,10 @@ async fn overview_shows_running_pipeline_without_warnings() {
 
 #[tokio::test]
 async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
-    let line = || pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    let of = |lines| snapshot(vec![host("cam-1", "Orin")], lines);
-    assert!(!overview_of(&of(vec![line()]), Vec::new()).await.contains("missed"));
-    let mut late = line();
+    let live = || pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    let of = |pipelines| snapshot(vec![host("cam-1", "Orin")], pipelines);
+    assert!(!overview_of(&of(vec![live()]), Vec::new()).await.contains("missed"));
+    let mut late = live();
     late.windows[2].miss_rate = Some(0.012);
     let html = overview_of(&of(vec![late, pipeline("other", 30.0, 1.0, Verdict::Ok, &[])]), Vec::new()).await;
     assert!(html.contains("data-h=\"missed %\">1.2</td>"), "{html}");
@@ -69,9 +69,9 @@ async fn miss_rates_are_column_where_a_pipeline_has_a_deadline() {
 
 #[tokio::test]
 async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
-    let mut line = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
-    for (_, figures) in line.windows[2].values.iter_mut().filter(|(name, _)| name.as_str() == "total") {
-        (figures.p50, figures.p99) = (0.018, Some(0.311));
+    let mut live = pipeline("line", 30.0, 1.0, Verdict::Ok, &[]);
+    for (_, statistics) in live.windows[2].values.iter_mut().filter(|(name, _)| name.as_str() == "total") {
+        (statistics.p50, statistics.p99) = (0.018, Some(0.311));
     }
     let mut busy = host("cam-1", "Orin");
     busy.metrics.cpu = Some(0.94);
@@ -81,7 +81,7 @@ async fn latencies_that_spread_and_busy_processors_are_to_be_looked_at() {
             std::sync::Arc::new(peernet_aggregator::MetricsPoint { at, metrics: busy.metrics.clone() })
         })
         .to_vec();
-    let html = overview_of(&snapshot(vec![busy], vec![line]), Vec::new()).await;
+    let html = overview_of(&snapshot(vec![busy], vec![live]), Vec::new()).await;
     assert!(html.contains("1 pipeline running, 2 to look at"), "{html}");
     assert!(html.contains("has a p99 of 311\u{202f}ms in the last minute"), "{html}");
     assert!(html.contains("has had busy processors for 10\u{202f}s, never below 94\u{202f}%"), "{html}");
@@ -164,16 +164,16 @@ async fn too_few_samples_give_no_quantile_but_a_reason() {
 
 #[tokio::test]
 async fn bars_quantiles_and_whiskers_are_of_one_window() {
-    let mut line = pipeline("line", 5.0, 1.0, Verdict::Ok, &[]);
+    let mut live = pipeline("line", 5.0, 1.0, Verdict::Ok, &[]);
     // Slower in the last seconds than in the minute: a bar of the one would end beyond the quantiles of the other.
     let window = |seconds, scale| samples::window(seconds, 30.0, scale, Verdict::Ok);
-    line.windows = [window(1, 4.0), window(10, 4.0), window(60, 1.0)];
-    let row = NowTable::new(&[&line]).rows.remove(0);
+    live.windows = [window(1, 4.0), window(10, 4.0), window(60, 1.0)];
+    let row = NowTable::new(&[&live]).rows.remove(0);
     let number = |cell: &Cell| cell.text.parse::<f64>().expect("a figure");
     assert!(number(&row.p50) <= number(&row.p95) && number(&row.p95) <= number(&row.p99), "{row:?}");
     let bar: f64 = row.total.parse().expect("a figure");
     assert!((bar - number(&row.p50)).abs() < 0.1, "the sample's mean is its median: {row:?}");
-    let html = overview_of(&snapshot(Vec::new(), vec![line]), Vec::new()).await;
+    let html = overview_of(&snapshot(Vec::new(), vec![live]), Vec::new()).await;
     assert!(html.contains("all figures: last 60&#x202f;s"), "{html}");
 }
 

@@ -341,7 +341,7 @@ pub(crate) fn link(half: Option<f64>, gaps: &[i64]) -> LinkSnapshot {
             },
             edge: Some(HostClock { text: "chrony, stratum 2".into(), ..HostClock::default() }),
             cloud: None,
-            now: clock_sample(second(0), 1, half),
+            latest_sample: clock_sample(second(0), 1, half),
             connections: vec![connection()],
             reflector: None,
         },
@@ -415,7 +415,7 @@ pub(crate) fn link_over_udp(half: Option<f64>) -> LinkSnapshot {
     let mut link = link(half, &[]);
     let network: NetworkName = "zmq-udp".parse().expect("a name");
     link.live.networks = vec![network.to_string()];
-    link.live.now.network = network;
+    link.live.latest_sample.network = network;
     link
 }
 

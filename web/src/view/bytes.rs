@@ -34,10 +34,10 @@ fn value(detail: &IterationDetail, name: &str) -> Option<f64> {
 }
 
 fn run_statistics<'a>(
-    figures: &'a [(Name, QuantityStatistics)],
+    run_statistics: &'a [(Name, QuantityStatistics)],
     name: &str,
 ) -> Option<&'a QuantityStatistics> {
-    figures.iter().find(|(node, _)| node == name).map(|(_, figures)| figures)
+    run_statistics.iter().find(|(node, _)| node == name).map(|(_, statistics)| statistics)
 }
 
 impl ByteRow {
@@ -54,7 +54,7 @@ impl ByteRow {
             };
             let (throughput, throughput_note) = speed_of(detail, speed, name);
             let run_median = run_statistics(&detail.run_figures, speed)
-                .map(|figures| figures.p50)
+                .map(|statistics| statistics.p50)
                 .filter(|median| *median > 0.0);
             // The ratio of an interval to the median would look exact, so it is left out.
             let ratio = value(detail, speed).zip(run_median).filter(|_| throughput_note.is_empty());
@@ -115,7 +115,9 @@ impl OtherMeasurement {
                 kind: node.measure.kind().to_string(),
                 value: text(node.measure.value()),
                 unit,
-                median: text(run_statistics(&detail.run_figures, &node.name).map(|figures| figures.p50)),
+                median: text(
+                    run_statistics(&detail.run_figures, &node.name).map(|statistics| statistics.p50),
+                ),
             }
         });
         rows.collect()

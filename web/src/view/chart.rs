@@ -20,7 +20,7 @@ use super::stack::Stack;
 use crate::look;
 use crate::zone::{Zone, ZonedTime};
 
-/// Reasons why there is no single figure for the upward and the downward throughput.
+/// Reasons why there is no single number for the upward and the downward throughput.
 pub(crate) type Obstacles = [Option<&'static str>; 2];
 
 /// An incident on a time axis.

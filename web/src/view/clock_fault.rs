@@ -1,4 +1,4 @@
-//! Injected clock faults. Every page that shows such a clock, or figures that depend on it, names the fault.
+//! Injected clock faults. Every page that shows such a clock, or numbers that depend on it, names the fault.
 
 use std::collections::BTreeMap;
 

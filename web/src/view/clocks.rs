@@ -60,7 +60,7 @@ impl ClockCell {
         }
         let verdict = bounds.iter().filter_map(verdict).max_by_key(|verdict| verdict.severity());
         let widths = bounds.iter().filter_map(|bound| bound.half_width.as_ref());
-        let width = widths.map(|figures| figures.p50).max_by(f64::total_cmp);
+        let width = widths.map(|statistics| statistics.p50).max_by(f64::total_cmp);
         let chip = verdict.map(Chip::verdict);
         match (width, verdict) {
             (_, None) => Self {

@@ -16,8 +16,8 @@ const NARROWEST_EMS: f64 = 19.6;
 pub(crate) fn histogram(stored: &Histogram, view: View, is_logarithmic: bool) -> Picture {
     let (symbol, per_si) = shown_in(&stored.unit);
     let end = stored.edges.last().copied().unwrap_or_default();
-    let figures = &stored.figures;
-    let quantiles = [("median", Some(figures.p50)), ("p95", figures.p95), ("p99", figures.p99)];
+    let statistics = &stored.figures;
+    let quantiles = [("median", Some(statistics.p50)), ("p95", statistics.p95), ("p99", statistics.p99)];
     let quantiles: Vec<(&str, f64)> = quantiles
         .into_iter()
         .filter_map(|(name, value)| Some((name, value?)))

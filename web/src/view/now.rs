@@ -1,4 +1,4 @@
-//! Current pipelines as stage bars on one scale, with their figures.
+//! Current pipelines as stage bars on one scale, with their numbers.
 
 use peernet_aggregator::{PipelineSnapshot, Window};
 use peernet_figures::scale::Scale;
@@ -18,8 +18,8 @@ use crate::picture::Picture;
 
 /// Whiskers extend the axis only up to this multiple of the longest bar.
 const TAIL: f64 = 2.0;
-/// Length of the window of all figures, seconds: the shortest window with enough iterations for a p99 at 5 Hz. Bars, quantiles and
-/// whiskers come from the same window, because figures of different windows cannot be compared.
+/// Length of the window of all numbers, seconds: the shortest window with enough iterations for a p99 at 5 Hz. Bars, quantiles and
+/// whiskers come from the same window, because numbers of different windows cannot be compared.
 const WINDOW_S: u32 = 60;
 
 /// Bars on a shared scale.

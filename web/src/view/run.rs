@@ -32,7 +32,7 @@ use crate::zone::{Zone, ZonedTime};
 /// Maximum number of rows of the table of the slowest iterations.
 const MAX_SLOWEST: usize = 8;
 /// Stored data of a run.
-pub(crate) struct Stored<'a> {
+pub(crate) struct StoredRun<'a> {
     pub run: &'a RunDetail,
     pub statistics: &'a RunStatistics,
     pub series: &'a Series,
@@ -74,7 +74,7 @@ pub(crate) struct SlowIteration {
 }
 
 /// A row of the iterations without an answer.
-pub(crate) struct Unanswered {
+pub(crate) struct UnansweredRow {
     pub number: u64,
     pub label: String,
     pub at: ZonedTime,
@@ -97,10 +97,10 @@ struct Data {
     unanswered: Vec<i64>,
 }
 
-impl Stored<'_> {
+impl StoredRun<'_> {
     /// Returns rows of the first iterations without an answer, with the reasons.
-    pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<Unanswered> {
-        let row = |row: &IterationRow| Unanswered {
+    pub(crate) fn unanswered_rows(&self, zone: Zone) -> Vec<UnansweredRow> {
+        let row = |row: &IterationRow| UnansweredRow {
             number: row.number,
             label: count(row.number),
             at: zone.moment(row.started),
@@ -176,9 +176,9 @@ impl Stored<'_> {
         let other_stages = self.statistics.stages.iter().filter(is_other);
         let rows = other_stages.map(|stage| {
             let (unit, factor) = shown_in(&stage.unit);
-            let figures = &stage.figures;
+            let statistics = &stage.figures;
             let [mean, p50, max] =
-                [figures.mean, figures.p50, figures.max].map(|value| figure(value * factor));
+                [statistics.mean, statistics.p50, statistics.max].map(|value| figure(value * factor));
             OtherStatistics { name: stage.stage.to_string(), mean, p50, max, unit }
         });
         rows.chain(self.transfer_rows()).collect()
@@ -194,26 +194,28 @@ impl Stored<'_> {
             max: NONE.to_owned(),
             unit: "MB/s".to_owned(),
         };
-        let ways = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
-        let sent = ways.into_iter().filter_map(|(way, name)| Some((way, name, way.of(&transfers)?)));
-        sent.flat_map(|(way, name, transfer)| {
+        let directions = [(NetworkDirection::Up, "upload"), (NetworkDirection::Down, "download")];
+        let sent = directions
+            .into_iter()
+            .filter_map(|(direction, name)| Some((direction, name, direction.of(&transfers)?)));
+        sent.flat_map(|(direction, name, transfer)| {
             let traffic = self.measured_seconds().and_then(|seconds| transfer.traffic(seconds));
             [
-                row(format!("{name}: speed while sending"), self.speed(way, transfer)),
+                row(format!("{name}: speed while sending"), self.speed(direction, transfer)),
                 row(format!("{name}: traffic"), traffic.map(throughput)),
             ]
         })
         .collect()
     }
 
-    /// Returns the speed while sending: a figure, or its interval where the delays are known only within a wide bound.
-    fn speed(&self, way: NetworkDirection, transfer: Transfer) -> Option<String> {
+    /// Returns the speed while sending: a number, or its interval where the delays are known only within a wide bound.
+    fn speed(&self, direction: NetworkDirection, transfer: Transfer) -> Option<String> {
         let speed = transfer.speed()?;
-        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *way.delay());
+        let bound = self.statistics.bounds.iter().find(|bound| bound.stage == *direction.delay());
         match bound.and_then(clocks::verdict) {
             None | Some(Verdict::Ok) => Some(throughput(speed)),
             Some(Verdict::Limited) => {
-                let delay = self.statistics.stages.iter().find(|stage| stage.stage == *way.delay());
+                let delay = self.statistics.stages.iter().find(|stage| stage.stage == *direction.delay());
                 let half = bound.and_then(DelayAccuracy::median_half_width);
                 speed::interval(speed, delay.map(|stage| stage.figures.mean), half)
             }
@@ -309,7 +311,7 @@ mod tests {
         let starts = Starts { actual_hz: Some(0.25), ..Starts::default() };
         let statistics = RunStatistics::default();
         let of = |episodes: &Episodes| {
-            let stored = Stored {
+            let stored = StoredRun {
                 run: &run,
                 statistics: &statistics,
                 series: &series,

@@ -86,7 +86,7 @@ pub(crate) fn cell(kind: PlacementKind, window: &Window, direction: NetworkDirec
         (Some(why), speed) => {
             let bound = window.bounds.iter().find(|bound| bound.stage == *direction.delay());
             let half = bound.and_then(DelayAccuracy::median_half_width);
-            let delay = window.value(direction.delay()).map(|figures| figures.mean);
+            let delay = window.value(direction.delay()).map(|statistics| statistics.mean);
             let limited = bound.and_then(clocks::verdict) == Some(Verdict::Limited);
             match speed.filter(|_| limited).and_then(|speed| interval(speed, delay, half)) {
                 Some(text) => Cell { text, title: Some(why.to_owned()) },

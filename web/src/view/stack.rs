@@ -44,7 +44,7 @@ impl Stack {
     }
 
     fn new(sent: [u64; 2], statistics_of: impl Fn(&str) -> Option<QuantityStatistics>) -> Self {
-        let mean_of = |name: &str| statistics_of(name).map(|figures| (figures.count, figures.mean));
+        let mean_of = |name: &str| statistics_of(name).map(|statistics| (statistics.count, statistics.mean));
         Self { parts: bar_parts(StageSplit::new(sent, mean_of).parts), total: statistics_of("total") }
     }
 
@@ -123,17 +123,17 @@ mod tests {
     use super::*;
     use crate::look;
 
-    fn figures(mean: f64, count: u64) -> QuantityStatistics {
+    fn statistics(mean: f64, count: u64) -> QuantityStatistics {
         QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean }
     }
 
     #[test]
     fn unknown_directions_are_shown_as_their_sum() {
         let stack = Stack::new([50; 2], |name| match name {
-            "total" => Some(figures(0.020, 50)),
-            "sensing" => Some(figures(0.004, 50)),
-            "inference" => Some(figures(0.003, 50)),
-            "unattributed" => Some(figures(0.001, 50)),
+            "total" => Some(statistics(0.020, 50)),
+            "sensing" => Some(statistics(0.004, 50)),
+            "inference" => Some(statistics(0.003, 50)),
+            "unattributed" => Some(statistics(0.001, 50)),
             _ => None,
         });
         let names: Vec<_> = stack.parts.iter().map(|part| part.name.as_str()).collect();
@@ -163,10 +163,10 @@ mod tests {
             let sum: f64 = means.iter().map(|(mean, count)| mean * *count as f64 / 100.0).sum();
             let stack = Stack::new([0; 2], |name| {
                 if name == "total" {
-                    return Some(figures(sum + rest, 100));
+                    return Some(statistics(sum + rest, 100));
                 }
                 let index = stage::ORDER.iter().position(|stage| stage == name)?;
-                Some(figures(means[index].0, means[index].1))
+                Some(statistics(means[index].0, means[index].1))
             });
             prop_assert!((stack.end_ms() - (sum + rest) * 1e3).abs() < 1e-6);
         }

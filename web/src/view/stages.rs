@@ -44,22 +44,22 @@ pub(crate) const TOO_FEW: &str = "too few iterations: p95 needs 60, p99 needs 30
 impl StageRow {
     fn new(
         name: &str,
-        figures: Option<&QuantityStatistics>,
+        statistics: Option<&QuantityStatistics>,
         bound: Option<&DelayAccuracy>,
         share: Option<f64>,
     ) -> Self {
-        let text = |figure_of: fn(&QuantityStatistics) -> Option<f64>| {
-            figures.and_then(figure_of).map_or_else(|| NONE.to_owned(), stage_ms)
+        let text = |number_of: fn(&QuantityStatistics) -> Option<f64>| {
+            statistics.and_then(number_of).map_or_else(|| NONE.to_owned(), stage_ms)
         };
         Self {
             look: look::class(name),
             depth: u8::from(matches!(name, "capture" | "transform" | look::LATENESS)),
-            mean: text(|figures| Some(figures.mean)),
-            std: figures.and_then(|figures| figures.std).map(|std| fixed(std * 1e3, 2)),
-            p50: text(|figures| Some(figures.p50)),
-            p95: text(|figures| figures.p95),
-            p99: text(|figures| figures.p99),
-            max: text(|figures| Some(figures.max)),
+            mean: text(|statistics| Some(statistics.mean)),
+            std: statistics.and_then(|statistics| statistics.std).map(|std| fixed(std * 1e3, 2)),
+            p50: text(|statistics| Some(statistics.p50)),
+            p95: text(|statistics| statistics.p95),
+            p99: text(|statistics| statistics.p99),
+            max: text(|statistics| Some(statistics.max)),
             bound: BoundCell::of(name, bound),
             share: share.map(|share| {
                 let class = if name == "total" { "sharebar full" } else { "sharebar" };
@@ -131,7 +131,7 @@ impl StageRow {
     /// Returns the rows of a live window.
     pub(crate) fn of_window(window: &Window) -> Vec<Self> {
         let stack = Stack::of_window(window);
-        let mean_of = |name: &str| window.value(name).map(|figures| (figures.count, figures.mean));
+        let mean_of = |name: &str| window.value(name).map(|statistics| (statistics.count, statistics.mean));
         let share = |name: &str| share_of_total(name, DelayAccuracy::sent(&window.bounds), mean_of);
         let mut rows = Vec::new();
         let network = stack.parts.iter().find(|part| part.name == look::NETWORK);
@@ -139,9 +139,9 @@ impl StageRow {
             ["sensing", "capture", "transform"].into_iter().chain(look::STACK.iter().copied().skip(1));
         for name in order.chain([look::LATENESS, "total"]) {
             let bound = window.bounds.iter().find(|bound| bound.stage == *name);
-            let figures = window.value(name);
-            if figures.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
-                rows.push(Self::new(name, figures, bound, share(name)));
+            let statistics = window.value(name);
+            if statistics.is_some() || bound.is_some_and(|bound| !bound.verdicts.is_empty()) {
+                rows.push(Self::new(name, statistics, bound, share(name)));
             }
             if let Some(network) = network.filter(|_| name == "download") {
                 rows.push(Self::network(network, share(look::NETWORK)));

@@ -66,7 +66,7 @@ fn tail_warning(minute: &Window, warn: &WarnConfig) -> Option<(Chip, String)> {
 
 /// Returns the split of the mean total of the minute.
 fn split(minute: &Window) -> StageSplit {
-    let mean_of = |name: &str| minute.value(name).map(|figures| (figures.count, figures.mean));
+    let mean_of = |name: &str| minute.value(name).map(|statistics| (statistics.count, statistics.mean));
     StageSplit::new(DelayAccuracy::sent(&minute.bounds), mean_of)
 }
 

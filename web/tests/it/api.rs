@@ -273,11 +273,14 @@ async fn export_has_one_row_per_iteration() {
     };
     let number =
         |name: &str| cell(name).parse::<f64>().unwrap_or_else(|_| panic!("{name}: {:?}", cell(name)));
-    for way in ["upload", "download"] {
-        let (lo, hi) = (number(&format!("{way}-lo")), number(&format!("{way}-hi")));
-        assert!(lo <= number(way) && number(way) <= hi && hi - lo < 0.001, "{way}: {lo} to {hi}");
-        assert_eq!(cell(&format!("{way}-source")), "in-band");
-        assert!(number(&format!("{way}-raw")).abs() > 1.0, "the rack's clock is 1.2 s ahead");
+    for direction in ["upload", "download"] {
+        let (lo, hi) = (number(&format!("{direction}-lo")), number(&format!("{direction}-hi")));
+        assert!(
+            lo <= number(direction) && number(direction) <= hi && hi - lo < 0.001,
+            "{direction}: {lo} to {hi}"
+        );
+        assert_eq!(cell(&format!("{direction}-source")), "in-band");
+        assert!(number(&format!("{direction}-raw")).abs() > 1.0, "the rack's clock is 1.2 s ahead");
     }
     let sensing = number("capture") + number("transform");
     assert!((sensing - number("sensing")).abs() < 1e-9 && number("gpu-power") == 11.5, "{sensing}");

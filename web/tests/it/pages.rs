@@ -23,7 +23,7 @@ async fn every_page_is_complete_without_script() {
         ("/runs/3", "Slowest iterations"),
         ("/runs/3?stage=upload&view=cumulative&scale=log", "Distribution of upload"),
         (&slowest, "× the run&#39;s median: "),
-        ("/links", "2 links: 1 can be trusted, 1 known only as intervals in part"),
+        ("/links", "2 links: 1 can be trusted, 1 with some delays known only as intervals"),
         ("/links/cam-3~rack-a", "upload times can be trusted to ±0."),
         ("/links/cam-3~rack-a", "by wlan0, wireless, MTU 1,500\u{202f}bytes"),
         ("/links/cam-3~rack-a?range=1h&offset=measured", "clock offset of rack-a, ms"),
@@ -150,7 +150,10 @@ async fn links_of_all_networks_are_listed() {
     ];
     let (dashboard, _factory) = TestDashboard::with_pipelines(lines).await;
     for (path, text) in [
-        ("/links", "3 links: 1 can be trusted, 1 known only as intervals in part, 1 cannot be trusted"),
+        (
+            "/links",
+            "3 links: 1 can be trusted, 1 with some delays known only as intervals, 1 cannot be trusted",
+        ),
         ("/links/cam-4~rack-a", "the two clocks were never related, so one-way delays are not known"),
         ("/links/cam-4~rack-a", ">nothing known in this time</text>"),
         ("/links/cam-5~rack-a", "cam-5 and rack-a read one clock: delays between them are exact"),

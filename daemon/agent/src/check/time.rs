@@ -17,7 +17,7 @@ const MAX_DRIFT_PPM: f64 = 1000.0;
 /// Largest `clock.window_s`: a day.
 const MAX_WINDOW_S: f64 = 86_400.0;
 /// Upper limit of the other times: an hour.
-const MAX_SECONDS: f64 = 3600.0;
+const MAX_TIME_S: f64 = 3600.0;
 /// Largest number of probes per second.
 const MAX_RATE_HZ: f64 = 1000.0;
 /// Largest number of answered probes per second and address.
@@ -56,7 +56,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
     let change = clock.max_drift_change_ppm_per_s;
     report.check_positive("clock.max_drift_change_ppm_per_s", change, MAX_DRIFT_CHANGE_PPM_PER_S);
     report.check_range("clock.window_s", clock.window_s, 10.0, MAX_WINDOW_S);
-    report.check_range("clock.fresh_s", clock.fresh_s, 0.1, MAX_SECONDS);
+    report.check_range("clock.fresh_s", clock.fresh_s, 0.1, MAX_TIME_S);
     if clock.fresh_s > clock.window_s {
         let text = format!(
             "{} s is longer than clock.window_s = {}, for which exchanges are kept",
@@ -64,7 +64,7 @@ pub(super) fn check_clock(report: &mut Report, clock: &ClockConfig) {
         );
         report.add("clock.fresh_s", text);
     }
-    report.check_range("clock.discipline_interval_s", clock.discipline_interval_s, 0.1, MAX_SECONDS);
+    report.check_range("clock.discipline_interval_s", clock.discipline_interval_s, 0.1, MAX_TIME_S);
     if clock.chronyc.is_empty() {
         report.add(
             "clock.chronyc",

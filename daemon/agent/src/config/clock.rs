@@ -79,7 +79,7 @@ pub enum Timestamps {
     /// The kernel, if it supports them.
     #[default]
     Kernel,
-    /// Only the program. Needed where a process runs under libfaketime, which does not change the kernel's stamps.
+    /// The program alone; needed where a process runs under libfaketime, which does not change the kernel's stamps.
     User,
 }
 

@@ -4,7 +4,7 @@ use std::fmt;
 
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
-use super::claim::{Claim, GROWTH_PPM, SourceReport};
+use super::claim::{Claim, MAX_ERROR_GROWTH_PPM, SourceReport};
 
 /// Reference id of a chronyd that follows only its own clock (`local`).
 // 127.127.1.1 in hexadecimal.
@@ -78,7 +78,7 @@ impl Tracking {
             // Positive means "slow of NTP time": the clock's reading is less than true time.
             error: -Span::from_seconds_f64(number("system time", system_time)?),
             bound: Span::from_seconds_f64(dispersion.abs() + delay.abs() / 2.0),
-            growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(GROWTH_PPM),
+            growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(MAX_ERROR_GROWTH_PPM),
             is_synchronised: leap != "Not synchronised",
             is_local: id == LOCAL,
         })
@@ -180,7 +180,7 @@ mod tests {
         let claim = report.claim.expect("chrony was synchronised");
         let bound = Span::from_nanos(7896 + 5846 / 2);
         assert_eq!(claim.error, Interval { lo: Span::from_nanos(-49_999_367) - bound, hi: bound });
-        assert!((claim.growth_ppm - GROWTH_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
+        assert!((claim.growth_ppm - MAX_ERROR_GROWTH_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
     }
 
     #[test]

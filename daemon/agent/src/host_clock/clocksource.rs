@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// Path of the file with its name, below sysfs (Linux documentation,
+/// Path, below sysfs, of the file that contains the clocksource's name (Linux documentation,
 /// `Documentation/ABI/testing/sysfs-devices-system-clocksource`).
 const FILE: &str = "devices/system/clocksource/clocksource0/current_clocksource";
 

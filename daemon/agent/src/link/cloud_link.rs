@@ -22,7 +22,7 @@ use super::incident_texts::{excess_text, jump_text, lost_proof_text, restart_tex
 use super::judged_stamps::Crossing;
 use super::named_reflector::NamedReflector;
 use super::probe_pace::ProbePace;
-use super::shared::{Session, Shared, lock};
+use super::shared::{Session, SharedLinkState, lock};
 use crate::incidents::IncidentSubject;
 use crate::same_clock::NotProven;
 
@@ -34,7 +34,7 @@ const FIRST_PROOF_TIMEOUT: Duration = Duration::from_millis(500);
 // Locks are held for microseconds, never across a wait. Only live updates take the lock of the connections.
 #[derive(Debug)]
 pub(crate) struct CloudLink {
-    pub(super) shared: Arc<Shared>,
+    pub(super) shared: Arc<SharedLinkState>,
     pub(super) cloud: LinkedCloud,
     /// `true` if it is proven that both processes read one clock; `None` until the first attempt has ended.
     same_clock: watch::Sender<Option<bool>>,
@@ -60,7 +60,11 @@ pub(super) struct LinkedCloud {
 }
 
 impl CloudLink {
-    pub(super) fn new(shared: &Arc<Shared>, accepted: &SessionAccepted, clocks: RelatedClocks) -> Self {
+    pub(super) fn new(
+        shared: &Arc<SharedLinkState>,
+        accepted: &SessionAccepted,
+        clocks: RelatedClocks,
+    ) -> Self {
         let clock = &shared.host.clock;
         let now = clock.stamp();
         let settings = RelationSettings { clocks, ..shared.relation };
@@ -304,7 +308,7 @@ impl CloudLink {
                 probing: probing.clone(),
                 edge: Some(edge.clone()),
                 cloud: Some(cloud.clone()),
-                now: clock_state.latest_sample(&network, now),
+                latest_sample: clock_state.latest_sample(&network, now),
                 connections: connections
                     .iter()
                     .filter(|connection| connection.network == network)

@@ -5,7 +5,7 @@ const MAX_VALUES: usize = 256;
 
 /// Every n-th of the pushed values; n is a power of two, and the smallest one for which the number of values is bounded.
 #[derive(Debug)]
-pub(super) struct Downsampled<T> {
+pub(super) struct DownsampledValues<T> {
     values: Vec<T>,
     /// Every n-th value is kept.
     stride: u64,
@@ -13,13 +13,13 @@ pub(super) struct Downsampled<T> {
     count: u64,
 }
 
-impl<T> Default for Downsampled<T> {
+impl<T> Default for DownsampledValues<T> {
     fn default() -> Self {
         Self { values: Vec::new(), stride: 1, count: 0 }
     }
 }
 
-impl<T: Copy> Downsampled<T> {
+impl<T: Copy> DownsampledValues<T> {
     pub(super) fn push(&mut self, value: T) {
         if self.count.is_multiple_of(self.stride) {
             if self.values.len() == MAX_VALUES {
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn few_values_are_all_kept() {
-        let mut few = Downsampled::default();
+        let mut few = DownsampledValues::default();
         assert_eq!(few.median(|value: &i32| *value), None);
         for value in [9, 1, 5] {
             few.push(value);
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn many_values_are_downsampled_evenly() {
-        let mut many = Downsampled::default();
+        let mut many = DownsampledValues::default();
         for value in 0..100_000_i64 {
             many.push(value);
             assert!(many.values.len() <= MAX_VALUES);

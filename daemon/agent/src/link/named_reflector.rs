@@ -19,7 +19,7 @@ use tokio::sync::mpsc;
 use super::answer_monitor::AnswerMonitor;
 use super::probe_pace::ProbePace;
 use super::probe_target::{ProbeTarget, RESULT_CAPACITY};
-use super::shared::{Shared, lock};
+use super::shared::{SharedLinkState, lock};
 use crate::config::ReflectorAddress;
 
 /// Number of latest round trips that are kept.
@@ -44,7 +44,7 @@ impl NamedReflector {
     }
 
     /// Probes the reflector as long as the future is polled.
-    pub(super) async fn probe(&self, shared: &Shared, peer: &Slug, pace: &ProbePace) -> Infallible {
+    pub(super) async fn probe(&self, shared: &SharedLinkState, peer: &Slug, pace: &ProbePace) -> Infallible {
         let target = ProbeTarget {
             peer: peer.clone(),
             host: self.address.host.clone(),

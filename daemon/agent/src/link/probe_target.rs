@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use super::probe_pace::ProbePace;
-use super::shared::{Shared, lock};
+use super::shared::{SharedLinkState, lock};
 
 /// Time after which a probe without an answer is lost.
 const TIMEOUT: Duration = Duration::from_secs(2);
@@ -56,7 +56,7 @@ impl ProbeTarget {
     /// probes, in `state`.
     pub(super) async fn probe(
         &self,
-        shared: &Shared,
+        shared: &SharedLinkState,
         pace: &ProbePace,
         state: &Mutex<Probing>,
         results: mpsc::Sender<ProbeResult>,
@@ -83,7 +83,7 @@ impl ProbeTarget {
         }
     }
 
-    async fn open(&self, shared: &Shared) -> Result<(Prober, SocketAddr), ProbingError> {
+    async fn open(&self, shared: &SharedLinkState) -> Result<(Prober, SocketAddr), ProbingError> {
         let host = &self.host;
         let lookup_result = tokio::net::lookup_host((host.as_str(), self.port)).await;
         let mut addresses =

@@ -16,7 +16,7 @@ use tokio_util::task::TaskTracker;
 
 use super::cloud_link::CloudLink;
 use super::probing;
-use super::shared::{LinkContext, ProbeSettings, Session, Shared, lock};
+use super::shared::{LinkContext, ProbeSettings, Session, SharedLinkState, lock};
 use crate::config::ClockConfig;
 use crate::same_clock::ClockSocket;
 
@@ -26,7 +26,7 @@ pub(crate) struct Links(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    shared: Arc<Shared>,
+    shared: Arc<SharedLinkState>,
     by_cloud: Mutex<BTreeMap<HostId, Arc<CloudLink>>>,
     /// Latest cloud of each pipeline.
     serving_cloud: Mutex<BTreeMap<Slug, Cloud>>,
@@ -69,7 +69,7 @@ pub(crate) struct LinkedSession {
 impl Links {
     /// Creates an empty registry.
     pub(crate) fn new(host: LinkContext, clock: &ClockConfig, probes: ProbeSettings) -> Self {
-        let shared = Arc::new(Shared { host, relation: clock.relation_settings(), probes });
+        let shared = Arc::new(SharedLinkState { host, relation: clock.relation_settings(), probes });
         Self(Arc::new(Inner {
             shared,
             by_cloud: Mutex::default(),
@@ -226,7 +226,7 @@ fn cloud_host(session: &peernet_networks::Session, address: &Address) -> String 
     remote_addresses.map_or_else(|| address.host(), |addresses| addresses.remote.ip().to_string())
 }
 
-/// Returns whether the accepted session is with the same process and clock as the link, so that the link's relation is
+/// Returns whether the accepted session is with the same process and clock as the link, so the link's relation is
 /// still valid. A restarted process counts the epochs of its clock from 0 again.
 fn is_same_cloud(link: &CloudLink, accepted: &SessionAccepted, clocks: RelatedClocks) -> bool {
     let instance = link.sessions.borrow().first().map(|session| session.instance);

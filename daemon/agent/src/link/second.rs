@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use peernet_clock::{Direction, Exchange, OneWayDelay, Span, Verdict, WallTime};
 use peernet_stream::{DelayPoint, DelaySecond, NetworkName, ProbeCounts, RoundTrip};
 
-use super::downsampled::Downsampled;
+use super::downsampled::DownsampledValues;
 
 /// One second of the edge's wall clock, or a part of it.
 #[derive(Debug)]
@@ -19,7 +19,7 @@ pub(super) struct Second {
     pub(super) upper: Option<Exchange>,
     /// Exchange with the best lower bound of the offset.
     pub(super) lower: Option<Exchange>,
-    trips: Downsampled<Span>,
+    trips: DownsampledValues<Span>,
     min_trip: Option<Span>,
     /// Delays of data by network.
     delays: BTreeMap<NetworkName, DelaysByDirection>,
@@ -37,7 +37,7 @@ struct DelaysByDirection {
 struct Delays {
     /// Counts by verdict, in the order of [`Verdict::ALL`].
     verdicts: [u32; Verdict::ALL.len()],
-    points: Downsampled<DelayPoint>,
+    points: DownsampledValues<DelayPoint>,
 }
 
 impl Second {
@@ -48,7 +48,7 @@ impl Second {
             authenticated: None,
             upper: None,
             lower: None,
-            trips: Downsampled::default(),
+            trips: DownsampledValues::default(),
             min_trip: None,
             delays: BTreeMap::new(),
         }

@@ -28,7 +28,7 @@ pub(crate) struct LinkContext {
 
 /// State that all links share.
 #[derive(Debug)]
-pub(super) struct Shared {
+pub(super) struct SharedLinkState {
     pub(super) host: LinkContext,
     pub(super) relation: RelationSettings,
     pub(super) probes: ProbeSettings,

@@ -42,7 +42,7 @@ impl Ring {
             // Seconds that occur again after the clock was set back replace the earlier seconds.
             self.seconds.retain(|second| second.at < at);
         }
-        // From the end, because almost every iteration ends in the newest second.
+        // The search starts at the end, because almost every iteration ends in the newest second.
         let last_not_later = self.seconds.iter().rposition(|second| second.at <= at);
         let index = match last_not_later {
             Some(index) if self.seconds[index].at == at => index,

@@ -17,7 +17,7 @@ pub(crate) const MAX_KEYS: usize = 256;
 
 /// Longest request or answer in bytes. It is several times the size of [`MAX_KEYS`] keys, and so short that it does not delay the
 /// receiver's other peers.
-const MAX_BYTES: usize = 256 << 10;
+const MAX_MESSAGE_BYTES: usize = 256 << 10;
 
 /// Request for the stamps of messages.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -67,7 +67,7 @@ struct WireStamp {
 pub(crate) enum StampMessageError {
     #[error("it has no payload")]
     Empty,
-    #[error("it has {0} bytes, more than {MAX_BYTES}")]
+    #[error("it has {0} bytes, more than {MAX_MESSAGE_BYTES}")]
     TooLong(usize),
     #[error("it is not a JSON document as in docs/session-protocol.md: {0}")]
     Json(#[from] serde_json::Error),
@@ -158,15 +158,15 @@ fn sample(message: &impl Serialize) -> Result<Sample, StampMessageError> {
 fn read<T: DeserializeOwned>(sample: &Sample) -> Result<T, StampMessageError> {
     /// Part of the document that every version has.
     #[derive(Deserialize)]
-    struct Versioned {
+    struct DocumentVersion {
         version: u32,
     }
     let part = sample.parts.first().ok_or(StampMessageError::Empty)?;
-    if part.bytes.len() > MAX_BYTES {
+    if part.bytes.len() > MAX_MESSAGE_BYTES {
         return Err(StampMessageError::TooLong(part.bytes.len()));
     }
     // The version is read first, because a document of another version may have other fields.
-    let Versioned { version } = serde_json::from_slice(&part.bytes)?;
+    let DocumentVersion { version } = serde_json::from_slice(&part.bytes)?;
     if version != VERSION {
         return Err(StampMessageError::Version(version));
     }
@@ -251,7 +251,7 @@ mod tests {
             assert!(error.to_string().contains(part), "{error}");
         }
         assert!(matches!(
-            StampRequest::read(&document(&" ".repeat(MAX_BYTES + 1))),
+            StampRequest::read(&document(&" ".repeat(MAX_MESSAGE_BYTES + 1))),
             Err(StampMessageError::TooLong(_))
         ));
         for nonsense in ["", "[]", "{}", r#"{"version": 1}"#, r#"{"version": -1}"#] {

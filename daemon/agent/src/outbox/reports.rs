@@ -148,8 +148,8 @@ impl Reports {
     /// Reports that the spool continues in a new stream.
     pub(super) fn report_renewal(&self, stored: u64, newest: u64) {
         let text = format!(
-            "the aggregator has batches up to {stored} of a stream that ends at {newest} in the spool, or other batches with \
-             the same numbers: the spool is a copy or was restored; its events continue in a new stream"
+            "this spool is a copy or was restored: its newest batch has the number {newest}, and the aggregator has batches \
+             of the same stream up to {stored}, or different batches; the spool's events continue in a new stream"
         );
         self.incidents.report(IncidentKind::Gap, IncidentSubject::default(), text);
     }

@@ -143,7 +143,7 @@ impl OrderedActuator {
         answer: &Sample,
     ) -> Result<Feedback, ActuatorError> {
         let SampleOrigin { run, position: Position { number, episode, step, .. }, source } = origin;
-        // Also if the action fails: a part of it may have been done.
+        // This applies also if the action fails: a part of it may have been done.
         self.last_acted = Some((run, number));
         let action = Action { answer, source, iteration: number, episode, step };
         let feedback = self.actuator.act(action, &mut log.time(stage::ACTUATION))?;

@@ -50,7 +50,7 @@ pub(super) async fn drive(
         let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {
             biased;
-            // First in this biased choice, so that a stream of answers cannot delay the stop.
+            // This branch is first in the biased choice, so that a stream of answers cannot delay the stop.
             () = &mut stopping, if !is_stopping => {
                 is_stopping = true;
                 drain_deadline.as_mut().reset(tokio::time::Instant::now() + drain_timeout);

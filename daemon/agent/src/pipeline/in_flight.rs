@@ -10,12 +10,12 @@ use peernet_stream::Outcome;
 
 use super::actuator_executor::{ActuatorExecutor, SampleOrigin};
 use super::load::Start;
-use super::placement::{Computed, Placement};
+use super::placement::{ComputationResult, Placement};
 use super::progress::Position;
 
-/// An iteration that has started and is not complete.
+/// Number and start of an iteration that has started.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PendingIteration {
+pub(super) struct StartedIteration {
     pub(super) position: Position,
     pub(super) start: Start,
     /// Actual start; later than the intended one if the pipeline was busy.
@@ -26,7 +26,7 @@ pub(super) struct PendingIteration {
 pub(super) struct QueuedSample {
     /// The run of the iteration.
     pub(super) run: RunId,
-    pub(super) pending: PendingIteration,
+    pub(super) iteration: StartedIteration,
     pub(super) log: Recorder,
     pub(super) sample: Sample,
     /// The open node `send-queue`; `None` in a closed loop, where no sample waits.
@@ -35,7 +35,7 @@ pub(super) struct QueuedSample {
 
 /// An iteration with its outcome.
 pub(super) struct CompletedIteration {
-    pub(super) pending: PendingIteration,
+    pub(super) iteration: StartedIteration,
     /// Label of the sample, which is its correct class; `None` if the data set has no labels.
     pub(super) label: Option<String>,
     pub(super) log: Recorder,
@@ -52,13 +52,13 @@ impl QueuedSample {
     /// Queues a sample and starts the node `send-queue`. In a closed loop no sample waits, so the node is omitted.
     pub(super) fn new(
         run: RunId,
-        pending: PendingIteration,
+        iteration: StartedIteration,
         mut log: Recorder,
         sample: Sample,
         closed_loop: bool,
     ) -> Self {
         let queue_node = (!closed_loop).then(|| log.start(stage::SEND_QUEUE));
-        Self { run, pending, log, sample, queue_node }
+        Self { run, iteration, log, sample, queue_node }
     }
 
     /// Gets the answer from the placement and passes it to the actuator.
@@ -71,10 +71,11 @@ impl QueuedSample {
         if let Some(queue_node) = self.queue_node {
             self.log.stop(queue_node);
         }
-        let Computed { log, result, transport } = placement.compute(self.log, &self.sample, timeout).await;
+        let ComputationResult { log, result, transport } =
+            placement.compute(self.log, &self.sample, timeout).await;
         let (log, acted) = match (&result, actuator_executor) {
             (Ok(Some(answer)), Some(actuator_executor)) => {
-                let position = self.pending.position;
+                let position = self.iteration.position;
                 let origin = SampleOrigin { run: self.run, position, source: &self.sample.source };
                 let (log, acted) = actuator_executor.act(log, origin, answer).await;
                 (log, acted.map_err(|error| Outcome::Failed(error.to_string())))
@@ -88,7 +89,7 @@ impl QueuedSample {
         };
         let answer = result.ok().flatten();
         CompletedIteration {
-            pending: self.pending,
+            iteration: self.iteration,
             label: self.sample.label,
             log,
             outcome,

@@ -5,7 +5,7 @@
 use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
-use super::in_flight::PendingIteration;
+use super::in_flight::StartedIteration;
 
 /// Name of the count of starts that were skipped between the previous iteration and this one because the pipeline was
 /// too far behind its rate. Absent if it is zero.
@@ -25,40 +25,40 @@ pub(super) fn start(clock: &SharedClock, host: HostId, intended: MonoTime) -> (R
 /// sensor or a model cannot use. `transport` is the sum of upload and download, if it is known.
 pub(super) fn close(
     log: Recorder,
-    pending: &PendingIteration,
+    iteration: &StartedIteration,
     ended: MonoTime,
     closed_loop: bool,
     transport: Option<Span>,
 ) -> Tree {
-    let total = ended - pending.start.intended;
+    let total = ended - iteration.start.intended;
     // A transport that is longer than the whole iteration is an error of measurement and is not used.
     let stages = stages_total(log.tree(), transport.filter(|transport| *transport <= total));
-    add_totals(log, pending, ended, closed_loop, stages)
+    add_totals(log, iteration, ended, closed_loop, stages)
 }
 
 /// Closes a tree as [`close`] does, but without the sum of the stages, for an iteration of a closed loop whose stages
 /// are not all measured.
-pub(super) fn close_without_stages(log: Recorder, pending: &PendingIteration, ended: MonoTime) -> Tree {
-    add_totals(log, pending, ended, true, None)
+pub(super) fn close_without_stages(log: Recorder, iteration: &StartedIteration, ended: MonoTime) -> Tree {
+    add_totals(log, iteration, ended, true, None)
 }
 
 fn add_totals(
     log: Recorder,
-    pending: &PendingIteration,
+    iteration: &StartedIteration,
     ended: MonoTime,
     closed_loop: bool,
     stages: Option<Span>,
 ) -> Tree {
-    let intended = pending.start.intended;
+    let intended = iteration.start.intended;
     let total = ended - intended;
     let mut tree = log.finish();
-    if pending.start.skipped > 0 {
-        let skipped = Measure::Value(pending.start.skipped as f64, Unit::NONE);
+    if iteration.start.skipped > 0 {
+        let skipped = Measure::Value(iteration.start.skipped as f64, Unit::NONE);
         tree.add(NodeId::ROOT, SKIPPED_STARTS, total, skipped);
     }
     let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
     if !closed_loop {
-        add(LATE_START, Span::ZERO, pending.started_at - intended);
+        add(LATE_START, Span::ZERO, iteration.started_at - intended);
     }
     add(stage::TOTAL, Span::ZERO, total);
     if let Some(stages) = stages {
@@ -138,8 +138,8 @@ mod tests {
             pass(1);
         }
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, started_at };
-        close(log, &pending, clock.mono(), false, transport)
+        let iteration = StartedIteration { position, start: Start { intended, skipped: 7 }, started_at };
+        close(log, &iteration, clock.mono(), false, transport)
     }
 
     fn millis(tree: &Tree, name: &str) -> Option<f64> {
@@ -164,8 +164,8 @@ mod tests {
         let (mut log, started_at) = start(&clock, HostId::random(), intended);
         while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
-        let pending = PendingIteration { position, start: Start { intended, skipped: 7 }, started_at };
-        let tree = close(log, &pending, intended + STEP, false, None);
+        let iteration = StartedIteration { position, start: Start { intended, skipped: 7 }, started_at };
+        let tree = close(log, &iteration, intended + STEP, false, None);
         for (name, expected) in [("total", 1.0), ("unattributed", 1.0), ("lateness", 0.0)] {
             assert_eq!(millis(&tree, name), Some(expected), "{name}");
         }

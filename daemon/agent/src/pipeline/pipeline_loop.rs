@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 use super::accuracy;
 use super::backoff::FailureBackoff;
 use super::context::PipelineContext;
-use super::in_flight::{CompletedIteration, PendingIteration, QueuedSample};
+use super::in_flight::{CompletedIteration, QueuedSample, StartedIteration};
 use super::iteration;
 use super::load::Start;
 use super::resources::PipelineResources;
@@ -72,7 +72,7 @@ pub(super) struct PipelineLoop<'a> {
     run: &'a mut Run,
     context: &'a PipelineContext,
     queued: Option<QueuedSample>,
-    in_flight: Vec<PendingIteration>,
+    in_flight: Vec<StartedIteration>,
     /// Reason for the end; set once no further iteration starts.
     end_reason: Option<LoopEnd>,
     backoff: FailureBackoff,
@@ -125,18 +125,18 @@ impl<'a> PipelineLoop<'a> {
         if !matches!(sample, Ok(Some(_))) || run != self.run.id() {
             return self.accept_sample(run, (start, started_at), SensorOutput { log, sample });
         }
-        let pending =
-            PendingIteration { position: self.run.assign_position(start.intended), start, started_at };
+        let iteration =
+            StartedIteration { position: self.run.assign_position(start.intended), start, started_at };
         // The sample is too old to be sent after the reconnect: its latency would include the outage.
         let reason = "the sample arrived while there was no connection".to_owned();
-        self.finish(pending, log, Outcome::Lost(reason), Feedback::default(), None);
+        self.finish(iteration, log, Outcome::Lost(reason), Feedback::default(), None);
     }
 
     /// Takes the queued sample if another iteration may be in flight.
     pub(super) fn dequeue_sample(&mut self) -> Option<QueuedSample> {
         let max_in_flight = self.resources.max_in_flight();
         let queued_sample = self.queued.take_if(|_| self.in_flight.len() < max_in_flight)?;
-        self.in_flight.push(queued_sample.pending);
+        self.in_flight.push(queued_sample.iteration);
         Some(queued_sample)
     }
 
@@ -222,24 +222,25 @@ impl<'a> PipelineLoop<'a> {
 
     /// Handles an iteration whose answer has arrived, or will not arrive.
     pub(super) fn complete(&mut self, completed: CompletedIteration) {
-        let CompletedIteration { pending, label, mut log, outcome, answer, feedback, transport } = completed;
-        self.in_flight.retain(|other| other.position.number != pending.position.number);
+        let CompletedIteration { iteration, label, mut log, outcome, answer, feedback, transport } =
+            completed;
+        self.in_flight.retain(|other| other.position.number != iteration.position.number);
         let ended = self.context.host.clock.stamp();
         // Computed after the end of the iteration was stamped, so that the computation adds no latency.
         if let (Some(answer), Some(label)) = (answer, label) {
             accuracy::record_accuracy(&mut log, &label, &answer);
         }
-        self.finish_at(ended, pending, log, outcome, feedback, transport);
+        self.finish_at(ended, iteration, log, outcome, feedback, transport);
     }
 
     /// Records all iterations in flight as lost.
     pub(super) fn abandon(&mut self, reason: &str) {
-        let queued = self.queued.take().map(|queued| queued.pending);
-        for pending in std::mem::take(&mut self.in_flight).into_iter().chain(queued) {
+        let queued = self.queued.take().map(|queued| queued.iteration);
+        for iteration in std::mem::take(&mut self.in_flight).into_iter().chain(queued) {
             // The peer or the model still has the recorder with the measurements, so a new one starts here.
             let (log, _) =
-                iteration::start(&self.context.host.clock, self.context.host.id, pending.start.intended);
-            self.finish(pending, log, Outcome::Lost(reason.to_owned()), Feedback::default(), None);
+                iteration::start(&self.context.host.clock, self.context.host.id, iteration.start.intended);
+            self.finish(iteration, log, Outcome::Lost(reason.to_owned()), Feedback::default(), None);
         }
     }
 
@@ -277,26 +278,26 @@ impl<'a> PipelineLoop<'a> {
             let pipeline = &self.resources.config.name;
             return tracing::info!(%pipeline, "dropped a sample that the previous run had requested");
         }
-        let mut pending =
-            || PendingIteration { position: self.run.assign_position(start.intended), start, started_at };
+        let mut start_iteration =
+            || StartedIteration { position: self.run.assign_position(start.intended), start, started_at };
         match sample {
             // No iteration is numbered, because there is no sample.
             Ok(None) => self.end(LoopEnd::NoMoreSamples),
             Ok(Some(sample)) => {
-                let pending = pending();
+                let iteration = start_iteration();
                 self.sensor_failures = 0;
                 let closed_loop = self.resources.schedule.is_closed();
-                self.queued = Some(QueuedSample::new(self.run.id(), pending, log, sample, closed_loop));
+                self.queued = Some(QueuedSample::new(self.run.id(), iteration, log, sample, closed_loop));
             }
             Err(error) => {
-                let pending = pending();
+                let iteration = start_iteration();
                 let reason = printable_line(&error.to_string()).into_owned();
                 self.sensor_failures = self.sensor_failures.saturating_add(1);
                 // Reported exactly at the threshold, so that a series of failures is one incident.
                 if self.sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }
-                self.finish(pending, log, Outcome::Failed(reason), Feedback::default(), None);
+                self.finish(iteration, log, Outcome::Failed(reason), Feedback::default(), None);
             }
         }
     }
@@ -317,20 +318,20 @@ impl<'a> PipelineLoop<'a> {
     /// Records an iteration that ends now.
     fn finish(
         &mut self,
-        pending: PendingIteration,
+        iteration: StartedIteration,
         log: Recorder,
         outcome: Outcome,
         feedback: Feedback,
         transport: Option<Span>,
     ) {
         let ended = self.context.host.clock.stamp();
-        self.finish_at(ended, pending, log, outcome, feedback, transport);
+        self.finish_at(ended, iteration, log, outcome, feedback, transport);
     }
 
     fn finish_at(
         &mut self,
         ended: Stamp,
-        pending: PendingIteration,
+        iteration: StartedIteration,
         log: Recorder,
         outcome: Outcome,
         feedback: Feedback,
@@ -342,15 +343,15 @@ impl<'a> PipelineLoop<'a> {
             // Only a closed loop repeats failures as fast as it can. The rate of an open loop limits them.
             self.backoff.record_outcome(&outcome, ended.mono);
         }
-        let episode = pending.position.episode;
+        let episode = iteration.position.episode;
         let has_pending = self.has_pending(episode);
         let result = self.run.add_feedback(episode, &feedback, has_pending);
-        let mut tree = iteration::close(log, &pending, ended.mono, closed_loop, transport);
+        let mut tree = iteration::close(log, &iteration, ended.mono, closed_loop, transport);
         if let Some(result) = result {
-            result.record(&mut tree, ended.mono - pending.start.intended);
+            result.record(&mut tree, ended.mono - iteration.start.intended);
         }
-        self.resources.add_elapsed(ended.mono - pending.start.intended);
-        self.run.record(pending.position, outcome, tree, ended, self.context, &self.resources.live_state);
+        self.resources.add_elapsed(ended.mono - iteration.start.intended);
+        self.run.record(iteration.position, outcome, tree, ended, self.context, &self.resources.live_state);
     }
 }
 

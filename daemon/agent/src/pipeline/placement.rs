@@ -7,7 +7,8 @@ use peernet_clock::{OneWayDelay, Span};
 use peernet_inference::{FinishedJob, Job, LoadError, Pool};
 use peernet_logger::{HostId, Recorder, Slug};
 use peernet_networks::{
-    Awaited, CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello, SessionSettings,
+    AwaitedEvent, CloseReason, OpenError, RequestError, SESSION_VERSIONS, Session, SessionHello,
+    SessionSettings,
 };
 use peernet_sample::Sample;
 use peernet_stream::{Condition, FaultyHost, Outcome, Placement as Description, PlacementKind};
@@ -34,7 +35,7 @@ pub(super) enum Placement {
 }
 
 /// Result for one sample.
-pub(super) struct Computed {
+pub(super) struct ComputationResult {
     /// The recorder with all stages up to the arrival of the answer.
     pub(super) log: Recorder,
     /// The answer (`None` from a sensor alone), or the outcome of an iteration without an answer.
@@ -67,7 +68,7 @@ impl Placement {
         match &config.placement {
             PlacementConfig::Local { model } => {
                 let (bank, model) = (Arc::clone(&context.bank), model.clone());
-                // On a blocking thread, because a model may take minutes to load.
+                // This runs on a blocking thread, because a model may take minutes to load.
                 let loading = tokio::task::spawn_blocking(move || bank.load(&model, None));
                 let pool = loading.await.map_err(|_| OpenFailure::Panicked)?;
                 pool.map(Self::Local).map_err(|error| match error.is_transient() {
@@ -124,7 +125,12 @@ impl Placement {
     }
 
     /// Requests an answer and waits for `timeout` at most.
-    pub(super) async fn compute(&self, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
+    pub(super) async fn compute(
+        &self,
+        log: Recorder,
+        sample: &Sample,
+        timeout: Duration,
+    ) -> ComputationResult {
         match self {
             Self::Local(pool) => compute_locally(pool, log, sample, timeout).await,
             Self::Remote { session, link, config } => {
@@ -137,13 +143,13 @@ impl Placement {
                     }
                     error => outcome_from_error(error),
                 };
-                Computed {
+                ComputationResult {
                     log: exchange.recorder,
                     result: exchange.result.map(Some).map_err(unanswered),
                     transport,
                 }
             }
-            Self::None => Computed { log, result: Ok(None), transport: None },
+            Self::None => ComputationResult { log, result: Ok(None), transport: None },
         }
     }
 
@@ -311,7 +317,12 @@ fn describe_remote(config: &RemoteConfig) -> Description {
     }
 }
 
-async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: Duration) -> Computed {
+async fn compute_locally(
+    pool: &Pool,
+    log: Recorder,
+    sample: &Sample,
+    timeout: Duration,
+) -> ComputationResult {
     let (reply, done) = oneshot::channel();
     // The recorder moves to the model's thread, which may not return it. This copy then has what was recorded before.
     // It has a few nodes, so copying takes a fraction of a microsecond.
@@ -327,36 +338,38 @@ async fn compute_locally(pool: &Pool, log: Recorder, sample: &Sample, timeout: D
         pool.submit(Job { sample: sample.clone(), recorder: log, received, requester, reply })
     {
         let result = Err(Outcome::Failed(refused.reason.to_string()));
-        return Computed { log: refused.job.recorder, result, transport: None };
+        return ComputationResult { log: refused.job.recorder, result, transport: None };
     }
     match tokio::time::timeout(timeout, done).await {
         Ok(Ok(FinishedJob { recorder: log, result })) => {
             let result = result.map(Some).map_err(|error| Outcome::Failed(error.to_string()));
-            Computed { log, result, transport: None }
+            ComputationResult { log, result, transport: None }
         }
         Ok(Err(_)) => {
             let reason = format!("model {} dropped the sample without an answer", pool.name());
-            Computed { log: log_backup, result: Err(Outcome::Failed(reason)), transport: None }
+            ComputationResult { log: log_backup, result: Err(Outcome::Failed(reason)), transport: None }
         }
         Err(_) => {
             let within = timeout.as_millis();
             let reason = format!("model {} gave no answer within {within} ms: {RAISE_TIMEOUT}", pool.name());
-            Computed { log: log_backup, result: Err(Outcome::Timeout(reason)), transport: None }
+            ComputationResult { log: log_backup, result: Err(Outcome::Timeout(reason)), transport: None }
         }
     }
 }
 
-/// Advice of a timeout's reason. The published commands have no configuration file, therefore it names their option.
+/// Advice of a timeout's reason. The commands of the paper have no configuration file, therefore it names their option.
 const RAISE_TIMEOUT: &str =
     "raise timeout_ms of the pipeline (peernet --client: --timeout) if it needs longer";
 
 /// Returns the reason of a timeout: what was waited for, for how long, and what to do.
-fn describe_timeout(awaited: Awaited, config: &RemoteConfig, cloud: &Slug, timeout: Duration) -> String {
+fn describe_timeout(awaited: AwaitedEvent, config: &RemoteConfig, cloud: &Slug, timeout: Duration) -> String {
     let within = timeout.as_millis();
     let model = config.model.as_ref().map_or_else(String::new, |model| format!(" for model {model}"));
     match awaited {
-        Awaited::Answer => format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}"),
-        Awaited::Slot => format!(
+        AwaitedEvent::Answer => {
+            format!("no answer of cloud {cloud}{model} within {within} ms: {RAISE_TIMEOUT}")
+        }
+        AwaitedEvent::Slot => format!(
             "nothing was sent to cloud {cloud}{model} within {within} ms, because earlier requests held all slots in flight: \
              lower the rate, or raise max_in_flight of the session"
         ),

@@ -91,7 +91,7 @@ impl Progress {
         };
         if !warm_up {
             self.measured += 1;
-            // The intended start, so that a late first iteration does not prolong the run.
+            // The intended start counts, so that a late first iteration does not prolong the run.
             self.measuring_since.get_or_insert(intended);
         }
         Position { number: self.started, episode, step, warm_up }

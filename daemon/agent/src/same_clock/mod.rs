@@ -1,4 +1,4 @@
-//! The proof that the processes at both ends of a session read one clock, so that their offset is exactly zero.
+//! The proof that the processes at both ends of a session read one clock, so their offset is exactly zero.
 //!
 //! Statements of a process about its clock are no proof: clones of a virtual machine have the same boot id, and a
 //! preloaded library may show each process other times. Therefore the edge opens an abstract Unix socket while it opens a

@@ -124,7 +124,7 @@ async fn cloud_continues_without_listener_or_with_full_queue() {
     let clock = system_clock();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
     assert!(start_witness(&hello(&clock, Some(name)), 1, &clock).is_none());
-    // The listener accepts nobody, so that connecting would block once its queue is full. It must not block here.
+    // The listener accepts nobody, so connecting would block once its queue is full. It must not block here.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();

@@ -27,7 +27,7 @@ impl Listeners {
         }
         let count = listeners.len();
         let (behind, ahead) = listeners.split_at_mut(*next_index);
-        // Round robin, so that a busy listener cannot starve the others.
+        // The listeners take turns, so that a busy listener cannot starve the others.
         let in_turn = ahead.iter_mut().chain(behind).map(|listener| listener.next().boxed());
         let (incoming, index, _) = select_all(in_turn).await;
         let index = (*next_index + index) % count;

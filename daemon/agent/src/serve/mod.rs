@@ -139,7 +139,7 @@ async fn announce_clock(
         loop {
             report_interval.tick().await;
             let announcers = announcers.clone();
-            // On a blocking thread: the report makes a system call for each connection, which must not delay sessions.
+            // This runs on a blocking thread: the report makes a system call for each connection, which must not delay sessions.
             let report = move || announcers.iter().for_each(Announcer::report_statistics);
             if let Err(error) = tokio::task::spawn_blocking(report).await {
                 tracing::error!(%error, "the report of connection statistics to peers panicked; no more reports are sent");
@@ -173,7 +173,7 @@ async fn serve_sessions(
                 Some(Incoming::Request(request)) => server.compute(request),
                 Some(Incoming::Open(request)) => {
                     let context = server.context.clone();
-                    // On a blocking thread: a model may load for minutes, and other peers are served meanwhile.
+                    // This runs on a blocking thread: a model may load for minutes, and other peers are served meanwhile.
                     loading.spawn_blocking(move || prepare(request, listener, &context));
                 }
                 Some(Incoming::Closed { session, said_goodbye, planned_iterations }) => {

@@ -27,7 +27,7 @@ fn folder() -> tempfile::TempDir {
 }
 
 /// Returns a pipeline that sends three pictures to the cloud, with further keys for its placement.
-fn line(cloud: &TestAgent, placement: &str) -> String {
+fn pipeline(cloud: &TestAgent, placement: &str) -> String {
     format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'images', path = {:?} }}\n\
          placement = {{ kind = 'remote', peer = '{}'{placement} }}\n\
@@ -48,7 +48,7 @@ async fn reason(edge: &TestAgent) -> String {
 async fn edge_without_model_name_gets_the_only_model() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}")).await;
-    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud, "")).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud, "")).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.runs()[0].placement.model.as_str(), "echo");
     assert_eq!(seen.iterations().len(), 3);
@@ -59,7 +59,7 @@ async fn edge_without_model_name_gets_the_only_model() {
     edge.stop().await.expect("stops well");
 
     // Answers of the calibration model are not counted.
-    let calibrating = line(&cloud, ", model = 'calibration'");
+    let calibrating = pipeline(&cloud, ", model = 'calibration'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &calibrating).await;
     aggregator.until(|seen| seen.ended().len() == 2).await;
     assert_eq!(cloud.running.served_counts().borrow().answers, 3);
@@ -71,7 +71,7 @@ async fn edge_without_model_name_gets_the_only_model() {
 async fn edge_without_model_name_is_refused_with_names() {
     let nap = "[[model]]\nname = 'nap'\nkind = 'sleep'\n";
     let cloud = TestAgent::start("cloud", None, &format!("{SERVE}{ECHO}{nap}")).await;
-    let edge = TestAgent::start("edge", None, &line(&cloud, "")).await;
+    let edge = TestAgent::start("edge", None, &pipeline(&cloud, "")).await;
     let reason = reason(&edge).await;
     assert!(reason.contains("the request names no model") && reason.contains("echo, nap;"), "{reason}");
     edge.stop().await.expect("stops well");
@@ -84,7 +84,7 @@ async fn peer_gets_named_model_on_allowed_device() {
     let folder = folder();
     let bank = format!("{SERVE}[bank]\nfolders = [{:?}]\nmost_loaded = 1\n", folder.path());
     let cloud = TestAgent::start("cloud", None, &bank).await;
-    let wanted = line(&cloud, ", model = 'plates_2', device = 'cpu'");
+    let wanted = pipeline(&cloud, ", model = 'plates_2', device = 'cpu'");
     let edge = TestAgent::start("edge", Some(&aggregator.address), &wanted).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.runs()[0].placement.model.as_str(), "plates_2");
@@ -97,12 +97,12 @@ async fn peer_gets_named_model_on_allowed_device() {
         (", model = 'plates', device = 'cuda:0'", "only on cpu"),
         (", model = 'quality-control'", "this host offers plates, plates_2"),
     ] {
-        let edge = TestAgent::start("edge", None, &line(&cloud, placement)).await;
+        let edge = TestAgent::start("edge", None, &pipeline(&cloud, placement)).await;
         let reason = reason(&edge).await;
         assert!(reason.contains(expected), "{reason}");
         edge.stop().await.expect("stops well");
     }
-    let outside = toml::from_str::<peernet_agent::AgentConfig>(&line(&cloud, ", model = '..'"));
+    let outside = toml::from_str::<peernet_agent::AgentConfig>(&pipeline(&cloud, ", model = '..'"));
     let error = outside.expect_err("no name leads out of the folder").to_string();
     assert!(error.contains("cannot be a name"), "{error}");
     cloud.stop().await.expect("stops well");

@@ -6,7 +6,7 @@ use crate::harness::{Aggregator, TestAgent, value};
 
 const CLOUD: &str = "[[model]]\nname = 'slow'\nkind = 'sleep'\n[serve]\nlisten = 'tcp://127.0.0.1:0'\n";
 
-fn line(cloud: &TestAgent) -> String {
+fn pipeline(cloud: &TestAgent) -> String {
     format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 3000 }}\n\
          placement = {{ kind = 'remote', peer = '{}', model = 'calibration' }}\n\
@@ -19,7 +19,7 @@ fn line(cloud: &TestAgent) -> String {
 async fn serving_host_echoes_calibration_payload() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
-    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud)).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.iterations().len(), 5);
     for iteration in seen.iterations() {
@@ -33,7 +33,7 @@ async fn serving_host_echoes_calibration_payload() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn disabled_calibration_is_refused_with_reason() {
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}calibration = false\n")).await;
-    let edge = TestAgent::start("edge", None, &line(&cloud)).await;
+    let edge = TestAgent::start("edge", None, &pipeline(&cloud)).await;
     let state = edge.until_state(|state| matches!(state, PipelineState::Waiting(_))).await;
     let PipelineState::Waiting(reason) = state else { panic!("{state:?}") };
     assert!(reason.contains("calibration") && reason.contains("slow"), "{reason}");
@@ -46,7 +46,7 @@ async fn configured_model_named_calibration_takes_precedence() {
     let aggregator = Aggregator::start().await;
     let own = "[[model]]\nname = 'calibration'\nkind = 'echo'\nanswer_bytes = 7\n";
     let cloud = TestAgent::start("cloud", None, &format!("{CLOUD}{own}")).await;
-    let edge = TestAgent::start("edge", Some(&aggregator.address), &line(&cloud)).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline(&cloud)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert!(seen.iterations().iter().all(|it| value(&it.tree, "download-bytes") == Some(7.0)));
     edge.stop().await.expect("stops well");

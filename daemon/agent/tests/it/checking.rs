@@ -167,19 +167,19 @@ fn unusable_spool_is_named_with_remedy() {
 
 #[test]
 fn unknown_keys_are_refused_by_name() {
-    let line = "[[pipeline]]\nname = 'l'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n";
+    let pipeline = "[[pipeline]]\nname = 'l'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n";
     for (tables, key) in [
         ("[agent]\nnam = 'x'".to_owned(), "nam"),
         ("[serve]\nport = 1".to_owned(), "port"),
         ("[spool]\nsize = 1".to_owned(), "size"),
-        (format!("{line}placement = {{ kind = 'local', model = 'm', peer = 'x' }}"), "peer"),
+        (format!("{pipeline}placement = {{ kind = 'local', model = 'm', peer = 'x' }}"), "peer"),
         (
             format!(
-                "{line}placement = {{ kind = 'local', model = 'm' }}\nload = {{ mode = 'closed', hz = 1.0 }}"
+                "{pipeline}placement = {{ kind = 'local', model = 'm' }}\nload = {{ mode = 'closed', hz = 1.0 }}"
             ),
             "hz",
         ),
-        (format!("{line}placement = {{ kind = 'local', model = 'm' }}\nrate = 3"), "rate"),
+        (format!("{pipeline}placement = {{ kind = 'local', model = 'm' }}\nrate = 3"), "rate"),
     ] {
         let error = toml::from_str::<AgentConfig>(&tables).expect_err("has an unknown key").to_string();
         assert!(error.contains(&format!("`{key}`")), "{error}");

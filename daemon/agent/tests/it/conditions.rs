@@ -9,12 +9,12 @@ async fn run_has_conditions_of_both_hosts() {
     let aggregator = Aggregator::start().await;
     let cloud = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
     let cloud = TestAgent::start("cloud", None, cloud).await;
-    let line = format!(
+    let pipeline = format!(
         "[[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 10 }}\n\
          placement = {{ kind = 'remote', peer = '{}', model = 'echo' }}\nlimit = {{ iterations = 5 }}\n",
         cloud.address()
     );
-    let edge = TestAgent::start("edge", Some(&aggregator.address), &line).await;
+    let edge = TestAgent::start("edge", Some(&aggregator.address), &pipeline).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let found: &[Condition] = &seen.runs()[0].conditions;
     for (host, about) in [

@@ -187,7 +187,7 @@ async fn policy_without_answers_ends_every_episode() {
     let iterations = run(model, ("Sensor", "Arm"), keys).await;
     assert_eq!(positions(&iterations), [(0, 0), (0, 1), (1, 0), (1, 1)]);
     assert!(iterations.iter().all(|iteration| matches!(iteration.outcome, Outcome::Timeout(_))));
-    assert_eq!(results(&iterations), [], "the actuator never acted, so that it reports nothing");
+    assert_eq!(results(&iterations), [], "the actuator never acted, so it reports nothing");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

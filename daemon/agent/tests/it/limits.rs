@@ -4,7 +4,7 @@ use peernet_stream::{EndReason, Outcome, PipelineState, PlacementKind};
 
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, assert_contiguous, value};
 
-fn line(keys: &str) -> String {
+fn pipeline(keys: &str) -> String {
     format!(
         "[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
@@ -16,7 +16,7 @@ fn line(keys: &str) -> String {
 async fn warm_up_and_limit_are_exact() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 3 }\nlimit = { iterations = 20 }";
-    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 
     let iterations = seen.iterations();
@@ -60,7 +60,7 @@ async fn variables_of_program_are_set_and_recorded_by_name() {
 async fn live_statistics_are_bounded_and_exclude_warm_up() {
     let aggregator = Aggregator::start().await;
     let keys = "warm_up = { iterations = 7 }\nlimit = { iterations = 500 }";
-    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     // A later update of a second replaces an earlier one.
     let total = |lives: &[peernet_stream::LiveUpdate]| {
         let mut seconds = std::collections::BTreeMap::new();
@@ -92,7 +92,7 @@ async fn episodes_are_numbered_and_a_duration_ends_the_run() {
     let aggregator = Aggregator::start().await;
     let keys = "episode_steps = 4\nwarm_up = { iterations = 0, steps = 1 }\n\
                 load = { mode = 'rate', hz = 200.0 }\nlimit = { duration_s = 0.25 }";
-    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let iterations = seen.iterations();
     assert_contiguous(&iterations);

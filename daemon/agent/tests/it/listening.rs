@@ -31,7 +31,7 @@ async fn two_addresses_are_served_within_own_limits() {
     assert_eq!(cloud.running.description().serves, Some(format!("{first}, {second}")));
 
     let both = pipeline("first", first) + &pipeline("second", second);
-    // Another clock name, so that probes are sent as between two hosts.
+    // The clock has another name, so that probes are sent as between two hosts.
     let edge = TestAgent::start_with("edge", None, config(&both), "edge").await;
     edge.until(|live| {
         let answered = |second: &peernet_stream::Second| second.counts.ok > 0;
@@ -41,7 +41,7 @@ async fn two_addresses_are_served_within_own_limits() {
     let mut served = cloud.running.served_counts();
     let served = tokio::time::timeout(WAIT_TIMEOUT, served.wait_for(|served| served.sessions == 2)).await;
     served.expect("in time").expect("it serves");
-    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
     let [link] = &live.links[..] else { panic!("one pair of hosts, one network: {:?}", live.links) };
     assert_eq!((link.pipelines.len(), link.network().as_str()), (2, "zmq-tcp"));
     assert!(matches!(&link.probing, Probing::On { .. }), "{:?}", link.probing);
@@ -65,7 +65,8 @@ async fn probes_are_answered_at_every_address() {
     for address in cloud.running.serve_addresses() {
         let tables = config(&pipeline("line", address));
         let edge = TestAgent::start_with("edge", None, tables, "edge").await;
-        let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+        let live =
+            edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
         let Probing::On { address: probed, .. } = &live.links[0].probing else { panic!("{:?}", live.links) };
         assert!(probed.starts_with(&format!("udp://{}:", address.host())), "{probed} for {address}");
         edge.stop().await.expect("stops well");

@@ -99,7 +99,7 @@ async fn poisson_starts_follow_from_the_seed() {
         gaps.push(starts.windows(2).map(micros).collect::<Vec<_>>());
         agent.stop().await.expect("stops well");
     }
-    // Starts that come due while a pipeline is set up are skipped, so that the later run may begin further on in the
+    // Starts that come due while a pipeline is set up are skipped, so the later run may begin further on in the
     // schedule.
     let alike = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 5.0);
     let follows = |a: &[f64], b: &[f64]| (0..=a.len() - 12).any(|skipped| alike(&a[skipped..], b));

@@ -6,7 +6,7 @@ use peernet_stream::IncidentKind;
 
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
-fn line(keys: &str) -> String {
+fn pipeline(keys: &str) -> String {
     format!(
         "[agent]\nbatch_delay_ms = 20\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
@@ -21,7 +21,7 @@ async fn every_event_arrives_exactly_once_over_reconnects() {
     let behaviour = AggregatorBehaviour { die_before_ack: Some(3), ..AggregatorBehaviour::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let keys = "load = { mode = 'rate', hz = 200.0 }\nmax_in_flight = 64\nlimit = { iterations = 300 }";
-    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     aggregator.until(|seen| !seen.iterations().is_empty()).await;
     let aggregator = Aggregator::up(aggregator.fell().await).await;
     let seen = aggregator.until(|seen| seen.iterations().len() >= 150).await;
@@ -45,7 +45,7 @@ async fn refusal_of_aggregator_is_retried_and_reported_once() {
     };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
     let agent =
-        TestAgent::start("edge", Some(&aggregator.address), &line("limit = { iterations = 5 }")).await;
+        TestAgent::start("edge", Some(&aggregator.address), &pipeline("limit = { iterations = 5 }")).await;
     aggregator.until(|seen| seen.hellos >= 2).await;
     let aggregator = Aggregator::up(aggregator.down().await).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
@@ -60,7 +60,7 @@ async fn refusal_of_aggregator_is_retried_and_reported_once() {
 async fn run_starts_are_repeated_to_emptied_aggregator() {
     let aggregator = Aggregator::start().await;
     let keys = "load = { mode = 'rate', hz = 100.0 }";
-    let agent = TestAgent::start("edge", Some(&aggregator.address), &line(keys)).await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &pipeline(keys)).await;
     agent.until(|live| live.accounting.stored >= 20).await;
     let (address, _) = aggregator.down().await;
     let fresh = Aggregator::up((address, Arc::default())).await;
@@ -74,7 +74,7 @@ async fn run_starts_are_repeated_to_emptied_aggregator() {
 async fn silent_listener_is_reported_once_and_retried() {
     let behaviour = AggregatorBehaviour { mute: true, ..AggregatorBehaviour::default() };
     let mute = Aggregator::start_at("tcp://127.0.0.1:0", Arc::default(), behaviour).await;
-    let agent = TestAgent::start("edge", Some(&mute.address), &line("limit = { iterations = 5 }")).await;
+    let agent = TestAgent::start("edge", Some(&mute.address), &pipeline("limit = { iterations = 5 }")).await;
     // The model, the run's two ends and ten iterations; a further event is the report.
     agent.until(|live| live.accounting.waiting > 13).await;
     let aggregator = Aggregator::up(mute.down().await).await;

@@ -40,8 +40,8 @@ async fn same_clock_gives_exact_delays() {
     for iteration in &iterations {
         assert_eq!(iteration.outcome, Outcome::Ok);
         assert_adds_up(iteration);
-        for way in ["upload", "download"] {
-            let delay = delay(iteration, way);
+        for name in ["upload", "download"] {
+            let delay = delay(iteration, name);
             assert_eq!((delay.source, delay.verdict), (DelaySource::SameClock, Verdict::Ok));
             assert!(delay.value.is_some_and(|value| !value.is_negative()));
         }

@@ -84,7 +84,7 @@ async fn cloud_learns_of_missing_iterations_at_run_end() {
     assert_eq!((served.answers, served.missed), (10, 10));
     edge.stop().await.expect("stops well");
 
-    // A run that was stopped may continue later, so that its missing iterations are not counted.
+    // A run that was stopped may continue later, so its missing iterations are not counted.
     let edge = TestAgent::start("edge", None, &tables("{ total = 1000000 }")).await;
     edge.until(|_| cloud.running.served_counts().borrow().answers > 15).await;
     edge.stop().await.expect("stops well");

@@ -27,7 +27,7 @@ use crate::config::AggregatorConfig;
 use crate::live_state::LiveState;
 use crate::readiness::Readiness;
 use peernet_store::writing::{
-    CommitError, Committed, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
+    CommitError, CommitResult, Integrity, OpenDatabase, PendingIncidents, Step, StoredState, Work, Writer,
 };
 use peernet_store::{AggregatorIncidentKind, StoreError};
 
@@ -72,7 +72,7 @@ pub(crate) enum WriterRequest {
 #[derive(Debug)]
 pub(crate) enum StoreEvent {
     /// A transaction is on disk.
-    Committed(Committed),
+    Committed(CommitResult),
     /// The database was closed and will be reopened.
     Closed,
     /// The database was reopened and contains this state.
@@ -346,7 +346,11 @@ async fn store(
 }
 
 /// Commits a group once, unless the file is damaged.
-async fn commit(writer: &mut Writer, work: &[Work], context: &TaskContext) -> Result<Committed, CommitError> {
+async fn commit(
+    writer: &mut Writer,
+    work: &[Work],
+    context: &TaskContext,
+) -> Result<CommitResult, CommitError> {
     // Checked first, so that a file that replaced a damaged file is opened.
     writer.check_file()?;
     ensure_undamaged(&context.integrity)?;

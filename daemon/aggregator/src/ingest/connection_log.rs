@@ -44,8 +44,12 @@ impl ConnectionLog {
                 let (pipeline, network) = (connection.pipeline.clone(), connection.network.clone());
                 let key = (edge, cloud, pipeline, network, connection.local.clone());
                 let mut stored_at = previously_open.remove(&key).map_or(now, |previous| previous.stored_at);
-                let sample =
-                    ConnectionSample { edge, cloud, at: link.live.now.at, connection: connection.clone() };
+                let sample = ConnectionSample {
+                    edge,
+                    cloud,
+                    at: link.live.latest_sample.at,
+                    connection: connection.clone(),
+                };
                 if now - stored_at >= INTERVAL {
                     stored_at = now;
                     due_samples.push(sample.clone());
@@ -97,7 +101,7 @@ mod tests {
     /// Returns a live state with one link.
     fn snapshot(connected: bool, connections: Vec<Connection>) -> LiveState {
         let (at, peer) = (WallTime::from_unix_nanos(9), HostId::from_bytes([9; 16]));
-        let now = ClockSample {
+        let latest_sample = ClockSample {
             network: NetworkName::default(),
             basis: None,
             peer,
@@ -123,7 +127,7 @@ mod tests {
             probing: Probing::Off("a test".into()),
             edge: None,
             cloud: None,
-            now,
+            latest_sample,
             connections,
             reflector: None,
         };

@@ -132,9 +132,9 @@ impl Hosts {
         }
     }
 
-    /// Adds a host of which nothing is stored. Findings of an earlier hello of the same stream are kept. Returns the
-    /// newcomer that was dropped: the host's earlier entry if it has another stream, or the oldest newcomer if there are
-    /// too many.
+    /// Adds a host of which nothing is stored. What an earlier hello of the same stream revealed is kept: a replaced
+    /// stream and missing batches. Returns the newcomer that was dropped: the host's earlier entry if it has another
+    /// stream, or the oldest newcomer if there are too many.
     pub(super) fn add_newcomer(
         &mut self,
         introduction: Introduction,
@@ -146,7 +146,8 @@ impl Hosts {
         let earlier_entry = self.newcomers.remove(&host);
         let mut dropped_newcomer = None;
         match earlier_entry {
-            // Findings of the first hello would otherwise be lost: later hellos do not report them again.
+            // A replaced stream or missing batches that the first hello revealed would otherwise be forgotten: later
+            // hellos do not report them again.
             Some(earlier) if earlier.introduction.stream == newcomer.introduction.stream => {
                 let (new, old) = (&mut newcomer.introduction, earlier.introduction);
                 new.replaced = new.replaced.or(old.replaced);

@@ -18,7 +18,7 @@ use super::hosts::{Hosts, Newcomer};
 use super::queue::{AdmittedWork, Queue};
 use super::routes::{Admission, Routes};
 use crate::live::LiveEvent;
-use peernet_store::writing::{Committed, RunName, StoredState, Streams, UnstorableBatch, Work};
+use peernet_store::writing::{CommitResult, RunName, StoredState, Streams, UnstorableBatch, Work};
 
 /// Time without messages after which a host loses its session and has to send its hello again.
 const SESSION_TIMEOUT: Span = Span::from_seconds(60);
@@ -258,7 +258,7 @@ impl IngestSession {
     }
 
     /// Acknowledges the batches of a transaction that is on disk.
-    fn handle_commit(&mut self, committed: Committed) {
+    fn handle_commit(&mut self, committed: CommitResult) {
         for (stream, mark) in committed.marks {
             self.store.streams.marks.insert(stream, mark);
             let acknowledgement = self.receiving.handle_stored(stream, mark);

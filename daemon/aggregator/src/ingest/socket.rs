@@ -39,7 +39,7 @@ pub(crate) async fn listen(config: &AggregatorConfig) -> Result<(ZmtpListener, S
     let address: Address =
         listen.parse().map_err(|error| Problem { key: "listen", message: format!("{error}") })?;
     let limits = ListenerLimits {
-        // A share of the file descriptors, so that agents leave some to the database and the dashboard.
+        // Agents get a share of the file descriptors, so that agents leave some to the database and the dashboard.
         max_connections: DescriptorShare::EventPort.max_connections(),
         max_message_bytes: MAX_MESSAGE_BYTES + FRAMING_BYTES,
         max_unfinished_bytes: config.max_unfinished_bytes,

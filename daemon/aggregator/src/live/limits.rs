@@ -33,13 +33,14 @@ pub(super) fn limit_link(live: &mut LinkLive, left_out: &mut u64) {
     for host_clock in [&mut live.edge, &mut live.cloud].into_iter().flatten() {
         limit_clock(host_clock, left_out);
     }
-    let now = &mut live.now;
-    let offset = now.offset.as_ref().and_then(plausible::offset);
-    let (up, down) = (now.up.map(plausible::delays), now.down.map(plausible::delays));
-    let basis = now.basis.map(plausible::basis);
+    let sample = &mut live.latest_sample;
+    let offset = sample.offset.as_ref().and_then(plausible::offset);
+    let (up, down) = (sample.up.map(plausible::delays), sample.down.map(plausible::delays));
+    let basis = sample.basis.map(plausible::basis);
     // NaN is unequal to itself, so the comparison also counts a removed NaN.
-    *left_out += u64::from((&offset, up, down, basis) != (&now.offset, now.up, now.down, now.basis));
-    (now.offset, now.up, now.down, now.basis) = (offset, up, down, basis);
+    *left_out +=
+        u64::from((&offset, up, down, basis) != (&sample.offset, sample.up, sample.down, sample.basis));
+    (sample.offset, sample.up, sample.down, sample.basis) = (offset, up, down, basis);
 }
 
 /// Cuts the state of probing.

@@ -13,7 +13,7 @@ use peernet_store::ClockPoint;
 
 /// Length of the history, seconds.
 const HISTORY_S: i64 = 600;
-/// Longest time between the stamp of an update and the creation of its parts.
+/// Longest time from the stamp of an update until the last report in it is created.
 const MAX_REPORT_SKEW: Span = Span::from_millis(100);
 
 /// The latest report of one link, and a history by seconds of the edge's wall clock, which may be wrong.
@@ -38,12 +38,12 @@ impl Link {
     /// each report of a second covers the second from its start.
     pub(super) fn update(&mut self, mut live: LinkLive, sent: WallTime, now: Stamp, left_out: &mut u64) {
         limits::limit_link(&mut live, left_out);
-        // The newest second is incomplete. Later seconds were reported before the edge's clock was set back.
+        // Seconds after the newest are dropped: they were reported before the edge's clock was set back.
         let newest_second = (sent + MAX_REPORT_SKEW).unix_seconds();
         drop(self.history.split_off(&newest_second.saturating_add(1)));
-        let second = second_of(live.now.at);
+        let second = second_of(live.latest_sample.at);
         if second <= newest_second && second > newest_second.saturating_sub(HISTORY_S) {
-            self.history.insert(second, Arc::new(point(&live.now)));
+            self.history.insert(second, Arc::new(point(&live.latest_sample)));
         } else {
             *left_out += 1;
         }

@@ -12,7 +12,7 @@ mod metrics_history;
 mod percentiles;
 mod pipeline;
 mod presence;
-mod second_figures;
+mod second_statistics;
 mod storage_lag;
 pub(crate) mod task;
 #[cfg(test)]
@@ -77,9 +77,9 @@ pub(crate) enum LiveEvent {
     Run(HostId, RunId, i64),
     /// The database was reopened and may be another one.
     Reopened {
-        /// Numbers of its newest runs, with their hosts.
+        /// Numbers of the newest runs in the database, with their hosts.
         runs: Vec<(HostId, RunId, i64)>,
-        /// Its counts of each host.
+        /// Counts of each host in the database.
         hosts: Vec<(HostId, StoredCounts)>,
     },
 }

@@ -10,18 +10,18 @@ use peernet_stream::{PipelineLive, PipelineState, Placement};
 
 use super::limits;
 use super::percentiles::Percentiles;
-use super::second_figures::SecondFigures;
+use super::second_statistics::SecondStatistics;
 use crate::live_state::{LiveSecond, PipelineSnapshot, Window};
 
 /// Lengths of the live state's windows, in complete seconds.
 const WINDOWS: [u32; 3] = [1, 10, 60];
 /// Seconds that are kept with their sketches: the longest window and the incomplete second.
-const SKETCHES_S: i64 = 61;
-/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCHES_S`] are for an agent's clock that
+const SKETCH_LENGTH_S: i64 = 61;
+/// Length of the ring of the seconds with sketches. The three seconds beyond [`SKETCH_LENGTH_S`] are for an agent's clock that
 /// decreases by at most [`MAX_CLOCK_DECREASE`].
-const RING_S: usize = 64;
+const RING_LENGTH_S: usize = 64;
 /// Seconds that are kept as points of the live charts.
-const SERIES_S: i64 = 600;
+const CHART_LENGTH_S: i64 = 600;
 /// Largest decrease of the agent's clock between two updates that the ring absorbs. After a larger decrease, the seconds
 /// that the clock shows again are removed.
 const MAX_CLOCK_DECREASE: Span = Span::from_seconds(2);
@@ -35,7 +35,7 @@ pub(super) struct Pipeline {
     run: Option<RunId>,
     placement: Placement,
     load: String,
-    recent: RecentSeconds<SecondFigures>,
+    recent: RecentSeconds<SecondStatistics>,
     series: BTreeMap<i64, Arc<LiveSecond>>,
     percentiles: Percentiles,
     /// The agent's clock at the latest update.
@@ -54,7 +54,7 @@ impl Pipeline {
             run: None,
             placement: live.placement.clone(),
             load: String::new(),
-            recent: RecentSeconds::new(RING_S),
+            recent: RecentSeconds::new(RING_LENGTH_S),
             series: BTreeMap::new(),
             percentiles: Percentiles::default(),
             sent,
@@ -84,19 +84,19 @@ impl Pipeline {
             let at = second.at;
             // Seconds outside the charts are reported after a step of the clock or by a hostile agent. A much later
             // second would displace all others from the rings.
-            if at > newest || at <= newest.saturating_sub(SERIES_S) {
+            if at > newest || at <= newest.saturating_sub(CHART_LENGTH_S) {
                 *left_out += 1;
                 continue;
             }
-            let second_figures = SecondFigures::from_report(second, left_out);
-            self.series.insert(at, Arc::new(second_figures.to_live_second(at)));
-            self.percentiles.replace(at, second_figures.total());
+            let second_statistics = SecondStatistics::from_report(second, left_out);
+            self.series.insert(at, Arc::new(second_statistics.to_live_second(at)));
+            self.percentiles.replace(at, second_statistics.total());
             // Sketches are large; older seconds are kept as points of the charts only.
-            if at > newest - SKETCHES_S {
-                self.recent.replace(at, second_figures);
+            if at > newest - SKETCH_LENGTH_S {
+                self.recent.replace(at, second_statistics);
             }
         }
-        let oldest = newest.saturating_sub(SERIES_S) + 1;
+        let oldest = newest.saturating_sub(CHART_LENGTH_S) + 1;
         self.series = self.series.split_off(&oldest);
         self.percentiles.forget_before(oldest);
         self.snapshot = None;
@@ -194,14 +194,14 @@ impl Pipeline {
             .series
             .first_key_value()
             .map_or(f64::INFINITY, |(first, _)| ((current - first) as f64 + incomplete_seconds).max(1.0));
-        let mut sum = SecondFigures::default();
+        let mut sum = SecondStatistics::default();
         // Number of seconds in `sum`, counted backwards from the incomplete second.
         let mut merged = 0;
         // Each window contains the shorter windows, and all contain the incomplete second.
         WINDOWS.map(|seconds| {
             let length = i64::from(seconds) + 1;
-            for (_, second_figures) in self.recent.iter(current - merged, (length - merged) as usize) {
-                sum.merge(second_figures);
+            for (_, second_statistics) in self.recent.iter(current - merged, (length - merged) as usize) {
+                sum.merge(second_statistics);
             }
             merged = length;
             sum.window(seconds, (f64::from(seconds) + incomplete_seconds).min(running_s))

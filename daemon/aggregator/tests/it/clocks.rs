@@ -71,10 +71,10 @@ pub fn sample(peer: HostId, second: i64, width: i64) -> ClockSample {
 }
 
 /// Returns a link as an agent reports it.
-pub fn link(now: ClockSample) -> LinkLive {
+pub fn link(latest_sample: ClockSample) -> LinkLive {
     LinkLive {
-        peer: now.peer,
-        peer_name: now.peer_name.clone(),
+        peer: latest_sample.peer,
+        peer_name: latest_sample.peer_name.clone(),
         networks: vec!["zmq-tcp".into()],
         pipelines: vec!["line".parse().expect("a name")],
         same_clock: false,
@@ -85,7 +85,7 @@ pub fn link(now: ClockSample) -> LinkLive {
         },
         edge: Some(HostClock { text: "not synchronised".into(), ..HostClock::default() }),
         cloud: None,
-        now,
+        latest_sample,
         connections: Vec::new(),
         reflector: None,
     }

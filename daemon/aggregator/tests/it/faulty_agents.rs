@@ -279,7 +279,7 @@ async fn deleted_spool_leaves_one_gap_despite_reconnections() {
     replacement.host = scripted_agent.host;
     for _ in 0..2 {
         for _ in 0..2 {
-            // With the same process number, so that the aggregator does not wait for another agent's end.
+            // The hello has the same process number, so that the aggregator does not wait for another agent's end.
             let reconnection = ScriptedAgent {
                 stream: replacement.stream,
                 host: scripted_agent.host,

@@ -179,7 +179,7 @@ async fn nothing_is_acknowledged_before_commit_while_live_state_updates() {
     let second = testbed.clock.wall().unix_seconds();
     agent.live(vec![live(run, second, &[0.020; 7])]).await;
     let snapshot = testbed.snapshot("the second", |snapshot| {
-        snapshot.pipelines.first().is_some_and(|line| line.windows[2].counts.ok == 7)
+        snapshot.pipelines.first().is_some_and(|pipeline| pipeline.windows[2].counts.ok == 7)
     });
     let snapshot = snapshot.await;
     assert_eq!((snapshot.pipelines[0].run_number, snapshot.hosts[0].accounting.waiting), (Some(1), 100));

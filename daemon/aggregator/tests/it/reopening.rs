@@ -84,17 +84,17 @@ impl TestPipeline {
 #[tokio::test]
 async fn older_copy_is_compared_with_spools_again() {
     let mut testbed = Testbed::new().await;
-    let mut line = TestPipeline::new(&testbed).await;
-    line.store(10).await;
+    let mut pipeline = TestPipeline::new(&testbed).await;
+    pipeline.store(10).await;
     let copy = backup(&testbed).await;
-    line.store(40).await;
+    pipeline.store(40).await;
     let before = testbed.aggregator().store().run(1).await.expect("answers").expect("exists");
     assert_eq!(before.summary.counts.ok, 50);
     move_away(&testbed.database);
     not_storing(&testbed, "put it back").await;
     std::fs::rename(&copy, &testbed.database).expect("restores");
     ready(&testbed).await;
-    line.store(5).await;
+    pipeline.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 1);
     let snapshot = testbed.snapshot("the counts of this database", |snapshot| {
@@ -111,11 +111,11 @@ async fn older_copy_is_compared_with_spools_again() {
 #[tokio::test]
 async fn missing_database_is_never_created_again() {
     let mut testbed = Testbed::new().await;
-    let mut line = TestPipeline::new(&testbed).await;
-    line.store(10).await;
+    let mut pipeline = TestPipeline::new(&testbed).await;
+    pipeline.store(10).await;
     move_away(&testbed.database);
     not_storing(&testbed, "its file system is not mounted").await;
-    line.offer(10);
+    pipeline.offer(10);
     assert!(!testbed.database.exists());
     let refused = testbed.aggregator().store().run(1).await.expect_err("closed");
     assert!(matches!(refused, StoreError::Closed { .. }), "{refused}");
@@ -127,7 +127,7 @@ async fn missing_database_is_never_created_again() {
     assert_eq!(std::fs::read(&testbed.database).expect("reads"), b"no database at all");
     // The moved file is complete without its log.
     std::fs::rename(path_with_suffix(&testbed.database, "-away"), &testbed.database).expect("moves back");
-    line.agent.until_stored().await;
+    pipeline.agent.until_stored().await;
     assert_eq!(testbed.aggregator().current_readiness(), Readiness::Ready);
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
@@ -137,19 +137,19 @@ async fn missing_database_is_never_created_again() {
 #[tokio::test]
 async fn log_of_replaced_database_is_not_applied() {
     let mut testbed = Testbed::new().await;
-    let mut line = TestPipeline::new(&testbed).await;
-    line.store(10).await;
+    let mut pipeline = TestPipeline::new(&testbed).await;
+    pipeline.store(10).await;
     let copy = backup(&testbed).await;
     // An open read transaction prevents the checkpoint of the log.
     let mut reader = testbed.connection().await;
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM iteration").execute(&mut reader).await.expect("reads");
-    line.store(40).await;
+    pipeline.store(40).await;
     std::fs::rename(&copy, &testbed.database).expect("replaces");
     not_storing(&testbed, "belongs to another database, which was at this path before").await;
     reader.close().await.expect("closes");
     std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
     ready(&testbed).await;
-    line.store(5).await;
+    pipeline.store(5).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 15);
     testbed.stop().await;
 }
@@ -157,12 +157,12 @@ async fn log_of_replaced_database_is_not_applied() {
 #[tokio::test]
 async fn removed_log_is_recreated_without_loss() {
     let mut testbed = Testbed::new().await;
-    let mut line = TestPipeline::new(&testbed).await;
-    line.store(10).await;
+    let mut pipeline = TestPipeline::new(&testbed).await;
+    pipeline.store(10).await;
     std::fs::remove_file(path_with_suffix(&testbed.database, "-wal")).expect("removes");
     not_storing(&testbed, "sqlite-wal").await;
     ready(&testbed).await;
-    line.store(10).await;
+    pipeline.store(10).await;
     assert_eq!(testbed.count("SELECT count(*) FROM iteration").await, 20);
     assert_eq!(testbed.count("SELECT count(*) FROM gap").await, 0);
     testbed.stop().await;
@@ -171,11 +171,11 @@ async fn removed_log_is_recreated_without_loss() {
 #[tokio::test]
 async fn goodbye_during_outage_ends_runs() {
     let mut testbed = Testbed::new().await;
-    let mut line = TestPipeline::new(&testbed).await;
-    line.store(10).await;
+    let mut pipeline = TestPipeline::new(&testbed).await;
+    pipeline.store(10).await;
     move_away(&testbed.database);
     not_storing(&testbed, "put it back").await;
-    line.agent.goodbye().await;
+    pipeline.agent.goodbye().await;
     testbed
         .snapshot("the disconnected host", |snapshot| {
             snapshot.hosts.first().is_some_and(|host| !host.connected)

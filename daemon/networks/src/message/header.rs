@@ -65,7 +65,7 @@ pub(crate) enum Header {
     Reply(Reply),
     /// The cloud sends a part of an answer before the answer is complete. The payload follows.
     PartialReply(PartialReply),
-    /// The edge has read partial replies of a request, so that the cloud may send more.
+    /// The edge has read partial replies of a request, so the cloud may send more.
     PartsRead(PartsRead),
     /// The edge does not wait for the answer to a request any more.
     Cancel(Cancel),
@@ -126,7 +126,8 @@ pub(crate) struct Departure {
     /// The same moment on the sender's monotonic clock, relative to its anchor in the tree. The cloud's anchor is the
     /// arrival of the request. In a reply the value is therefore the time from the arrival of the request to the
     /// departure of the reply.
-    pub(crate) start: Span,
+    #[serde(rename = "start")]
+    pub(crate) sent_since_anchor: Span,
     /// Sender's epoch, read after `sent` was stamped. It is [`peernet_clock::Clock::epoch`]; in versions before
     /// [`RAW_STAMPS_SINCE`](super::RAW_STAMPS_SINCE) it is [`peernet_clock::Clock::wall_epoch`].
     pub(crate) epoch: u32,
@@ -158,7 +159,7 @@ pub(crate) struct Reply {
     /// Departure of the reply. Present if and only if the reply has a tree delta. A reply that no model computed has
     /// neither.
     pub(crate) departure: Option<Departure>,
-    /// Cloud's epoch right before the arrival of the request was stamped. If it differs from the epoch of the
+    /// Cloud's epoch, read right before the arrival of the request was stamped. If it differs from the epoch of the
     /// departure, the cloud's clock was stepped in between.
     pub(crate) arrival_epoch: u32,
     pub(crate) outcome: Outcome,
@@ -177,7 +178,7 @@ pub(crate) struct PartialReply {
     pub(crate) request: u64,
     /// Number of the part within the answer, from 0.
     pub(crate) part: u32,
-    /// Departure of the part. As in a reply, its `start` is the time since the arrival of the request.
+    /// Departure of the part. As in a reply, its `sent_since_anchor` is the time since the arrival of the request.
     pub(crate) departure: Departure,
     pub(crate) sample: SampleHeader,
 }
@@ -188,8 +189,10 @@ pub(crate) struct PartialReply {
 pub(crate) struct PartsRead {
     pub(crate) session: SessionId,
     pub(crate) request: u64,
-    /// Number of the newest part that was read, plus one. Parts before it that were lost count as read.
-    pub(crate) through: u32,
+    /// Number of parts that count as read: the number of the newest part that was read, plus one. The parts before it
+    /// that were lost count as read, too.
+    #[serde(rename = "through")]
+    pub(crate) end: u32,
 }
 
 /// Cancellation of a request. Its reply, if one is sent, is dropped as late.
@@ -231,7 +234,7 @@ pub(crate) struct Goodbye {
     pub(crate) session: SessionId,
     #[serde(deserialize_with = "deserialize_text")]
     pub(crate) reason: String,
-    /// Number of iterations that the edge's run has in all, if the run is over. A cloud that serves a fixed number of
+    /// Number of iterations that the edge's run was planned to have, if the run is over. A cloud that serves a fixed number of
     /// requests then does not wait for missing requests. Releases without this field ignore it.
     #[serde(default, rename = "ordered", skip_serializing_if = "Option::is_none")]
     pub(crate) planned_iterations: Option<u64>,

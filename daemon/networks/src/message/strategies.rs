@@ -154,11 +154,8 @@ fn sample() -> impl Strategy<Value = SampleHeader> {
 }
 
 fn departure() -> impl Strategy<Value = Departure> {
-    (any::<i64>(), span(), any::<u32>(), raw()).prop_map(|(sent, start, epoch, sent_raw)| Departure {
-        sent: WallTime::from_unix_nanos(sent),
-        start,
-        epoch,
-        sent_raw,
+    (any::<i64>(), span(), any::<u32>(), raw()).prop_map(|(sent, sent_since_anchor, epoch, sent_raw)| {
+        Departure { sent: WallTime::from_unix_nanos(sent), sent_since_anchor, epoch, sent_raw }
     })
 }
 
@@ -217,7 +214,7 @@ pub(crate) fn header(sessions: Vec<SessionId>) -> impl Strategy<Value = Header> 
                     4 => Just(Header::Request(Request { session, request, departure, sample })),
                     4 => Just(Header::Reply(Reply { session, request, departure: returned, arrival_epoch, outcome, arrived_raw })),
                     2 => Just(Header::PartialReply(PartialReply { session, request, part, departure, sample: part_sample })),
-                    1 => Just(Header::PartsRead(PartsRead { session, request, through: part })),
+                    1 => Just(Header::PartsRead(PartsRead { session, request, end: part })),
                     1 => Just(Header::Cancel(Cancel { session, request })),
                     1 => Just(Header::Clock(Box::new(ClockUpdate { session, clock }))),
                     1 => Just(Header::Statistics(Box::new(StatisticsReport { session, statistics: counted }))),

@@ -2,7 +2,7 @@
 //! the logger.
 
 use bytes::Bytes;
-use peernet_logger::limits::MAX_BYTES;
+use peernet_logger::limits::MAX_TREE_BYTES;
 use peernet_logger::{Measure, NodeId, Transit, Tree, TreeDelta, stage, wire};
 
 use super::Departure;
@@ -10,7 +10,7 @@ use super::Departure;
 /// Error: a tree or a tree delta cannot be sent or cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TreeFrameError {
-    #[error("the tree has {0} bytes, more than {MAX_BYTES}")]
+    #[error("the tree has {0} bytes, more than {MAX_TREE_BYTES}")]
     TooLong(usize),
     #[error(transparent)]
     Unreadable(#[from] wire::WireError),
@@ -20,7 +20,7 @@ pub(crate) enum TreeFrameError {
 /// copy of the tree that arrived. So the node has the same position in both trees without being sent.
 pub(crate) fn add_upload(tree: &mut Tree, departure: Departure) -> NodeId {
     let transit = Transit { sent: departure.sent, received: None, delay: None, raw_stamps: None };
-    tree.add(NodeId::ROOT, stage::UPLOAD, departure.start, Measure::Transit(Box::new(transit)))
+    tree.add(NodeId::ROOT, stage::UPLOAD, departure.sent_since_anchor, Measure::Transit(Box::new(transit)))
 }
 
 pub(crate) fn encode_tree(tree: &Tree) -> Result<Bytes, TreeFrameError> {
@@ -45,7 +45,7 @@ pub(crate) fn decode_tree_delta(bytes: &[u8]) -> Result<TreeDelta, TreeFrameErro
 
 /// Returns the frame if the receiver accepts its length.
 fn check_length(out: Vec<u8>) -> Result<Bytes, TreeFrameError> {
-    if out.len() > MAX_BYTES {
+    if out.len() > MAX_TREE_BYTES {
         return Err(TreeFrameError::TooLong(out.len()));
     }
     Ok(out.into())

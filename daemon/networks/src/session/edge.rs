@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
 use super::exchange::{
-    Absorbed, ArrivedReply, Awaited, Exchange, RequestError, Sizes, absorb, request_result,
+    AbsorbedReply, ArrivedReply, AwaitedEvent, Exchange, RequestError, Sizes, absorb, request_result,
 };
 use super::open::{OpenError, OpenedSession, handshake};
 use super::parts::PartHandler;
@@ -29,7 +29,7 @@ const MAX_REQUEST_TIMEOUT: Duration = Duration::from_secs(10 * 365 * 24 * 3600);
 /// An open session with a cloud. Clones are the same session; it closes when the last one is dropped.
 ///
 /// A session exists exactly as long as its connection. [`closed`](Self::closed) returns when it is over; to continue,
-/// the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so that requests in
+/// the caller [opens](Self::open) another session. Transports do not reconnect by themselves, so requests in
 /// flight are lost at once and with the reason.
 #[derive(Clone, Debug)]
 pub struct Session {
@@ -170,7 +170,7 @@ impl Session {
         let shared = &*self.inner.shared;
         let mut exchange = Exchange {
             recorder,
-            result: Err(RequestError::Timeout(Awaited::Answer)),
+            result: Err(RequestError::Timeout(AwaitedEvent::Answer)),
             arrived_at: None,
             upload: None,
             download: None,
@@ -222,7 +222,7 @@ impl Session {
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
         exchange.result = match absorbed {
             Ok(absorbed) => {
-                if let Some(Absorbed { download, first_part, observation }) = absorbed {
+                if let Some(AbsorbedReply { download, first_part, observation }) = absorbed {
                     exchange.download = Some(download);
                     exchange.first_part = first_part;
                     exchange.observation = observation;
@@ -248,7 +248,7 @@ impl Session {
         self.inner.stopped.cancelled().await;
     }
 
-    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` iterations, so that the cloud does
+    /// [Closes](Self::close) the session at the end of a run of `planned_iterations` planned iterations, so that the cloud does
     /// not wait for missing requests.
     pub async fn close_after_run(&self, planned_iterations: u64) {
         self.inner.shared.planned_iterations.get_or_init(|| planned_iterations);

@@ -65,14 +65,14 @@ pub(crate) struct DepartedRequest {
 
 /// Event that a request was waiting for when its time ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Awaited {
+pub enum AwaitedEvent {
     /// A slot among the requests in flight: nothing was sent.
     Slot,
     /// The cloud's answer.
     Answer,
 }
 
-impl fmt::Display for Awaited {
+impl fmt::Display for AwaitedEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Slot => "a slot among the requests in flight",
@@ -89,7 +89,7 @@ pub enum RequestError {
     Lost(String),
     /// The time ended before the answer came. An answer that still comes is dropped and counted.
     #[error("no answer in time, waiting for {0}")]
-    Timeout(Awaited),
+    Timeout(AwaitedEvent),
     /// The sample could not be sent, or the cloud's model failed on it. The next request may succeed.
     #[error("the request failed: {0}")]
     Failed(String),
@@ -150,7 +150,7 @@ pub(crate) enum TreeDeltaError {
 
 /// The transits from the cloud that an answer added to the tree, and its stamps.
 #[derive(Debug)]
-pub(crate) struct Absorbed {
+pub(crate) struct AbsorbedReply {
     /// The `download` node.
     pub(crate) download: NodeId,
     /// The node of the first part's download, if the answer came in parts.
@@ -173,7 +173,7 @@ pub(crate) fn absorb(
     has_raw_stamps: bool,
     departed: &DepartedRequest,
     arrived: &ArrivedReply,
-) -> Result<Option<Absorbed>, TreeDeltaError> {
+) -> Result<Option<AbsorbedReply>, TreeDeltaError> {
     let (Some(departure), Some(delta)) = (arrived.reply.departure, arrived.frames.get(1)) else {
         return Ok(None);
     };
@@ -208,7 +208,7 @@ pub(crate) fn absorb(
         parent: Some(NodeId::ROOT),
         name: stage::DOWNLOAD,
         host,
-        start: departure.start,
+        start: departure.sent_since_anchor,
         measure: Measure::Transit(Box::new(transit)),
     });
     let observation = observation(departed, has_raw_stamps, cloud_times, departure, arrived);
@@ -219,7 +219,7 @@ pub(crate) fn absorb(
     let last = u32::try_from(last).map_err(|_| TreeDeltaError::TooManyNodes)?;
     // `download` was appended last, and the first part right before it.
     let first_part = has_parts.then(|| NodeId(last - 1));
-    Ok(Some(Absorbed { download: NodeId(last), first_part, observation }))
+    Ok(Some(AbsorbedReply { download: NodeId(last), first_part, observation }))
 }
 
 fn set_raw_stamps(tree: &mut Tree, node: NodeId, stamps: RawStamps) {
@@ -251,7 +251,7 @@ fn observation(
     Some(ExchangeObservation {
         exchange,
         // The monotonic clock is slewed and the free-running one is not. Their durations may therefore differ.
-        cloud_elapsed: (!has_raw_stamps).then_some(departure.start),
+        cloud_elapsed: (!has_raw_stamps).then_some(departure.sent_since_anchor),
         edge_epoch: arrived.epoch,
         cloud_epoch: Some(departure.epoch),
     })

@@ -24,7 +24,7 @@ pub enum Incoming {
         session: SessionId,
         /// `true` if the edge said goodbye, `false` if its connection is gone.
         said_goodbye: bool,
-        /// Number of iterations of the edge's run, if the session ended with that run.
+        /// Number of iterations that the edge's run was planned to have, if the session ended with that run.
         planned_iterations: Option<u64>,
     },
     /// A connection is worse than it could be, such as a path that carries only short datagrams.

@@ -26,7 +26,7 @@ pub use bind_error::BindError;
 pub use client::CloseReason;
 pub use cloud::Listener;
 pub use edge::{Session, StatisticsReader};
-pub use exchange::{Awaited, Exchange, RequestError};
+pub use exchange::{AwaitedEvent, Exchange, RequestError};
 pub use incoming::{Failure, Incoming, IncomingRequest, OpenRequest, Responder};
 pub use open::OpenError;
 pub use part_sender::PartSender;

@@ -37,7 +37,7 @@ pub(super) struct ArrivedParts {
     count: u32,
     first: Option<FirstPart>,
     /// Number of the newest part, plus one.
-    through: u32,
+    end: u32,
     acknowledged: u32,
 }
 
@@ -54,11 +54,11 @@ impl ArrivedParts {
         self.count += 1;
         self.first.get_or_insert(FirstPart { departure, arrived });
         // On networks of datagrams, parts may overtake each other.
-        self.through = self.through.max(number.saturating_add(1));
-        let is_due = self.through - self.acknowledged >= ACKNOWLEDGE_AFTER;
+        self.end = self.end.max(number.saturating_add(1));
+        let is_due = self.end - self.acknowledged >= ACKNOWLEDGE_AFTER;
         is_due.then(|| {
-            self.acknowledged = self.through;
-            self.through
+            self.acknowledged = self.end;
+            self.end
         })
     }
 
@@ -72,7 +72,7 @@ impl ArrivedParts {
             parent: Some(NodeId::ROOT),
             name: FIRST_PART_DOWNLOAD,
             host: cloud,
-            start: departure.start,
+            start: departure.sent_since_anchor,
             measure: Measure::Transit(Box::new(transit)),
         })
     }
@@ -99,8 +99,12 @@ mod tests {
 
     #[test]
     fn parts_are_acknowledged_before_the_window_closes() {
-        let departure =
-            Departure { sent: WallTime::from_unix_nanos(0), start: Span::ZERO, epoch: 0, sent_raw: None };
+        let departure = Departure {
+            sent: WallTime::from_unix_nanos(0),
+            sent_since_anchor: Span::ZERO,
+            epoch: 0,
+            sent_raw: None,
+        };
         let arrived = Stamp {
             wall: WallTime::from_unix_nanos(0),
             mono: MonoTime::from_nanos(0),

@@ -12,7 +12,7 @@ use super::parts::PartHandler;
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;
 use crate::message::{Goodbye, Header, PartialReply, PartsRead};
-use crate::transport::{Disconnected, EdgeEvent, EdgeReceiver, Frames, MessageLoss};
+use crate::transport::{Disconnection, EdgeEvent, EdgeReceiver, Frames, MessageLoss};
 
 impl SessionState {
     /// Handles a message that arrived at `arrived`. Returns the reason if the session is over now.
@@ -70,7 +70,7 @@ impl SessionState {
 
     /// Handles a part of an answer.
     fn receive_part(&self, part: PartialReply, frames: Frames, arrived: Stamp) {
-        let (handler, through) = self.requests.add_part(&part, arrived);
+        let (handler, end) = self.requests.add_part(&part, arrived);
         let request = part.request;
         match part.sample.into_sample(frames.into_iter().skip(2)) {
             Ok(sample) => {
@@ -83,9 +83,9 @@ impl SessionState {
                 self.counters.count_malformed();
             }
         }
-        if let Some(through) = through {
+        if let Some(end) = end {
             let session = self.terms.session;
-            self.send_control(&Header::PartsRead(PartsRead { session, request, through }));
+            self.send_control(&Header::PartsRead(PartsRead { session, request, end }));
         }
     }
 
@@ -135,7 +135,7 @@ impl ReceivingTask {
                             self.shared.counters.count_malformed();
                         }
                         Ok(EdgeEvent::Remark(text)) => self.shared.remarks.add(text),
-                        Err(Disconnected(reason)) => break CloseReason::Broken(reason),
+                        Err(Disconnection(reason)) => break CloseReason::Broken(reason),
                     },
                 }
             }

@@ -51,11 +51,11 @@ impl RequestControl {
         self.state().is_cancelled
     }
 
-    /// Notes that the edge has read the parts before number `through`. Ignores numbers of parts that were never sent.
-    pub(crate) fn acknowledge(&self, through: u32) {
+    /// Notes that the edge has read the parts before number `end`. Ignores numbers of parts that were never sent.
+    pub(crate) fn acknowledge(&self, end: u32) {
         let mut state = self.state();
         // A higher number would make the subtraction in `next_part` overflow.
-        state.read = state.read.max(through.min(state.sent));
+        state.read = state.read.max(end.min(state.sent));
         self.changed.notify_all();
     }
 

@@ -7,7 +7,7 @@ use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{ClientSession, CloseReason, CloudMessage};
-use super::exchange::{ArrivedReply, Awaited, RequestError};
+use super::exchange::{ArrivedReply, AwaitedEvent, RequestError};
 use super::parts::{ArrivedParts, PartHandler};
 use crate::message::{Header, PartialReply, SessionId};
 use crate::statistics::Counters;
@@ -69,7 +69,7 @@ impl RequestsInFlight {
         let queued = recorder.start(stage::SEND_QUEUE);
         let slot = tokio::time::timeout_at(deadline, self.slots.acquire()).await;
         recorder.stop(queued);
-        slot.map_err(|_| RequestError::Timeout(Awaited::Slot))?.map_err(|_| {
+        slot.map_err(|_| RequestError::Timeout(AwaitedEvent::Slot))?.map_err(|_| {
             let reason = self.close_reason.borrow().clone().unwrap_or(CloseReason::Local);
             RequestError::Lost(reason.to_string())
         })
@@ -123,7 +123,7 @@ impl RequestsInFlight {
             close_reason.get_or_insert_with(|| reason.clone());
             is_first
         });
-        // Last, because a request that waits for a slot then reads the reason.
+        // This comes last, because a request that waits for a slot then reads the reason.
         self.slots.close();
     }
 

@@ -135,8 +135,8 @@ impl Server {
         match header {
             Header::Open(open) => self.open(peer, *open),
             Header::Request(request) => self.request(peer, request),
-            Header::PartsRead(PartsRead { session, request, through }) => {
-                self.control(peer, session, request, |control| control.acknowledge(through))
+            Header::PartsRead(PartsRead { session, request, end }) => {
+                self.control(peer, session, request, |control| control.acknowledge(end))
             }
             Header::Cancel(Cancel { session, request }) => {
                 self.control(peer, session, request, RequestControl::cancel)
@@ -186,7 +186,7 @@ impl Server {
         if let Some(reason) = self.check_session_limits(peer, open.hello.host) {
             return EdgeMessage::Answer(Self::refusal(reason));
         }
-        // Random, so that nobody can guess the session of another edge.
+        // The id is random, so that nobody can guess the session of another edge.
         let session = SessionId::random();
         let entry = SessionEntry {
             peer: peer.clone(),

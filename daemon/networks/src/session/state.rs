@@ -53,8 +53,8 @@ pub(super) struct SessionState {
     /// Last report of the cloud about its end of the connection.
     pub(super) peer_statistics: watch::Sender<Option<ConnectionStatistics>>,
     pub(super) remarks: Remarks,
-    /// Number of iterations that the run has in all. Set when the run is over, for the goodbye: a cloud that serves a fixed
-    /// number of requests then does not wait for missing requests.
+    /// Number of iterations that the run was planned to have. Set when the run is over, for the goodbye: a cloud that
+    /// serves a fixed number of requests then does not wait for missing requests.
     pub(super) planned_iterations: OnceLock<u64>,
 }
 
@@ -145,8 +145,8 @@ impl SessionState {
         } else {
             (self.clock.wall_epoch(), None)
         };
-        let start = recorder.offset(stamp.mono);
-        let departure = Departure { sent: stamp.wall, start, epoch: sent_epoch, sent_raw };
+        let sent_since_anchor = recorder.offset(stamp.mono);
+        let departure = Departure { sent: stamp.wall, sent_since_anchor, epoch: sent_epoch, sent_raw };
         let departed = DepartedRequest { upload: add_upload(recorder.tree_mut(), departure), stamp, epoch };
         // From here on an early return drops `pending`, which cancels the request.
         let sizes = Sizes::default();

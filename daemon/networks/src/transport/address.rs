@@ -376,7 +376,7 @@ fn parse_host(host: &str) -> Result<Host, AddressProblem> {
         (1..=63).contains(&label.len())
             && label.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
     };
-    // Limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 for an encoded name, which is 253 as text.
+    // These are limits of DNS (RFC 1035, section 2.3.4): 63 bytes for a label, and 255 for an encoded name, which is 253 as text.
     if host.len() > 253 || !host.strip_suffix('.').unwrap_or(host).split('.').all(is_valid_label) {
         return Err(AddressProblem::InvalidName(host.to_owned()));
     }

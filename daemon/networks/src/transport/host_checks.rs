@@ -35,7 +35,7 @@ pub struct UnusableAddress {
 #[derive(Debug, thiserror::Error)]
 #[error("{key}: {problem}")]
 pub struct UnusableSetting {
-    /// Key below the key of the session settings.
+    /// Key in the table of the session settings.
     pub key: &'static str,
     /// The reason.
     pub problem: BoxedError,
@@ -45,8 +45,8 @@ impl Address {
     /// Checks that this host can use the address, without connecting to it.
     ///
     /// # Errors
-    /// If the build lacks the network.
-    pub fn check_host(&self) -> Result<(), UnusableAddress> {
+    /// If this build of the program does not support the network.
+    pub fn check_usable_on_this_host(&self) -> Result<(), UnusableAddress> {
         (self.network().host_checks().address)(self)
             .map_err(|problem| UnusableAddress { address: self.clone(), problem })
     }

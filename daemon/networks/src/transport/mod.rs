@@ -46,7 +46,7 @@ use crate::statistics::{ConnectionAddresses, TransportStatistics};
 
 /// Defines the enum of all networks from lines `Variant = "name" at "scheme" in module`. A network with several schemes
 /// lists them all, as in `at "ros1" | "ros2"`; its module reads the scheme from the address.
-// A macro and not a trait object: the kind is a plain value that is stored, compared and serialised.
+// This is a macro and not a trait object: the kind is a plain value that is stored, compared and serialised.
 macro_rules! networks {
     ($($(#[$about:meta])* $variant:ident = $name:literal at $($scheme:literal)|+ in $module:ident;)*) => {
         /// The networks over which samples can be sent.
@@ -265,13 +265,13 @@ pub(crate) enum EdgeEvent {
 /// The connection has ended, for this reason.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct Disconnected(pub(crate) String);
+pub(crate) struct Disconnection(pub(crate) String);
 
 /// The receiving half of the edge's end.
 pub(crate) trait EdgeReceiver: Send + fmt::Debug {
     /// Waits for the next event. An error means that the connection has ended. Cancel safe: dropping the future loses
     /// nothing.
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>>;
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnection>>;
 
     /// Closes the connection after all messages have been sent, or after `linger`.
     fn close(self: Box<Self>, linger: Duration) -> BoxFuture<'static, ()>;

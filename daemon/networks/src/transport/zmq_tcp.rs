@@ -21,7 +21,7 @@ use super::tcp_info::tcp_statistics;
 use super::zmtp::{ListenerLimits, ZmtpListener, ZmtpSender};
 use super::{
     AddressForm, BindFailure, BoundPort, CloudReceiver, CloudSender, ConnectionId, DialContext, DialFailure,
-    Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames, HostChecks, ListenerEvent,
+    Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames, HostChecks, ListenerEvent,
     Peer, SendFailure, SendOptions,
 };
 use crate::descriptors::DescriptorShare;
@@ -202,7 +202,7 @@ struct DealerReceiver {
 }
 
 impl EdgeReceiver for DealerReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnection>> {
         Box::pin(async {
             let to_event = |message: &Message| Ok(EdgeEvent::Message(to_frames(message)));
             loop {
@@ -211,13 +211,13 @@ impl EdgeReceiver for DealerReceiver {
                     return self
                         .socket
                         .try_recv()
-                        .map_or_else(|_| Err(Disconnected(reason.clone())), |m| to_event(&m));
+                        .map_or_else(|_| Err(Disconnection(reason.clone())), |m| to_event(&m));
                 }
                 tokio::select! {
-                    // Biased, so that messages are returned before the end that followed them.
+                    // The choice is biased, so that messages are returned before the end that followed them.
                     biased;
                     message = self.socket.recv() => {
-                        return message.map_or_else(|error| Err(Disconnected(error.to_string())), |m| to_event(&m));
+                        return message.map_or_else(|error| Err(Disconnection(error.to_string())), |m| to_event(&m));
                     }
                     event = self.monitor.recv() => match event {
                         Ok(MonitorEvent::Disconnected { reason, .. }) => self.end_reason = Some(reason_text(&reason)),

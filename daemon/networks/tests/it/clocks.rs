@@ -9,14 +9,14 @@ use peernet_clock::{
     RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
-use peernet_networks::{Awaited, Exchange, PeerClock, RawClock, RequestError};
+use peernet_networks::{AwaitedEvent, Exchange, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
 use crate::support::{Cloud, TIME_LIMIT, accepted, echo, recorder, request, sample, settings, within};
 use crate::wire::Header;
 
-/// Only version 4 of the protocol, as in releases before 0.3.0.
+/// Versions of a peer that speaks only version 4 of the protocol, as releases before 0.3.0 do.
 const VERSION_4: VersionRange = VersionRange::single(4);
 const DAY: Span = Span::from_seconds(86_400);
 const HOUR: Span = Span::from_seconds(3_600);
@@ -206,7 +206,7 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         open_sessions.push(session.clone());
         let pending = request(&session, "stepped", TIME_LIMIT);
         let incoming = cloud.next_request().await;
-        // Not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
+        // This is not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
         clock.wall.step_unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.recorder, Ok(incoming.sample));
         let exchange = within(pending).await.expect("no panic");
@@ -311,7 +311,10 @@ async fn request_without_model_answer_yields_no_observation() {
     assert!(exchange.arrived_at.is_some());
     assert_eq!(exchange.observation, None);
     let exchange = within(session.request(recorder(), &sample("x"), Duration::ZERO)).await;
-    assert_eq!((exchange.result, exchange.observation), (Err(RequestError::Timeout(Awaited::Answer)), None));
+    assert_eq!(
+        (exchange.result, exchange.observation),
+        (Err(RequestError::Timeout(AwaitedEvent::Answer)), None)
+    );
 }
 
 fn clock_state() -> PeerClock {

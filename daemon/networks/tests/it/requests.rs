@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use peernet_clock::Span;
 use peernet_logger::{HostIndex, Measure, NodeId, Unit, stage};
-use peernet_networks::{Awaited, Failure, PartSender, RequestCancelled, RequestError, SessionSettings};
+use peernet_networks::{AwaitedEvent, Failure, PartSender, RequestCancelled, RequestError, SessionSettings};
 use peernet_sample::{Description, Part, Sample};
 use peernet_stream::{Release, VersionRange};
 
@@ -170,7 +170,10 @@ async fn request_is_cancelled_at_its_time_limit(network: TestNetwork) {
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow = cloud.next_request().await;
-    assert_eq!(within(pending).await.expect("no panic").result, Err(RequestError::Timeout(Awaited::Answer)));
+    assert_eq!(
+        within(pending).await.expect("no panic").result,
+        Err(RequestError::Timeout(AwaitedEvent::Answer))
+    );
     // The cloud handles messages while it waits for the next one.
     let next = request(&session, "next", TIME_LIMIT);
     let incoming = cloud.next_request().await;
@@ -190,7 +193,7 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow_request = cloud.next_request().await;
     let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Answer)));
+    assert_eq!(exchange.result, Err(RequestError::Timeout(AwaitedEvent::Answer)));
     assert_eq!((exchange.arrived_at, exchange.download), (None, None));
     let upload = exchange.recorder.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
@@ -236,7 +239,7 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     let first_request = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     let exchange = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Timeout(Awaited::Slot)));
+    assert_eq!(exchange.result, Err(RequestError::Timeout(AwaitedEvent::Slot)));
     assert_eq!(exchange.upload, None);
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert!(within(first_request).await.expect("no panic").result.is_ok());

@@ -221,7 +221,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     let edge = tokio::spawn(async move { open(&address, hello, best_effort()).await });
     assert!(cloud.next_open().await.accept(accepted(cloud.host)));
     let session = within(edge).await.expect("no panic").expect("accepted");
-    let host = tokio::spawn(async move {
+    let server_task = tokio::spawn(async move {
         while let Some(incoming) = cloud.listener.next().await {
             if let Incoming::Request(request) = incoming {
                 request.reply.send(request.recorder, Ok(request.sample));
@@ -246,7 +246,7 @@ async fn best_effort_payloads_are_answered_or_lost_within_deadline() {
     }
     assert_eq!(answered + lost, 80);
     assert!(answered > 0, "{lost} lost");
-    host.abort();
+    server_task.abort();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

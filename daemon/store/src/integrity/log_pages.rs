@@ -8,17 +8,17 @@ use std::path::{Path, PathBuf};
 
 use super::pages::be32;
 
-/// Size of the log's header.
+/// Size of the write-ahead log's header.
 const HEADER_BYTES: u64 = 32;
 /// Size of the header of a frame, which holds one page.
 const FRAME_BYTES: u64 = 24;
 /// First word of every log, except for the lowest bit, which gives the byte order of the checksums.
 const MAGIC: u32 = 0x377f_0682;
 
-/// The newest version of each page that is in the log.
+/// The newest version of each page that is in the write-ahead log.
 ///
 /// A checkpoint copies pages from the log into the main file one after the other. It leaves out pages whose older version readers
-/// still need, so that the main file alone may mix versions of different times. Checksums are not verified, so this value may
+/// still need, so the main file alone may mix versions of different times. Checksums are not verified, so this value may
 /// contain pages of a transaction that is not committed.
 #[derive(Debug)]
 pub(super) struct LogPages {
@@ -28,7 +28,7 @@ pub(super) struct LogPages {
     offsets: HashMap<u32, u64>,
 }
 
-/// Returns the path of the log of a database. A symbolic link is resolved, because the log lies beside the file itself.
+/// Returns the path of the write-ahead log of a database. A symbolic link is resolved, because the log lies beside the file itself.
 pub(crate) fn log_path(database: &Path) -> PathBuf {
     let mut path = std::fs::canonicalize(database).unwrap_or_else(|_| database.to_owned()).into_os_string();
     path.push("-wal");
@@ -36,7 +36,7 @@ pub(crate) fn log_path(database: &Path) -> PathBuf {
 }
 
 impl LogPages {
-    /// Reads which pages are in the log. Returns `None` if there is no log, or the log has no valid header.
+    /// Reads which pages are in the write-ahead log. Returns `None` if there is no log, or the log has no valid header.
     ///
     /// # Errors
     /// When the log cannot be read; this applies to the other functions, too.
@@ -55,7 +55,7 @@ impl LogPages {
         let mut offsets = HashMap::new();
         let mut offset = HEADER_BYTES;
         let mut frame = [0; FRAME_BYTES as usize];
-        // Frames of an earlier use of the log have other salts. Their pages are in the main file already.
+        // Frames of an earlier use of the write-ahead log have other salts. Their pages are in the main file already.
         while read_whole(&file, &mut frame, offset)? && frame[8..16] == header[16..24] {
             offsets.insert(be32(&frame, 0), offset + FRAME_BYTES);
             offset += FRAME_BYTES + page_bytes as u64;
@@ -63,17 +63,17 @@ impl LogPages {
         Ok(Some(Self { file, page_bytes, offsets }))
     }
 
-    /// Returns the numbers of the pages in the log.
+    /// Returns the numbers of the pages in the write-ahead log.
     pub(super) fn numbers(&self) -> impl Iterator<Item = u32> {
         self.offsets.keys().copied()
     }
 
-    /// Returns whether a page is in the log.
+    /// Returns whether a page is in the write-ahead log.
     pub(super) fn contains(&self, number: u32) -> bool {
         self.offsets.contains_key(&number)
     }
 
-    /// Reads one page; `None` if it is not in the log.
+    /// Reads one page; `None` if it is not in the write-ahead log.
     pub(super) fn read(&self, number: u32) -> io::Result<Option<Vec<u8>>> {
         let Some(offset) = self.offsets.get(&number) else { return Ok(None) };
         let mut bytes = vec![0; self.page_bytes];

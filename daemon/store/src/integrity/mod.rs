@@ -2,7 +2,7 @@
 //!
 //! The check reads the main file with `pread` through the descriptor that holds the lock: closing another descriptor would release
 //! SQLite's locks in this process. The check reads page by page at a bounded rate and parses the pages as SQLite's file format
-//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the log from
+//! describes them. SQLite's own `quick_check` of a table is one read transaction, which for a large table would keep the write-ahead log from
 //! being checkpointed. It also goes through a cache and costs several times as much. Page checksums would also find a changed
 //! value, but SQLite's `cksumvfs` is not in the bundled library. Checksums beside the file would have to be written with every
 //! checkpoint, which needs a virtual file system of our own.

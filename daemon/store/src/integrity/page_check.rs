@@ -70,8 +70,8 @@ impl PageCheck {
 
     /// Returns the malformed pages that are in use.
     ///
-    /// While an aggregator stores, a checkpoint may be in progress, so that the main file may mix pages of different times. Therefore
-    /// pages to which the log refers count as in use, too. A page is returned only if it is still malformed when it is read again.
+    /// While an aggregator stores, a checkpoint may be in progress, so the main file may mix pages of different times. Therefore
+    /// pages to which the write-ahead log refers count as in use, too. A page is returned only if it is still malformed when it is read again.
     /// The result may still contain pages that were moved during the pass; another pass does not find these pages again.
     pub(crate) fn finish(mut self) -> io::Result<Vec<u32>> {
         let missing_page = self.file.first_missing_page()?;
@@ -80,7 +80,7 @@ impl PageCheck {
             return Ok(Vec::new());
         }
         let log = LogPages::open(&self.log, self.file.page_bytes)?;
-        // The file may have grown, and the log has pages that are still to be appended to it.
+        // The file may have grown, and the write-ahead log has pages that are still to be appended to it.
         self.file.update_length()?;
         let last = log.iter().flat_map(LogPages::numbers).max().unwrap_or(0).max(self.file.pages);
         for number in log.iter().flat_map(LogPages::numbers) {
@@ -108,7 +108,7 @@ impl PageCheck {
             && malformed.iter().any(|number| log.contains(*number))
             && !self.is_checkpointed(log)?
         {
-            // SQLite reads the pages of the log from the log. In the main file there may be an older version, a sparse range, or
+            // SQLite reads the pages of the write-ahead log from the log. In the main file there may be an older version, a sparse range, or
             // nothing yet.
             malformed.retain(|number| !log.contains(*number));
         }
@@ -128,7 +128,7 @@ impl PageCheck {
         Ok(())
     }
 
-    /// Returns whether the main file has the same contents as the log in all pages of the log, except for pages that may be malformed.
+    /// Returns whether the main file has the same contents as the write-ahead log in all pages of the log, except for pages that may be malformed.
     /// A log that was checkpointed stays until the next commit, and readers no longer use it.
     fn is_checkpointed(&self, log: &LogPages) -> io::Result<bool> {
         // A truncated file has no page beyond its end.
@@ -142,7 +142,7 @@ impl PageCheck {
         Ok(true)
     }
 
-    /// Returns the free pages according to the log.
+    /// Returns the free pages according to the write-ahead log.
     fn free_pages_of(&self, log: Option<&LogPages>) -> io::Result<Option<Vec<u32>>> {
         log.map_or(Ok(None), |log| self.file.free_pages(|number| log.read(number)))
     }

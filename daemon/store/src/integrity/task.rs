@@ -18,7 +18,7 @@ use crate::database_error::is_damage;
 use crate::limits::BUSY_TIMEOUT;
 
 /// Number of bytes that are read at once.
-const STEP_BYTES: u64 = 1 << 20;
+const READ_STEP_BYTES: u64 = 1 << 20;
 /// Bytes per second of the first pass: the file may have been damaged while no aggregator ran.
 const FIRST_BYTES_PER_SECOND: u64 = 128 << 20;
 /// Bytes per second of later passes: 1 GiB takes a minute, of which a processor core is busy for two seconds.
@@ -155,7 +155,7 @@ async fn check_once(
 /// Reads the whole file. Repeats this while pages look malformed, up to [`MAX_PASSES`] passes. Returns the pages that look
 /// malformed in each pass.
 ///
-/// While events are stored, records move from page to page during a pass, so that an overflow page may look as if no record used
+/// While events are stored, records move from page to page during a pass, so an overflow page may look as if no record used
 /// it. Such pages differ from pass to pass, whereas a damaged page looks malformed in all passes.
 pub(super) async fn malformed_pages(
     database: &Path,
@@ -185,14 +185,14 @@ async fn read_pages(
     let Some(mut check) = read_blocking(reads, move || PageCheck::start(file, log)).await? else {
         return Ok(vec![1]);
     };
-    let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * STEP_BYTES / rate));
+    let mut ticks = tokio::time::interval(Duration::from_micros(1_000_000 * READ_STEP_BYTES / rate));
     // After a slow read, the missed ticks would otherwise follow in a burst, faster than the rate.
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut has_more = true;
     while has_more {
         ticks.tick().await;
         (check, has_more) = read_blocking(reads, move || {
-            let has_more = check.step(STEP_BYTES)?;
+            let has_more = check.step(READ_STEP_BYTES)?;
             Ok((check, has_more))
         })
         .await?;

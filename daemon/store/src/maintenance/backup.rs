@@ -39,7 +39,7 @@ pub enum BackupError {
         /// Kind of the file.
         what: &'static str,
     },
-    /// The log of another database lies beside the file.
+    /// The write-ahead log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// A file with the copy's name exists.
@@ -113,7 +113,7 @@ impl Backup {
         if !database.is_file() {
             return Err(BackupError::Missing(database.to_owned()));
         }
-        // Not `exists`: a broken symbolic link would count as missing.
+        // `exists` is not used: a broken symbolic link would count as missing.
         if target.symlink_metadata().is_ok() {
             return Err(BackupError::Exists(target.to_owned()));
         }

@@ -15,11 +15,11 @@ use sqlx::sqlite::SqliteConnectOptions;
 
 pub use self::backup::{Backup, BackupError, FinishedCopy};
 pub use self::doctor::{
-    DoctorError, Examination, FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report,
+    DoctorError, Examination, FileSizes, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report,
     RollupExtent, Schema, Severity, StreamState, TableRows, examine,
 };
 pub use self::rebuild::{RebuildError, Rebuilt, rebuild_rollups};
-pub use self::repair::{RepairError, Repaired, SalvagedTable, repair};
+pub use self::repair::{RepairError, RepairResult, SalvagedTable, repair};
 pub use self::secrets::{ClearSecretError, ClearedSecret, clear_host_secret};
 pub use super::file_kind::FileKind;
 

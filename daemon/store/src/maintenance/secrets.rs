@@ -25,7 +25,7 @@ pub enum ClearSecretError {
         /// Kind of the file.
         what: &'static str,
     },
-    /// The log of another database lies beside the file.
+    /// The write-ahead log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// No host has this id or name.

@@ -8,7 +8,7 @@ use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::{Name, stage};
 use sqlx::FromRow;
 
-use super::clocks::AssumedWindows;
+use super::clocks::WindowAssumptions;
 use super::{corrupt_data, count, sql, statistics, tree, value_of_number, wall};
 use crate::column::column;
 use crate::error::StoreError;
@@ -204,7 +204,7 @@ async fn complete_rows(
     // Only delays depend on the assumptions of a window.
     let time_range = times().min().zip(times().max()).filter(|_| !delays.is_empty());
     let windows = match time_range {
-        Some((from, to)) => Some(AssumedWindows::read(readers, run, (wall(from), wall(to))).await?),
+        Some((from, to)) => Some(WindowAssumptions::read(readers, run, (wall(from), wall(to))).await?),
         None => None,
     };
     for delay in delays {
@@ -271,7 +271,7 @@ fn complete_row(
 }
 
 impl Delay {
-    fn row(self, windows: Option<&AssumedWindows>) -> Result<DelayRow, StoreError> {
+    fn row(self, windows: Option<&WindowAssumptions>) -> Result<DelayRow, StoreError> {
         let source = value_of_number(WHAT, DelaySource::ALL, self.source)?;
         let is_upload = stage::UPLOAD == self.stage.as_str();
         // Windows have times of the edge's clock. The edge stamped the departure of an upload and the arrival of a

@@ -65,7 +65,7 @@ struct ExperimentRow {
 pub(crate) async fn runs(readers: &Readers, filter: &RunFilter) -> Result<Vec<RunSummary>, StoreError> {
     let before = filter.before.unwrap_or(i64::MAX);
     let limit = filter.limit.clamp(1, 1_000);
-    // Two statements, so that each can use the index that fits it.
+    // There are two statements, so that each can use the index that fits it.
     let rows: Vec<RunRow> = if filter.pipeline.is_none() && filter.host.is_none() {
         sqlx::query_as(sql::RUNS).bind(before).bind(limit).fetch_all(&readers.pool()).await
     } else {
@@ -145,8 +145,8 @@ async fn actuator_results(
     }
     let results = |number: &i64| {
         ActuatorResults::from_statistics(|name| {
-            let figures = by_name.get(name)?.get(number)?.figures()?;
-            Some((figures.count, figures.mean, figures.std))
+            let statistics = by_name.get(name)?.get(number)?.statistics()?;
+            Some((statistics.count, statistics.mean, statistics.std))
         })
     };
     Ok(numbers.iter().map(|number| (*number, results(number))).collect())
@@ -264,7 +264,7 @@ fn summary(
         deadline_s,
         misses: deadline_s.map(|_| Misses::new(count(row.ok), late.round() as u64, unanswered)),
         actuator,
-        total: total.and_then(NameSummary::figures),
+        total: total.and_then(NameSummary::statistics),
         has_clock_fault: facts(row)?.iter().any(|(fact, _)| FaultyHost::of_fact(fact).is_some()),
         pinned: row.pinned,
         nodes_from: count(row.nodes_from),

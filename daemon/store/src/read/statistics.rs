@@ -47,7 +47,8 @@ impl RollupRow {
     }
 }
 
-/// Returns the summary of one name over whole runs, by run. Values of a name that was used with several kinds are merged.
+/// Returns the summary of one name over whole runs, by run. If nodes with this name have several kinds of
+/// measure, their values are merged.
 pub(super) async fn whole_runs(
     readers: &Readers,
     runs: &[i64],
@@ -79,11 +80,19 @@ pub(crate) async fn histogram(
     max_bins: usize,
 ) -> Result<Option<Histogram>, StoreError> {
     let Some(samples) = whole_runs(readers, &[run], stage).await?.remove(&run) else { return Ok(None) };
-    let Some(figures) = samples.figures() else { return Ok(None) };
+    let Some(statistics) = samples.statistics() else { return Ok(None) };
     let Some(binning) = Binning::of(&samples.summary, max_bins) else { return Ok(None) };
     let BinCounts { below, counts, above } = samples.summary.count_in(&binning);
     let (stage, edges) = (stage.into(), binning.edges());
-    Ok(Some(Histogram { stage, unit: samples.unit, edges, counts, below, beyond: above, figures }))
+    Ok(Some(Histogram {
+        stage,
+        unit: samples.unit,
+        edges,
+        counts,
+        below,
+        beyond: above,
+        figures: statistics,
+    }))
 }
 
 /// Returns the statistics of all names of a run, in the order of tables.

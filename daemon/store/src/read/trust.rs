@@ -86,7 +86,7 @@ fn collect(
         timeout: run.summary.counts.timeout,
         warm_up: run.summary.warm_up,
     };
-    let figures =
+    let statistics_of =
         |name: &str| statistics.iter().find(|stage| stage.stage == *name).map(|stage| stage.figures);
     let mut stages: Vec<(String, TimeSeries)> = stages_over_time
         .iter()
@@ -97,7 +97,7 @@ fn collect(
     let sensing =
         || stages.iter().find(|(name, _)| name == stage::SENSING.as_str()).map(|(_, series)| series.clone());
     // An agent of another version may write the configuration in another form. The report then contains no limit and no rate.
-    let configured: Option<Configured> = toml::from_str(&run.configuration).ok();
+    let configured: Option<ConfiguredParts> = toml::from_str(&run.configuration).ok();
     let input = TrustInput {
         conditions: run.conditions.clone(),
         counts,
@@ -119,16 +119,16 @@ fn collect(
             .collect(),
         total: total.or_else(sensing),
         split: StageSplit::new(DelayAccuracy::sent(bounds), |name| {
-            figures(name).map(|figures| (figures.count, figures.mean))
+            statistics_of(name).map(|statistics| (statistics.count, statistics.mean))
         }),
-        overrun: figures(OVERRUN).map(|figures| figures.mean),
+        overrun: statistics_of(OVERRUN).map(|statistics| statistics.mean),
         superseded: run.summary.actuator.superseded,
         restarts: Restarts::NODES
             .into_iter()
             .filter_map(|(owner, name, _)| {
-                let figures = figures(&name)?;
-                let seconds = figures.mean * figures.count as f64;
-                Some(Restarts { owner, count: figures.count, seconds, iterations: Vec::new() })
+                let statistics = statistics_of(&name)?;
+                let seconds = statistics.mean * statistics.count as f64;
+                Some(Restarts { owner, count: statistics.count, seconds, iterations: Vec::new() })
             })
             .collect(),
         clocks: bounds
@@ -136,7 +136,7 @@ fn collect(
             .map(|bound| Clocks {
                 stage: bound.stage.to_string(),
                 verdicts: bound.verdicts.clone(),
-                delay: figures(&bound.stage).map(|figures| figures.p50),
+                delay: statistics_of(&bound.stage).map(|statistics| statistics.p50),
                 half_width: bound.half_width.map(|width| width.p50),
             })
             .collect(),
@@ -144,12 +144,12 @@ fn collect(
         accuracy: ACCURACIES
             .into_iter()
             .filter_map(|name| {
-                let scores = figures(name)?;
+                let scores = statistics_of(name)?;
                 Some((name.to_owned(), Accuracy::from_mean(scores.mean, scores.count, counts.ok)?))
             })
             .collect(),
-        unknown_labels: figures(UNKNOWN_LABEL)
-            .and_then(|figures| UnknownLabels::new(figures.count, &run.facts)),
+        unknown_labels: statistics_of(UNKNOWN_LABEL)
+            .and_then(|statistics| UnknownLabels::new(statistics.count, &run.facts)),
         ..TrustInput::default()
     };
     input.with_end_reason(run.summary.reason.as_ref()).with_facts(&run.facts)
@@ -157,7 +157,7 @@ fn collect(
 
 /// Part of a run's configuration that a report needs.
 #[derive(Clone, Copy, Deserialize)]
-struct Configured {
+struct ConfiguredParts {
     #[serde(default)]
     limit: Limits,
     #[serde(default)]

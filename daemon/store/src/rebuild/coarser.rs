@@ -61,7 +61,7 @@ async fn rebuild_run(connection: &mut SqliteConnection, run: i64) -> Result<(), 
         .fetch_one(&mut *connection)
         .await?;
         let Some(first) = first else { break };
-        // An hour at a time, so that memory stays bounded.
+        // One hour is read at a time, so that memory stays bounded.
         from = bucket(first, HOUR_S).saturating_add(HOUR_S);
         let rows: Vec<RollupRow> =
             sqlx::query_as(TENS).bind(run).bind(first).bind(from).fetch_all(&mut *connection).await?;

@@ -40,7 +40,7 @@ const SKIPPED_STARTS: &str = "UPDATE run SET skipped_starts = CAST(coalesce(max(
 
 /// Makes the roll-ups of a run, or of all runs, from the nodes that still exist.
 ///
-/// Each run has its own transaction, so that a run has either its old statistics or its new statistics. `progress` is called after
+/// Each run has its own transaction, so a run has either its old statistics or its new statistics. `progress` is called after
 /// every few hundred iterations, and after each run.
 ///
 /// # Errors

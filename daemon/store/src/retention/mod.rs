@@ -225,7 +225,7 @@ impl Retention {
         let now_s = whole_seconds(storage_clock.advance(connection, now).await?);
         let mut deletions = Vec::new();
         self.perform(connection, work, (now_s, now), max_cost, &mut deletions).await?;
-        // In the same transaction: no data is deleted without a record.
+        // This is in the same transaction: no data is deleted without a record.
         self.deletions.record(connection, &deletions, (now_s, now.wall)).await?;
         raw_transaction::commit(connection).await
     }

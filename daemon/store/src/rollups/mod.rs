@@ -31,7 +31,7 @@ pub(crate) const WIDTHS_S: [i64; 4] = [1, 10, 60, 3600];
 pub(crate) const WHOLE_RUN: i64 = 0;
 /// Maximum memory for growing buckets, bytes. Beyond it, the buckets of the runs that were written least recently are removed and
 /// read again when needed. It is enough for some thousand runs with usual trees.
-const MAX_BYTES: usize = 96 << 20;
+const MAX_CACHE_BYTES: usize = 96 << 20;
 
 /// Quantity of a node of which statistics are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -156,7 +156,7 @@ impl Rollups {
                 let covered: Vec<Addition> = additions.iter().filter(is_covered).cloned().collect();
                 growing.add(connection, width_s, &covered, &mut rows).await?;
             }
-            // In the order of the table's primary key, so that neighbouring rows are on the same page.
+            // The rows are sorted in the order of the table's primary key, so that neighbouring rows are on the same page.
             rows[first_row..].sort_unstable_by_key(RollupRow::key);
             growing.shrink(self.transaction);
             self.bytes += growing.bytes();
@@ -166,7 +166,7 @@ impl Rollups {
         let mut verdicts: Vec<_> = self.verdicts.drain().collect();
         verdicts.sort_unstable();
         self.upserts.verdicts(connection, &verdicts).await?;
-        self.evict(MAX_BYTES);
+        self.evict(MAX_CACHE_BYTES);
         Ok(())
     }
 

@@ -373,7 +373,7 @@ async fn quarantined_batch_leaves_gap_and_no_clock_samples() {
         generate::iteration(RunId::random(), 9, (HostId::random(), test_store.cloud), &mut numbers);
     let live = link(sample(test_store.cloud, 3, 40));
     let bad = test_store.batch(vec![event(sample(test_store.cloud, 2, 40)), Event::Iteration(foreign)]);
-    let good = test_store.batch(vec![event(live.now)]);
+    let good = test_store.batch(vec![event(live.latest_sample)]);
     let committed = test_store.commit(&[bad, good]).await;
     assert_eq!(committed.quarantined.len(), 1);
     assert_eq!(test_store.count("SELECT count(*) FROM clock_sample").await, 1);

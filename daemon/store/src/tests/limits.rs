@@ -66,7 +66,7 @@ async fn log_is_emptied_after_last_reader() {
     sqlx::raw_sql("BEGIN; SELECT count(*) FROM host").execute(&mut reader).await.expect("reads");
     test_store.run_of(200).await;
     let grown = bytes();
-    // While a reader is active the log keeps its size, and nothing waits.
+    // While a reader is active the write-ahead log keeps its size, and nothing waits.
     test_store.writer.bound_log(grown / 2).await.expect("tries");
     assert_eq!(bytes(), grown);
     sqlx::raw_sql("COMMIT").execute(&mut reader).await.expect("ends");

@@ -152,7 +152,7 @@ async fn damaged_page_is_reported() {
     assert!(problems(&report).iter().any(|problem| problem.contains("damaged")), "{report:?}");
     assert!(report.findings.iter().all(|finding| !finding.advice.is_empty()));
 
-    // Also a file that is no database, and the database of another program.
+    // The same applies to a file that is no database, and to the database of another program.
     file.write_all_at(&[0xa5; 100], 0).expect("writes");
     let report = examine(&copy, QUICK).await.expect("opens");
     assert!(problems(&report).iter().any(|problem| problem.contains("not a database")), "{report:?}");

@@ -26,7 +26,7 @@ mod plans;
 mod queries;
 mod rebuilding;
 mod recomputing;
-mod recomputing_by_raw;
+mod recomputing_by_raw_clocks;
 mod repairing;
 mod retention;
 mod retention_size;
@@ -50,7 +50,7 @@ use tempfile::TempDir;
 
 use super::integrity::Integrity;
 use super::readers::Readers;
-use super::write::{Committed, Introduction, Work, Writer};
+use super::write::{CommitResult, Introduction, Work, Writer};
 use super::{Store, database};
 use crate::RetentionConfig;
 
@@ -113,7 +113,7 @@ impl TestStore {
         BatchHead { host, stream, process: PROCESS, number, previous_chain, chain, events, events_before }
     }
 
-    async fn commit(&mut self, work: &[Work]) -> Committed {
+    async fn commit(&mut self, work: &[Work]) -> CommitResult {
         self.writer.commit(work, STAMP).await.expect("commits")
     }
 

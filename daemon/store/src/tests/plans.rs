@@ -10,7 +10,7 @@ use super::TestStore;
 use crate::read::sql;
 
 /// Tables that grow with every iteration or second. A look-up in such a table must use at least one of these lists of
-/// columns, in the order of a key, so that it finds a few rows only.
+/// columns, in the order of a key, so it finds a few rows only.
 const LARGE: [(&str, &[&str]); 7] = [
     ("node", &["run=? AND iteration=?"]),
     ("transit", &["run=? AND iteration=?", "(run,iteration)"]),

@@ -37,15 +37,15 @@ async fn statistics_of_run_are_those_of_its_iterations() {
         sorted.sort_by(f64::total_cmp);
         let mean = exact.iter().sum::<f64>() / exact.len() as f64;
         let std = (exact.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (exact.len() - 1) as f64).sqrt();
-        let figures = statistics.figures;
-        assert_eq!(figures.count, 400, "{name}");
-        assert!(is_close(figures.mean, mean), "{name}: {} {mean}", figures.mean);
-        assert!((figures.std.expect("many") - std).abs() <= 1e-9 * mean.abs(), "{name}");
-        assert_eq!((figures.min, figures.max), (sorted[0], sorted[399]), "{name}");
-        for (q, figure) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
+        let quantity = statistics.figures;
+        assert_eq!(quantity.count, 400, "{name}");
+        assert!(is_close(quantity.mean, mean), "{name}: {} {mean}", quantity.mean);
+        assert!((quantity.std.expect("many") - std).abs() <= 1e-9 * mean.abs(), "{name}");
+        assert_eq!((quantity.min, quantity.max), (sorted[0], sorted[399]), "{name}");
+        for (q, quantile) in [(0.5, Some(quantity.p50)), (0.95, quantity.p95), (0.99, quantity.p99)] {
             let exact = sorted[(q * 399.0_f64).round() as usize];
-            let figure = figure.expect("enough samples");
-            assert!((figure - exact).abs() <= 0.0101 * exact.abs(), "{name} at {q}: {figure} {exact}");
+            let quantile = quantile.expect("enough samples");
+            assert!((quantile - exact).abs() <= 0.0101 * exact.abs(), "{name} at {q}: {quantile} {exact}");
         }
     }
     let names: Vec<&str> = stages.iter().map(|statistics| statistics.stage.as_str()).collect();

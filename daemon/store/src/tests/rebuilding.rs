@@ -163,8 +163,13 @@ async fn invalid_statistics_do_not_block_writer_and_are_rebuilt() {
     let total = stages.iter().find(|statistics| statistics.stage == stage::TOTAL).expect("known").figures;
     assert_eq!(total.count, 160);
     for statistics in stages {
-        let figures = statistics.figures;
-        let all = [Some(figures.mean), figures.std, Some(figures.min), Some(figures.p50), Some(figures.max)];
-        assert!(all.iter().flatten().all(|number| number.abs() < 1e140), "{}: {figures:?}", statistics.stage);
+        let quantity = statistics.figures;
+        let all =
+            [Some(quantity.mean), quantity.std, Some(quantity.min), Some(quantity.p50), Some(quantity.max)];
+        assert!(
+            all.iter().flatten().all(|number| number.abs() < 1e140),
+            "{}: {quantity:?}",
+            statistics.stage
+        );
     }
 }

@@ -7,12 +7,12 @@ use peernet_stream::{Event, Iteration, Outcome};
 use super::simulation::{Simulation, delays};
 use super::{TestStore, generate};
 use crate::read::recompute::rejudge_delays;
-use crate::types::{Judgement, Recomputed, RecomputedStage};
+use crate::types::{Judgement, RecomputedDelays, RecomputedStage};
 
 /// Number of seconds before, within and after the run.
 pub(super) const SECONDS: (i64, i64, i64) = (5, 60, 60);
 
-pub(super) struct Simulated {
+pub(super) struct SimulatedRun {
     pub(super) iterations: Vec<Iteration>,
     /// The true one-way delays of each iteration: up, down.
     pub(super) true_delays: Vec<(Span, Span)>,
@@ -23,7 +23,7 @@ async fn simulate(
     test_store: &mut TestStore,
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
-) -> Simulated {
+) -> SimulatedRun {
     simulate_by(test_store, RelatedClocks::Wall, seconds, change).await
 }
 
@@ -33,7 +33,7 @@ pub(super) async fn simulate_by(
     clocks: RelatedClocks,
     seconds: (i64, i64, i64),
     change: impl FnMut(i64, &mut Simulation),
-) -> Simulated {
+) -> SimulatedRun {
     let simulation = Simulation::new(test_store.hosts(), clocks);
     simulate_further(test_store, simulation, seconds, change).await
 }
@@ -44,7 +44,7 @@ pub(super) async fn simulate_further(
     mut simulation: Simulation,
     seconds: (i64, i64, i64),
     mut change: impl FnMut(i64, &mut Simulation),
-) -> Simulated {
+) -> SimulatedRun {
     let run = RunId::random();
     let mut all = Vec::new();
     let mut events = vec![generate::run_started(run, "line", generate::at(0.0))];
@@ -61,14 +61,14 @@ pub(super) async fn simulate_further(
         events.chunks(100).map(<[Event]>::to_vec).map(|events| test_store.batch(events)).collect();
     let committed = test_store.commit(&work).await;
     assert!(committed.quarantined.is_empty(), "{:?}", committed.quarantined);
-    Simulated { iterations: all, true_delays: simulation.true_delays }
+    SimulatedRun { iterations: all, true_delays: simulation.true_delays }
 }
 
-pub(super) async fn recompute(test_store: &TestStore) -> Recomputed {
+pub(super) async fn recompute(test_store: &TestStore) -> RecomputedDelays {
     recompute_run(test_store, 1).await
 }
 
-pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recomputed {
+pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> RecomputedDelays {
     let recomputed = test_store.store.recompute(run).await.expect("answers").expect("exists");
     // The judgement before agrees with the statistics.
     let stages = test_store.store.statistics_of(run).await.expect("answers").stages;
@@ -85,7 +85,7 @@ pub(super) async fn recompute_run(test_store: &TestStore, run: i64) -> Recompute
     recomputed
 }
 
-pub(super) fn stage<'a>(recomputed: &'a Recomputed, name: &str) -> (&'a Judgement, &'a Judgement) {
+pub(super) fn stage<'a>(recomputed: &'a RecomputedDelays, name: &str) -> (&'a Judgement, &'a Judgement) {
     let found_stage = recomputed.stages.iter().find(|candidate| candidate.stage == name);
     found_stage.map(|candidate| (&candidate.before, &candidate.after)).expect("has the stage")
 }
@@ -99,11 +99,11 @@ pub(super) fn verdict_count(judgement: &Judgement, verdict: Verdict) -> u64 {
 }
 
 /// Asserts that the bounds of every delay that is judged again contain the true delay and lie within the bounds before.
-pub(super) async fn assert_sound(test_store: &TestStore, simulated: &Simulated) {
+pub(super) async fn assert_sound(test_store: &TestStore, simulated: &SimulatedRun) {
     assert_run_is_sound(test_store, 1, simulated).await;
 }
 
-pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &Simulated) {
+pub(super) async fn assert_run_is_sound(test_store: &TestStore, run: i64, simulated: &SimulatedRun) {
     let mut judged = 0;
     let samples = rejudge_delays(&test_store.store.readers, run, |delay| {
         let (Some(before), Some(after)) = (delay.before, delay.after) else { panic!("judged: {delay:?}") };

@@ -28,7 +28,7 @@ async fn database_is_whole_after_repair_of_any_page() {
     test_store.run_of(60).await;
     let mut other = test_store.other().await;
     sqlx::query("UPDATE storage_clock SET elapsed_ns = 123456789").execute(&mut other).await.expect("sets");
-    // A connection that is only dropped closes later, and keeps the others from carrying the log over into the file.
+    // A connection that is only dropped closes later, and keeps the others from carrying the write-ahead log over into the file.
     other.close().await.expect("closes");
     let TestStore { _folder, path: intact_path, writer, store, .. } = test_store;
     store.close().await;

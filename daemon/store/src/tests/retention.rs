@@ -187,7 +187,7 @@ async fn each_kind_is_deleted_after_its_period_except_pinned_runs() {
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 1").await, 4);
     assert_eq!(test_store.count("SELECT count(*) FROM trimmed WHERE run = 2").await, 0);
 
-    // The run's figures are the same as before, in wider points.
+    // The run's numbers are the same as before, in wider points.
     assert_eq!(test_store.store.statistics_of(1).await.expect("answers").stages, stages);
     let filter = IterationFilter::default();
     let listed = test_store.store.iterations(1, &filter).await.expect("answers");

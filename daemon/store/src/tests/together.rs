@@ -48,7 +48,7 @@ async fn merged_quantiles_are_within_one_percent() {
         "each run has too few readings"
     );
     let together = RunStatistics::merged(&statistics);
-    let figures = range_statistics(&together);
+    let range_of_all = range_statistics(&together);
 
     let mut all_readings = runs.concat();
     all_readings.sort_by(f64::total_cmp);
@@ -56,10 +56,13 @@ async fn merged_quantiles_are_within_one_percent() {
     let std = (all_readings.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
         / (all_readings.len() - 1) as f64)
         .sqrt();
-    assert_eq!((figures.count, figures.min, figures.max), (390, all_readings[0], all_readings[389]));
-    assert!((figures.mean - mean).abs() < 1e-9 * mean, "{figures:?} {mean}");
-    assert!((figures.std.expect("many") - std).abs() < 1e-9 * std, "{figures:?} {std}");
-    for (q, quantile) in [(0.5, Some(figures.p50)), (0.95, figures.p95), (0.99, figures.p99)] {
+    assert_eq!(
+        (range_of_all.count, range_of_all.min, range_of_all.max),
+        (390, all_readings[0], all_readings[389])
+    );
+    assert!((range_of_all.mean - mean).abs() < 1e-9 * mean, "{range_of_all:?} {mean}");
+    assert!((range_of_all.std.expect("many") - std).abs() < 1e-9 * std, "{range_of_all:?} {std}");
+    for (q, quantile) in [(0.5, Some(range_of_all.p50)), (0.95, range_of_all.p95), (0.99, range_of_all.p99)] {
         let rank = q * 389.0_f64;
         let (below, above) = (all_readings[rank.floor() as usize], all_readings[rank.ceil() as usize]);
         let (exact, quantile) = (below + (above - below) * rank.fract(), quantile.expect("enough together"));

@@ -179,7 +179,7 @@ async fn commit_without_log_is_not_acknowledged() {
     store.close().await;
     writer.close().await.1.expect("closes");
     let mut writer = open(&path).await;
-    // SQLite has checkpointed the log that it had open; the refused commit is not stored.
+    // SQLite has checkpointed the write-ahead log that it had open; the refused commit is not stored.
     assert_eq!(writer.streams().marks.get(&stream).map(|mark| mark.stored), Some(1));
     assert_eq!(writer.commit(&work, STAMP).await.expect("commits").marks[&stream].stored, 2);
 }
@@ -298,7 +298,7 @@ async fn replaced_spool_leaves_one_gap() {
     test_store.writer = open(&test_store.path).await;
     assert!(test_store.writer.streams().marks.is_empty(), "no batch of any stream is stored");
     let hello = hello_of(test_store.edge, StreamId::from_bytes([9; 16]), None);
-    let known = StreamRecord { was_used: true, last: Some(hello.stream), ..StreamRecord::default() };
+    let known = StreamRecord { was_used: true, last_stream: Some(hello.stream), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().record(&hello, None), known);
 }
 
@@ -310,7 +310,7 @@ async fn missing_batches_of_previous_stream_are_one_gap() {
     let mark = test_store.commit(&[work]).await.marks[&old];
     test_store.writer = open(&test_store.path).await;
     let hello = hello_of(test_store.edge, new, Some(old));
-    let known = StreamRecord { last: Some(old), previous: Some(mark), ..StreamRecord::default() };
+    let known = StreamRecord { last_stream: Some(old), previous_mark: Some(mark), ..StreamRecord::default() };
     assert_eq!(test_store.writer.streams().record(&hello, None), known);
     let (host, missing_previous) =
         (hello.host, Some(MissingPreviousBatches { stream: old, from: 2, through: 4, events: Some(17) }));

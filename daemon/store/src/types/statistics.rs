@@ -17,14 +17,14 @@ use crate::figures::{DelayAccuracy, QuantityStatistics, rank};
 pub struct StageStatistics {
     /// The node's name.
     pub stage: Name,
-    /// Unit of the figures: `s`, `B`, `bit/s` or the user's own.
+    /// Unit of the values: `s`, `B`, `bit/s` or the user's own.
     pub unit: String,
     /// `true` if the name is one of the stages that add up to `stages-total`.
     pub is_stage: bool,
-    /// The figures.
+    /// Statistics of the values.
     pub figures: QuantityStatistics,
-    /// Share of the name in the mean of `total`, 0 to 1; `None` if the name is no duration. An unknown delay counts as the mean of the known
-    /// delays. The share of a child is also part of its parent's share.
+    /// Share of the nodes with this name in the mean of `total`, 0 to 1; `None` if they measure no duration. An unknown delay counts as the
+    /// mean of the known delays. The share of a child is also part of its parent's share.
     pub share: Option<f64>,
     /// Accuracy of one-way delays; `None` for other names.
     pub bound: Option<DelayAccuracy>,
@@ -33,10 +33,10 @@ pub struct StageStatistics {
 /// Statistics of a whole run, or of several runs together.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunStatistics {
-    /// Statistics of each node name, in the order of tables.
+    /// Statistics of each node name, in the order in which tables list the names: stages first.
     pub stages: Vec<StageStatistics>,
-    /// Accuracy of the one-way delays: `upload`, `download`. It is also present if no delay had a value, so that `stages` does not
-    /// contain the name.
+    /// Accuracy of the one-way delays: `upload`, `download`. A direction is present even if none of its delays has a value; `stages` then
+    /// lacks the name.
     pub bounds: Vec<DelayAccuracy>,
     /// The mergeable sums from which `stages` and `bounds` were made.
     pub mergeable: Arc<MergeableStatistics>,
@@ -89,7 +89,7 @@ impl NameSummary {
         Self { unit: unit.to_owned(), summary: Summary::default() }
     }
 
-    pub(crate) fn figures(&self) -> Option<QuantityStatistics> {
+    pub(crate) fn statistics(&self) -> Option<QuantityStatistics> {
         QuantityStatistics::from_summary(&self.summary)
     }
 }
@@ -100,7 +100,7 @@ impl MergeableStatistics {
         self.values.get(name).map(|entry| &entry.summary)
     }
 
-    /// Adds values of a node name. Values of a name that was used with several kinds are merged.
+    /// Adds values of a node name. If nodes with this name have several kinds of measure, their values are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
         self.values.entry(name).or_insert_with(|| NameSummary::with_unit(unit)).summary.merge(values);
     }
@@ -133,7 +133,7 @@ impl MergeableStatistics {
     }
 
     fn stages(&self) -> Vec<StageStatistics> {
-        let sent = DelayAccuracy::sent(&self.bounds());
+        let sent_counts = DelayAccuracy::sent(&self.bounds());
         let mean_of = |name: &str| {
             let moments = self.values.get(name)?.summary.moments;
             (moments.count > 0).then_some((moments.count, moments.mean))
@@ -143,8 +143,8 @@ impl MergeableStatistics {
                 stage: stage.clone(),
                 unit: values.unit.clone(),
                 is_stage: stage::ORDER.contains(stage),
-                figures: values.figures()?,
-                share: share_of_total(stage, sent, mean_of).filter(|_| values.unit == "s"),
+                figures: values.statistics()?,
+                share: share_of_total(stage, sent_counts, mean_of).filter(|_| values.unit == "s"),
                 bound: self.bound(stage),
             })
         });

@@ -92,7 +92,7 @@ fn direction(reported: Option<&DirectionStatistics>, to: &mut SqliteArguments) -
     datagrams.into_iter().try_for_each(|count| to.add(count.map(column)))
 }
 
-/// Adds the three figures of a transport's round trip.
+/// Adds the three numbers of a transport's round trip.
 fn round_trip(reported: Option<&ConnectionStatistics>, to: &mut SqliteArguments) -> Result<(), BoxDynError> {
     let trip = reported.and_then(|reported| reported.round_trip);
     to.add(trip.and_then(|trip| trip.min).map(Span::nanos))?;

@@ -49,7 +49,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that the process of a host has ended, so that the host's runs that are stored so far have ended, too.
+    /// Records that the process of a host has ended, so the host's runs that are stored so far have ended, too.
     pub(super) async fn end_process(
         &mut self,
         connection: &mut SqliteConnection,
@@ -61,7 +61,7 @@ impl RunEnds {
         Ok(())
     }
 
-    /// Records that a run of a pipeline started, so that the pipeline's earlier runs have ended.
+    /// Records that a run of a pipeline started, so the pipeline's earlier runs have ended.
     pub(super) fn record_next_run(&mut self, pipeline: i64, run: i64) {
         self.pipelines.push((pipeline, run));
     }

@@ -14,8 +14,8 @@ pub enum CommitError {
     /// The path names another file or no file: data that is written now is lost when this process ends.
     #[error("the database file {} was deleted, moved or replaced, or its file system is not mounted; put it back, or restart the aggregator to use the file that is there now", .0.display())]
     Moved(PathBuf),
-    /// The path of the log names another file or no file: data that is written now is lost when this process is killed.
-    #[error("the log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
+    /// The path of the write-ahead log names another file or no file: data that is written now is lost when this process is killed.
+    #[error("the write-ahead log {} of the database was deleted, moved or replaced while it was in use", .0.display())]
     LogMoved(PathBuf),
     /// The file is damaged. The text describes the damage and what to do.
     #[error("{0}")]
@@ -57,17 +57,17 @@ pub(super) struct DatabaseFile {
     path: PathBuf,
     identity: Identity,
     log_path: PathBuf,
-    /// Identity of the log. SQLite creates the log with the first connection and removes it with the last connection. While the writer
+    /// Identity of the write-ahead log. SQLite creates the log with the first connection and removes it with the last connection. While the writer
     /// is connected, the log is the same file, even if it is checkpointed and written from its start again.
     log: Log,
 }
 
-/// State of the log file.
+/// State of the write-ahead log file.
 #[derive(Debug)]
 enum Log {
-    /// The log was not examined since the connection was made.
+    /// The write-ahead log was not examined since the connection was made.
     Unknown,
-    /// Identity when the log was examined; `None` if there was no log although something had been committed.
+    /// Identity when the write-ahead log was examined; `None` if there was no log although something had been committed.
     Examined(Option<Identity>),
 }
 
@@ -90,12 +90,12 @@ impl DatabaseFile {
         }
     }
 
-    /// Returns the path of the log.
+    /// Returns the path of the write-ahead log.
     pub(super) fn log_path(&self) -> &Path {
         &self.log_path
     }
 
-    /// Records the identity of the log. The connection must have committed or read before.
+    /// Records the identity of the write-ahead log. The connection must have committed or read before.
     pub(super) fn record_log(&mut self) {
         if matches!(self.log, Log::Unknown) {
             self.log = Log::Examined(identity(&self.log_path).ok());
@@ -124,7 +124,7 @@ impl FormerFiles {
         Self(file)
     }
 
-    /// Returns the path of the log if another file is at the database's path but the log is still the former one and not empty.
+    /// Returns the path of the write-ahead log if another file is at the database's path but the log is still the former one and not empty.
     pub fn leftover_log(&self) -> Option<PathBuf> {
         let Self(file) = self;
         let is_replaced = identity(&file.path).ok() != Some(file.identity);

@@ -53,12 +53,12 @@ use crate::retention_config::RetentionConfig;
 use crate::storage_clock::StorageClock;
 use crate::stored::StoredCounts;
 
-/// Checkpoints the whole log into the file and empties the log, unless a reader is active.
+/// Checkpoints the whole log into the file and empties the write-ahead log, unless a reader is active.
 const CHECKPOINT_AND_TRUNCATE: &str = "PRAGMA wal_checkpoint(TRUNCATE)";
 
 /// Result of a transaction.
 #[derive(Debug, Default)]
-pub struct Committed {
+pub struct CommitResult {
     /// New marks: all batches of a stream up to the mark's number are stored.
     pub marks: HashMap<StreamId, Mark>,
     /// Totals of each host concerned, and the time of its newest event on the host's clock.
@@ -92,7 +92,7 @@ pub struct Writer {
     streams: Streams,
     /// Results of the parts of a group that were committed before another part failed. They are returned when the group is
     /// committed again.
-    unreported: Committed,
+    unreported: CommitResult,
 }
 
 impl Writer {
@@ -113,7 +113,7 @@ impl Writer {
             storage_clock: StorageClock::default(),
             last_wall,
             streams,
-            unreported: Committed::default(),
+            unreported: CommitResult::default(),
         })
     }
 
@@ -121,7 +121,7 @@ impl Writer {
     pub async fn close(mut self) -> (FormerFiles, Result<(), DatabaseError>) {
         self.retention.finish();
         if self.file.check().is_err() {
-            // SQLite leaves the log of a moved file behind, and would apply it to any file that takes the place of the moved file. The
+            // SQLite leaves the write-ahead log of a moved file behind, and would apply it to any file that takes the place of the moved file. The
             // log is therefore checkpointed now, through the open descriptors, so that the moved file is complete without it.
             if let Err(error) = sqlx::query(CHECKPOINT_AND_TRUNCATE).execute(&mut self.connection).await {
                 tracing::warn!(%error, log = %self.file.log_path().display(), "cannot checkpoint the write-ahead log into the database that was moved");
@@ -143,7 +143,7 @@ impl Writer {
     /// When the database cannot store anything now. The same work may be committed again: with this writer if the error
     /// [leaves the connection usable](CommitError::leaves_connection_usable), otherwise with a new writer. Also when the file
     /// or its log is no longer at its path; the work then does not count as stored.
-    pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<Committed, CommitError> {
+    pub async fn commit(&mut self, work: &[Work], now: Stamp) -> Result<CommitResult, CommitError> {
         self.check_file()?;
         // The remaining parts of the group. A part with an invalid batch is halved until the batch is alone in its part.
         let mut parts = vec![work];
@@ -206,7 +206,7 @@ impl Writer {
         let result = self.store_incidents_and_clocks(now, incidents).await;
         self.roll_back_on_error(result).await.map_err(DatabaseError::new)?;
         self.storage_clock.record_commit(now.mono);
-        // Only after the commit: incidents of a failed transaction are stored by the next one.
+        // This happens only after the commit: incidents of a failed transaction are stored by the next one.
         incidents.clear();
         self.file.record_log();
         Ok(())
@@ -240,7 +240,7 @@ impl Writer {
         Ok(())
     }
 
-    /// Checkpoints the log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
+    /// Checkpoints the write-ahead log and truncates it if its file has more bytes than `max_bytes`, unless a reader is active.
     ///
     /// SQLite writes the log from its start again only if no reader uses the log at the moment of a commit. One long reader, or many
     /// short readers that overlap, therefore make the log grow. Without further commits the log keeps its size.
@@ -296,7 +296,7 @@ impl Writer {
         part: &[Work],
         now: Stamp,
         mut reason: String,
-    ) -> Result<Committed, CommitError> {
+    ) -> Result<CommitResult, CommitError> {
         if let [Work::Batch(batch)] = part {
             let repeated =
                 repeated_iterations::find(&mut self.connection, batch).await.map_err(DatabaseError::new)?;
@@ -333,7 +333,7 @@ impl Writer {
         work: &[Work],
         now: Stamp,
         quarantine_reason: Option<&str>,
-    ) -> Result<Committed, Refusal> {
+    ) -> Result<CommitResult, Refusal> {
         let result = {
             let Self { staging, connection, streams, storage_clock, .. } = self;
             staging.run(connection, work, &streams.marks, (storage_clock, now), quarantine_reason).await
@@ -370,7 +370,7 @@ impl Writer {
     }
 }
 
-impl Committed {
+impl CommitResult {
     fn merge(&mut self, other: Self) {
         self.marks.extend(other.marks);
         self.hosts.extend(other.hosts);

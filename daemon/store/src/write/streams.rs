@@ -64,8 +64,8 @@ impl Streams {
         StreamRecord {
             mark: mark_of(hello.stream),
             was_used: self.introduced.contains(&hello.stream),
-            last: self.last_streams.get(&hello.host.id).copied(),
-            previous: hello.previous.and_then(mark_of),
+            last_stream: self.last_streams.get(&hello.host.id).copied(),
+            previous_mark: hello.previous.and_then(mark_of),
             seniority,
         }
     }
@@ -118,7 +118,7 @@ impl AdvancedStreams {
             .bind(introduction.stream.to_string())
             .execute(&mut *connection)
             .await?;
-        // A known stream: its gaps were stored with its first hello.
+        // The stream is known: its gaps were stored with its first hello.
         if update.rows_affected() > 0 {
             return Ok(StoredCounts::default());
         }

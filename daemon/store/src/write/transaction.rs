@@ -16,7 +16,7 @@ use super::prepared::{PreparedBatch, Step};
 use super::quarantine::RejectedBatch;
 use super::rows::{Inserts, ResolvedBatch};
 use super::streams::AdvancedStreams;
-use super::{Committed, Introduction, Refusal, Work, records, secrets};
+use super::{CommitResult, Introduction, Refusal, Work, records, secrets};
 use crate::raw_transaction;
 use crate::rollups::Rollups;
 use crate::storage_clock::StorageClock;
@@ -49,12 +49,12 @@ impl Staging {
         marks: &HashMap<StreamId, Mark>,
         (storage_clock, stamp): (&StorageClock, Stamp),
         quarantine_reason: Option<&str>,
-    ) -> Result<Committed, Refusal> {
+    ) -> Result<CommitResult, Refusal> {
         raw_transaction::begin(connection).await?;
         let elapsed = storage_clock.advance(connection, stamp).await?;
         let storage_s = elapsed.nanos().div_euclid(1_000_000_000);
         let now = stamp.wall;
-        let mut committed = Committed::default();
+        let mut committed = CommitResult::default();
         let mut batches = Vec::new();
         for item in work {
             let (head, rejected) = match (item, quarantine_reason) {

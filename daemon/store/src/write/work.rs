@@ -14,7 +14,7 @@ use super::prepared::PreparedBatch;
 pub enum Work {
     /// A host introduced itself.
     Hello(Box<Introduction>),
-    /// A host said goodbye, so that its runs have ended. Events in its spool may still follow.
+    /// A host said goodbye, so its runs have ended. Events in its spool may still follow.
     Goodbye(HostId),
     /// The name of a run, from a live update. So far the store has only iterations of this run.
     Name(Box<RunName>),

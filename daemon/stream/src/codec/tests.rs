@@ -195,7 +195,7 @@ fn wrong_number_of_events_is_refused() {
 
 #[test]
 fn body_that_decompresses_beyond_limit_is_refused() {
-    // The body compresses to almost nothing, so that only a wrong length in the head could pass the limit.
+    // The body compresses to almost nothing, so only a wrong length in the head could pass the limit.
     let body = vec![0; 8 * MAX_MESSAGE_BYTES];
     let mut frame = encode_batch(&head_of(5, 1, &body), &body, true);
     assert!(frame.len() < MAX_MESSAGE_BYTES);
@@ -221,7 +221,7 @@ fn clock_samples_arrive_unchanged() {
         probing,
         edge: Some(host_clock()),
         cloud: None,
-        now: clock(),
+        latest_sample: clock(),
         connections: Vec::new(),
         reflector: None,
     };

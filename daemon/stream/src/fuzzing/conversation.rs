@@ -42,11 +42,16 @@ fn drive_receiving(script: &mut Script<'_>) {
             0 => {
                 let hello = script.hello();
                 let mark = (script.byte() & 1 == 0).then(|| script.host()).map(|owner| script.mark(owner));
-                let last = (script.byte() & 1 == 0).then(|| script.stream());
-                let (was_used, previous) =
-                    (last == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
-                let record =
-                    StreamRecord { mark, was_used, last, previous, seniority: mark.map(|mark| mark.stored) };
+                let last_stream = (script.byte() & 1 == 0).then(|| script.stream());
+                let (was_used, previous_mark) =
+                    (last_stream == Some(hello.stream), mark.filter(|mark| mark.stored & 1 == 0));
+                let record = StreamRecord {
+                    mark,
+                    was_used,
+                    last_stream,
+                    previous_mark,
+                    seniority: mark.map(|mark| mark.stored),
+                };
                 if let HelloResult::Welcome { reply, missing, .. } =
                     receiving.handle_hello(&hello, record, now)
                 {
@@ -112,8 +117,8 @@ struct Agent {
     jobs: VecDeque<Action>,
     spool: Vec<SpooledBatch>,
     now: Stamp,
-    /// Position of the last request for an echo.
-    echo: u64,
+    /// Number of bytes that were sent before the last request for an echo.
+    echo_bytes: u64,
 }
 
 fn drive_sending(script: &mut Script<'_>) {
@@ -129,7 +134,7 @@ fn drive_sending(script: &mut Script<'_>) {
     let now = Stamp { wall: start_time(), ..Stamp::default() };
     let sending =
         Sending::new(config, host(HostId::from_bytes([1; 16])), HostSecret::from_bytes([9; 32]), 1, state);
-    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo: 0 };
+    let mut agent = Agent { sending, jobs: VecDeque::new(), spool: Vec::new(), now, echo_bytes: 0 };
     let mut last_sent = (stream, Chain::START, 0);
     for _ in 0..MAX_STEPS {
         if script.is_over() {
@@ -146,7 +151,7 @@ fn drive_sending(script: &mut Script<'_>) {
                             last_sent = (hello.stream, hello.previous_chain, hello.oldest - 1);
                         }
                         Ok(ToAggregator::Proof(_)) => {}
-                        Ok(ToAggregator::Echo { bytes, .. }) => agent.echo = bytes,
+                        Ok(ToAggregator::Echo { bytes, .. }) => agent.echo_bytes = bytes,
                         message => panic!("{message:?} was sent"),
                     },
                 },
@@ -172,7 +177,7 @@ impl Agent {
             }
             5 => match script.byte() % 8 {
                 2 => self.sending.record_live_sent(usize::from(script.byte()) * 64),
-                3 | 4 => drop(self.sending.on_message(&ToAgent::Echo { bytes: self.echo }, now)),
+                3 | 4 => drop(self.sending.on_message(&ToAgent::Echo { bytes: self.echo_bytes }, now)),
                 0 => self.sending.on_disconnected(),
                 1 => self.sending.flush(now.wall),
                 _ => self.sending.on_connected(now.mono),

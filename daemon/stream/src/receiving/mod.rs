@@ -98,9 +98,9 @@ pub struct StreamRecord {
     /// `true` if the host used that stream before.
     pub was_used: bool,
     /// Stream that the host used most recently.
-    pub last: Option<StreamId>,
+    pub last_stream: Option<StreamId>,
     /// Mark of the stream that the hello's stream continues.
-    pub previous: Option<Mark>,
+    pub previous_mark: Option<Mark>,
     /// Position in the order in which hosts were first stored: smaller for older hosts; `None` for a host of which
     /// nothing is stored.
     pub seniority: Option<u64>,
@@ -246,7 +246,7 @@ impl Receiving {
     /// [`MissingBatches`], even if the agent states that its stream began later than the mark. A hello whose oldest held
     /// batch is before the stream's first batch is refused.
     pub fn handle_hello(&mut self, hello: &Hello, record: StreamRecord, now: MonoTime) -> HelloResult {
-        let StreamRecord { mark, last, seniority, .. } = record;
+        let StreamRecord { mark, last_stream, seniority, .. } = record;
         let (host, stream) = (hello.host.id, hello.stream);
         match self.admission(hello, record, now) {
             Admission::Granted => {}
@@ -263,11 +263,11 @@ impl Receiving {
         }
         // A stream is new only once. Its gap is therefore recorded once, even if the agent reconnects often.
         let is_new = !record.was_used && mark.is_none() && !self.streams.contains_key(&stream);
-        let replaced = last.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
+        let replaced = last_stream.filter(|last| is_new && *last != stream && Some(*last) != hello.previous);
         let missing_previous = hello.previous.filter(|_| is_new).and_then(|previous| {
-            let from = record.previous.map_or(1, |mark| mark.stored.saturating_add(1));
+            let from = record.previous_mark.map_or(1, |mark| mark.stored.saturating_add(1));
             let through = hello.first - 1;
-            let stored = record.previous.map_or(Some(0), |mark| mark.events);
+            let stored = record.previous_mark.map_or(Some(0), |mark| mark.events);
             let events =
                 hello.events_before_first.zip(stored).map(|(sent, stored)| sent.saturating_sub(stored));
             // A process that died may have sent batches from memory, after the last batch in its spool. The newer
@@ -426,7 +426,7 @@ impl Receiving {
     /// claims large batches does not slow down the others.
     fn window(&self, host: HostId) -> u32 {
         let batch_bytes = self.hosts.get(&host).map_or(1, |session| session.batch_bytes);
-        // An equal share of the memory for each connected host, so that all of them together stay within the budget.
+        // Each connected host gets an equal share of the memory, so that all of them together stay within the budget.
         let share = self.config.budget_bytes / (self.hosts.len() as u64).max(1) / batch_bytes;
         u32::try_from(share).unwrap_or(u32::MAX).clamp(1, self.config.max_window.max(1))
     }

@@ -141,7 +141,7 @@ impl Progress {
         let Some((_, chain)) = pending_batch else {
             return Arrival::Pending;
         };
-        // The same number with other content: the spool is a copy or was restored. The hello compares both ends.
+        // The batch has the same number and other content: the spool is a copy or was restored. The hello compares both ends.
         if *chain != head.chain {
             return Arrival::Unknown(ToAgent::Unknown);
         }
@@ -161,7 +161,7 @@ impl Progress {
         let arrivals = earlier.map_or(0, |(_, arrivals)| arrivals) + 1;
         if arrivals < MAX_DAMAGED_ARRIVALS {
             self.damaged = Some((*head, arrivals));
-            // The batch answered the last request, so that a new request is needed.
+            // The batch answered the last request, so a new request is needed.
             self.requested = None;
             return Arrival::Rejected(self.request_next(head.stream));
         }

@@ -13,7 +13,7 @@ const LOSS_WRITE_INTERVAL: Span = Span::from_seconds(1);
 /// Last state written to the spool, and the transaction in progress.
 #[derive(Clone, Debug)]
 pub(super) struct Appends {
-    job: Job<Appending>,
+    job: Job<RunningAppend>,
     /// Totals that were written last.
     written: Totals,
     /// `true` if the last attempt failed.
@@ -27,7 +27,7 @@ pub(super) struct Appends {
 
 /// A transaction in progress.
 #[derive(Clone, Debug)]
-struct Appending {
+struct RunningAppend {
     /// Last batch and its chain; `None` if only the totals are written.
     last: Option<(u64, Chain)>,
     /// Bytes of the written bodies.
@@ -41,7 +41,7 @@ struct Appending {
 
 /// Result of a transaction.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Appended {
+pub(super) struct AppendResult {
     /// Last batch and its chain; `None` if only the totals were written.
     pub(super) last: Option<(u64, Chain)>,
     pub(super) bytes: u64,
@@ -114,16 +114,16 @@ impl Appends {
         let last = batches.last().map(|batch| (batch.number, batch.chain));
         let bytes = batches.iter().map(|batch| batch.body.len() as u64).sum();
         (self.started_at, self.were_batches_refused) = (now, false);
-        self.job.start(Appending { last, bytes, freed_bytes: 0, totals: totals.clone(), has_resolution });
+        self.job.start(RunningAppend { last, bytes, freed_bytes: 0, totals: totals.clone(), has_resolution });
     }
 
     /// Ends the transaction successfully. Returns its result; `None` if no transaction is in progress.
-    pub(super) fn finish(&mut self) -> Option<Appended> {
-        let Appending { last, bytes, freed_bytes, totals, has_resolution } = self.job.finish()?;
+    pub(super) fn finish(&mut self) -> Option<AppendResult> {
+        let RunningAppend { last, bytes, freed_bytes, totals, has_resolution } = self.job.end()?;
         // A transaction without a record of sent batches leaves the record in the file unchanged.
         let newest_sent = totals.newest_sent.or(self.written.newest_sent);
         self.written = Totals { newest_sent, ..totals };
-        Some(Appended { last, bytes, freed_bytes, has_resolution })
+        Some(AppendResult { last, bytes, freed_bytes, has_resolution })
     }
 
     /// Records that appending works again.
@@ -134,7 +134,7 @@ impl Appends {
     /// Ends the transaction as failed; `None` if no transaction is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
         // Only a transaction with batches is followed by one with the counts alone, which needs less space.
-        self.were_batches_refused = self.job.finish()?.last.is_some();
+        self.were_batches_refused = self.job.end()?.last.is_some();
         self.job.fail(now, pause);
         self.has_failed = true;
         Some(())

@@ -82,7 +82,7 @@ impl CompressionControl {
         }
     }
 
-    /// Records that the connection ended, so that the current wait is meaningless.
+    /// Records that the connection ended, so the current wait is meaningless.
     pub(super) fn record_interruption(&mut self) {
         self.full_since = None;
     }

@@ -295,7 +295,7 @@ impl Sending {
         };
         welcome.chain.is_none()
             || welcome.process == Some(self.spooler.process())
-            || self.renewal.earlier_newest_sent().iter().any(is_sender)
+            || self.renewal.newest_sent_by_earlier_processes().iter().any(is_sender)
     }
 
     fn begin_sending(&mut self, welcome: Welcome, has_lost_batches: bool, now: Stamp) {
@@ -319,7 +319,7 @@ impl Sending {
         self.notices.push_back(Notice::StreamRenewed { stored: last_stored, newest });
         let newest_sent = self
             .renewal
-            .earlier_newest_sent()
+            .newest_sent_by_earlier_processes()
             .iter()
             .find(|newest_sent| Some(newest_sent.process) == welcome.process);
         // If the aggregator has a different batch with a number that the process recorded as sent, nothing is certain.

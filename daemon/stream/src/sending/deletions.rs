@@ -14,7 +14,7 @@ const MAX_WAIT: Span = Span::from_seconds(1);
 /// Deletion of batches from the spool: the number up to which batches are deleted, and the batches that wait for deletion.
 #[derive(Clone, Debug)]
 pub(super) struct Deletions {
-    job: Job<Deleting>,
+    job: Job<RunningDeletion>,
     /// Number up to which the file contains no batch.
     through: u64,
     /// Bytes that batches which the aggregator stored still take in the file.
@@ -24,7 +24,7 @@ pub(super) struct Deletions {
 }
 
 #[derive(Clone, Copy, Debug)]
-struct Deleting {
+struct RunningDeletion {
     through: (u64, Chain),
     bytes: u64,
 }
@@ -82,20 +82,20 @@ impl Deletions {
     pub(super) fn start(&mut self, through: (u64, Chain)) {
         let bytes = std::mem::take(&mut self.waiting_bytes);
         self.waiting_since = None;
-        self.job.start(Deleting { through, bytes });
+        self.job.start(RunningDeletion { through, bytes });
     }
 
     /// Ends the deletion successfully. Returns the last batch and the number of deleted bytes; `None` if no deletion is in
     /// progress.
     pub(super) fn finish(&mut self) -> Option<((u64, Chain), u64)> {
-        let Deleting { through, bytes } = self.job.finish()?;
+        let RunningDeletion { through, bytes } = self.job.end()?;
         self.through = through.0;
         Some((through, bytes))
     }
 
     /// Ends the deletion as failed; `None` if no deletion is in progress.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
-        let Deleting { bytes, .. } = self.job.finish()?;
+        let RunningDeletion { bytes, .. } = self.job.end()?;
         self.add(bytes, now);
         self.job.fail(now, pause);
         Some(())

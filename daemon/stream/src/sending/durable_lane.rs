@@ -159,7 +159,7 @@ impl DurableLane {
 
     /// Sets the window that the aggregator allows.
     pub(super) fn set_window(&mut self, window: u32) {
-        // At least one batch: with a window of 0 nothing would ever be sent again.
+        // The window is at least one batch: with a window of 0 nothing would ever be sent again.
         self.window = window.clamp(1, self.config.window.max(1));
     }
 

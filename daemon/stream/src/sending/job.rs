@@ -40,8 +40,8 @@ impl<T> Job<T> {
         self.in_progress = Some(work);
     }
 
-    /// Ends the work successfully; `None` if none was requested.
-    pub(super) const fn finish(&mut self) -> Option<T> {
+    /// Ends the work and returns it; `None` if none is in progress.
+    pub(super) const fn end(&mut self) -> Option<T> {
         self.in_progress.take()
     }
 

@@ -156,7 +156,7 @@ impl Sending {
         self.spooler.unspooled_events()
     }
 
-    /// Returns the goodbye frame; `None` if the aggregator has not accepted this host, so that a refused copy cannot
+    /// Returns the goodbye frame; `None` if the aggregator has not accepted this host, so a refused copy cannot
     /// end the host's session.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
         // Determined before the connection's state is discarded.
@@ -165,7 +165,7 @@ impl Sending {
         was_accepted.then(|| codec::encode(&ToAggregator::Goodbye(self.host.id)))
     }
 
-    /// Returns whether the aggregator has accepted this host, so that live updates are useful.
+    /// Returns whether the aggregator has accepted this host, so live updates are useful.
     pub const fn is_up(&self) -> bool {
         self.session.is_up()
     }

@@ -100,14 +100,14 @@ impl SpoolReader {
         backlog: &Backlog,
         now: MonoTime,
     ) -> Option<Action> {
-        // One read at a time, and none soon after a failure.
+        // There is one read at a time, and none soon after a failure.
         if !self.job.may_start(now) {
             return None;
         }
         let part = backlog.part_bytes();
         let (loading, from, bytes) = match (state, self.gap) {
             (ConnectionState::Comparing { scan, .. }, _) => (LoadPurpose::Scan(scan.next), scan.next, part),
-            // One byte: the search needs the next batch only.
+            // The limit is one byte: the search needs the next batch only.
             (_, Some(SpoolGap::Open(at))) => (LoadPurpose::Probe(at), at, 1),
             (_, Some(SpoolGap::Closed(..))) => return None,
             // Without a connection nothing is sent, so nothing is read ahead.
@@ -128,12 +128,12 @@ impl SpoolReader {
 
     /// Ends the reading successfully. Returns its purpose; `None` if nothing was requested.
     pub(super) const fn finish(&mut self) -> Option<LoadPurpose> {
-        self.job.finish()
+        self.job.end()
     }
 
     /// Ends the reading as failed; `None` if nothing was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
-        self.job.finish()?;
+        self.job.end()?;
         self.job.fail(now, pause);
         Some(())
     }

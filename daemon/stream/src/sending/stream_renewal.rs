@@ -8,19 +8,19 @@ use super::spooler::EventSpooler;
 use crate::StreamId;
 use crate::totals::NewestSentBatch;
 
-/// Move of the spool to a new stream, and the processes that sent batches in the current one.
+/// Move of the spool to a new stream, and the newest batches that earlier processes sent in the current one.
 #[derive(Clone, Debug)]
 pub(super) struct StreamRenewal {
     /// Stream to continue in. Nothing is sent until the spool belongs to it.
     requested: Option<StreamId>,
     job: Job<StreamId>,
     /// Batches that earlier processes may have sent in the current stream.
-    earlier_newest_sent: Vec<NewestSentBatch>,
+    newest_sent_by_earlier_processes: Vec<NewestSentBatch>,
 }
 
 impl StreamRenewal {
-    pub(super) fn new(earlier_newest_sent: Vec<NewestSentBatch>) -> Self {
-        Self { requested: None, job: Job::default(), earlier_newest_sent }
+    pub(super) fn new(newest_sent_by_earlier_processes: Vec<NewestSentBatch>) -> Self {
+        Self { requested: None, job: Job::default(), newest_sent_by_earlier_processes }
     }
 
     /// Returns whether the current stream is to be left.
@@ -34,8 +34,8 @@ impl StreamRenewal {
     }
 
     /// Returns the batches that earlier processes may have sent in the current stream.
-    pub(super) fn earlier_newest_sent(&self) -> &[NewestSentBatch] {
-        &self.earlier_newest_sent
+    pub(super) fn newest_sent_by_earlier_processes(&self) -> &[NewestSentBatch] {
+        &self.newest_sent_by_earlier_processes
     }
 
     /// Returns the next action.
@@ -61,15 +61,13 @@ impl StreamRenewal {
     /// Ends the move successfully, and returns the new stream, in which no earlier process has sent. `None` if no move was
     /// requested.
     pub(super) fn finish(&mut self) -> Option<StreamId> {
-        let stream = self.job.finish()?;
-        (self.requested, self.earlier_newest_sent) = (None, Vec::new());
+        let stream = self.job.end()?;
+        (self.requested, self.newest_sent_by_earlier_processes) = (None, Vec::new());
         Some(stream)
     }
 
     /// Ends the move as failed; `None` if no move was requested.
     pub(super) fn fail(&mut self, now: MonoTime, pause: Span) -> Option<()> {
-        self.job.finish()?;
-        self.job.fail(now, pause);
-        Some(())
+        self.job.is_in_progress().then(|| self.job.fail(now, pause))
     }
 }

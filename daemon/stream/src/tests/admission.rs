@@ -150,7 +150,7 @@ fn deleted_or_replaced_spool_is_reported_once() {
         HelloResult::Welcome { replaced, .. } => replaced,
         other => panic!("expected a welcome, got {other:?}"),
     };
-    let last = |last| StreamRecord { last, ..StreamRecord::default() };
+    let last = |last_stream| StreamRecord { last_stream, ..StreamRecord::default() };
     let first = hello(id, "edge", 1, old, 1);
     assert_eq!(replaced(end.handle_hello(&first, record_with(None), at(0).mono)), None);
     end.handle_goodbye(id);
@@ -181,7 +181,8 @@ fn batches_missing_in_older_database_are_reported_once() {
     };
     let renewed =
         Hello { previous: Some(old), first: 8, events_before_first: Some(7), ..hello(id, "edge", 1, new, 8) };
-    let previous = |previous| StreamRecord { last: Some(old), previous, ..StreamRecord::default() };
+    let previous =
+        |previous_mark| StreamRecord { last_stream: Some(old), previous_mark, ..StreamRecord::default() };
     let expected =
         |from| Some(MissingPreviousBatches { stream: old, from, through: 7, events: Some(8 - from) });
     for (stored, missing) in [(Some(3), expected(4)), (None, expected(1)), (Some(7), None), (Some(9), None)] {

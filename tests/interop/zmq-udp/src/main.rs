@@ -40,7 +40,7 @@ fn main() -> Result<()> {
     edge_side.bind(&SocketAddr::from(([127, 0, 0, 1], 0)).into())?;
     let edge_side = UdpSocket::from(edge_side);
     println!("{}", edge_side.local_addr()?);
-    // libzmq does not report the sender of a message, so that the first datagram is read here.
+    // libzmq does not report the sender of a message, so the first datagram is read here.
     let (_, edge) = edge_side.recv_from(&mut [0; 65_536])?;
     let context = Context::new();
     let cloud_side_port = free_port()?;

@@ -14,7 +14,7 @@ use super::{faults, print_line};
 /// Largest error of an intercept.
 const MAX_ERROR: Span = Span::from_micros(100);
 
-/// Similar sizes, so that the intercept is the delay of an empty message even if the link is not linear in size.
+/// Similar sizes, so the intercept is the delay of an empty message even if the link is not linear in size.
 const SIZES: &str = "100,500,1kB,2kB,5kB,10kB";
 /// Number of repeats: in some seconds the drift exceeds the largest error.
 const REPEATS: &str = "1001";

@@ -111,7 +111,7 @@ fn right_daemons_agree_with_exchanges() {
     check_correct_clocks("chrony, a cable", |_| Network::direct(), "verdict.text IN ('ok', 'limited')");
 }
 
-/// The daemons' server is not behind the wire, so that the daemons can measure the wire's asymmetry.
+/// The daemons' server is not behind the wire, so the daemons can measure the wire's asymmetry.
 #[test]
 fn correct_claims_bound_delays_on_asymmetric_path() {
     let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };

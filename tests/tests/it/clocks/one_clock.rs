@@ -113,7 +113,7 @@ fn interval_contains_truth_for_process_with_false_time() {
     let iterations = hosts.iterations();
     let mut widest = Span::ZERO;
     for iteration in &iterations {
-        // Only the error of the wall clock is known, so that the truth is derived from its stamps.
+        // Only the error of the wall clock is known, so the truth is derived from its stamps.
         for (delay, error) in [(&iteration.up, AHEAD), (&iteration.down, -AHEAD)] {
             let truth = delay.received - delay.sent + error;
             let (lo, hi) = delay.bounds.unwrap_or_else(|| panic!("no bounds: {delay:?}"));

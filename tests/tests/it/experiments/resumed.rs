@@ -85,7 +85,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     assert!(repeated.log.contains("nothing to do") && !repeated.log.contains("begins"), "{}", repeated.log);
 }
 
-/// The suspended run handles no signals, so that waiting for it would never end.
+/// The suspended run handles no signals, so waiting for it would never end.
 #[test]
 fn suspended_run_is_killed_and_marked_interrupted() {
     let lab = Lab::new();

@@ -42,7 +42,7 @@ fn shell_sensor_c_model_shell_actuator_work_together() {
         assert!(facts.contains(file), "{file}: {facts}");
     }
 
-    // Every answer was right. The label is known on the edge and the answer was given on the cloud, so that both
+    // Every answer was right. The label is known on the edge and the answer was given on the cloud, so both
     // crossed the network.
     for name in ["top-1", "top-5"] {
         let figures = api.figures(run, name).unwrap_or_else(|| panic!("{name} is missing"));

@@ -39,7 +39,7 @@ fn exported_model_answers_like_torchvision() {
     }
 }
 
-/// This shows that the previous test can fail: random weights must not give the same answer to every input.
+/// The test above can fail: random weights must not give the same answer to every input.
 #[test]
 fn card_mistakes_exceed_the_answer_tolerance() {
     let [reference, other_reference] = &*exported_model().answers else { panic!("two pictures") };
@@ -89,7 +89,7 @@ fn load_model(changes: &[(&str, &str)]) -> Arc<Pool> {
     let output = card["output"].as_table_mut().expect("is a table");
     output.insert("activation".to_owned(), "none".into());
     output.insert("top_k".to_owned(), 1000.into());
-    // Two pairs of ImageNet's classes have the same label, so that the classes are numbered.
+    // Two pairs of ImageNet's classes have the same label, so the classes are numbered.
     let labels: Vec<toml::Value> = (0..1000).map(|number| number.to_string().into()).collect();
     output.insert("labels".to_owned(), labels.into());
     for (path, value) in changes {

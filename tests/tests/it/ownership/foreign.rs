@@ -226,7 +226,7 @@ fn run_id_claimed_early_still_belongs_to_host() {
     assert!(stored_events.hosts.values().all(|host| host.quarantined == 0), "{stored_events:?}");
 }
 
-/// Stops all running processes. Data of invented hosts has no totals, so that no statistics can agree with it.
+/// Stops all running processes. Data of invented hosts has no totals, so no statistics can agree with it.
 fn stop(fleet: &mut Fleet) -> StoredEvents {
     for agent in fleet.agents.iter_mut().filter(|agent| agent.is_running()) {
         agent.stop();

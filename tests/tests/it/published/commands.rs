@@ -87,7 +87,7 @@ fn published_commands_work_unchanged() {
         "{record:#}"
     );
     // Both hosts share one free-running clock, and the wall clock is read a moment after it. In two network
-    // namespaces nothing proves that, so that the offset is measured.
+    // namespaces nothing proves that, so the offset is measured.
     for key in ["first_offset", "last_offset"] {
         let offset = &record["clocks"]["upload"][key];
         let bounds = offset["lo"].as_f64().zip(offset["hi"].as_f64());
@@ -191,11 +191,11 @@ fn streamed_run_is_on_dashboard_with_same_host() {
     });
     assert!(runs.iter().all(|run| run["host"] == "jetson-orin"), "{runs:#?}");
     // Afterwards the dashboard shows a finished run and a host without problems.
-    let line = api.wait_until("/api/v1/pipelines/jetson-orin/jetson-orin", |line| {
-        let has_ended = ["finished", "failed", "away"].contains(&line["state"].as_str()?);
-        has_ended.then(|| line["state"].clone())
+    let state = api.wait_until("/api/v1/pipelines/jetson-orin/jetson-orin", |pipeline| {
+        let has_ended = ["finished", "failed", "away"].contains(&pipeline["state"].as_str()?);
+        has_ended.then(|| pipeline["state"].clone())
     });
-    assert_eq!(line, "finished");
+    assert_eq!(state, "finished");
     let waiting = api.wait_until("/api/v1/hosts/jetson-orin", |host| {
         (host["connected"] == false).then(|| host["now"]["events"]["waiting"].clone())
     });

@@ -301,7 +301,7 @@ fn full_result_disk_loses_no_rows() {
 fn full_disks_keep_rows_that_fit() {
     let (disk, other) = (SmallDisk::new(200 << 10), SmallDisk::new(64 << 10));
     let lab = Lab::on_one_machine();
-    // The model answers at once, so that most rows are written together.
+    // The model answers at once, so most rows are written together.
     let _server = lab.start_server(
         "PEERNet --server --name cluster --network-config net_config.yaml --model-name echo --iterations 1000000",
     );

@@ -48,7 +48,7 @@ fn slow_model_is_measured_with_longer_timeout() {
     assert_eq!(reasons("client", &parts), ["timeout", "timeout"]);
     assert!(parts.iter().all(|part| end.log.contains(part)), "{}", end.log);
 
-    // The model's own limit is shorter, so that its reason is seen first.
+    // The model's own limit is shorter, so its reason is seen first.
     let end = measure(&lab, "my_model::Slow", "--timeout 0.4", "", "server");
     assert_eq!(end.code(), 75, "{}", end.log);
     let parts = ["my_model::Slow did not answer within 0.4 s", "timeout_ms", "--timeout"];

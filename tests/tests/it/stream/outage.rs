@@ -100,6 +100,6 @@ fn stored_iterations(fleet: &Fleet) -> Option<(u64, bool)> {
     }
     let mut columns = row.trim().split('|').map(|column| column.parse::<u64>().expect("a count"));
     let (count, newest, end) = (columns.next()?, columns.next()?, columns.next()?);
-    assert_eq!(count, newest, "stored in order, so that what is there has no hole");
+    assert_eq!(count, newest, "stored in order, so what is there has no hole");
     Some((newest, end == 1))
 }

@@ -24,7 +24,7 @@ fn full_spool_disk_is_reported_and_drops_counted() {
     let after = fleet.wait_for_counts(0, "more is stored", |counts| counts.events > before.events + 4_000);
     assert_eq!(after.dropped, 0, "{after:?}");
 
-    // The aggregator accepts no more events, so that the spool would have to grow.
+    // The aggregator accepts no more events, so the spool would have to grow.
     store.fill();
     let failing = fleet.wait_for_counts(0, "the spool fails", |counts| counts.trouble.is_some());
     let reason = failing.trouble.as_deref().unwrap_or_default();

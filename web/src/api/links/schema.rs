@@ -174,7 +174,7 @@ impl From<&LinkSnapshot> for Link {
     fn from(link: &LinkSnapshot) -> Self {
         let live = &link.live;
         let subject = Subject::live(link);
-        let basis = live.now.basis;
+        let basis = live.latest_sample.basis;
         let assumptions = subject.assumptions;
         Self {
             promise: assumptions.as_ref().map(promise),
@@ -184,7 +184,7 @@ impl From<&LinkSnapshot> for Link {
             edge_id: link.edge.to_string(),
             cloud_id: live.peer.to_string(),
             connected: link.connected,
-            last_sample: time(live.now.at),
+            last_sample: time(live.latest_sample.at),
             now: Some(LinkNow {
                 networks: live.networks.clone(),
                 pipelines: live.pipelines.iter().map(ToString::to_string).collect(),
@@ -193,18 +193,18 @@ impl From<&LinkSnapshot> for Link {
                 probing: Probing::from(&live.probing),
                 edge_clock: live.edge.as_ref().map(HostClock::from),
                 cloud_clock: live.cloud.as_ref().map(HostClock::from),
-                max_drift_ppm: live.now.max_drift_ppm,
-                exchanges: live.now.exchanges.into(),
+                max_drift_ppm: live.latest_sample.max_drift_ppm,
+                exchanges: live.latest_sample.exchanges.into(),
                 connections: live.connections.iter().map(LinkConnection::from).collect(),
                 reflector: live.reflector.as_ref().map(Reflector::from),
                 second: LinkPoint {
-                    at: time(live.now.at),
-                    offset: live.now.offset.as_ref().map(ClockOffset::from),
-                    probes: live.now.probes.into(),
-                    round_trip: live.now.round_trip.map(RoundTrip::from),
-                    up: live.now.up.as_ref().map(Delay::from),
-                    down: live.now.down.as_ref().map(Delay::from),
-                    clocks: live.now.clocks().name(),
+                    at: time(live.latest_sample.at),
+                    offset: live.latest_sample.offset.as_ref().map(ClockOffset::from),
+                    probes: live.latest_sample.probes.into(),
+                    round_trip: live.latest_sample.round_trip.map(RoundTrip::from),
+                    up: live.latest_sample.up.as_ref().map(Delay::from),
+                    down: live.latest_sample.down.as_ref().map(Delay::from),
+                    clocks: live.latest_sample.clocks().name(),
                     proven_skew: basis.and_then(|basis| basis.proven_skew_ppm).map(ProvenSkew::from),
                     grown_window_s: basis.and_then(|basis| basis.grown_window).map(Span::seconds),
                 },

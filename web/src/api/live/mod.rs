@@ -275,7 +275,7 @@ impl Listener {
             };
             match page.update(&self.app, snapshot).await {
                 Ok(mut update) => {
-                    // A chart changes once a second, and figures change up to four times a second. Unchanged parts are not sent again.
+                    // A chart changes once a second, and numbers change up to four times a second. Unchanged parts are not sent again.
                     update.parts.retain(|(id, html)| {
                         // Only the hash is kept, so that a listener does not hold a copy of its page.
                         let hash = hash(html);

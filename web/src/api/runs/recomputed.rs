@@ -65,8 +65,8 @@ impl From<&store::Judgement> for Judgement {
     }
 }
 
-impl From<&store::Recomputed> for Recomputed {
-    fn from(recomputed: &store::Recomputed) -> Self {
+impl From<&store::RecomputedDelays> for Recomputed {
+    fn from(recomputed: &store::RecomputedDelays) -> Self {
         let stages = recomputed.stages.iter().map(|stage| RecomputedStage {
             stage: stage.stage.to_string(),
             before: Judgement::from(&stage.before),

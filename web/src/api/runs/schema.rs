@@ -46,7 +46,7 @@ pub(crate) struct Run {
     /// Share of iterations that took longer than the deadline or have no answer, 0 to 1, without warm-up; null without a deadline, and
     /// before the first iteration.
     pub miss_rate: Option<f64>,
-    /// Number of answers that were not acted on, because the answer to a newer sample had been or the episode had ended.
+    /// Number of answers that were not acted on, because the answer to a newer sample had been acted on or the episode had ended.
     pub superseded: u64,
     /// Share of the episodes that were a success, 0 to 1, without the warm-up; null if the actuator reports none.
     pub success_rate: Option<f64>,

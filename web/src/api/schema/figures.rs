@@ -18,7 +18,10 @@ pub(crate) struct NodeFigures {
 
 impl NodeFigures {
     pub(crate) fn from_values(values: &[(Name, QuantityStatistics)]) -> Vec<Self> {
-        values.iter().map(|(name, figures)| Self { name: name.to_string(), figures: *figures }).collect()
+        values
+            .iter()
+            .map(|(name, statistics)| Self { name: name.to_string(), figures: *statistics })
+            .collect()
     }
 }
 

@@ -176,7 +176,7 @@ pub(crate) fn distributions(
                 Quantity::usual().iter().map(|quantity| quantity.name.to_string()).collect();
             let usual = usual.join(", ");
             return Err(WebError::BadRequest(format!(
-                "query parameter stage: no run that is compared has {name:?}; ask for one of its stages, such as {usual}"
+                "query parameter stage: none of the compared runs has {name:?}; ask for a stage that they have, such as {usual}"
             )));
         }
     }

@@ -35,7 +35,7 @@ pub(crate) struct Throughput {
 pub(crate) struct ThroughputRow {
     pub name: String,
     pub way: String,
-    /// Mean size of a message with its log.
+    /// Mean size of a message with the measurements that travel with it.
     pub size: String,
     /// Mean delay, ms.
     pub delay: String,

@@ -19,7 +19,7 @@ const fn clocks_subject(clocks: RelatedClocks) -> &'static str {
 }
 
 /// Returns a sentence with the conditions under which the intervals contain the true delays. README.md and docs/clocks.md have the same
-/// sentence; here it contains the figures of a link.
+/// sentence; here it contains the numbers of a link.
 pub(crate) fn promise(assumptions: &DelayAssumptions) -> String {
     let clocks = clocks_subject(assumptions.clocks);
     let drift = assumptions.max_drift_ppm.map_or_else(
@@ -143,7 +143,7 @@ struct NewestBasis {
 impl NewestBasis {
     fn of(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Self {
         match (subject.live, time_series.points.last()) {
-            (Some(link), _) => link.live.now.basis.map_or_else(Self::default, |basis| Self {
+            (Some(link), _) => link.live.latest_sample.basis.map_or_else(Self::default, |basis| Self {
                 proven_skew_ppm: basis.proven_skew_ppm,
                 grown_window: basis.grown_window,
             }),

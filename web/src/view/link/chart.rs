@@ -151,7 +151,7 @@ pub(crate) fn tracks(
         label: finding(subject, &plan, incidents.len()),
         reasons: labelled_gaps.map(|(from, to)| (Place(f64::midpoint(*from, *to)), "no report")).collect(),
         strips: [NetworkDirection::Up, NetworkDirection::Down]
-            .map(|way| strip(&plan, way, &hatches))
+            .map(|direction| strip(&plan, direction, &hatches))
             .to_vec(),
         tracks: all.into_iter().map(|track| track.picture(&background)).collect(),
         signs,
@@ -176,11 +176,11 @@ fn signs(plan: &Plan<'_>, incidents: &[IncidentRow], zone: Zone) -> Vec<RailSign
 }
 
 /// Draws the verdicts of a direction over time. Stretches without data are hatched.
-fn strip(plan: &Plan<'_>, way: NetworkDirection, hatches: &[Item]) -> Picture {
+fn strip(plan: &Plan<'_>, direction: NetworkDirection, hatches: &[Item]) -> Picture {
     let bucket_width = plan.time_series.bucket as f64 / plan.time_series.seconds().max(1.0);
     let mut segments: Vec<(f64, f64, Verdict)> = Vec::new();
     for point in &plan.time_series.points {
-        let Some(verdict) = of_point(point, way).map(|second| second.verdict) else { continue };
+        let Some(verdict) = of_point(point, direction).map(|second| second.verdict) else { continue };
         let end = plan.x(point.at);
         let begin = (end - bucket_width).max(0.0);
         match segments.last_mut() {
@@ -195,7 +195,7 @@ fn strip(plan: &Plan<'_>, way: NetworkDirection, hatches: &[Item]) -> Picture {
     for (from, to, verdict) in segments {
         let class = strip_class(Chip::verdict(verdict).tone);
         items.push(span((from, to), class));
-        let words = format!("{} {verdict}", way.delay());
+        let words = format!("{} {verdict}", direction.delay());
         let label = Label::new(At::new(from, 0.5), words, TextStyle { class, ..TextStyle::AXIS });
         texts.push(Item::Text(label.shifted(0.4, 0.36).fits_within(to - from)));
     }
@@ -218,9 +218,9 @@ fn delays(plan: &Plan<'_>) -> Track {
     let points = &plan.coarse.points;
     let directions = [NetworkDirection::Up, NetworkDirection::Down];
     let upper_bounds = || {
-        let medians = points
-            .iter()
-            .flat_map(|point| directions.map(|way| of_point(point, way).and_then(|one| one.median)));
+        let medians = points.iter().flat_map(|point| {
+            directions.map(|direction| of_point(point, direction).and_then(|one| one.median))
+        });
         medians.flatten().map(|median| bounds(&median).1 * 1e3)
     };
     let scale = Scale::up_to(reach(upper_bounds()), 3);
@@ -229,14 +229,15 @@ fn delays(plan: &Plan<'_>) -> Track {
     track.note = "whiskers: contain the true value".to_owned();
     track.beyond = beyond(upper_bounds(), &scale, "ms");
     let half_bucket = plan.coarse.bucket as f64 / plan.time_series.seconds().max(1.0) / 2.0;
-    for (way, whiskers, dots) in [
+    for (direction, whiskers, dots) in [
         (NetworkDirection::Up, "whiskers up", "dots up"),
         (NetworkDirection::Down, "whiskers down", "dots down"),
     ] {
         let marks: Vec<(f64, f64, f64, f64)> = points
             .iter()
             .filter_map(|point| {
-                let median = of_point(point, way)?.median.filter(|median| !median.value.is_negative())?;
+                let median =
+                    of_point(point, direction)?.median.filter(|median| !median.value.is_negative())?;
                 let (lo, hi) = bounds(&median);
                 let at = |seconds: f64| distance_from_top(&scale, seconds * 1e3);
                 Some(((plan.x(point.at) - half_bucket).max(0.0), at(hi), at(lo), at(median.value.seconds())))
@@ -301,14 +302,14 @@ fn finding(subject: &Subject<'_>, plan: &Plan<'_>, incidents: usize) -> String {
     if time_series.points.is_empty() {
         return format!("{text} Nothing was reported.");
     }
-    for way in [NetworkDirection::Up, NetworkDirection::Down] {
-        let seconds = plan.coarse.points.iter().filter_map(|point| of_point(point, way));
+    for direction in [NetworkDirection::Up, NetworkDirection::Down] {
+        let seconds = plan.coarse.points.iter().filter_map(|point| of_point(point, direction));
         let worst = seconds.clone().map(|second| second.verdict).max_by_key(|verdict| verdict.severity());
         if let Some(range) =
             range(seconds.filter_map(|second| second.median).map(|median| median.value.seconds()))
         {
             let worst = worst.map_or_else(String::new, |verdict| format!(", worst verdict {verdict}"));
-            text.push_str(&format!(" Median {} {range}{worst}.", way.delay()));
+            text.push_str(&format!(" Median {} {range}{worst}.", direction.delay()));
         }
     }
     let widths: Vec<f64> = time_series

@@ -13,7 +13,7 @@ use super::super::speed::NetworkDirection;
 /// Statistics of the delays of one direction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Delays {
-    pub way: NetworkDirection,
+    pub direction: NetworkDirection,
     /// Number of delays.
     pub count: u64,
     /// Median, with the bounds of the same delay.
@@ -23,8 +23,8 @@ pub(crate) struct Delays {
 }
 
 /// Returns the delays of a direction within one point.
-pub(crate) fn of_point(point: &ClockPoint, way: NetworkDirection) -> Option<&DelaySecond> {
-    match way {
+pub(crate) fn of_point(point: &ClockPoint, direction: NetworkDirection) -> Option<&DelaySecond> {
+    match direction {
         NetworkDirection::Up => point.up.as_ref(),
         NetworkDirection::Down => point.down.as_ref(),
     }
@@ -42,21 +42,24 @@ pub(super) fn digits(point: &DelayPoint) -> String {
 
 impl Delays {
     /// Returns the delays of some points.
-    pub(crate) fn of<'a>(way: NetworkDirection, points: impl IntoIterator<Item = &'a ClockPoint>) -> Self {
+    pub(crate) fn of<'a>(
+        direction: NetworkDirection,
+        points: impl IntoIterator<Item = &'a ClockPoint>,
+    ) -> Self {
         let seconds: Vec<DelaySecond> =
-            points.into_iter().filter_map(|point| of_point(point, way).copied()).collect();
-        Self::merge(way, &seconds)
+            points.into_iter().filter_map(|point| of_point(point, direction).copied()).collect();
+        Self::merge(direction, &seconds)
     }
 
     /// Merges several seconds into one.
-    pub(crate) fn merge(way: NetworkDirection, seconds: &[DelaySecond]) -> Self {
+    pub(crate) fn merge(direction: NetworkDirection, seconds: &[DelaySecond]) -> Self {
         let sum: DelaySummary = seconds.iter().collect();
-        Self { way, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
+        Self { direction, count: sum.count(), median: sum.median(), verdict: sum.verdict() }
     }
 
     /// Returns the name of the stage for the start of a sentence.
     pub(crate) const fn title(&self) -> &'static str {
-        match self.way {
+        match self.direction {
             NetworkDirection::Up => "Upload",
             NetworkDirection::Down => "Download",
         }

@@ -43,7 +43,8 @@ pub(crate) fn title(subject: &Subject<'_>, zone: Zone) -> String {
         }
         _ => {}
     }
-    let [up, down] = [NetworkDirection::Up, NetworkDirection::Down].map(|way| subject.delays(way).verdict);
+    let [up, down] =
+        [NetworkDirection::Up, NetworkDirection::Down].map(|direction| subject.delays(direction).verdict);
     match (up, down) {
         (None, None) => {
             format!("{route}: the clocks are known to {bound}; nothing was sent in the last 10{SPACE}s")
@@ -87,7 +88,7 @@ pub(crate) struct Meaning {
 pub(crate) fn meanings(subject: &Subject<'_>) -> Vec<Meaning> {
     let is_young_link = subject.offset().is_some_and(is_young);
     [NetworkDirection::Up, NetworkDirection::Down]
-        .map(|way| subject.delays(way))
+        .map(|direction| subject.delays(direction))
         .iter()
         .map(|delays| meaning(delays, is_young_link))
         .collect()

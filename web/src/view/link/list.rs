@@ -146,7 +146,7 @@ pub(crate) fn title(snapshot: &LiveState) -> String {
             let mut parts = Vec::new();
             for (number, what) in [
                 (good, "can be trusted"),
-                (limited, "known only as intervals in part"),
+                (limited, "with some delays known only as intervals"),
                 (bad, "cannot be trusted"),
             ] {
                 if number > 0 {

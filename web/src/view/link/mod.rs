@@ -138,10 +138,10 @@ impl<'a> Subject<'a> {
             edge: link.edge_name.to_string(),
             cloud: link.live.peer_name.to_string(),
             key: link_key(link),
-            end: link.history.last().map_or(link.live.now.at, |point| point.at),
+            end: link.history.last().map_or(link.live.latest_sample.at, |point| point.at),
             connected: link.connected,
             last_offset: None,
-            assumptions: (!link.live.same_clock).then(|| DelayAssumptions::from(&link.live.now)),
+            assumptions: (!link.live.same_clock).then(|| DelayAssumptions::from(&link.live.latest_sample)),
             live: Some(link),
         }
     }
@@ -210,10 +210,11 @@ impl<'a> Subject<'a> {
     pub(crate) fn offset(&self) -> Option<&Offset> {
         let Some(link) = self.live else { return self.last_offset.as_ref() };
         // If the edge is connected, an offset from before a clock step says nothing about the present.
-        let is_valid = |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.now.window;
+        let is_valid =
+            |point: &&Arc<ClockPoint>| !self.connected || point.window == link.live.latest_sample.window;
         let recent = if self.connected { 1 } else { link.history.len() };
         let mut candidates = link.history.iter().rev().take(recent).filter(is_valid);
-        link.live.now.offset.as_ref().or_else(|| candidates.find_map(|point| point.offset.as_ref()))
+        link.live.latest_sample.offset.as_ref().or_else(|| candidates.find_map(|point| point.offset.as_ref()))
     }
 
     /// Returns whether sources or exchanges contradict each other.
@@ -224,7 +225,8 @@ impl<'a> Subject<'a> {
     /// Returns whether any exchange ever related the two clocks, even if a clock was stepped since then.
     pub(crate) fn was_related(&self) -> bool {
         self.live.is_none_or(|link| {
-            link.live.now.exchanges.accepted > 0 || link.history.iter().any(|point| point.offset.is_some())
+            link.live.latest_sample.exchanges.accepted > 0
+                || link.history.iter().any(|point| point.offset.is_some())
         })
     }
 
@@ -238,7 +240,7 @@ impl<'a> Subject<'a> {
 
     /// Returns the delays of messages in the last ten seconds. Delays from before the current clock relation was established are excluded, so
     /// that the verdict of a link does not depend on its start.
-    pub(crate) fn delays(&self, way: NetworkDirection) -> Delays {
+    pub(crate) fn delays(&self, direction: NetworkDirection) -> Delays {
         let since = self.end - RECENT_SPAN;
         let recent = self.history().iter().rev().take_while(|point| point.at > since);
         let mut settled: Vec<&ClockPoint> = recent.map(|point| &**point).collect();
@@ -250,7 +252,7 @@ impl<'a> Subject<'a> {
         if settled_count > 1 && !self.same_clock() {
             settled.truncate(settled_count - 1);
         }
-        Delays::of(way, settled)
+        Delays::of(direction, settled)
     }
 
     /// Returns the verdict of the whole link. This is the verdict of the offset, with one exception: if the verdict of the offset is `Ok` but
@@ -263,7 +265,7 @@ impl<'a> Subject<'a> {
         };
         let limited = [NetworkDirection::Up, NetworkDirection::Down]
             .into_iter()
-            .any(|way| self.delays(way).verdict == Some(Verdict::Limited));
+            .any(|direction| self.delays(direction).verdict == Some(Verdict::Limited));
         Some(if offset_verdict == Verdict::Ok && limited { Verdict::Limited } else { offset_verdict })
     }
 

@@ -157,7 +157,7 @@ pub(crate) fn reflector(subject: &Subject<'_>) -> Pairs {
 /// Returns the counts of the exchanges.
 pub(crate) fn exchanges(subject: &Subject<'_>) -> Pairs {
     let Some(link) = subject.live else { return Vec::new() };
-    let counts = link.live.now.exchanges;
+    let counts = link.live.latest_sample.exchanges;
     vec![
         ("Used", format!("{} exchanges", count(counts.accepted))),
         ("Impossible", format!("{}, refused: no two clocks can show them", count(counts.impossible))),

@@ -1,4 +1,4 @@
-//! The current figures of a link.
+//! The current numbers of a link.
 
 use peernet_clock::RelatedClocks;
 use peernet_statistics::number::{
@@ -11,7 +11,7 @@ use super::list::no_offset;
 use super::time_series::LinkTimeSeries;
 use super::{CONTRADICTION, Subject, estimate_and_half_width};
 
-/// A figure with its name, its unit and a line of explanation.
+/// A number with its name, its unit and a line of explanation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stat {
     pub name: String,
@@ -40,7 +40,7 @@ impl Stat {
     }
 }
 
-/// Returns all figures.
+/// Returns all numbers.
 pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<Stat> {
     let mut stats = vec![delay(subject, NetworkDirection::Up), delay(subject, NetworkDirection::Down)];
     if !subject.same_clock() {
@@ -52,8 +52,8 @@ pub(crate) fn all(subject: &Subject<'_>, time_series: &LinkTimeSeries) -> Vec<St
     stats
 }
 
-fn delay(subject: &Subject<'_>, way: NetworkDirection) -> Stat {
-    let delays = subject.delays(way);
+fn delay(subject: &Subject<'_>, direction: NetworkDirection) -> Stat {
+    let delays = subject.delays(direction);
     let number = delays.median.is_some().then(|| delays.value());
     let line = match delays.interval() {
         Some(interval) => interval,

@@ -52,7 +52,7 @@ impl Row {
     }
 
     /// Returns the delays of both directions, upload first.
-    pub(crate) fn ways(&self) -> [&Direction; 2] {
+    pub(crate) fn directions(&self) -> [&Direction; 2] {
         [&self.up, &self.down]
     }
 

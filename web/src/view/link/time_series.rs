@@ -21,7 +21,7 @@ pub(crate) struct LinkTimeSeries {
 
 impl LinkTimeSeries {
     /// Returns the last `seconds` seconds of a live link, with one point for every two seconds. The time series ends at a multiple of two
-    /// seconds, so that a chart of it changes only when a point is complete.
+    /// seconds, so a chart of it changes only when a point is complete.
     pub(crate) fn live(history: &[Arc<ClockPoint>], end: WallTime, seconds: i64) -> Self {
         let to = WallTime::from_unix_nanos(end.unix_nanos().div_euclid(2_000_000_000) * 2_000_000_000);
         let from = to - Span::from_seconds(seconds);

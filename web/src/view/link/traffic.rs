@@ -42,7 +42,8 @@ impl TrafficRow {
             href: place::pipeline_href(pipeline.host_name.as_str(), pipeline.pipeline.as_str()),
             rate: rate(window.rate_hz),
             sizes: [size(&stage::UPLOAD_BYTES), size(&stage::DOWNLOAD_BYTES)],
-            speeds: [NetworkDirection::Up, NetworkDirection::Down].map(|way| speed::cell(kind, window, way)),
+            speeds: [NetworkDirection::Up, NetworkDirection::Down]
+                .map(|direction| speed::cell(kind, window, direction)),
             traffic: speed::traffic(kind, window),
         })
     }

@@ -1,6 +1,6 @@
 //! One iteration as bars under each other, and as two rails with the messages between them.
 
-use peernet_figures::drawing::Direction;
+use peernet_figures::drawing::Orientation;
 use peernet_figures::look::{Style, stage};
 use peernet_figures::plot::{At, Item, Label};
 use peernet_figures::scale::Scale;
@@ -90,7 +90,7 @@ pub(super) fn row(node: &PlacedNode, timeline: &Timeline, scale: &Scale, tick: b
     });
     if let Some(ends) = ends {
         let ends = ends.map(|end| At::new(at(scale, end), 0.5));
-        items.extend(Direction::Level.rimmed_whisker(ends, [true; 2], CAPS.0));
+        items.extend(Orientation::Horizontal.rimmed_whisker(ends, [true; 2], CAPS.0));
     }
     Picture::of_items(&items, "row", "")
 }
@@ -121,7 +121,7 @@ pub(crate) fn lanes(timeline: &Timeline, label: &str, scale: &Scale) -> Option<P
     }
     for (from, to) in bands {
         let ends = [from, to].map(|x| At::new(x, BOUNDS));
-        items.extend(Direction::Level.whisker(ends, [true; 2], CAPS.1, &Style::whisker()));
+        items.extend(Orientation::Horizontal.whisker(ends, [true; 2], CAPS.1, &Style::whisker()));
     }
     Some(Picture::of_items(&items, "lane", label))
 }

@@ -4,7 +4,7 @@ use peernet_clock::{Span, WallTime};
 use peernet_stream::Accounting;
 
 /// Initial lag of storage, seconds.
-const BEHIND_S: f64 = 14_400.0;
+const INITIAL_LAG_S: f64 = 14_400.0;
 /// Seconds by which the lag falls per second.
 const RATE: f64 = 48.0;
 /// Events per second of measurement.
@@ -19,9 +19,9 @@ pub(crate) fn add_backlog(
 ) -> Accounting {
     let Some(since) = since else { return account };
     let elapsed = (now - since).seconds();
-    let behind = (BEHIND_S - RATE * elapsed).max(0.0);
+    let behind = (INITIAL_LAG_S - RATE * elapsed).max(0.0);
     let waiting = (behind * HZ) as u64;
-    let delivered = (BEHIND_S * HZ) as u64 - waiting;
+    let delivered = (INITIAL_LAG_S * HZ) as u64 - waiting;
     match index {
         1 => Accounting {
             produced: account.produced + delivered + waiting,

@@ -200,7 +200,7 @@ fn connection(pipeline: &str, at: WallTime) -> Connection {
 }
 
 /// Returns the link of a line, as its edge reports it.
-pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
+pub(super) fn live(line: &Line, latest_sample: ClockSample) -> LinkLive {
     let probing = match line.clocks {
         Clocks::Within(_) => Probing::On {
             address: "udp://192.0.2.5:8620".into(),
@@ -210,18 +210,18 @@ pub(super) fn live(line: &Line, now: ClockSample) -> LinkLive {
         Clocks::Shared => Probing::Off("both hosts read one clock: nothing to find out".into()),
         Clocks::Unrelated => Probing::Unanswered { address: "udp://192.0.2.5:8620".into(), reason: None },
     };
-    let clock = host_clock(line.has_clock_fault, now.at);
+    let clock = host_clock(line.has_clock_fault, latest_sample.at);
     LinkLive {
-        peer: now.peer,
-        peer_name: now.peer_name.clone(),
+        peer: latest_sample.peer,
+        peer_name: latest_sample.peer_name.clone(),
         networks: vec!["zmq-tcp".into()],
         pipelines: vec![slug(line.name)],
         same_clock: line.clocks == Clocks::Shared,
         probing,
         edge: Some(clock),
-        cloud: Some(host_clock(false, now.at)),
-        connections: vec![connection(line.name, now.at)],
+        cloud: Some(host_clock(false, latest_sample.at)),
+        connections: vec![connection(line.name, latest_sample.at)],
         reflector: None,
-        now,
+        latest_sample,
     }
 }

@@ -20,19 +20,20 @@ fn spool() -> (TempDir, CountOwner) {
 #[test]
 fn another_process_reads_what_was_counted() {
     let (_folder, owner) = spool();
-    let (counter, line) = (EventCounter::create(&owner).expect("shared memory"), "line".parse::<Slug>().ok());
+    let (counter, pipeline) =
+        (EventCounter::create(&owner).expect("shared memory"), "line".parse::<Slug>().ok());
     let name = counter.name().expect("a file");
     let (first, second) = (RunId::random(), RunId::random());
     for nanos in 1..=5 {
-        counter.count(line.as_ref(), Some(first), at(nanos));
+        counter.count(pipeline.as_ref(), Some(first), at(nanos));
     }
     counter.count(None, None, at(6));
-    counter.count(line.as_ref(), Some(second), at(7));
+    counter.count(pipeline.as_ref(), Some(second), at(7));
     let sent = |number| SentUnspooled { process: 7, number, batched: 4, reported_drops: 1, events: 5 };
     let slots = MAX_SENT_UNSPOOLED as u64;
     (1..=slots + 1).for_each(|number| counter.record_sent_unspooled(sent(number)));
     let sent = [slots, slots + 1].into_iter().chain(2..slots).map(sent).collect();
-    let run = |run, events, last| CountedRun { run, pipeline: line.clone(), events, last: at(last) };
+    let run = |run, events, last| CountedRun { run, pipeline: pipeline.clone(), events, last: at(last) };
     let mut counted_events = read(&name, &owner).expect("readable");
     counted_events.runs.sort_by_key(|run| run.last);
     let runs = vec![run(first, 5, 5), run(second, 1, 7)];

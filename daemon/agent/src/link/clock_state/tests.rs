@@ -437,7 +437,7 @@ fn suspected_jump_begins_window_and_is_reported_once() {
         let movement = Span::from_millis(if (20..40).contains(&number) { 8 } else { 0 });
         let stamps = &mut observation.exchange;
         (stamps.received, stamps.replied) = (stamps.received + movement, stamps.replied + movement);
-        // Twelve milliseconds of delay, so that no exchange contradicts another one.
+        // Twelve milliseconds of delay, so no exchange contradicts another one.
         stamps.sent = stamps.sent - Span::from_millis(5);
         stamps.returned = stamps.returned + Span::from_millis(5);
         let (_, changes) = clock_state.judge(&network(), &observation, MESSAGE_DELAYS, now(sent + 9));

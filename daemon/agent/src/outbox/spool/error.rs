@@ -110,7 +110,7 @@ pub enum SpoolDefect {
 }
 
 impl SpoolError {
-    /// Returns whether the file itself is damaged, so that a retry, other permissions or free disk space do not help.
+    /// Returns whether the file itself is damaged, so a retry, other permissions or free disk space do not help.
     pub(super) fn is_damage(&self) -> bool {
         match self {
             Self::Damaged { .. } => true,

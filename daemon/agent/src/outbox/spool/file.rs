@@ -200,7 +200,7 @@ impl SpoolFile {
         Log(with_suffix(&self.path, "-wal"))
     }
 
-    /// Moves the log to the file and closes the file.
+    /// Moves the write-ahead log to the file and closes the file.
     pub(in crate::outbox) async fn close(self) -> Result<(), SpoolFileError> {
         let path = self.path;
         self.connection.close().await.map_err(|source| SpoolFileError::new("close", path, source))
@@ -222,7 +222,7 @@ impl SpoolFile {
         self.end_transaction(action, result).await
     }
 
-    /// Writes the totals after emptying the log, so that repeated writes do not make it longer each time.
+    /// Writes the totals after emptying the write-ahead log, so that repeated writes do not make it longer each time.
     async fn append_on_full_disk(
         &mut self,
         action: &'static str,
@@ -237,7 +237,7 @@ impl SpoolFile {
         self.end_transaction("delete from", result).await
     }
 
-    /// Deletes batches after emptying the log, which may be longer than the reserve. Returns the deleted pages to the file
+    /// Deletes batches after emptying the write-ahead log, which may be longer than the reserve. Returns the deleted pages to the file
     /// system.
     async fn delete_on_full_disk(&mut self, through: u64, chain: Chain) -> Result<(), SpoolFileError> {
         checkpoint(&mut self.connection).await.map_err(self.file_error("delete from"))?;
@@ -292,7 +292,7 @@ impl SpoolFile {
         format!("batch {number} in the spool {} {damage}; it is not sent", self.path.display())
     }
 
-    /// Waits until the log is on the disk.
+    /// Waits until the write-ahead log is on the disk.
     async fn sync(&mut self, action: &'static str) -> Result<(), SpoolFileError> {
         let result = wait_for_sync(&mut self.log().sync()).await;
         result.map_err(|error| self.file_error(action)(sqlx::Error::Io(error)))
@@ -347,7 +347,7 @@ enum BatchDamage {
 pub(in crate::outbox) struct Log(PathBuf);
 
 impl Log {
-    /// Syncs the log to the disk on a blocking thread, because a memory card sometimes takes seconds.
+    /// Syncs the write-ahead log to the disk on a blocking thread, because a memory card sometimes takes seconds.
     // The log is opened for the sync. SQLite does not lock the log, so closing this descriptor releases no lock. The spool file
     // must never be opened in this way, because closing that descriptor would release SQLite's locks.
     pub(super) fn sync(&self) -> JoinHandle<io::Result<()>> {

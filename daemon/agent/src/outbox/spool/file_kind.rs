@@ -28,7 +28,7 @@ pub(crate) enum FileKind {
 }
 
 impl FileKind {
-    /// Reads the kind of a file without SQLite, which would create further files. Tables that are only in the log of a
+    /// Reads the kind of a file without SQLite, which would create further files. Tables that are only in the write-ahead log of a
     /// killed process are not found: such a file seems to have no tables.
     ///
     /// # Errors

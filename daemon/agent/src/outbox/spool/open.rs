@@ -30,8 +30,8 @@ pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("../../migrations/spool"
 const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
 /// SQLite's log is moved to the file when it has this number of pages: 1 MiB.
 const LOG_PAGES: &str = "256";
-/// Length to which the log is truncated after a large transaction, in bytes.
-const LOG_BYTES: &str = "8388608";
+/// Length to which the write-ahead log is truncated after a large transaction, in bytes.
+const TRUNCATED_WAL_BYTES: &str = "8388608";
 
 /// A spool that is ready for use.
 #[derive(Debug)]
@@ -128,14 +128,14 @@ pub(super) fn settings(path: &Path) -> SqliteConnectOptions {
         .auto_vacuum(SqliteAutoVacuum::Incremental)
         .journal_mode(SqliteJournalMode::Wal)
         .synchronous(SqliteSynchronous::Normal)
-        .pragma("journal_size_limit", LOG_BYTES)
+        .pragma("journal_size_limit", TRUNCATED_WAL_BYTES)
         .pragma("wal_autocheckpoint", LOG_PAGES)
         .busy_timeout(BUSY_TIMEOUT)
         .disable_statement_logging()
 }
 
 /// A connection, the state in the file, and the counter of this process.
-type Connected = (SqliteConnection, SpoolState, EventCounter);
+type ConnectedSpool = (SqliteConnection, SpoolState, EventCounter);
 
 /// Connects to the spool. If the disk is full, the reserve is released first. If the disk is still full, this process does
 /// not count its events, and a later start determines the losses of the previous process.
@@ -143,7 +143,7 @@ async fn connect_despite_full_disk(
     path: &Path,
     host: HostId,
     reserve: &mut Reserve,
-) -> Result<Connected, SpoolError> {
+) -> Result<ConnectedSpool, SpoolError> {
     let result = match connect(path, host, true).await {
         Err(error) if error.may_be_full_disk() && reserve.release() => connect(path, host, true).await,
         result => result,
@@ -158,7 +158,7 @@ async fn connect_despite_full_disk(
     }
 }
 
-async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Connected, SpoolError> {
+async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<ConnectedSpool, SpoolError> {
     if let Some(reason) = quarantine_reason(path) {
         return Err(SpoolError::Damaged { path: path.to_owned(), defect: SpoolDefect::Condemned(reason) });
     }
@@ -167,7 +167,7 @@ async fn connect(path: &Path, host: HostId, counts_events: bool) -> Result<Conne
     match prepare(path, host, &mut connection, counts_events).await {
         Ok((state, counter)) => Ok((connection, state, counter)),
         Err(error) => {
-            // The connection is closed before the file is renamed, because closing deletes the log by its name.
+            // The connection is closed before the file is renamed, because closing deletes the write-ahead log by its name.
             if let Err(error) = connection.close().await {
                 tracing::debug!(%error, "closing the unusable spool failed");
             }

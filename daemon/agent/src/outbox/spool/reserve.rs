@@ -1,6 +1,6 @@
 //! Disk space that is reserved for deleting.
 //!
-//! To delete rows, SQLite writes first to the log and then to the file. A spool that filled its disk could neither be
+//! To delete rows, SQLite writes first to the write-ahead log and then to the file. A spool that filled its disk could neither be
 //! emptied nor record how many events did not fit. Therefore a file next to the spool occupies some space. This space is released
 //! for a deletion or such a record, and allocated again afterwards. The file remains when the process ends, because on a
 //! full disk the next process could not allocate it.
@@ -17,7 +17,7 @@ use rustix::io::Errno;
 /// adds to it.
 const RESERVE_BYTES: u64 = 6 << 20;
 /// Step in bytes in which the reserve is allocated on a disk with less free space.
-const STEP_BYTES: u64 = 128 << 10;
+const ALLOCATION_STEP_BYTES: u64 = 128 << 10;
 /// Unit of `st_blocks` in bytes (undefined in POSIX; 512 in Linux).
 const BLOCK_BYTES: u64 = 512;
 
@@ -83,7 +83,7 @@ impl Reserve {
         let no_flags = FallocateFlags::empty();
         if fallocate(&file, no_flags, 0, RESERVE_BYTES).is_err() {
             while self.allocated < RESERVE_BYTES {
-                let step = STEP_BYTES.min(RESERVE_BYTES - self.allocated);
+                let step = ALLOCATION_STEP_BYTES.min(RESERVE_BYTES - self.allocated);
                 fallocate(&file, no_flags, self.allocated, step)?;
                 self.allocated += step;
             }

@@ -105,7 +105,7 @@ pub(super) async fn vacuum(connection: &mut SqliteConnection) -> Result<bool, sq
     Ok(true)
 }
 
-/// Returns all unused pages and the log to the file system.
+/// Returns all unused pages and the write-ahead log to the file system.
 pub(super) async fn vacuum_all(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     while pages(connection).await?.0 > 0 {
         vacuum_step(connection).await?;
@@ -114,7 +114,7 @@ pub(super) async fn vacuum_all(connection: &mut SqliteConnection) -> Result<(), 
     checkpoint(connection).await
 }
 
-/// Moves the log to the file, and truncates it.
+/// Moves the write-ahead log to the file, and truncates it.
 pub(super) async fn checkpoint(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(connection).await.map(drop)
 }

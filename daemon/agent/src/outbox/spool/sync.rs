@@ -6,7 +6,7 @@ use tokio::task::JoinHandle;
 
 use super::file::Log;
 
-/// State of syncing the log.
+/// State of syncing the write-ahead log.
 #[derive(Debug)]
 pub(super) struct Syncing {
     log: Log,

@@ -29,7 +29,7 @@ struct UnresolvedRow {
 
 /// A loss that no gap has reported yet.
 #[derive(FromRow)]
-struct Unreported {
+struct UnreportedLoss {
     pipeline: Option<String>,
     run: Option<String>,
     from_ns: i64,
@@ -61,12 +61,12 @@ fn decode_counts(bytes: &[u8]) -> Option<RunCounts> {
 
 /// Returns the losses that no gap has reported yet, in the order in which they will be reported.
 pub(super) async fn read_unreported(connection: &mut SqliteConnection) -> Result<Vec<Gap>, sqlx::Error> {
-    let rows: Vec<Unreported> = sqlx::query_as(
+    let rows: Vec<UnreportedLoss> = sqlx::query_as(
         "SELECT pipeline, run, from_ns, to_ns, count, reason FROM unreported ORDER BY told_through",
     )
     .fetch_all(connection)
     .await?;
-    let gap = |row: Unreported| Gap {
+    let gap = |row: UnreportedLoss| Gap {
         pipeline: row.pipeline.and_then(|name| name.parse().ok()),
         run: row.run.and_then(|id| id.parse().ok()),
         from: WallTime::from_unix_nanos(row.from_ns),

@@ -18,13 +18,13 @@ pub(super) struct Pairing<I, O> {
     timeout: Span,
     /// Largest number of unpaired messages of each topic.
     capacity: usize,
-    inputs: VecDeque<Unpaired<I>>,
-    outputs: VecDeque<Unpaired<O>>,
+    inputs: VecDeque<UnpairedMessage<I>>,
+    outputs: VecDeque<UnpairedMessage<O>>,
 }
 
 /// A message that waits for its counterpart.
 #[derive(Debug)]
-struct Unpaired<T> {
+struct UnpairedMessage<T> {
     key: Option<i64>,
     since: MonoTime,
     message: T,
@@ -36,14 +36,14 @@ pub(super) enum Resolution<I, O> {
     /// The two messages are a pair.
     Paired { input: I, output: O },
     /// The input message has no output message.
-    Unanswered { input: I, cause: Unanswered },
+    Unanswered { input: I, cause: UnansweredCause },
     /// The output message has no input message.
     Unmatched(O),
 }
 
 /// Reason why an input message has no output message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Unanswered {
+pub(super) enum UnansweredCause {
     /// No output message arrived in time.
     Expired,
     /// Too many input messages arrived after it.
@@ -62,9 +62,9 @@ impl<I, O> Pairing<I, O> {
         if let Some(output) = remove(&mut self.outputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.inputs.push_back(Unpaired { key, since: at, message: input });
+        self.inputs.push_back(UnpairedMessage { key, since: at, message: input });
         let displaced = (self.inputs.len() > self.capacity).then(|| self.inputs.pop_front()).flatten()?;
-        Some(Resolution::Unanswered { input: displaced.message, cause: Unanswered::Displaced })
+        Some(Resolution::Unanswered { input: displaced.message, cause: UnansweredCause::Displaced })
     }
 
     /// Adds an output message that was received at `at`. Returns the pair that it completes, or an output message that
@@ -79,14 +79,14 @@ impl<I, O> Pairing<I, O> {
             // An input message that was received later cannot be the cause of this output message.
             let oldest = self.inputs.pop_front_if(|oldest| oldest.since <= at);
             return Some(match oldest {
-                Some(Unpaired { message: input, .. }) => Resolution::Paired { input, output },
+                Some(UnpairedMessage { message: input, .. }) => Resolution::Paired { input, output },
                 None => Resolution::Unmatched(output),
             });
         }
         if let Some(input) = remove(&mut self.inputs, key) {
             return Some(Resolution::Paired { input, output });
         }
-        self.outputs.push_back(Unpaired { key, since: at, message: output });
+        self.outputs.push_back(UnpairedMessage { key, since: at, message: output });
         let displaced = (self.outputs.len() > self.capacity).then(|| self.outputs.pop_front()).flatten()?;
         Some(Resolution::Unmatched(displaced.message))
     }
@@ -95,7 +95,7 @@ impl<I, O> Pairing<I, O> {
     pub(super) fn expire(&mut self, now: MonoTime) -> Option<Resolution<I, O>> {
         let timeout = self.timeout;
         if let Some(oldest) = self.inputs.pop_front_if(|oldest| now - oldest.since >= timeout) {
-            return Some(Resolution::Unanswered { input: oldest.message, cause: Unanswered::Expired });
+            return Some(Resolution::Unanswered { input: oldest.message, cause: UnansweredCause::Expired });
         }
         let oldest = self.outputs.pop_front_if(|oldest| now - oldest.since >= timeout)?;
         Some(Resolution::Unmatched(oldest.message))
@@ -120,7 +120,7 @@ impl<I, O> Pairing<I, O> {
 }
 
 /// Removes the oldest message with this key.
-fn remove<T>(unpaired: &mut VecDeque<Unpaired<T>>, key: Option<i64>) -> Option<T> {
+fn remove<T>(unpaired: &mut VecDeque<UnpairedMessage<T>>, key: Option<i64>) -> Option<T> {
     let wanted_key = key?;
     let index = unpaired.iter().position(|message| message.key == Some(wanted_key))?;
     unpaired.remove(index).map(|unpaired| unpaired.message)

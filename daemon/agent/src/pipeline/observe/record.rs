@@ -10,7 +10,7 @@ use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage}
 use super::arrivals::Arrival;
 use super::message::TopicMessage;
 use crate::link::HostStamp;
-use crate::pipeline::in_flight::PendingIteration;
+use crate::pipeline::in_flight::StartedIteration;
 use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
 use crate::pipeline::progress::Position;
@@ -24,7 +24,7 @@ const OUTPUT_UNMATCHED: Name = Name::from_static("output-unmatched");
 
 /// A message with period and jitter of its topic.
 #[derive(Debug)]
-pub(super) struct Received {
+pub(super) struct ReceivedMessage {
     pub(super) message: TopicMessage,
     pub(super) arrival: Arrival,
     /// Stamp of its reception, from which its delay is computed.
@@ -35,7 +35,7 @@ pub(super) struct Received {
 #[derive(Debug)]
 pub(super) struct Input {
     pub(super) position: Position,
-    pub(super) received: Received,
+    pub(super) received: ReceivedMessage,
 }
 
 /// Counts of messages without an iteration, since the last answered iteration.
@@ -84,25 +84,31 @@ pub(super) fn answered(
     clock: &SharedClock,
     host: HostId,
     input: &Input,
-    output: &Received,
+    output: &ReceivedMessage,
     unpaired_counts: UnpairedCounts,
 ) -> (Tree, Stamp) {
     let (started, ended) = start_and_end(input, output);
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     log.record_timer(stage::INFERENCE, started.mono, ended.mono);
     add_topics(log.tree_mut(), input, output, ended.mono - started.mono, unpaired_counts);
-    (iteration::close(log, &pending(input.position, started), ended.mono, true, None), ended)
+    (iteration::close(log, &started_iteration(input.position, started), ended.mono, true, None), ended)
 }
 
 /// Returns the times at which the iteration of a pair began and ended.
-fn start_and_end(input: &Input, output: &Received) -> (Stamp, Stamp) {
+fn start_and_end(input: &Input, output: &ReceivedMessage) -> (Stamp, Stamp) {
     let (started, seen) = (input.received.message.received, output.message.received);
     // The observed node may receive the input before the agent does. Then the agent cannot measure the latency, and it is
     // recorded as 0.
     (started, if seen.mono < started.mono { started } else { seen })
 }
 
-fn add_topics(tree: &mut Tree, input: &Input, output: &Received, at: Span, unpaired_counts: UnpairedCounts) {
+fn add_topics(
+    tree: &mut Tree,
+    input: &Input,
+    output: &ReceivedMessage,
+    at: Span,
+    unpaired_counts: UnpairedCounts,
+) {
     add(tree, &INPUT, &input.received, Span::ZERO, unpaired_counts.input_missing);
     add(tree, &OUTPUT, output, at, unpaired_counts.output_missing);
     if unpaired_counts.output_unmatched > 0 {
@@ -115,18 +121,18 @@ pub(super) fn unanswered(
     clock: &SharedClock,
     host: HostId,
     position: Position,
-    input: &Received,
+    input: &ReceivedMessage,
     ended: Stamp,
 ) -> Tree {
     let started = input.message.received;
     let mut log = Recorder::starting_at(SharedClock::clone(clock), host, started);
     // Missing messages are counted with the next answered iteration.
     add(log.tree_mut(), &INPUT, input, Span::ZERO, 0);
-    iteration::close(log, &pending(position, started), ended.mono, true, None)
+    iteration::close(log, &started_iteration(position, started), ended.mono, true, None)
 }
 
-fn add(tree: &mut Tree, names: &TopicNames, received: &Received, at: Span, missing: u64) {
-    let Received { message, arrival, .. } = received;
+fn add(tree: &mut Tree, names: &TopicNames, received: &ReceivedMessage, at: Span, missing: u64) {
+    let ReceivedMessage { message, arrival, .. } = received;
     let mut seconds = |name: &Name, span: Option<Span>| {
         if let Some(span) = span {
             tree.add(NodeId::ROOT, name.clone(), at, Measure::Value(span.seconds(), Unit::SECONDS));
@@ -152,8 +158,8 @@ fn age(message: &TopicMessage) -> Option<Span> {
     (age.abs() <= MAX_AGE).then_some(age)
 }
 
-const fn pending(position: Position, started: Stamp) -> PendingIteration {
-    PendingIteration {
+const fn started_iteration(position: Position, started: Stamp) -> StartedIteration {
+    StartedIteration {
         position,
         start: Start { intended: started.mono, skipped: 0 },
         started_at: started.mono,
@@ -170,10 +176,10 @@ mod tests {
 
     const POSITION: Position = Position { number: 1, episode: 0, step: 0, warm_up: false };
 
-    fn received(at: Stamp, stamp: Option<i64>) -> Received {
+    fn received(at: Stamp, stamp: Option<i64>) -> ReceivedMessage {
         let message = TopicMessage { received: at, length: 10, stamp, sequence: None, missing: 0 };
         let arrival = Arrival { period: Some(Span::from_millis(40)), jitter: None };
-        Received { message, arrival, at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) } }
+        ReceivedMessage { message, arrival, at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) } }
     }
 
     fn clock() -> Arc<ManualClock> {

@@ -9,9 +9,9 @@ use peernet_stream::Outcome;
 
 use super::arrivals::Arrivals;
 use super::message::TopicMessage;
-use super::pairing::{Pairing, Resolution, Unanswered};
+use super::pairing::{Pairing, Resolution, UnansweredCause};
 use super::peer::{Pair, PeerStamps, SettledPair, record_without_peer};
-use super::record::{self as trees, Input, Received, UnpairedCounts};
+use super::record::{self as trees, Input, ReceivedMessage, UnpairedCounts};
 use super::source::{Source, SourceError};
 use super::stamps::MessageStamps;
 use super::topic::Topic;
@@ -43,7 +43,7 @@ pub(super) enum SessionEnded {
 pub(super) struct Observation<'a> {
     config: &'a ObserveConfig,
     timeout: Span,
-    pairing: Pairing<Input, Received>,
+    pairing: Pairing<Input, ReceivedMessage>,
     input: Arrivals,
     output: Arrivals,
     unpaired_counts: UnpairedCounts,
@@ -196,7 +196,7 @@ impl<'a> Observation<'a> {
         let position = run.assign_position(at);
         let key = message.key(self.config.pair_by);
         let host_stamp = self.stamps.stamp(Side::Input, &message, key.ok().flatten());
-        let received = Received { message, arrival, at: host_stamp };
+        let received = ReceivedMessage { message, arrival, at: host_stamp };
         match key {
             Ok(key) => {
                 let input = Input { position, received };
@@ -225,7 +225,7 @@ impl<'a> Observation<'a> {
         match message.key(self.config.pair_by) {
             Ok(key) => {
                 let host_stamp = self.stamps.stamp(Side::Output, &message, key);
-                let output = Received { message, arrival, at: host_stamp };
+                let output = ReceivedMessage { message, arrival, at: host_stamp };
                 if let Some(resolution) = self.pairing.add_output(key, at, output) {
                     self.settle(resolution, run, runner);
                 }
@@ -243,7 +243,7 @@ impl<'a> Observation<'a> {
         }
     }
 
-    fn settle(&mut self, resolution: Resolution<Input, Received>, run: &mut Run, runner: &Runner) {
+    fn settle(&mut self, resolution: Resolution<Input, ReceivedMessage>, run: &mut Run, runner: &Runner) {
         match resolution {
             Resolution::Paired { input, output } => {
                 // Missing messages have no iteration. The next iteration with both messages records their counts.
@@ -268,10 +268,10 @@ impl<'a> Observation<'a> {
                 let ObserveConfig { output, pair_by, .. } = self.config;
                 let (by, millis) = (pair_by.describe(), self.timeout.nanos() / 1_000_000);
                 let reason = match cause {
-                    Unanswered::Expired => {
+                    UnansweredCause::Expired => {
                         format!("no message of {output} with its {by} within {millis} ms")
                     }
-                    Unanswered::Displaced => {
+                    UnansweredCause::Displaced => {
                         format!(
                             "{MAX_UNPAIRED} newer input messages arrived before a message of {output} with its {by}"
                         )

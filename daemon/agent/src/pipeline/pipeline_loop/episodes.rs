@@ -4,7 +4,7 @@ use peernet_actuators::Feedback;
 use peernet_stream::Outcome;
 
 use super::PipelineLoop;
-use crate::pipeline::in_flight::PendingIteration;
+use crate::pipeline::in_flight::StartedIteration;
 use crate::pipeline::iteration;
 use crate::pipeline::load::Start;
 use crate::pipeline::preparation::{Preparation, PreparationError};
@@ -41,15 +41,15 @@ impl PipelineLoop<'_> {
         if outcome != Outcome::Ok && self.end_reason.is_none() {
             let start = Start { intended: now, skipped: 0 };
             let (log, started_at) = iteration::start(clock, self.context.host.id, now);
-            let pending = PendingIteration { position: self.run.assign_position(now), start, started_at };
+            let iteration = StartedIteration { position: self.run.assign_position(now), start, started_at };
             let ended = Feedback { episode_ended: true, ..Feedback::default() };
-            self.finish(pending, log, outcome, ended, None);
+            self.finish(iteration, log, outcome, ended, None);
         }
     }
 
     /// Returns whether an iteration of an episode is in flight or waits in the queue.
     pub(super) fn has_pending(&self, episode: u32) -> bool {
-        let queued = self.queued.iter().map(|queued| &queued.pending);
-        self.in_flight.iter().chain(queued).any(|pending| pending.position.episode == episode)
+        let queued = self.queued.iter().map(|queued| &queued.iteration);
+        self.in_flight.iter().chain(queued).any(|iteration| iteration.position.episode == episode)
     }
 }

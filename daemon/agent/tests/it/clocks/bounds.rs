@@ -2,7 +2,7 @@
 
 use peernet_clock::{ClockFaults, DelaySource, Span, Verdict};
 
-use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line, transit, truth, wrong};
+use super::{CLOUD, DELAY_NAMES, MAX_STALE_AT_START, assert_holds, delay, pipeline, transit, truth, wrong};
 use crate::harness::{Aggregator, TestAgent, assert_adds_up, clock, config, faulty_clock, value};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -10,18 +10,21 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 250 }";
-    let tables = config(&line("line", &cloud, load));
+    let tables = config(&pipeline("line", &cloud, load));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), tables, "edge").await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 
     assert_eq!(seen.iterations().len(), 250);
     for iteration in seen.iterations() {
-        for way in WAYS {
-            let delay = delay(iteration, way);
+        for name in DELAY_NAMES {
+            let delay = delay(iteration, name);
             assert_holds(&delay, delay.raw);
             assert_eq!(delay.source, DelaySource::InBand);
-            let first = iteration.number <= FIRST && delay.verdict == Verdict::Stale;
-            assert!(first || matches!(delay.verdict, Verdict::Ok | Verdict::Limited), "{delay:?}");
+            let is_stale_at_start = iteration.number <= MAX_STALE_AT_START && delay.verdict == Verdict::Stale;
+            assert!(
+                is_stale_at_start || matches!(delay.verdict, Verdict::Ok | Verdict::Limited),
+                "{delay:?}"
+            );
         }
         assert_adds_up(iteration);
         let (Some(seconds), Some(rate)) =
@@ -46,14 +49,14 @@ async fn every_delay_is_bounded_from_first_exchange_on() {
         let offset = sample.offset.as_ref().expect("known");
         assert!(offset.bounds.lo <= Span::ZERO && Span::ZERO <= offset.bounds.hi, "{offset:?}");
         assert!(sample.probes.answered == 0 || sample.round_trip.is_some());
-        for median in [sample.up, sample.down].into_iter().flatten().filter_map(|way| way.median) {
+        for median in [sample.up, sample.down].into_iter().flatten().filter_map(|delays| delays.median) {
             assert!(median.bounds.lo <= median.value && median.value <= median.bounds.hi);
             assert!(median.bits_per_second > Some(0.0));
         }
     }
-    // The live lane has the same data: every verdict is counted, and each has its error bar.
+    // The live updates have the same data: every verdict is counted, and each has its error bar.
     let mut seconds = std::collections::BTreeMap::new();
-    for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|line| &line.seconds) {
+    for second in seen.lives.iter().flat_map(|live| &live.pipelines).flat_map(|pipeline| &pipeline.seconds) {
         seconds.insert(second.at, second.clone());
     }
     let mut verdicts = 0;
@@ -78,7 +81,7 @@ async fn wrong_clock_does_not_change_delays() {
         let aggregator = Aggregator::start().await;
         let cloud = TestAgent::start_on(cloud_clock, "cloud", None, config(CLOUD)).await;
         let load = "load = { mode = 'rate', hz = 100.0 }\nmax_in_flight = 4\nlimit = { iterations = 200 }";
-        let tables = config(&line("line", &cloud, load));
+        let tables = config(&pipeline("line", &cloud, load));
         let edge = TestAgent::start_on(edge_clock, "edge", Some(&aggregator.address), tables).await;
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
 

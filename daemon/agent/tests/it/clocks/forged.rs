@@ -11,7 +11,7 @@ use peernet_stream::Probing;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 
-use super::{CLOUD, WAYS, assert_holds, delay, line};
+use super::{CLOUD, DELAY_NAMES, assert_holds, delay, pipeline};
 use crate::harness::{Aggregator, TestAgent, config};
 
 /// Delay of data in each direction, which determines the width of the interval from honest exchanges.
@@ -107,7 +107,7 @@ async fn forged_answers_to_probes_reach_no_delay() {
     ];
 
     let load = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 16\nlimit = { iterations = 300 }";
-    let table = line("line", &cloud, load).replace(&cloud.address(), &relayed);
+    let table = pipeline("line", &cloud, load).replace(&cloud.address(), &relayed);
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&table), "edge").await;
     let is_refused = |probing: &Probing| {
         let Probing::Unanswered { reason: Some(reason), .. } = probing else { return false };
@@ -117,8 +117,8 @@ async fn forged_answers_to_probes_reach_no_delay() {
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     let mut judged = 0;
     for iteration in seen.iterations() {
-        for way in WAYS {
-            let delay = delay(iteration, way);
+        for name in DELAY_NAMES {
+            let delay = delay(iteration, name);
             assert!(delay.raw > Span::from_millis(19), "{delay:?}");
             if matches!(delay.verdict, Verdict::Ok | Verdict::Limited) {
                 // Both agents read one clock.

@@ -28,7 +28,7 @@ impl Cloud {
         Self { listener: listener.expect("a free port"), host, clock, instance, probes }
     }
 
-    fn line(&self, name: &str) -> String {
+    fn pipeline(&self, name: &str) -> String {
         format!(
             "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\
              placement = {{ kind = 'remote', peer = '{}', model = 'echo' }}\n\
@@ -89,7 +89,7 @@ async fn probes_at_another_process_are_refused_and_reported() {
     let reflecting = tokio::spawn(reflector.run(stop.clone()));
 
     let mut cloud = Cloud::start(HostId::random(), 1, Some(port)).await;
-    let edge = TestAgent::start_with("edge", None, config(&cloud.line("line")), "edge").await;
+    let edge = TestAgent::start_with("edge", None, config(&cloud.pipeline("line")), "edge").await;
     let open = cloud.next_open().await;
     cloud.accept(open);
     let cloud = cloud.stay();
@@ -101,8 +101,8 @@ async fn probes_at_another_process_are_refused_and_reported() {
     assert!(answers.read().answered > 0, "they were answered");
     // This session has no key, as with clouds of earlier releases.
     let is_open = |basis: EstimateBasis| basis.probes_authenticated == Some(false);
-    edge.until(|live| live.links.iter().any(|link| link.now.basis.is_some_and(is_open))).await;
-    let now = &live.links[0].now;
+    edge.until(|live| live.links.iter().any(|link| link.latest_sample.basis.is_some_and(is_open))).await;
+    let now = &live.links[0].latest_sample;
     assert_eq!((now.probes.answered, now.exchanges.accepted, &now.offset), (0, 0, &None), "and not believed");
 
     edge.stop().await.expect("stops well");
@@ -116,7 +116,7 @@ async fn restarted_cloud_does_not_join_link_of_hanging_session() {
     let host = HostId::random();
     let mut before = Cloud::start(host, 1, None).await;
     let mut after = Cloud::start(host, 2, None).await;
-    let lines = config(&format!("{}{}", before.line("first"), after.line("second")));
+    let lines = config(&format!("{}{}", before.pipeline("first"), after.pipeline("second")));
     let edge = TestAgent::start_with("edge", None, lines, "edge").await;
     let open = before.next_open().await;
     before.accept(open);

@@ -7,14 +7,14 @@ use peernet_clock::{DelaySource, Span, Verdict};
 use peernet_logger::Slug;
 use peernet_stream::Probing;
 
-use super::{CLOUD, line};
+use super::{CLOUD, pipeline};
 use crate::harness::{Aggregator, TestAgent, config};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pipelines_to_one_cloud_share_link_until_last_ends() {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
-    let short = line("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
-    let long = line("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
+    let short = pipeline("short", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 50 }");
+    let long = pipeline("long", &cloud, "load = { mode = 'rate', hz = 50.0 }\nlimit = { iterations = 150 }");
     let edge = TestAgent::start_with("edge", None, config(&format!("{short}{long}")), "edge").await;
     let names = |pipelines: &[Slug]| pipelines.iter().map(ToString::to_string).collect::<Vec<_>>();
 
@@ -27,7 +27,7 @@ async fn pipelines_to_one_cloud_share_link_until_last_ends() {
     );
     assert!(link.edge.is_some() && link.cloud.is_some());
 
-    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
     let Probing::On { address, rate_hz, stamps } = &live.links[0].probing else { panic!("{:?}", live.links) };
     assert!(address.starts_with("udp://127.0.0.1:") && !stamps.is_empty(), "{address} {stamps}");
     assert_eq!(*rate_hz, 10.0);
@@ -42,13 +42,13 @@ async fn pipelines_to_one_cloud_share_link_until_last_ends() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn same_clock_is_recognised_and_probed_rarely() {
     let cloud = TestAgent::start("cloud", None, CLOUD).await;
-    let tables = line("line", &cloud, "load = { mode = 'rate', hz = 50.0 }");
+    let tables = pipeline("line", &cloud, "load = { mode = 'rate', hz = 50.0 }");
     let edge = TestAgent::start("edge", None, &tables).await;
-    let live = edge.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
     let link = &live.links[0];
     assert!(link.same_clock);
     assert!(matches!(link.probing, Probing::On { rate_hz: 1.0, .. }), "{:?}", link.probing);
-    let offset = link.now.offset.as_ref().expect("known");
+    let offset = link.latest_sample.offset.as_ref().expect("known");
     assert_eq!((offset.estimate, offset.source), (Span::ZERO, DelaySource::SameClock));
     assert_eq!(offset.verdict, Verdict::Ok);
     edge.stop().await.expect("stops well");
@@ -70,7 +70,7 @@ async fn each_network_of_pair_has_all_probe_results() {
              load = {{ mode = 'rate', hz = 50.0 }}\n"
         )
     };
-    // No probe is answered without the key, so that many are in flight when a session ends.
+    // No probe is answered without the key, so many are in flight when a session ends.
     let folder = tempfile::tempdir().expect("a folder");
     let key = folder.path().join("key");
     std::fs::write(&key, "0123456789abcdef0123456789abcdef\n").expect("written");
@@ -78,7 +78,10 @@ async fn each_network_of_pair_has_all_probe_results() {
     let probes = format!("[probes]\nrate_hz = 50.0\nkey_file = '{}'\n", key.display());
     let tables = format!("{probes}{}{}", pipeline("first", tcp), pipeline("second", udp));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
-    edge.until(|live| live.links.len() == 2 && live.links.iter().all(|link| link.now.probes.lost > 0)).await;
+    edge.until(|live| {
+        live.links.len() == 2 && live.links.iter().all(|link| link.latest_sample.probes.lost > 0)
+    })
+    .await;
     // Both sessions end, one a little earlier.
     edge.stop().await.expect("stops well");
     let seen = aggregator.until(|seen| !seen.goodbyes.is_empty()).await;

@@ -1,6 +1,6 @@
 //! Tests with two hosts and two clocks: the intervals of delays.
 //!
-//! The agents share this machine's clock under different names, so that the truth is known but the estimator does not
+//! The agents share this machine's clock under different names, so the truth is known but the estimator does not
 //! use it: the raw difference, minus the injected error of a clock, is the delay.
 
 mod bounds;
@@ -20,11 +20,11 @@ use crate::harness::TestAgent;
 const CLOUD: &str = "[serve]\nlisten = 'tcp://127.0.0.1:0'\n[[model]]\nname = 'echo'\nkind = 'echo'\n";
 /// Number of exchanges at the beginning of a link that may be too few for a good verdict, although their delays have
 /// bounds.
-const FIRST: u64 = 5;
-const WAYS: [&str; 2] = ["upload", "download"];
+const MAX_STALE_AT_START: u64 = 5;
+const DELAY_NAMES: [&str; 2] = ["upload", "download"];
 
 /// Returns a pipeline that uses the model `echo` of a cloud.
-fn line(name: &str, cloud: &TestAgent, keys: &str) -> String {
+fn pipeline(name: &str, cloud: &TestAgent, keys: &str) -> String {
     format!(
         "[[pipeline]]\nname = '{name}'\nsensor = {{ kind = 'synthetic', size_bytes = 20000 }}\n\
          placement = {{ kind = 'remote', peer = '{}', model = 'echo' }}\n\
@@ -34,13 +34,13 @@ fn line(name: &str, cloud: &TestAgent, keys: &str) -> String {
 }
 
 /// Returns the judged delay in one direction.
-fn delay(iteration: &Iteration, way: &str) -> OneWayDelay {
-    transit(iteration, way).2
+fn delay(iteration: &Iteration, name: &str) -> OneWayDelay {
+    transit(iteration, name).2
 }
 
 /// Returns the stamps of a message in one direction, and its judged delay.
-fn transit(iteration: &Iteration, way: &str) -> (WallTime, WallTime, OneWayDelay) {
-    let (_, node) = iteration.tree.find(&[way]).unwrap_or_else(|| panic!("{way} in {:?}", iteration.tree));
+fn transit(iteration: &Iteration, name: &str) -> (WallTime, WallTime, OneWayDelay) {
+    let (_, node) = iteration.tree.find(&[name]).unwrap_or_else(|| panic!("{name} in {:?}", iteration.tree));
     match &node.measure {
         Measure::Transit(transit) => {
             let received = transit.received.expect("arrived");

@@ -9,7 +9,7 @@ use peernet_clock::Verdict;
 use peernet_stream::Probing;
 use tokio_util::sync::CancellationToken;
 
-use super::{CLOUD, FIRST, WAYS, assert_holds, delay, line};
+use super::{CLOUD, DELAY_NAMES, MAX_STALE_AT_START, assert_holds, delay, pipeline};
 use crate::harness::{Aggregator, TestAgent, VERSION, clock, config};
 
 const LOAD: &str = "load = { mode = 'rate', hz = 50.0 }\nmax_in_flight = 4\nlimit = { iterations = 60 }";
@@ -23,7 +23,7 @@ async fn data_bounds_delays_without_probes() {
         let aggregator = Aggregator::start().await;
         let cloud =
             TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{cloud_keys}")), "cloud").await;
-        let tables = format!("{edge_keys}{}", line("line", &cloud, LOAD));
+        let tables = format!("{edge_keys}{}", pipeline("line", &cloud, LOAD));
         let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
         edge.until(|live| {
             live.links.iter().any(|link| matches!(&link.probing, Probing::Off(text) if text.contains(why)))
@@ -32,11 +32,15 @@ async fn data_bounds_delays_without_probes() {
         let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
         assert_eq!(seen.iterations().len(), 60);
         for iteration in seen.iterations() {
-            for way in WAYS {
-                let delay = delay(iteration, way);
+            for name in DELAY_NAMES {
+                let delay = delay(iteration, name);
                 assert_holds(&delay, delay.raw);
-                let first = iteration.number <= FIRST && delay.verdict == Verdict::Stale;
-                assert!(first || matches!(delay.verdict, Verdict::Ok | Verdict::Limited), "{delay:?}");
+                let is_stale_at_start =
+                    iteration.number <= MAX_STALE_AT_START && delay.verdict == Verdict::Stale;
+                assert!(
+                    is_stale_at_start || matches!(delay.verdict, Verdict::Ok | Verdict::Limited),
+                    "{delay:?}"
+                );
             }
         }
         edge.stop().await.expect("stops well");
@@ -60,18 +64,19 @@ async fn probes_are_answered_only_with_shared_key() {
     // Without the key an edge gets no answer, as with a firewall.
     let cloud = TestAgent::start_with("cloud", None, config(&format!("{CLOUD}{keyed}")), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }";
-    let tables = |keys: &str| config(&format!("{keys}{}", line("line", &cloud, load)));
+    let tables = |keys: &str| config(&format!("{keys}{}", pipeline("line", &cloud, load)));
     let stranger = TestAgent::start_with("stranger", None, tables(""), "stranger").await;
     let friend = TestAgent::start_with("friend", None, tables(&keyed), "friend").await;
 
-    let live = friend.until(|live| live.links.iter().any(|link| link.now.probes.answered > 0)).await;
+    let live =
+        friend.until(|live| live.links.iter().any(|link| link.latest_sample.probes.answered > 0)).await;
     assert!(matches!(live.links[0].probing, Probing::On { .. }), "{:?}", live.links[0].probing);
     let at = |address: &str| address.starts_with("udp://127.0.0.1:");
     let unanswered =
         |probing: &Probing| matches!(probing, Probing::Unanswered { address, .. } if at(address));
     let live = stranger.until(|live| live.links.iter().any(|link| unanswered(&link.probing))).await;
-    assert_eq!(live.links[0].now.probes.answered, 0);
-    let offset = live.links[0].now.offset.as_ref().expect("known by the data");
+    assert_eq!(live.links[0].latest_sample.probes.answered, 0);
+    let offset = live.links[0].latest_sample.offset.as_ref().expect("known by the data");
     assert!(offset.bounds.lo <= offset.estimate && offset.estimate <= offset.bounds.hi);
     for agent in [stranger, friend, cloud] {
         agent.stop().await.expect("stops well");
@@ -87,7 +92,7 @@ async fn key_only_at_edge_is_named_as_reason() {
     let keyed = format!("[probes]\nkey_file = '{}'\n", key.display());
     let aggregator = Aggregator::start().await;
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
-    let tables = format!("{keyed}{}", line("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
+    let tables = format!("{keyed}{}", pipeline("line", &cloud, "load = { mode = 'rate', hz = 20.0 }"));
     let edge = TestAgent::start_with("edge", Some(&aggregator.address), config(&tables), "edge").await;
     let named = |probing: &Probing| matches!(probing, Probing::Unanswered { reason: Some(reason), .. } if reason.contains("same key"));
     edge.until(|live| live.links.iter().any(|link| named(&link.probing))).await;
@@ -124,10 +129,12 @@ async fn occupied_probe_port_is_error_only_if_configured() {
         TestAgent::start_with("first", None, config(CLOUD), "first").await,
         TestAgent::start_with("second", None, config(CLOUD), "second").await,
     ];
-    let lines = clouds.iter().zip(["to-first", "to-second"]).map(|(cloud, name)| line(name, cloud, ""));
+    let lines = clouds.iter().zip(["to-first", "to-second"]).map(|(cloud, name)| pipeline(name, cloud, ""));
     let edge = TestAgent::start_with("edge", None, config(&lines.collect::<String>()), "edge").await;
     let live = edge
-        .until(|live| live.links.len() == 2 && live.links.iter().all(|link| link.now.round_trip.is_some()))
+        .until(|live| {
+            live.links.len() == 2 && live.links.iter().all(|link| link.latest_sample.round_trip.is_some())
+        })
         .await;
     let addresses: Vec<_> = live
         .links

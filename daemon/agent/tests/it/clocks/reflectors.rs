@@ -8,7 +8,7 @@ use peernet_clock::{RelatedClocks, Span, Verdict};
 use peernet_stream::{LiveUpdate, Probing, ReflectorLive};
 use tokio::net::UdpSocket;
 
-use super::{CLOUD, line};
+use super::{CLOUD, pipeline};
 use crate::harness::{TestAgent, config};
 
 /// A process that is killed at the end of the test.
@@ -43,8 +43,10 @@ fn stamp_suite(address: SocketAddr) -> ForeignReflector {
 async fn naming(reflector: SocketAddr) -> (TestAgent, TestAgent) {
     let cloud = TestAgent::start_with("cloud", None, config(CLOUD), "cloud").await;
     let load = "load = { mode = 'rate', hz = 20.0 }\nlimit = { iterations = 100000 }";
-    let tables =
-        format!("[probes]\nreflectors = {{ cloud = 'udp://{reflector}' }}\n{}", line("line", &cloud, load));
+    let tables = format!(
+        "[probes]\nreflectors = {{ cloud = 'udp://{reflector}' }}\n{}",
+        pipeline("line", &cloud, load)
+    );
     let edge = TestAgent::start_with("edge", None, config(&tables), "edge").await;
     (edge, cloud)
 }
@@ -78,7 +80,7 @@ async fn named_foreign_reflector_gets_relation_of_its_own() {
     assert!(reflector.round_trip.is_some_and(|trip| trip.min > Span::ZERO), "{reflector:?}");
     assert_eq!(reflector.probes.refused, 0, "{reflector:?}");
     // The relation of the data's two hosts is a separate one, between their own clocks.
-    assert_eq!(link.now.clocks(), RelatedClocks::Raw);
+    assert_eq!(link.latest_sample.clocks(), RelatedClocks::Raw);
     assert!(matches!(&link.probing, Probing::On { address: to, .. } if *to != reflector.address), "{link:?}");
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
@@ -105,8 +107,8 @@ async fn garbage_from_configured_reflector_gives_no_offset() {
     assert!(reflector.probes.refused > 0 && reflector.probes.lost > 0, "{reflector:?}");
     assert_eq!((reflector.probes.answered, &reflector.offset), (0, &None));
     // The cloud's own reflector is still probed.
-    assert!(link.now.offset.is_some() && matches!(link.probing, Probing::On { .. }), "{link:?}");
-    assert_eq!(link.now.probes.refused, 0);
+    assert!(link.latest_sample.offset.is_some() && matches!(link.probing, Probing::On { .. }), "{link:?}");
+    assert_eq!(link.latest_sample.probes.refused, 0);
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
     garbage.abort();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use peernet_clock::{ClockFaultStep, ClockFaults, SharedClock, Span, Verdict, WallTime};
 use peernet_stream::{IncidentKind, LiveUpdate};
 
-use super::{CLOUD, assert_holds, line, transit, wrong};
+use super::{CLOUD, assert_holds, pipeline, transit, wrong};
 use crate::harness::{
     Aggregator, ReceivedEvents, SwitchableClock, TestAgent, assert_adds_up, clock, config, value,
 };
@@ -35,11 +35,14 @@ fn good_after(seen: &ReceivedEvents, edge: Option<&ClockFaults>, cloud: Option<&
         let (sent, received, up) = transit(iteration, "upload");
         let (left, back, down) = transit(iteration, "download");
         // One of the two clocks is right, and so is its stamp.
-        let way = |from: WallTime, of: Option<&ClockFaults>, to: WallTime, by: Option<&ClockFaults>| {
-            let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
-            right(by, to, near_to) - right(of, from, near_from)
-        };
-        for (delay, truth) in [(up, way(sent, edge, received, cloud)), (down, way(left, cloud, back, edge))] {
+        let true_delay =
+            |from: WallTime, of: Option<&ClockFaults>, to: WallTime, by: Option<&ClockFaults>| {
+                let (near_from, near_to) = if of.is_some() { (to, to) } else { (from, from) };
+                right(by, to, near_to) - right(of, from, near_from)
+            };
+        for (delay, truth) in
+            [(up, true_delay(sent, edge, received, cloud)), (down, true_delay(left, cloud, back, edge))]
+        {
             // No delay depends on a wall clock.
             assert_holds(&delay, truth);
             good += usize::from(
@@ -65,7 +68,7 @@ async fn wall_clock_set_in_mid_run_reaches_no_delay() {
             }
         };
         let cloud = TestAgent::start_on(pair("cloud", !on_edge), "cloud", None, config(CLOUD)).await;
-        let tables = config(&line("line", &cloud, LOAD));
+        let tables = config(&pipeline("line", &cloud, LOAD));
         let edge =
             TestAgent::start_on(pair("edge", on_edge), "edge", Some(&aggregator.address), tables).await;
         aggregator.until(|seen| seen.iterations().len() >= 50 && !seen.clocks().is_empty()).await;
@@ -111,13 +114,16 @@ async fn step_is_announced_to_idle_peers() {
             .await;
     // One sample now and the next in an hour, and no probes.
     let rare = "load = { mode = 'rate', hz = 0.0003 }\n[probes]\nsend = false";
-    let edge = TestAgent::start_with("edge", None, config(&line("line", &cloud, rare)), "edge").await;
+    let edge = TestAgent::start_with("edge", None, config(&pipeline("line", &cloud, rare)), "edge").await;
     let epoch = |live: &LiveUpdate| live.links.first().and_then(|link| Some(link.cloud.as_ref()?.epoch));
-    let live = edge.until(|live| live.links.iter().any(|link| link.now.offset.is_some())).await;
+    let live = edge.until(|live| live.links.iter().any(|link| link.latest_sample.offset.is_some())).await;
     assert_eq!(epoch(&live), Some(0));
     switchable_clock.go_wrong(stepping(Span::from_seconds(3)));
     let live = edge.until(|live| epoch(live) == Some(1)).await;
-    assert!(live.links[0].now.offset.is_some(), "the estimate of the free-running clocks is still valid");
+    assert!(
+        live.links[0].latest_sample.offset.is_some(),
+        "the estimate of the free-running clocks is still valid"
+    );
     edge.stop().await.expect("stops well");
     cloud.stop().await.expect("stops well");
 }

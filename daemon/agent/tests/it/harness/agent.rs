@@ -72,7 +72,7 @@ impl TestAgent {
         Self::try_start(clock("system"), "edge", Some(aggregator), config, state).await.expect("starts")
     }
 
-    /// Starts an agent as [`start_in`](Self::start_in) does, where the start may fail.
+    /// Does the same as [`start_in`](Self::start_in), but returns an error if the start fails.
     pub(crate) async fn try_start(
         clock: SharedClock,
         name: &str,

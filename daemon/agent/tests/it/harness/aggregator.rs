@@ -151,7 +151,7 @@ impl ReceivedEvents {
     }
 }
 
-/// Binds to an address. The library frees a port a moment after its socket was closed, so that this may have to be
+/// Binds to an address. The library frees a port a moment after its socket was closed, so this may have to be
 /// repeated.
 async fn bind(socket: &Socket, address: &str) -> String {
     let binding = async {
@@ -247,8 +247,8 @@ impl AggregatorState {
         let known = StreamRecord {
             mark: mark_of(hello.stream),
             was_used: seen.streams.contains(&hello.stream),
-            last: seen.streams.last().copied(),
-            previous: hello.previous.and_then(mark_of),
+            last_stream: seen.streams.last().copied(),
+            previous_mark: hello.previous.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, known, now) {

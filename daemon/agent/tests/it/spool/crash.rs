@@ -6,7 +6,7 @@ use peernet_stream::{EndReason, Event, IncidentKind, PipelineState};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::{idle, line, nobody, spooled, state};
+use super::{idle, nobody, pipeline, spooled, state};
 use crate::harness::{Aggregator, AggregatorBehaviour, TestAgent, assert_contiguous};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -17,7 +17,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
     let host = agent.running.live_update().host;
     let state = agent.stop_and_keep().await.expect("stops well");
 
-    let agent = TestAgent::start_in(state, &address, line(keys)).await;
+    let agent = TestAgent::start_in(state, &address, pipeline(keys)).await;
     let account = agent.until(|live| live.accounting.spooled >= 200).await.accounting;
     let file = agent.spool();
     let state = agent.crash().await;
@@ -53,7 +53,7 @@ async fn spool_of_killed_agent_is_delivered_exactly_once() {
 async fn stop_without_aggregator_keeps_events_in_spool() {
     let (address, seen) = nobody().await;
     let keys = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
-    let mut config = line(keys);
+    let mut config = pipeline(keys);
     config.agent.stop_timeout_ms = 60_000;
     let agent = TestAgent::start_in(state(), &address, config).await;
     agent.until_state(|state| *state == PipelineState::Running).await;
@@ -82,7 +82,7 @@ async fn stop_without_aggregator_keeps_events_in_spool() {
 async fn undelivered_events_are_sent_after_next_start() {
     let behaviour = AggregatorBehaviour { slow: Some(Duration::from_millis(40)), ..Default::default() };
     let aggregator = Aggregator::start_at("tcp://127.0.0.1:0", Default::default(), behaviour).await;
-    let mut config = line("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
+    let mut config = pipeline("load = { mode = 'rate', hz = 1000.0 }\nmax_in_flight = 64");
     config.agent.stop_timeout_ms = 1000;
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
     // Few events are in flight; otherwise the aggregator would store them all while the goodbye waits behind them.
@@ -107,7 +107,7 @@ async fn undelivered_events_are_sent_after_next_start() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn intact_batches_of_damaged_spool_are_stored_once() {
     let (address, seen) = nobody().await;
-    let mut config = line("load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64");
+    let mut config = pipeline("load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64");
     config.agent.batch_nodes = std::num::NonZeroUsize::new(50).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
     agent.until(|live| live.accounting.produced >= 200).await;

@@ -5,13 +5,13 @@ use std::num::NonZeroU64;
 use peernet_logger::Slug;
 use peernet_stream::Gap;
 
-use super::{line, nobody, state};
+use super::{nobody, pipeline, state};
 use crate::harness::{Aggregator, TestAgent};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     let (address, seen) = nobody().await;
-    let mut config = line("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
+    let mut config = pipeline("load = { mode = 'rate', hz = 2000.0 }\nmax_in_flight = 64");
     config.spool.limit_bytes = NonZeroU64::new(100_000).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
     let full = agent.until(|live| live.accounting.dropped > 1000).await.accounting;
@@ -42,7 +42,8 @@ async fn newest_events_are_dropped_counted_and_replaced_by_gap() {
     }
 
     // The counts are kept over a restart.
-    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 50 }")).await;
+    let agent =
+        TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 50 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     let second = seen.ended()[1].run;
     assert_eq!(seen.iterations().iter().filter(|iteration| iteration.run == second).count(), 50);

@@ -3,18 +3,20 @@
 use peernet_agent::StartError;
 use peernet_stream::IncidentKind;
 
-use super::{idle, line, state};
+use super::{idle, pipeline, state};
 use crate::harness::{Aggregator, TestAgent, clock};
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn deleted_spool_begins_new_stream() {
     let aggregator = Aggregator::start().await;
-    let agent = TestAgent::start_in(state(), &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let agent =
+        TestAgent::start_in(state(), &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
     aggregator.until(|seen| !seen.ended().is_empty()).await;
     let file = agent.spool();
     let state = agent.stop_and_keep().await.expect("stops well");
     std::fs::remove_file(file).expect("removed");
-    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let agent =
+        TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     assert_eq!(seen.iterations().len(), 40);
     assert_ne!(seen.streams.first(), seen.streams.last());
@@ -27,7 +29,8 @@ async fn damaged_spool_is_quarantined_and_measuring_starts() {
     let (aggregator, state) = (Aggregator::start().await, state());
     let file = state.path().join("spool.sqlite");
     std::fs::write(&file, b"not a database".repeat(100)).expect("written");
-    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let agent =
+        TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
     assert_eq!(seen.iterations().len(), 20);
     let reported = seen.incidents(IncidentKind::Gap);

@@ -15,7 +15,7 @@ use sqlx::{ConnectOptions, Connection};
 use crate::harness::{Aggregator, State, config};
 
 /// Returns a pipeline with small iterations.
-fn line(keys: &str) -> AgentConfig {
+fn pipeline(keys: &str) -> AgentConfig {
     config(&format!(
         "[agent]\nbatch_delay_ms = 20\nbatch_nodes = 500\n[[model]]\nname = 'echo'\nkind = 'echo'\n\
          [[pipeline]]\nname = 'line'\nsensor = {{ kind = 'synthetic', size_bytes = 100 }}\n\

@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use peernet_stream::{IncidentKind, Iteration, PipelineState};
 
-use super::{idle, line, nobody, state};
+use super::{idle, nobody, pipeline, state};
 use crate::harness::{Aggregator, TestAgent, assert_contiguous, value};
 
 const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
@@ -12,7 +12,7 @@ const RATE: &str = "load = { mode = 'rate', hz = 500.0 }\nmax_in_flight = 64";
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn events_are_sent_from_memory_while_file_is_missing() {
     let aggregator = Aggregator::start().await;
-    let agent = TestAgent::start_in(state(), &aggregator.address, line(RATE)).await;
+    let agent = TestAgent::start_in(state(), &aggregator.address, pipeline(RATE)).await;
     aggregator.until(|seen| seen.iterations().len() >= 50).await;
     let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
     std::fs::rename(&file, &away).expect("moved");
@@ -34,7 +34,8 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
     assert_eq!((seen.gaps().len(), seen.incidents(IncidentKind::Gap).len()), (0, 2), "failed, recovered");
 
     // The file is consistent with the batches that were sent from memory.
-    let agent = TestAgent::start_in(state, &aggregator.address, line("limit = { iterations = 20 }")).await;
+    let agent =
+        TestAgent::start_in(state, &aggregator.address, pipeline("limit = { iterations = 20 }")).await;
     let seen = aggregator.until(|seen| seen.ended().len() == 2).await;
     assert!(seen.missing.is_empty() && seen.replaced.is_empty());
     assert!(seen.streams.iter().all(|stream| *stream == seen.streams[0]));
@@ -47,7 +48,7 @@ async fn events_are_sent_from_memory_while_file_is_missing() {
 async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
     let (address, seen) = nobody().await;
     let mut config =
-        line("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
+        pipeline("limit = { iterations = 5000 }\nload = { mode = 'rate', hz = 5000.0 }\nmax_in_flight = 64");
     config.agent.queue_events = NonZeroUsize::new(500).expect("not zero");
     let agent = TestAgent::start_in(state(), &address, config).await;
     let (file, away) = (agent.spool(), agent.spool().with_extension("away"));
@@ -73,7 +74,7 @@ async fn events_beyond_memory_are_counted_without_file_and_aggregator() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn stop_without_file_and_aggregator_ends_at_deadline() {
     let (address, seen) = nobody().await;
-    let mut config = line(RATE);
+    let mut config = pipeline(RATE);
     config.agent.stop_timeout_ms = 600;
     let agent = TestAgent::start_in(state(), &address, config).await;
     agent.until(|live| live.accounting.spooled >= 100).await;

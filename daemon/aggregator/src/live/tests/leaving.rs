@@ -4,9 +4,9 @@ use super::*;
 
 /// Returns an update with this state of the pipeline and `waiting` events in the spool.
 fn update_in_state(testbed: &Testbed, at: f64, state: PipelineState, waiting: u64) -> LiveEvent {
-    let line = PipelineLive { state, ..pipeline("line", vec![]) };
+    let live = PipelineLive { state, ..pipeline("line", vec![]) };
     let accounting = Accounting { produced: 100, stored: 100 - waiting, waiting, ..Accounting::default() };
-    with(update(testbed.host, wall(at), vec![line]), accounting)
+    with(update(testbed.host, wall(at), vec![live]), accounting)
 }
 
 /// Returns whether the host is connected, whether it left in order, and the state of its only pipeline.

@@ -18,7 +18,7 @@ fn link(peer: HostId, name: &str, end_s: f64, lost: u32) -> LinkLive {
         probing: Probing::Off("a test".into()),
         edge: None,
         cloud: None,
-        now: ClockSample {
+        latest_sample: ClockSample {
             peer,
             peer_name: slug(name),
             at: wall(end_s),
@@ -63,7 +63,7 @@ fn repeated_report_replaces_point_and_history_is_bounded() {
     let snapshot = testbed.snapshot(699.9);
     let [shown] = &snapshot.links[..] else { panic!("one link") };
     assert_eq!((shown.edge, shown.edge_name.as_str(), shown.connected), (testbed.host, "edge", true));
-    assert_eq!((shown.last_seen, shown.live.now.at), (wall(699.9), wall(700.0)));
+    assert_eq!((shown.last_seen, shown.live.latest_sample.at), (wall(699.9), wall(700.0)));
     let history = seconds(shown);
     assert_eq!((history.len(), history[0], history[599]), (600, (101, 1), (700, 1)));
     assert_eq!(snapshot.hosts[0].live_left_out, 0);
@@ -113,14 +113,14 @@ fn two_networks_of_one_pair_are_two_links() {
     let link_over = |network: &str, lost| {
         let network: NetworkName = network.parse().expect("a name");
         let mut link = link(cloud, "cloud", 1.0, lost);
-        link.now.network = network;
+        link.latest_sample.network = network;
         link
     };
     report(&mut testbed, 0.5, vec![link_over("zmq-udp", 3), link_over("zmq-tcp", 1)]);
     report(&mut testbed, 0.6, vec![link_over("zmq-udp", 4)]);
     let snapshot = testbed.snapshot(0.6);
     let shown = snapshot.links.iter().map(|link| {
-        (link.live.network().to_string(), link.live.peer, link.live.now.probes.lost, link.connected)
+        (link.live.network().to_string(), link.live.peer, link.live.latest_sample.probes.lost, link.connected)
     });
     let expected = [("zmq-tcp".to_owned(), cloud, 1, false), ("zmq-udp".to_owned(), cloud, 4, true)];
     assert_eq!(shown.collect::<Vec<_>>(), expected, "each link has its own counts");
@@ -163,12 +163,12 @@ fn impossible_clock_values_are_not_shown() {
     let interval = |lo, hi| Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) };
     let link_with_extreme_time = |second: i64| {
         let mut link = link(HostId::random(), "cloud", 1.0, 0);
-        link.now.at = WallTime::from_unix_nanos(second);
+        link.latest_sample.at = WallTime::from_unix_nanos(second);
         link
     };
     let mut links: Vec<LinkLive> = [i64::MIN, i64::MAX, 0].map(link_with_extreme_time).into();
     let mut inverted = link(HostId::random(), "turned", 1.0, 0);
-    inverted.now.offset = Some(Offset {
+    inverted.latest_sample.offset = Some(Offset {
         at: wall(1.0),
         estimate: Span::ZERO,
         bounds: interval(1, -1),
@@ -180,9 +180,9 @@ fn impossible_clock_values_are_not_shown() {
         age: None,
     });
     let median = DelayPoint { value: Span::from_millis(-1), bounds: interval(-2, 0), bits_per_second: None };
-    inverted.now.up = Some(DelaySecond { count: 1, median: Some(median), verdict: Verdict::Ok });
+    inverted.latest_sample.up = Some(DelaySecond { count: 1, median: Some(median), verdict: Verdict::Ok });
     let mut crowded = link(HostId::random(), "crowded", 1.0, 0);
-    crowded.now.offset = inverted.now.offset.clone().map(|offset| Offset {
+    crowded.latest_sample.offset = inverted.latest_sample.offset.clone().map(|offset| Offset {
         bounds: interval(-1, 1),
         sources: vec![(DelaySource::InBand, interval(-1, 1)); 1_000],
         ..offset
@@ -196,7 +196,7 @@ fn impossible_clock_values_are_not_shown() {
     assert!(shown("cloud").iter().all(|link| link.history.is_empty()) && shown("cloud").len() == 3);
     let point = &shown("turned")[0].history[0];
     assert_eq!((&point.offset, point.up.expect("judged").median), (&None, None));
-    let offset = shown("crowded")[0].live.now.offset.clone().expect("known");
+    let offset = shown("crowded")[0].live.latest_sample.offset.clone().expect("known");
     assert_eq!((offset.sources.len(), offset.skew_ppm), (1, None));
     assert_eq!(snapshot.hosts[0].live_left_out, 5);
 }

@@ -1,4 +1,4 @@
-//! Tests of the live state: its figures compared with exact values, under clocks that jump and agents that send invalid
+//! Tests of the live state: its numbers compared with exact values, under clocks that jump and agents that send invalid
 //! data.
 
 mod durable;
@@ -154,17 +154,17 @@ proptest! {
             prop_assert!((window.covered_s - covered).abs() < 1e-6);
             prop_assert_eq!((window.counts.ok, window.counts.lost), (exact.len() as u64, covered_totals.len() as u64));
             prop_assert!((window.rate_hz - window.counts.total() as f64 / window.covered_s).abs() < 1e-9);
-            let Some(figures) = window.value("total") else {
+            let Some(statistics) = window.value("total") else {
                 prop_assert!(exact.is_empty());
                 continue;
             };
             let mean = exact.iter().sum::<f64>() / exact.len() as f64;
-            prop_assert_eq!(figures.count, exact.len() as u64);
-            prop_assert!((figures.mean - mean).abs() < 1e-12);
-            prop_assert_eq!((figures.min, figures.max), (exact[0], exact[exact.len() - 1]));
+            prop_assert_eq!(statistics.count, exact.len() as u64);
+            prop_assert!((statistics.mean - mean).abs() < 1e-12);
+            prop_assert_eq!((statistics.min, statistics.max), (exact[0], exact[exact.len() - 1]));
             let median = (exact[(exact.len() - 1) / 2] + exact[exact.len() / 2]) / 2.0;
-            prop_assert!((figures.p50 - median).abs() <= 0.0101 * median);
-            prop_assert_eq!(figures.p95.is_some(), exact.len() >= 60);
+            prop_assert!((statistics.p50 - median).abs() <= 0.0101 * median);
+            prop_assert_eq!(statistics.p95.is_some(), exact.len() >= 60);
             prop_assert_eq!(&window.bounds[0].verdicts, &[(Verdict::Limited, exact.len() as u64)]);
         }
     }
@@ -237,15 +237,15 @@ fn windows_follow_wrong_and_stepped_agent_clock() {
     let ahead = 172_800;
     let host = testbed.host;
     let sent = |at: f64| wall(ahead as f64 + at);
-    let line = |at: i64| vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
+    let pipelines = |at: i64| vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
     for at in 0..5 {
-        testbed.live.apply(update(host, sent(at as f64 + 0.5), line(ahead + at)), now(at as f64 + 0.5));
+        testbed.live.apply(update(host, sent(at as f64 + 0.5), pipelines(ahead + at)), now(at as f64 + 0.5));
     }
     let snapshot = testbed.snapshot(4.6);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [10, 25, 25]);
     assert_eq!(snapshot.hosts[0].clock_ahead, Span::from_seconds(ahead));
     // The clock is set back to the right time: later seconds are discarded, and new seconds are shown at once.
-    testbed.live.apply(update(host, wall(6.5), line(6)), now(6.5));
+    testbed.live.apply(update(host, wall(6.5), pipelines(6)), now(6.5));
     let snapshot = testbed.snapshot(6.5);
     assert_eq!(snapshot.pipelines[0].windows.each_ref().map(|window| window.counts.ok), [5, 5, 5]);
     assert_eq!(snapshot.pipelines[0].series.len(), 1);
@@ -260,8 +260,8 @@ fn clock_set_back_does_not_count_seconds_twice() {
     // The clock is set back by five seconds; the rate is five iterations a second throughout.
     for at in 15..17 {
         let host = testbed.host;
-        let line = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
-        testbed.live.apply(update(host, wall(at as f64 + 0.5), line), now(at as f64 + 5.5));
+        let pipelines = vec![pipeline("line", vec![second(at, &[0.010; 5], 0)])];
+        testbed.live.apply(update(host, wall(at as f64 + 0.5), pipelines), now(at as f64 + 5.5));
     }
     let snapshot = testbed.snapshot(21.6);
     let pipeline = &snapshot.pipelines[0];
@@ -325,9 +325,9 @@ fn unchanged_snapshots_are_shared() {
 fn run_gets_its_number_from_store_event() {
     let mut testbed = Testbed::new();
     let run = RunId::random();
-    let mut line = pipeline("line", vec![]);
-    line.run = Some(run);
-    testbed.live.apply(update(testbed.host, wall(0.1), vec![line.clone()]), now(0.1));
+    let mut pipeline_live = pipeline("line", vec![]);
+    pipeline_live.run = Some(run);
+    testbed.live.apply(update(testbed.host, wall(0.1), vec![pipeline_live.clone()]), now(0.1));
     assert_eq!(testbed.snapshot(0.1).pipelines[0].run_number, None);
     testbed.live.apply(LiveEvent::Run(testbed.host, run, 412), now(0.2));
     assert_eq!(testbed.snapshot(0.2).pipelines[0].run_number, Some(412));
@@ -335,7 +335,7 @@ fn run_gets_its_number_from_store_event() {
     for number in 0..MAX_RUN_NUMBERS as i64 {
         testbed.live.apply(LiveEvent::Run(testbed.host, RunId::random(), number), now(0.3));
     }
-    testbed.live.apply(update(testbed.host, wall(0.4), vec![line]), now(0.4));
+    testbed.live.apply(update(testbed.host, wall(0.4), vec![pipeline_live]), now(0.4));
     assert_eq!(testbed.snapshot(0.4).pipelines[0].run_number, Some(412));
     assert!(testbed.live.numbers.len() <= MAX_RUN_NUMBERS);
 }

@@ -1,4 +1,4 @@
-//! Tests of the charts over time: figures compared with exact values.
+//! Tests of the charts over time: numbers compared with exact values.
 
 use peernet_logger::stage;
 use peernet_statistics::Summary;
@@ -97,8 +97,8 @@ fn percentiles_follow_clock_that_is_set_back() {
         testbed.send(at as f64 + 0.99, vec![second(at, &[0.010; 8], 0)]);
     }
     let host = testbed.host;
-    let line = vec![super::pipeline("line", vec![second(15, &[0.010; 8], 0)])];
-    testbed.live.apply(super::update(host, super::wall(15.9), line), super::now(40.9));
+    let pipelines = vec![super::pipeline("line", vec![second(15, &[0.010; 8], 0)])];
+    testbed.live.apply(super::update(host, super::wall(15.9), pipelines), super::now(40.9));
     let points = testbed.snapshot(40.9).pipelines[0].total_p95.points.clone();
     assert_eq!(
         points.iter().map(|point| point.at - START).collect::<Vec<_>>(),

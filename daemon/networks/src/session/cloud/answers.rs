@@ -29,7 +29,7 @@ impl AnswersBeingSent {
         self.count.fetch_add(1, Ordering::SeqCst);
         send();
         self.count.fetch_sub(1, Ordering::SeqCst);
-        // If nobody waits yet, the permit is kept for the next waiter, so that no wake-up is lost.
+        // If nobody waits yet, the permit is kept for the next waiter, so no wake-up is lost.
         self.sent.notify_one();
     }
 
@@ -59,8 +59,8 @@ pub(super) fn encode_answer(
     // Read after the stamp: if this epoch equals that of the arrival, no step lies between the two stamps.
     let epoch = if raw { clock.epoch() } else { clock.wall_epoch() };
     let departure = delta.as_ref().map(|_| {
-        let start = clock_zero + (stamp.mono - MonoTime::default());
-        Departure { sent: stamp.wall, start, epoch, sent_raw: raw.then_some(stamp.raw) }
+        let sent_since_anchor = clock_zero + (stamp.mono - MonoTime::default());
+        Departure { sent: stamp.wall, sent_since_anchor, epoch, sent_raw: raw.then_some(stamp.raw) }
     });
     let RequestKey { session, request, arrival } = key;
     let arrival_epoch = if raw { arrival.epoch } else { arrival.wall_epoch };
@@ -92,7 +92,7 @@ pub(super) fn encode_part(
     let stamp = clock.stamp();
     let departure = Departure {
         sent: stamp.wall,
-        start: stamp.mono - received,
+        sent_since_anchor: stamp.mono - received,
         // Every version with partial replies has stamps of the free-running clock.
         epoch: clock.epoch(),
         sent_raw: Some(stamp.raw),

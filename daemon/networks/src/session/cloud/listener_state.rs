@@ -147,7 +147,7 @@ impl ListenerState {
         part: &Sample,
     ) {
         match encode_part(&*self.clock, route, key, (number, received), part) {
-            // Without a tag: a lost part must not end its request.
+            // The part has no tag: a lost part must not end its request.
             Ok(frames) => drop(self.output.send(&route.peer, frames, None, Some(&route.counters))),
             Err(error) => tracing::debug!(%error, "cannot send a part of an answer; it is dropped"),
         }

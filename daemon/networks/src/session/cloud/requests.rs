@@ -42,7 +42,7 @@ pub(super) fn handle_message(
             return None;
         }
     };
-    // A separate statement, so that the lock is released before the branches below take it.
+    // This is a separate statement, so that the lock is released before the branches below take it.
     let message = shared.lock_server().receive(peer, header);
     if let EdgeMessage::Open(session, _) | EdgeMessage::Request(Request { session, .. }) = &message
         && let Some(counters) = shared.lock_server().session_counters(*session)

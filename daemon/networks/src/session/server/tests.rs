@@ -47,8 +47,12 @@ fn accepted() -> SessionAccepted {
 }
 
 fn request(session: SessionId, request: u64) -> Header {
-    let departure =
-        Departure { sent: Default::default(), start: Default::default(), epoch: 0, sent_raw: None };
+    let departure = Departure {
+        sent: Default::default(),
+        sent_since_anchor: Default::default(),
+        epoch: 0,
+        sent_raw: None,
+    };
     let sample = SampleHeader { parts: Vec::new(), source: String::new(), label: None };
     Header::Request(Request { session, request, departure, sample })
 }

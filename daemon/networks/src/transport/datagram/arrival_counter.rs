@@ -276,7 +276,7 @@ mod tests {
     fn counting_continues_after_32_bits() {
         let mut counter = ArrivalCounter::new(at(0));
         let numbers = [i32::MAX as u32 - 1, i32::MAX as u32, u32::MAX - 2, u32::MAX - 1, u32::MAX, 0, 2];
-        // The numbers are a day apart, so that the peer can have sent all datagrams in between.
+        // The numbers are a day apart, so the peer can have sent all datagrams in between.
         for (day, number) in numbers.into_iter().enumerate() {
             counter.record_arrival(number, at(day as i64 * 86_400_000));
         }

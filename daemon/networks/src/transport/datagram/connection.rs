@@ -152,7 +152,7 @@ impl Connection {
                 self.report_false_claim(progress);
             }
             Packet::Lost { sequence, received, .. } => {
-                // The confirmation has the tag, so that the receiving end can report which message is incomplete.
+                // The confirmation has the tag, so the receiving end can report which message is incomplete.
                 let lost = self.sending.receive_loss((sequence, received), self.measurement.reported_lost(), now);
                 if let Some((tag, total, lost)) = self.report_false_claim(lost) {
                     self.events.extend(lost.map(Event::Lost));
@@ -214,7 +214,7 @@ impl Connection {
             return;
         }
         self.heartbeats.record_agreement();
-        // The two calls below check different fields, so that an altered field of one does not hide the report of the other.
+        // The two calls below check different fields, so an altered field of one does not hide the report of the other.
         let totals_claim = self.measurement.receive_report(
             heartbeat.number,
             heartbeat.arrivals,

@@ -267,7 +267,7 @@ impl Endpoint {
             };
             self.deliveries.push(listener_event, reserved);
         }
-        // Each connection is in the queue at most once, so that all get their turn.
+        // Each connection is in the queue at most once, so all get their turn.
         if !entry.is_ready {
             entry.is_ready = true;
             self.ready.push_back(id);

@@ -152,7 +152,7 @@ impl DialState {
     /// Handles a packet from the cloud's address.
     pub(crate) fn receive(&mut self, packet: &Packet<'_>, now: MonoTime) -> Option<HandshakeOutcome> {
         match *packet {
-            // Only the first cookie: a duplicated one would restart the count of attempts.
+            // Only the first cookie counts: a duplicated one would restart the count of attempts.
             Packet::Cookie { nonce, cookie } if nonce == self.nonce && self.cookie.is_none() => {
                 (self.cookie, self.attempts, self.next_attempt) = (Some(cookie), 0, now);
                 None
@@ -218,7 +218,7 @@ impl DialState {
             Some(cookie) => {
                 let start = out.len();
                 Packet::Open { nonce, cookie, reply_port, terms: self.terms }.write(Role::Edge, out);
-                // As long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed here.
+                // The packet is as long as the longest datagram that will be sent, so that a path with a smaller MTU is noticed here.
                 let padded_end = start + usize::from(self.terms.datagram) - self.prefix_bytes.min(64);
                 out.resize(out.len().max(padded_end), 0);
             }

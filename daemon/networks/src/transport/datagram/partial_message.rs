@@ -91,7 +91,7 @@ impl PartialMessage {
     fn append(&mut self, bytes: &[u8], budget: &Arc<MemoryBudget>) -> Result<(), BudgetExhausted> {
         let needed = self.contiguous.len() + bytes.len();
         if needed > self.contiguous.capacity() {
-            // At most twice the bytes that have arrived, so that a long message is copied seldom.
+            // The buffer is at most twice as long as the bytes that have arrived, so a long message is copied seldom.
             let capacity = needed.max(self.contiguous.len() * 2).min(self.total as usize);
             self.reserved.resize(budget, capacity as u64 + self.beyond_gap_bytes)?;
             self.contiguous.reserve_exact(capacity - self.contiguous.len());

@@ -12,7 +12,7 @@ use super::false_claim::FalseClaim;
 use super::packet::{Fragment, Packet};
 use super::reassembly::{LostMessage, MAX_SPAN, Reassembly, ReassemblyLimits, ReassemblyOutcome};
 use super::sending::decode_tag;
-use super::window::PROGRESS_BYTES;
+use super::window::PROGRESS_INTERVAL_BYTES;
 use crate::transport::MessageLoss;
 use crate::transport::memory::{MemoryBudget, Reservation};
 
@@ -101,7 +101,7 @@ impl ReceivingHalf {
 
     /// Returns the report of progress if it is due.
     pub(crate) fn take_progress(&mut self) -> Option<Packet<'static>> {
-        if self.unreported_bytes < PROGRESS_BYTES {
+        if self.unreported_bytes < PROGRESS_INTERVAL_BYTES {
             return None;
         }
         self.unreported_bytes = 0;

@@ -152,7 +152,7 @@ impl SendingHalf {
             if count >= max_datagrams || (count > 0 && out.len() - start + full_length > MAX_BATCH_BYTES) {
                 break;
             }
-            // At least 1, because 0 means no deadline.
+            // The lifetime is at least 1 ms, because 0 means no deadline.
             let lifetime_ms = message.deadline.map_or(0, |deadline| {
                 ((deadline - now).nanos() / 1_000_000).clamp(1, u16::MAX.into()) as u16
             });

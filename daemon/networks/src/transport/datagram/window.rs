@@ -21,7 +21,7 @@ use self::pacing::Pacer;
 use super::packet::Terms;
 
 /// Number of bytes after which an end reports its progress.
-pub(crate) const PROGRESS_BYTES: u32 = 16 * 1024;
+pub(crate) const PROGRESS_INTERVAL_BYTES: u32 = 16 * 1024;
 
 /// Flow control state of one direction of a connection.
 #[derive(Debug)]

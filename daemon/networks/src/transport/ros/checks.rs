@@ -25,7 +25,7 @@ mod tests {
 
     #[test]
     fn domain_address_requires_ros2() {
-        let checked = |text: &str| text.parse::<Address>().expect("an address").check_host();
+        let checked = |text: &str| text.parse::<Address>().expect("an address").check_usable_on_this_host();
         assert!(checked("ros1://robot").is_ok());
         assert_eq!(checked("ros2://7").is_ok(), peernet_ros::ros2::IS_BUILT);
         if let Err(error) = checked("ros2://7") {

@@ -176,7 +176,7 @@ impl CloudReceiver for RosCloudReceiver {
     fn receive(&mut self) -> BoxFuture<'_, Option<ListenerEvent>> {
         Box::pin(async {
             tokio::select! {
-                // Biased, so that events before the abort are still delivered.
+                // The choice is biased, so that events before the abort are still delivered.
                 biased;
                 delivery = self.deliveries.recv() => delivery.map(|(event, _reserved)| event),
                 () = self.tasks.wait_for_abort() => None,

@@ -102,7 +102,7 @@ impl<S: Sink> ConnectionTask<S> {
             let payload_publishers = self.payload_subscriber.as_ref().map(|payload| payload.watch());
             let publisher_change =
                 wait_for_publisher_change(&*info_publishers, payload_publishers.as_deref());
-            // Not reset if the peer returns to the topic, because messages may have been lost in between.
+            // The deadline is not reset if the peer returns to the topic, because messages may have been lost in between.
             left_topic = left_topic.or_else(|| {
                 self.disconnected_topic(&mut connected_topics)
                     .map(|topic| (topic, Instant::now() + LEAVE_TIMEOUT))
@@ -326,7 +326,7 @@ impl<S: Sink> ConnectionTask<S> {
 
     fn collect_events(&mut self, queued_deliveries: &mut VecDeque<S::Delivery>) {
         loop {
-            // A separate statement, so that the lock is released before the event is handled.
+            // This is a separate statement, so that the lock is released before the event is handled.
             let event = self.channel.lock().next_event();
             let Some(event) = event else { return };
             queued_deliveries.extend(self.sink.handle_event(&self.channel, event));

@@ -24,7 +24,7 @@ use super::names::{TopicPair, edge_node_prefix, refusals_topic, sessions_topic, 
 use crate::statistics::{ConnectionAddresses, TransportStatistics};
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -226,7 +226,7 @@ impl Drop for NodeGuard {
 struct EdgeSink;
 
 impl Sink for EdgeSink {
-    type Delivery = (Result<EdgeEvent, Disconnected>, Vec<Reservation>);
+    type Delivery = (Result<EdgeEvent, Disconnection>, Vec<Reservation>);
 
     fn handle_event(&mut self, _channel: &Channel, event: Event) -> Option<Self::Delivery> {
         let (delivered_event, reserved) = match event {
@@ -237,7 +237,7 @@ impl Sink for EdgeSink {
             Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), Vec::new()),
             Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), Vec::new()),
             Event::Remark(text) => (Ok(EdgeEvent::Remark(text)), Vec::new()),
-            Event::Gone(reason) => (Err(Disconnected(reason)), Vec::new()),
+            Event::Gone(reason) => (Err(Disconnection(reason)), Vec::new()),
         };
         Some((delivered_event, reserved))
     }
@@ -285,11 +285,11 @@ impl Drop for RosEdgeReceiver {
 }
 
 impl EdgeReceiver for RosEdgeReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnection>> {
         Box::pin(async {
             match self.deliveries.recv().await {
                 Some((event, _reserved)) => event,
-                None => Err(Disconnected("the connection was closed here".into())),
+                None => Err(Disconnection("the connection was closed here".into())),
             }
         })
     }

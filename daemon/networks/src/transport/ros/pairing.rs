@@ -86,7 +86,7 @@ impl Pairing {
                     | (MessageHalf::Payload(payload), MessageHalf::Info(info)) => {
                         return Some(Pair { info, payload, reserved });
                     }
-                    // Cannot occur: the guard requires halves of different kinds.
+                    // This cannot occur: the guard requires halves of different kinds.
                     _ => return None,
                 }
             }

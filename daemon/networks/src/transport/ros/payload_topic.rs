@@ -129,7 +129,7 @@ impl PayloadTopic {
         match publisher.publish_to(peer, &[message]) {
             Ok(Delivery::Accepted) => Ok(is_confirmed),
             Ok(Delivery::Full) if is_confirmed => Err(SendFailure::Full),
-            // The companion has the payload as well, so that nothing is lost.
+            // The companion has the payload as well, so nothing is lost.
             Ok(Delivery::Full | Delivery::NotConnected) => Ok(false),
             Err(error) => Err(SendFailure::Gone(error.to_string())),
         }

@@ -215,7 +215,7 @@ impl SessionPublisher for Publisher {
         Ok(Delivery::Accepted)
     }
 
-    // Never refused here: the master and the headers of connections detect such problems earlier.
+    // Nothing is refused here: the master and the headers of connections detect such problems earlier.
     fn refusal(&self, _node: &str) -> Option<String> {
         None
     }

@@ -25,7 +25,7 @@ use crate::transport::datagram::packet_writer::PacketWriter;
 use crate::transport::datagram::sending::Batch;
 use crate::transport::memory::{MemoryBudget, Reservation};
 use crate::transport::{
-    DialContext, DialFailure, Disconnected, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
+    DialContext, DialFailure, Disconnection, EdgeConnection, EdgeEvent, EdgeReceiver, EdgeSender, Frames,
     SendFailure, SendOptions,
 };
 use crate::{Address, SessionSettings};
@@ -162,7 +162,7 @@ const PATH_CHECK_INTERVAL: Span = Span::from_millis(100);
 const MAX_INVALID_PACKETS: usize = 64;
 
 impl Machine for EdgeEnd {
-    type Delivery = (Result<EdgeEvent, Disconnected>, Option<Reservation>);
+    type Delivery = (Result<EdgeEvent, Disconnection>, Option<Reservation>);
 
     fn receive(&mut self, source: SocketAddr, _local: Option<IpAddr>, body: &[u8], now: MonoTime) {
         // Only the IP addresses are compared, because the sending port of a RADIO socket is arbitrary.
@@ -228,7 +228,7 @@ impl Machine for EdgeEnd {
             Event::Incomplete(loss) => (Ok(EdgeEvent::Incomplete(loss)), None),
             Event::Lost(loss) => (Ok(EdgeEvent::Lost(loss)), None),
             Event::InvalidData(problem) => (Ok(EdgeEvent::InvalidData(problem)), None),
-            Event::Gone(reason) => (Err(Disconnected(reason)), None),
+            Event::Gone(reason) => (Err(Disconnection(reason)), None),
         })
     }
 
@@ -289,11 +289,11 @@ impl Drop for UdpEdgeReceiver {
 }
 
 impl EdgeReceiver for UdpEdgeReceiver {
-    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnected>> {
+    fn receive(&mut self) -> BoxFuture<'_, Result<EdgeEvent, Disconnection>> {
         Box::pin(async {
             match self.deliveries.recv().await {
                 Some((event, _reserved)) => event,
-                None => Err(Disconnected("the connection was closed here".into())),
+                None => Err(Disconnection("the connection was closed here".into())),
             }
         })
     }

@@ -55,7 +55,7 @@ impl Deadlines {
         }
         let phase_duration = now - self.phase_started_at;
         if self.phase == Phase::Handshake {
-            // No PING here: heartbeats are allowed only after the handshake (RFC 37 of ZeroMQ).
+            // No PING is sent here: heartbeats are allowed only after the handshake (RFC 37 of ZeroMQ).
             if phase_duration < HANDSHAKE_TIMEOUT {
                 return DueAction::Nothing;
             }

@@ -117,7 +117,7 @@ impl Framer {
             return Ok(None);
         }
         if buffer.len() == buffer.capacity() {
-            // At most twice the bytes that have arrived, so that an announced length alone takes no memory.
+            // The buffer is at most twice as long as the bytes that have arrived, so an announced length alone takes no memory.
             let capacity = (*length).min(buffer.len() * 2);
             grow(buffer, capacity, self.finished_bytes, &mut self.reserved, allowance)?;
         }

@@ -269,7 +269,7 @@ async fn accept_one(
     listener: &TcpListener,
     permits: &Arc<Semaphore>,
 ) -> io::Result<(TcpStream, SocketAddr, OwnedSemaphorePermit)> {
-    // Before the socket exists, so that connections wait in the kernel's queue.
+    // The permit is acquired before the socket exists, so that connections wait in the kernel's queue.
     let permit = Arc::clone(permits).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, address) = listener.accept().await?;
     Ok((stream, address, permit))

@@ -9,7 +9,7 @@ use peernet_cli::exit::{Exit, Failure};
 use peernet_cli::output::print_to_stdout;
 use peernet_clock::WallTime;
 use peernet_statistics::number::fixed;
-use peernet_store::maintenance::{RepairError, Repaired, repair};
+use peernet_store::maintenance::{RepairError, RepairResult, repair};
 
 /// Repairs a database and prints the result for each table.
 pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Exit, Failure> {
@@ -30,7 +30,7 @@ pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Ex
     Ok(Exit::Ok)
 }
 
-fn print(database: &Path, repaired: &Repaired) {
+fn print(database: &Path, repaired: &RepairResult) {
     print_to_stdout(format_args!(
         "repaired {}\n  the damaged file was renamed to {}\n",
         database.display(),

@@ -11,7 +11,7 @@ use peernet_clock::WallTime;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection, SqliteConnection};
 
 pub use self::report::{
-    FileFigures, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
+    FileSizes, Finding, GapGroup, Integrity, OpenRun, QuarantineGroup, Report, RollupExtent, Schema,
     Severity, StreamState, TableRows,
 };
 use super::{FileKind, free_bytes, read_only_options};
@@ -38,7 +38,7 @@ pub enum DoctorError {
     /// The file does not exist.
     #[error("there is no database {}; give the file that the key `database` of [aggregator] names", .0.display())]
     Missing(PathBuf),
-    /// The log beside the database belongs to another database.
+    /// The write-ahead log beside the database belongs to another database.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The file cannot be opened.
@@ -173,7 +173,7 @@ impl Report {
             let megabytes = self.file.wal_bytes >> 20;
             self.notice(
                 format!("its write-ahead log has {megabytes} MiB"),
-                "a program has been reading the file for a long time, such as a backup or a shell: stop it, and the log is reused",
+                "a program has been reading the file for a long time, such as a backup or a shell: stop it, and the write-ahead log is reused",
             );
         }
     }

@@ -31,7 +31,7 @@ pub struct Report {
     /// The file.
     pub database: PathBuf,
     /// Sizes.
-    pub file: FileFigures,
+    pub file: FileSizes,
     /// Version of its schema; `None` if it cannot be read.
     pub schema: Option<Schema>,
     /// Result of SQLite's own check of the file.
@@ -57,12 +57,12 @@ pub struct Report {
 
 /// Sizes in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct FileFigures {
+pub struct FileSizes {
     /// Size of the file.
     pub bytes: u64,
     /// Part of the file that is free for reuse.
     pub free_bytes: u64,
-    /// Size of the log beside it (`-wal`).
+    /// Size of the write-ahead log beside it (`-wal`).
     pub wal_bytes: u64,
     /// Free space on its disk.
     pub disk_free_bytes: u64,
@@ -84,7 +84,7 @@ pub struct Integrity {
     pub full: bool,
     /// Errors that the check found, at most 100.
     pub problems: Vec<String>,
-    /// `true` if rows can be found, so that a repair can salvage some.
+    /// `true` if rows can be found, so a repair can salvage some.
     #[serde(skip)]
     pub(super) has_table_list: bool,
 }

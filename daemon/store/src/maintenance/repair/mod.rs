@@ -45,7 +45,7 @@ pub enum RepairError {
     /// Another process has locked the database, most likely the aggregator.
     #[error("cannot repair the database while another process may write to it: {0}")]
     Lock(#[from] LockError),
-    /// The log of another database lies beside the file.
+    /// The write-ahead log of another database lies beside the file.
     #[error(transparent)]
     ForeignLog(#[from] ForeignLog),
     /// The header or the list of tables cannot be read.
@@ -104,14 +104,14 @@ pub enum RepairError {
 
 /// Result of a repair.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Repaired {
+pub struct RepairResult {
     /// Path of the damaged file.
     pub damaged: PathBuf,
     /// Result for each table, by name.
     pub tables: Vec<SalvagedTable>,
     /// Number of lost iterations that the counters of their runs or missing numbers show.
     pub lost_iterations: u64,
-    /// `true` if the log beside the database could not be taken over: the newest data is missing.
+    /// `true` if the write-ahead log beside the database could not be taken over: the newest data is missing.
     pub without_log: bool,
 }
 
@@ -137,7 +137,7 @@ pub async fn repair(
     now: WallTime,
     stamp: &str,
     mut progress: impl FnMut(&str),
-) -> Result<Option<Repaired>, RepairError> {
+) -> Result<Option<RepairResult>, RepairError> {
     if !database.is_file() {
         return Err(RepairError::Missing(database.to_owned()));
     }
@@ -146,7 +146,7 @@ pub async fn repair(
     // A symbolic link is resolved, because the other files lie beside the database itself.
     let path = fs::canonicalize(database).map_err(|source| file_error(database, source))?;
     let recorded_damage = recorded_damage(&path).map_err(|source| file_error(&path, source))?;
-    // The log has the newest data, and only SQLite can apply it; the file is read without SQLite afterwards.
+    // The write-ahead log has the newest data, and only SQLite can apply it; the file is read without SQLite afterwards.
     let without_log = !checkpoint_log(&path).await?;
     // The record of a damage may be obsolete: an intact database is not rewritten.
     let damage = find_damage_with_sqlite(&path, &CancellationToken::new())
@@ -171,7 +171,7 @@ pub async fn repair(
     };
     let damaged = replace_database(&path, &new, stamp).map_err(|source| file_error(&path, source))?;
     delete_record(&path).map_err(|source| file_error(&path, source))?;
-    Ok(Some(Repaired { damaged, tables, lost_iterations: u64::try_from(lost).unwrap_or(0), without_log }))
+    Ok(Some(RepairResult { damaged, tables, lost_iterations: u64::try_from(lost).unwrap_or(0), without_log }))
 }
 
 /// The damaged file, read without SQLite.
@@ -230,7 +230,7 @@ impl OldFile {
     }
 }
 
-/// Checkpoints the log into the file, as the next start of the aggregator would. Returns whether the log is empty or missing
+/// Checkpoints the write-ahead log into the file, as the next start of the aggregator would. Returns whether the log is empty or missing
 /// afterwards.
 async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     let options =
@@ -242,7 +242,7 @@ async fn checkpoint_log(path: &Path) -> Result<bool, RepairError> {
     };
     match checkpoint.await {
         Ok(()) => {}
-        // A damaged database is why this function is called; the length of the log shows whether the log was applied.
+        // A damaged database is why this function is called; the length of the write-ahead log shows whether the log was applied.
         Err(error) if is_damage(&error) => {}
         Err(error) => {
             return Err(RepairError::Write { path: path.to_owned(), source: DatabaseError::new(error) });
@@ -392,7 +392,7 @@ fn replace_database(path: &Path, new: &Path, stamp: &str) -> io::Result<PathBuf>
     // Synced before the rename: after a power failure the name must not lead to a file without contents.
     File::open(new)?.sync_all()?;
     let damaged = sibling_path(path, &format!(".damaged-{stamp}"));
-    // A link instead of a rename, so that the name `path` exists at all times.
+    // The file is linked and not renamed, so that the name `path` exists at all times.
     fs::hard_link(path, &damaged)?;
     // A log that stays beside the new file would be checkpointed into it.
     let log = sibling_path(path, "-wal");

@@ -42,10 +42,11 @@ struct IncompleteRun {
     number: i64,
     host: i64,
     pipeline: String,
-    from_ns: i64,
-    to_ns: i64,
+    /// Earliest and latest time of the lost iterations.
+    gap_from_ns: i64,
+    gap_to_ns: i64,
     /// Number of the last iteration that retention has deleted; 0 for none.
-    nodes_from: i64,
+    last_deleted_iteration: i64,
     /// Number of iterations according to the run's counters.
     counted: i64,
     /// Number of iterations in the table.
@@ -58,7 +59,7 @@ struct IncompleteRun {
 
 /// Statement that reads an [`IncompleteRun`]; ?1 is the number of the run. The first iteration has the number 1, or a later number if
 /// retention has deleted iterations.
-const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from, \
+const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, run.nodes_from AS last_deleted_iteration, \
      run.warm_up + run.ok + run.failed + run.lost + run.timeout AS counted, \
      (SELECT count(*) FROM iteration WHERE run = ?1) AS stored, \
      (SELECT coalesce(max(number) - min(number) + 1 - count(*), 0) FROM iteration \
@@ -67,11 +68,11 @@ const RUN: &str = "SELECT run.number, pipeline.host, pipeline.name AS pipeline, 
      coalesce((SELECT started_ns FROM iteration AS it WHERE run = ?1 AND NOT EXISTS \
          (SELECT 1 FROM iteration WHERE run = ?1 AND number = it.number + 1) \
          AND (SELECT min(number) FROM iteration WHERE run = ?1) <= run.nodes_from + 1 \
-         ORDER BY number LIMIT 1), run.started_ns) AS from_ns, \
+         ORDER BY number LIMIT 1), run.started_ns) AS gap_from_ns, \
      max(coalesce((SELECT started_ns FROM iteration AS it WHERE run = ?1 AND NOT EXISTS \
          (SELECT 1 FROM iteration WHERE run = ?1 AND number = it.number - 1) \
          AND (SELECT max(started_ns) FROM iteration WHERE run = ?1) >= run.last_iteration_ns \
-         ORDER BY number DESC LIMIT 1), run.last_iteration_ns, run.started_ns), run.started_ns) AS to_ns \
+         ORDER BY number DESC LIMIT 1), run.last_iteration_ns, run.started_ns), run.started_ns) AS gap_to_ns \
      FROM run JOIN pipeline ON pipeline.id = run.pipeline WHERE run.number = ?1";
 
 impl Reconciliation<'_> {
@@ -88,7 +89,7 @@ impl Reconciliation<'_> {
             self.restore_names().await?;
         }
         let mut lost = 0;
-        // Always, because no unreadable range shows these trees.
+        // Torn trees are searched for even if all ranges could be read: they do not show as an unreadable range.
         let torn_trees = self.delete_torn_trees().await?;
         if torn_trees > 0 || self.has_unreadable(&["iteration", "node", "transit", "anchor", "run"]) {
             self.delete_incomplete_trees().await?;
@@ -153,7 +154,7 @@ impl Reconciliation<'_> {
 
     /// Inserts substitutes for lost rows to which measurements refer, and deletes other rows that refer to lost rows.
     ///
-    /// A run of an unknown host gets another id, so that events that the host's agent still sends begin another run.
+    /// A run of an unknown host gets another id, so events that the host's agent still sends begin another run.
     async fn restore_references(&mut self) -> Result<(), sqlx::Error> {
         let now = self.now_ns;
         let tables = self.tables;
@@ -256,7 +257,7 @@ impl Reconciliation<'_> {
         let mut total_lost = 0;
         for run in runs {
             let run: IncompleteRun = sqlx::query_as(RUN).bind(run).fetch_one(&mut *self.connection).await?;
-            let is_untrimmed = run.nodes_from == 0;
+            let is_untrimmed = run.last_deleted_iteration == 0;
             // The run's own counters were stored with its iterations. They are not usable if retention has deleted iterations of
             // the run, or if the run is a substitute of a lost run. For these runs only the missing numbers show how many iterations are lost.
             let lost = if is_untrimmed && run.counted > 0 {
@@ -292,8 +293,8 @@ impl Reconciliation<'_> {
         .bind(run.host)
         .bind(&run.pipeline)
         .bind(run.number)
-        .bind(run.from_ns.min(run.to_ns))
-        .bind(run.to_ns)
+        .bind(run.gap_from_ns.min(run.gap_to_ns))
+        .bind(run.gap_to_ns)
         .bind(lost)
         .bind(REASON)
         .execute(&mut *self.connection)
@@ -331,10 +332,10 @@ impl Reconciliation<'_> {
         let hosts: Vec<i64> =
             sqlx::query_scalar("SELECT id FROM host").fetch_all(&mut *self.connection).await?;
         let mut nodes: HashMap<i64, Option<i64>> = hosts.into_iter().map(|host| (host, Some(0))).collect();
-        for (host, run, nodes_from) in runs {
+        for (host, run, last_deleted_iteration) in runs {
             let sum = nodes.entry(host).or_insert(Some(0));
             // The deleted nodes are part of the host's count and cannot be counted any more.
-            if nodes_from > 0 {
+            if last_deleted_iteration > 0 {
                 *sum = None;
             }
             if let Some(sum) = sum {

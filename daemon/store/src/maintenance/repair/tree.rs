@@ -18,7 +18,7 @@ pub(super) struct Walk<'a> {
     file: &'a PageFile,
     /// `true` for a table with row ids.
     is_table: bool,
-    /// Pages visited so far. A damaged page may refer to any page, so that a walk without this set might not end.
+    /// Pages visited so far. A damaged page may refer to any page, so a walk without this set might not end.
     visited: HashSet<u32>,
     stack: Vec<Level>,
     /// `true` if the root is unreadable and this was not reported yet.

@@ -40,11 +40,11 @@ impl Window {
     }
 }
 
-/// Windows of an edge over the network of a run, within a range of time.
+/// Assumptions in the windows of an edge over the network of a run, within a range of time.
 #[derive(Debug)]
-pub(in crate::read) struct AssumedWindows(Vec<Window>);
+pub(in crate::read) struct WindowAssumptions(Vec<Window>);
 
-impl AssumedWindows {
+impl WindowAssumptions {
     /// Reads the windows of a run's edge that have samples between two times of its wall clock.
     pub(in crate::read) async fn read(
         readers: &Readers,

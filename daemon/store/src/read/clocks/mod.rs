@@ -14,7 +14,7 @@ use peernet_stream::{DelayPoint, DelaySecond, ProbeCounts, RoundTrip};
 use serde::Deserialize;
 use sqlx::FromRow;
 
-pub(super) use self::assumptions::AssumedWindows;
+pub(super) use self::assumptions::WindowAssumptions;
 pub(crate) use self::assumptions::link_assumptions;
 use self::bucket::Bucket;
 use self::repeats::RepeatedTimes;

@@ -18,7 +18,7 @@ use self::delay_sums::DelaySums;
 use super::{StoredDelay, sql, wall};
 use crate::error::StoreError;
 use crate::readers::Readers;
-use crate::types::{Recomputed, RecomputedStage};
+use crate::types::{RecomputedDelays, RecomputedStage};
 
 const WHAT: &str = "a run's delays";
 /// Number of delays that are read at once.
@@ -85,7 +85,7 @@ pub(crate) struct RejudgedDelay {
     pub(crate) clocks: Option<RelatedClocks>,
 }
 
-pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Recomputed>, StoreError> {
+pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<RecomputedDelays>, StoreError> {
     let mut stages = [
         (Direction::Up, stage::UPLOAD, DelaySums::default(), DelaySums::default()),
         (Direction::Down, stage::DOWNLOAD, DelaySums::default(), DelaySums::default()),
@@ -114,7 +114,7 @@ pub(crate) async fn recompute(readers: &Readers, run: i64) -> Result<Option<Reco
         .collect();
     let clocks = RelatedClocks::ALL.iter().zip(used_clocks);
     let clocks = clocks.filter_map(|(clocks, is_used)| is_used.then_some(*clocks));
-    Ok(Some(Recomputed { number: run, samples, clocks: clocks.collect(), stages }))
+    Ok(Some(RecomputedDelays { number: run, samples, clocks: clocks.collect(), stages }))
 }
 
 /// Judges the delays on which a run's statistics are based, and calls `each` with every delay in the order of iterations and nodes.

@@ -30,7 +30,7 @@ pub(super) struct Extent {
 /// window is possible.
 ///
 /// A window is certain from its first exchange to its last exchange. It is possible for the whole seconds of its samples. Two windows
-/// may be possible at one time: free-running clocks count from the start of the machine, so that a time may occur after two starts;
+/// may be possible at one time: free-running clocks count from the start of the machine, so a time may occur after two starts;
 /// and the edge's wall clock may have been set back. Such a time belongs to neither window. A time in the gap between two windows, in
 /// which a step happened, belongs to neither window either.
 #[derive(Debug, Default)]

@@ -77,7 +77,7 @@ impl StoredWidths {
             let extents = self.0.iter().filter_map(|width| width.extent);
             extents.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
         };
-        // The number of points follows from the whole run, which a width with deleted buckets does not show.
+        // The number of points depends on the duration of the whole run. A width with deleted buckets covers only a part of it.
         let (from, to) = complete_extent.or_else(remaining_extent).unwrap_or((0, 0));
         let max_points = i64::try_from(max_points.max(1)).unwrap_or(i64::MAX);
         let hour = WIDTHS_S[WIDTHS_S.len() - 1];
@@ -103,14 +103,14 @@ async fn points(
 ) -> Result<Vec<StageSeries>, StoreError> {
     let lines = lines(readers, run, stages, widths).await?;
     let series = lines.into_iter().map(|line| StageSeries {
-        points: line.points.iter().filter_map(point).collect(),
+        points: line.buckets.iter().filter_map(point).collect(),
         stage: line.stage,
         unit: line.unit,
     });
     Ok(series.filter(|series| !series.points.is_empty()).collect())
 }
 
-/// Returns the summary of each bucket, where [`series`] returns statistics.
+/// Does the same as [`series`], but returns the summary of each bucket instead of its statistics.
 pub(crate) async fn stage_buckets(
     readers: &Readers,
     run: i64,
@@ -120,7 +120,7 @@ pub(crate) async fn stage_buckets(
     let widths = StoredWidths::read(readers, run).await?.choose(max_buckets);
     let lines = lines(readers, run, stages, widths).await?;
     let stage_buckets = lines.into_iter().map(|line| StageBuckets {
-        buckets: line.points.into_iter().map(|(_, summary)| summary).collect(),
+        buckets: line.buckets.into_iter().map(|(_, summary)| summary).collect(),
         stage: line.stage,
         unit: line.unit,
     });
@@ -139,7 +139,7 @@ async fn lines(
         stage: stage.clone(),
         unit: name_ids.units[index].clone(),
         width_s,
-        points: Vec::new(),
+        buckets: Vec::new(),
     };
     let mut lines: Vec<SeriesBuilder> = stages.iter().enumerate().map(line).collect();
     let pool = readers.pool();
@@ -159,7 +159,7 @@ async fn lines(
 
 /// Ids and units of names in the database.
 pub(in crate::read) struct NameIds {
-    /// Index in the given list, by id. A name that was used with several kinds has several ids, whose values are merged.
+    /// Index in the given list, by id. A name with several kinds of measure has several ids, whose values are merged.
     pub(super) indexes: HashMap<i64, usize>,
     /// Units in the order of the given list.
     units: Vec<String>,
@@ -207,17 +207,17 @@ struct SeriesBuilder {
     unit: String,
     width_s: i64,
     /// Start and contents of each bucket; the last bucket may grow.
-    points: Vec<(i64, Summary)>,
+    buckets: Vec<(i64, Summary)>,
 }
 
 impl SeriesBuilder {
     fn add(&mut self, row: &RollupRow) -> Result<(), StoreError> {
         let summary = row.summary().map_err(|error| corrupt_data(WHAT, error))?;
         let start = bucket(row.bucket_s, self.width_s);
-        match self.points.last_mut() {
+        match self.buckets.last_mut() {
             // Rows are ordered by time, so only the last bucket can grow.
             Some((last_start, total)) if *last_start == start => total.merge(&summary),
-            _ => self.points.push((start, summary)),
+            _ => self.buckets.push((start, summary)),
         }
         Ok(())
     }
@@ -253,7 +253,7 @@ mod tests {
         ] {
             assert_eq!(stored(length_s, &[]).choose(points), choice, "{length_s} s in {points} points");
         }
-        // Also for the longest possible time, after an error of a clock.
+        // This also holds for the longest possible time, after an error of a clock.
         let (width_s, stored_s) = stored(i64::MAX / 1_000_000_000, &[]).choose(240);
         assert!(i64::MAX / 1_000_000_000 / width_s < 240 && width_s % stored_s == 0);
     }

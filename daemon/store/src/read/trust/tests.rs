@@ -49,10 +49,10 @@ fn summary(reason: &str) -> RunSummary {
 
 /// Returns the statistics of a node name.
 fn node(name: &str, count: u64, mean: f64) -> StageStatistics {
-    let figures =
+    let statistics =
         QuantityStatistics { count, mean, std: None, min: mean, p50: mean, p95: None, p99: None, max: mean };
     let (stage, unit) = (Name::from(name), "s".to_owned());
-    StageStatistics { stage, unit, is_stage: false, figures, share: None, bound: None }
+    StageStatistics { stage, unit, is_stage: false, figures: statistics, share: None, bound: None }
 }
 
 fn report(run: &RunDetail, stages: Vec<StageStatistics>) -> Report {

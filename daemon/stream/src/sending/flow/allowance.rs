@@ -3,10 +3,10 @@
 use peernet_clock::{MonoTime, Span};
 
 /// Allowance of a new connection, whose path is unknown.
-const INITIAL_BYTES: u64 = 4 << 10;
+const INITIAL_ALLOWANCE_BYTES: u64 = 4 << 10;
 
 /// Smallest allowance: one or two packets.
-const MIN_BYTES: u64 = 2 << 10;
+const MIN_ALLOWANCE_BYTES: u64 = 2 << 10;
 
 /// Shortest part of a batch. In shorter parts, the headers of all layers would be a large share of the bytes.
 const MIN_PART_BYTES: u64 = 1 << 10;
@@ -48,8 +48,8 @@ impl Allowance {
     /// Creates the allowance of a connection over an unknown path. It never exceeds `max_bytes`.
     pub(super) fn new(max_bytes: u64, is_slow: bool) -> Self {
         Self {
-            bytes: INITIAL_BYTES,
-            max_bytes: max_bytes.max(INITIAL_BYTES),
+            bytes: INITIAL_ALLOWANCE_BYTES,
+            max_bytes: max_bytes.max(INITIAL_ALLOWANCE_BYTES),
             rates: DeliveryRates::default(),
             late_echoes: 0,
             is_slow,
@@ -90,7 +90,7 @@ impl Allowance {
         let target = shortest + queue;
         let bytes_at_rate = |rate: f64| (rate * target.seconds()) as u64;
         if round_trip > target {
-            let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_BYTES);
+            let reduced = bytes_at_rate(best).max(self.bytes / 2).max(MIN_ALLOWANCE_BYTES);
             // The allowance is at most halved at once: a single late echo may be due to a lost packet.
             self.bytes = self.bytes.min(reduced);
         } else {

@@ -14,14 +14,14 @@ use crate::spool::Usage;
 use crate::totals::Totals;
 use crate::unresolved::ResolvedBatches;
 use crate::{Event, Gap, RunCounts, UnresolvedBatches, codec};
-use peernet_logger::limits::MAX_BYTES;
+use peernet_logger::limits::MAX_TREE_BYTES;
 use peernet_logger::{RunId, Slug};
 
 /// Size reserved for the report of a loss.
 const GAP_REPORT: Usage = Usage { events: 1, bytes: 512 };
 
 /// Longest event: the largest tree and the fields around it.
-const MAX_EVENT_BYTES: usize = MAX_BYTES + 16 * 1024;
+const MAX_EVENT_BYTES: usize = MAX_TREE_BYTES + 16 * 1024;
 
 /// Maximum length of a batch. A larger configured value has no effect, because the aggregator must be able to read its frame.
 const MAX_BATCH_BYTES: usize = codec::MAX_MESSAGE_BYTES - codec::BATCH_HEAD_BYTES;
@@ -117,7 +117,7 @@ impl Intake {
     }
 
     pub(super) fn offer(&mut self, event: &Event, capacity: &EventCapacity, now: Stamp) {
-        // Before the event, so that losses are reported in the order in which they happened.
+        // This comes before the event, so that losses are reported in the order in which they happened.
         self.losses.add_earlier_drops(now);
         self.encoded.clear();
         codec::encode_into(&mut self.encoded, event);
@@ -140,7 +140,7 @@ impl Intake {
             }
         }
         self.totals.submitted.last = Some(now.wall);
-        // Last, because the end of a run removes its pipeline, which a loss above needs.
+        // This comes last, because the end of a run removes its pipeline, which a loss above needs.
         self.runs.observe(event);
     }
 
@@ -186,8 +186,8 @@ impl Intake {
     /// Returns the capacity that is reserved for events other than iterations.
     fn reserve(&self) -> Usage {
         let events = self.config.reserve_events;
-        // The same share of bytes and of events, so that neither is exhausted before the other.
-        // At most an eighth, so that a small configuration still has capacity for iterations.
+        // Bytes and events have the same share, so that neither is exhausted before the other. The share is at most an
+        // eighth, so that a small configuration still has capacity for iterations.
         let share = |bytes: u64| bytes / (self.config.memory.events / events.max(1)).max(8);
         let bytes = share(self.config.memory.bytes).min(share(self.config.spool_bytes));
         Usage { events, bytes: if events > 0 { bytes } else { 0 } }

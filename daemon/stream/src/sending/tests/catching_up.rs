@@ -3,12 +3,12 @@
 use super::*;
 
 /// Length of a body of which few fill the memory.
-const LONG_BYTES: usize = 1024;
+const LONG_BODY_BYTES: usize = 1024;
 
 fn backlog(batches: usize) -> Agent {
-    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG_BYTES, ..config() });
+    let mut agent = Agent::new(SendingConfig { batch_bytes: LONG_BODY_BYTES, ..config() });
     for _ in 0..batches {
-        agent.sending.offer(&incident(&"x".repeat(LONG_BYTES - 100)), agent.now());
+        agent.sending.offer(&incident(&"x".repeat(LONG_BODY_BYTES - 100)), agent.now());
         agent.settle();
     }
     agent.advance_ms(1_000);
@@ -24,7 +24,7 @@ fn in_memory(agent: &Agent) -> u64 {
 #[test]
 fn backlog_is_not_kept_in_memory() {
     let agent = backlog(200);
-    assert!(in_memory(&agent) <= 6 * LONG_BYTES as u64, "{} bytes in memory", in_memory(&agent));
+    assert!(in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64, "{} bytes in memory", in_memory(&agent));
     let accounting = agent.accounting();
     assert_eq!((accounting.waiting, accounting.spooled, accounting.memory_bytes), (200, 200, 0));
     assert_eq!(accounting.oldest, Some(at(0).wall));
@@ -71,7 +71,7 @@ fn file_is_read_while_batches_are_in_flight() {
             }
         }
         waited += usize::from(agent.sent.is_empty() && last < 40);
-        assert!(in_memory(&agent) <= 6 * LONG_BYTES as u64);
+        assert!(in_memory(&agent) <= 6 * LONG_BODY_BYTES as u64);
         jobs.into_iter().for_each(|job| agent.perform(job));
         agent.settle();
     }

@@ -49,7 +49,7 @@ fn nothing_is_deleted_or_sent_before_comparison() {
     assert_eq!(agent.sending.on_message(&welcome, at(0)), None);
     let Some(load @ Action::Load { .. }) = agent.sending.next(at(0).mono) else { panic!("nothing is read") };
     assert_eq!(agent.sending.next(at(0).mono), None);
-    // The connection ends meanwhile, so that the answer of the disk must have no effect.
+    // The connection ends meanwhile, so the answer of the disk must have no effect.
     agent.sending.on_disconnected();
     agent.perform(load);
     agent.advance_ms(5_000);

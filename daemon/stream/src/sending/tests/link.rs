@@ -6,7 +6,7 @@ use super::super::super::{Arrival, HelloResult, Mark, Receiving, ReceivingConfig
 use super::*;
 
 /// Length of a live update of one pipeline without compression.
-const LIVE_BYTES: usize = 1_500;
+const LIVE_UPDATE_BYTES: usize = 1_500;
 const LIVE_EVERY_MS: i64 = 250;
 
 /// One direction of a link.
@@ -123,8 +123,8 @@ impl Link {
         }
         self.is_live_due |= now % LIVE_EVERY_MS == 0;
         if self.is_live_due && self.agent.sending.may_send_live() {
-            self.agent.sending.record_live_sent(LIVE_BYTES);
-            self.up.send(LIVE_BYTES, SentMessage::Live(now), now);
+            self.agent.sending.record_live_sent(LIVE_UPDATE_BYTES);
+            self.up.send(LIVE_UPDATE_BYTES, SentMessage::Live(now), now);
             self.is_live_due = false;
         }
         self.send();

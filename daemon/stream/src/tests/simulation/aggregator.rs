@@ -152,8 +152,8 @@ impl Aggregator {
         let record = StreamRecord {
             mark: mark_of(hello.stream),
             was_used: self.seen.contains(&hello.stream),
-            last: self.last,
-            previous: hello.previous.and_then(mark_of),
+            last_stream: self.last,
+            previous_mark: hello.previous.and_then(mark_of),
             seniority: None,
         };
         match self.receiving.handle_hello(hello, record, now) {

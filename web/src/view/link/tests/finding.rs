@@ -50,7 +50,7 @@ fn verdicts_are_explained_with_numbers_of_the_link() {
 fn young_link_has_no_verdict_of_first_seconds() {
     let mut young = link(Some(0.00005), &[]);
     young.history.drain(..119);
-    young.live.now.offset.iter_mut().for_each(|offset| {
+    young.live.latest_sample.offset.iter_mut().for_each(|offset| {
         (offset.verdict, offset.exchanges) = (Verdict::Stale, 2);
     });
     let subject = Subject::live(&young);

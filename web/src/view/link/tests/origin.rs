@@ -20,7 +20,7 @@ fn claims_that_are_not_used_stand_beside_the_exchanges() {
         ..HostClock::default()
     };
     (link.live.edge, link.live.cloud) = (Some(claims.clone()), Some(claims));
-    if let Some(offset) = &mut link.live.now.offset {
+    if let Some(offset) = &mut link.live.latest_sample.offset {
         offset.sources.truncate(1);
     }
     let origin = Origin::of(&Subject::live(&link), &time_series(&link));
@@ -41,7 +41,7 @@ fn claims_that_are_not_used_stand_beside_the_exchanges() {
 fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
     // Narrower than half of the best round trip, 1.30 ms.
     let mut link = link(Some(0.00065), &[]);
-    if let Some(offset) = &mut link.live.now.offset {
+    if let Some(offset) = &mut link.live.latest_sample.offset {
         let half = Span::from_micros(30);
         offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
     }
@@ -52,7 +52,7 @@ fn narrow_bound_names_its_sources_and_needs_no_time_daemon() {
     let (why, hints) = first_reason_and_hints(&link);
     assert!(why.contains("the offset as claimed by chrony on both hosts narrows it"), "{why}");
     assert_eq!(hints, ["a shorter path between the hosts"]);
-    if let Some(offset) = &mut link.live.now.offset {
+    if let Some(offset) = &mut link.live.latest_sample.offset {
         offset.sources.truncate(1);
     }
     let (why, _) = first_reason_and_hints(&link);
@@ -95,7 +95,7 @@ fn where_a_bound_comes_from_and_what_would_narrow_it() {
 fn a_link_that_fell_silent_keeps_what_it_told() {
     let mut away = link(Some(0.00065), &[]);
     away.connected = false;
-    away.live.now.offset = None;
+    away.live.latest_sample.offset = None;
     Arc::make_mut(away.history.last_mut().expect("a second")).offset = None;
     let subject = Subject::live(&away);
     assert!(subject.bound().is_some());
@@ -143,7 +143,7 @@ fn inconsistent(sources: usize) -> LinkSnapshot {
         offset.sources.truncate(sources);
         offset.bounds = offset.bounds.hull(away);
     };
-    link.live.now.offset.iter_mut().for_each(spoil);
+    link.live.latest_sample.offset.iter_mut().for_each(spoil);
     for point in &mut link.history {
         Arc::make_mut(point).offset.iter_mut().for_each(spoil);
     }

@@ -1,4 +1,4 @@
-//! Tests of the figures and panels next to the chart.
+//! Tests of the numbers and panels next to the chart.
 
 use peernet_clock::{DelaySource, Interval};
 use peernet_stream::{EstimateBasis, HostClock, ProbeCounts, Probing, ReflectorLive};
@@ -22,7 +22,7 @@ fn claim_is_formatted_as_error_and_uncertainty() {
 #[test]
 fn offset_interval_with_zero_is_undecided() {
     let mut level = link(Some(0.000_004), &[]);
-    let offset = level.live.now.offset.as_mut().expect("known");
+    let offset = level.live.latest_sample.offset.as_mut().expect("known");
     let half = Span::from_nanos(4_000);
     (offset.estimate, offset.skew_ppm) = (Span::from_nanos(-300), Some(0.02));
     offset.bounds = Interval { lo: offset.estimate - half, hi: offset.estimate + half };
@@ -36,7 +36,7 @@ fn offset_interval_with_zero_is_undecided() {
 fn named_reflector_is_shown_as_tied_to_no_host() {
     let mut link = link(Some(0.00065), &[]);
     assert!(panels::reflector(&Subject::live(&link)).is_empty());
-    let known = link.live.now.offset.clone().expect("known");
+    let known = link.live.latest_sample.offset.clone().expect("known");
     let silent = ReflectorLive {
         address: "udp://192.0.2.7:862".into(),
         probing: Probing::Unanswered { address: "udp://192.0.2.7:862".into(), reason: None },
@@ -44,8 +44,11 @@ fn named_reflector_is_shown_as_tied_to_no_host() {
         round_trip: None,
         offset: None,
     };
-    let answering =
-        ReflectorLive { round_trip: link.live.now.round_trip, offset: Some(known), ..silent.clone() };
+    let answering = ReflectorLive {
+        round_trip: link.live.latest_sample.round_trip,
+        offset: Some(known),
+        ..silent.clone()
+    };
     let mut panel_text = |reflector: ReflectorLive| {
         link.live.reflector = Some(reflector);
         let pairs = panels::reflector(&Subject::live(&link));
@@ -77,7 +80,7 @@ fn basis_of_bounds_lists_assumptions_and_proven_skew() {
         probes_authenticated: Some(false),
         ..EstimateBasis::default()
     };
-    link.live.now.basis = Some(basis);
+    link.live.latest_sample.basis = Some(basis);
     let subject = Subject::live(&link);
     let pairs = basis::pairs(&subject, &time_series(&link));
     let value_of = |name: &str| {

@@ -9,7 +9,7 @@ use super::*;
 const TIMEOUT: Span = Span::from_millis(100);
 const CAPACITY: usize = 4;
 
-type Numbered = Resolution<u32, u32>;
+type NumberedResolution = Resolution<u32, u32>;
 
 fn at(millis: i64) -> MonoTime {
     MonoTime::from_nanos(millis * 1_000_000)
@@ -19,7 +19,7 @@ fn pairing() -> Pairing<u32, u32> {
     Pairing::new(TIMEOUT, CAPACITY)
 }
 
-fn paired(input: u32, output: u32) -> Option<Numbered> {
+fn paired(input: u32, output: u32) -> Option<NumberedResolution> {
     Some(Resolution::Paired { input, output })
 }
 
@@ -51,7 +51,7 @@ fn input_without_output_is_given_up_at_its_deadline() {
     pairing.add_input(Some(10), at(5), 1);
     assert_eq!(pairing.next_deadline(), Some(at(105)));
     assert_eq!(pairing.expire(at(104)), None);
-    let expired = Resolution::Unanswered { input: 1, cause: Unanswered::Expired };
+    let expired = Resolution::Unanswered { input: 1, cause: UnansweredCause::Expired };
     assert_eq!(pairing.expire(at(105)), Some(expired));
     assert_eq!((pairing.expire(at(105)), pairing.next_deadline()), (None, None));
 }
@@ -99,7 +99,7 @@ type Sent = BTreeMap<u32, (Option<i64>, MonoTime)>;
 
 /// Removes the messages of a resolution from the waiting messages, and checks that the resolution is allowed.
 fn settle(
-    resolution: &Numbered,
+    resolution: &NumberedResolution,
     now: MonoTime,
     inputs: &mut Sent,
     outputs: &mut Sent,
@@ -117,8 +117,8 @@ fn settle(
             let waited = inputs.remove(input).map(|(_, since)| now - since);
             let Some(waited) = waited else { return Err(TestCaseError::fail("an input was resolved twice")) };
             match cause {
-                Unanswered::Expired => prop_assert!(waited >= TIMEOUT),
-                Unanswered::Displaced => prop_assert!(inputs.len() >= CAPACITY),
+                UnansweredCause::Expired => prop_assert!(waited >= TIMEOUT),
+                UnansweredCause::Displaced => prop_assert!(inputs.len() >= CAPACITY),
             }
         }
         Resolution::Unmatched(output) => {

@@ -23,7 +23,7 @@ use tokio::task::JoinHandle;
 
 use self::connection::PeerConnector;
 use self::task::PeerTask;
-use super::record::{self, Input, Received, UnpairedCounts};
+use super::record::{self, Input, ReceivedMessage, UnpairedCounts};
 use crate::config::ObserveConfig;
 use crate::host::Host;
 use crate::pipeline::progress::Position;
@@ -36,7 +36,7 @@ const MAX_PENDING: usize = 1024;
 #[derive(Debug)]
 pub(in crate::pipeline::observe) struct Pair {
     pub(in crate::pipeline::observe) input: Input,
-    pub(in crate::pipeline::observe) output: Received,
+    pub(in crate::pipeline::observe) output: ReceivedMessage,
     pub(in crate::pipeline::observe) unpaired_counts: UnpairedCounts,
 }
 

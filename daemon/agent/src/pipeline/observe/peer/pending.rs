@@ -16,7 +16,7 @@ pub(super) struct PendingPairs<P> {
     /// Longest wait for the stamps of a pair.
     timeout: Span,
     /// Waiting pairs, oldest first.
-    pairs: VecDeque<Pending<P>>,
+    pairs: VecDeque<PendingPair<P>>,
 }
 
 /// A peer's stamps of a pair. The session over which the stamps arrived may have ended.
@@ -27,7 +27,7 @@ pub(super) struct PeerAnswer {
 }
 
 #[derive(Debug)]
-struct Pending<P> {
+struct PendingPair<P> {
     key: i64,
     query_at: MonoTime,
     expires_at: MonoTime,
@@ -44,7 +44,7 @@ impl<P> PendingPairs<P> {
     /// Adds a pair that was completed at `now`.
     pub(super) fn add(&mut self, key: i64, pair: P, now: MonoTime) {
         let expires_at = now + self.timeout;
-        self.pairs.push_back(Pending { key, query_at: now, expires_at, answer: None, pair });
+        self.pairs.push_back(PendingPair { key, query_at: now, expires_at, answer: None, pair });
     }
 
     /// Returns up to `max_keys` keys that are due to be queried at `now`. They are due again after [`RETRY_INTERVAL`].
@@ -65,7 +65,7 @@ impl<P> PendingPairs<P> {
 
     /// Handles an answer of the peer. If the answer has both messages, removes and returns the pairs with the same key.
     pub(super) fn take_answer(&mut self, answer: &PeerAnswer) -> Vec<P> {
-        let has_key = |pending: &Pending<P>| pending.key == answer.seen.key;
+        let has_key = |pending: &PendingPair<P>| pending.key == answer.seen.key;
         if !answer.seen.is_complete() {
             self.pairs
                 .iter_mut()

@@ -5,7 +5,7 @@ use peernet_logger::{
     Anchor, HostId, HostIndex, Measure, Name, Node, NodeId, Recorder, Tree, TreeDelta, stage,
 };
 
-use super::{add_topics, count, pending, start_and_end};
+use super::{add_topics, count, start_and_end, started_iteration};
 use crate::link::{Crossing, HostStamp};
 use crate::observed::ObservedPair;
 use crate::pipeline::iteration;
@@ -108,11 +108,11 @@ fn close(mut recorder: Recorder, pair: &Pair, ended: Stamp, transport: Option<Sp
         ended.mono - started.mono,
         pair.unpaired_counts,
     );
-    let pending_iteration = pending(pair.input.position, started);
+    let iteration = started_iteration(pair.input.position, started);
     let tree = match transport {
         // Without the transport the stages would not add up to the total.
-        Some(_) => iteration::close(recorder, &pending_iteration, ended.mono, true, transport),
-        None => iteration::close_without_stages(recorder, &pending_iteration, ended.mono),
+        Some(_) => iteration::close(recorder, &iteration, ended.mono, true, transport),
+        None => iteration::close_without_stages(recorder, &iteration, ended.mono),
     };
     (tree, ended)
 }
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
     use crate::pipeline::observe::arrivals::Arrival;
     use crate::pipeline::observe::message::TopicMessage;
-    use crate::pipeline::observe::record::{Input, Received, UnpairedCounts};
+    use crate::pipeline::observe::record::{Input, ReceivedMessage, UnpairedCounts};
     use crate::pipeline::progress::Position;
 
     /// Offset of the peer's clock.
@@ -137,9 +137,9 @@ mod tests {
         Arc::new(ManualClock::new(wall, ClockIdentity::new("boot", "system")))
     }
 
-    fn received(at: Stamp) -> Received {
+    fn received(at: Stamp) -> ReceivedMessage {
         let message = TopicMessage { received: at, length: 10, stamp: Some(7), sequence: None, missing: 0 };
-        Received {
+        ReceivedMessage {
             message,
             arrival: Arrival::default(),
             at: HostStamp { wall: at.wall, raw: at.raw, epoch: Some(0) },

@@ -47,7 +47,7 @@ impl GapCheck {
             return Some(None);
         }
         let elapsed = u64::try_from((now - self.accepted_at).nanos() / 1_000_000).unwrap_or(0);
-        // One more, because the time was rounded down.
+        // One more is added, because the time was rounded down.
         let is_possible = gap <= (elapsed + 1).saturating_mul(MAX_PER_MILLISECOND);
         let confirmed = self.suspect.filter(|suspect| is_possible && candidate.confirms(suspect));
         if confirmed.is_none() {

@@ -8,7 +8,7 @@ use crate::transport::{Frames, MessageLoss};
 /// A message that was sent or waits to be sent.
 #[derive(Debug)]
 pub(super) struct OutstandingMessage {
-    /// Tag in its wire form: the sender's number plus one, 0 for none.
+    /// Tag in its wire form: the tag plus one, 0 for none.
     pub(super) tag: u64,
     /// Number of fragments.
     pub(super) fragments: u32,

@@ -2,11 +2,11 @@
 
 use peernet_clock::MonoTime;
 
-use super::PROGRESS_BYTES;
+use super::PROGRESS_INTERVAL_BYTES;
 use super::in_flight::FLIGHT_TIMEOUT;
 
 /// Smallest size: more than arrives between two reports of progress. Bytes.
-pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_BYTES;
+pub(super) const MIN_WINDOW: u32 = 4 * PROGRESS_INTERVAL_BYTES;
 
 /// Initial size. Bytes.
 pub(super) const INITIAL_WINDOW: u32 = 256 * 1024;

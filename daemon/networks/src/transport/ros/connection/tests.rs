@@ -202,7 +202,7 @@ fn any_step() -> impl Strategy<Value = Step> {
     // All kinds, and an unknown one.
     let kind = || 0..=MessageInfo::PART + 1;
     let form = prop::sample::select(vec![WireForm::Ros1, WireForm::Cdr]);
-    // Few stamps, so that some coincide.
+    // There are few stamps, so some coincide.
     let stamp = || prop_oneof![9 => 0..4_i64, 1 => any::<i64>()];
     let length = prop_oneof![3 => 0..40_u32, 1 => any::<u32>()];
     let claims =

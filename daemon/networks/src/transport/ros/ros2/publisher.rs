@@ -214,7 +214,7 @@ impl SessionPublisher for Ros2SessionPublisher {
         }
     }
 
-    // Never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload topics are used only
+    // The result is never `NotConnected`: DDS does not report whether the other end has found this publisher. Payload topics are used only
     // after companions have confirmed them, and the end of a node is noticed by the end of its own topics.
     fn publish_to(&self, _node: &str, messages: &[EncodedMessage]) -> Result<Delivery, NodeFailure> {
         self.offer(messages)

@@ -1,4 +1,4 @@
-//! The figures of one second of one pipeline, and their merge into windows.
+//! The numbers of one second of one pipeline, and their merge into windows.
 
 use peernet_analysis::deadline::{DEADLINE_MISSED, Misses};
 use peernet_analysis::outcomes::unanswered_share;
@@ -15,7 +15,7 @@ use peernet_store::{DelayAccuracy, QuantityStatistics, rank};
 
 /// Figures of one or more seconds. A list is faster than a map here, because there are few names.
 #[derive(Clone, Debug, Default)]
-pub(super) struct SecondFigures {
+pub(super) struct SecondStatistics {
     counts: OutcomeCounts,
     /// Summaries by node name.
     values: Vec<(Name, Summary)>,
@@ -25,8 +25,8 @@ pub(super) struct SecondFigures {
     verdicts: Vec<(Name, Verdict, u64)>,
 }
 
-impl SecondFigures {
-    /// Creates the figures from an agent's report of a second, cut to `MAX_NAMES`. The number of removed names is
+impl SecondStatistics {
+    /// Creates the numbers from an agent's report of a second, cut to `MAX_NAMES`. The number of removed names is
     /// added to `left_out`.
     pub(super) fn from_report(second: Second, left_out: &mut u64) -> Self {
         let Second { counts, mut values, mut bounds, verdicts, .. } = second;
@@ -81,7 +81,7 @@ impl SecondFigures {
         })
     }
 
-    /// Returns the figures of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
+    /// Returns the numbers of a window of `seconds` complete seconds, of which `covered_s` seconds have data.
     pub(super) fn window(&self, seconds: u32, covered_s: f64) -> Window {
         let total = self.counts.total();
         let statistics = |(name, summary): &(Name, Summary)| {
@@ -135,7 +135,7 @@ impl SecondFigures {
     }
 }
 
-impl Merge for SecondFigures {
+impl Merge for SecondStatistics {
     fn merge(&mut self, other: &Self) {
         self.counts.merge(&other.counts);
         merge_named(&mut self.values, &other.values);
