@@ -159,6 +159,18 @@ mod tests {
     }
 
     #[test]
+    fn starts_skipped_before_an_unanswered_iteration_count() {
+        let mut ring = Ring::default();
+        let mut late = tree(4);
+        let measure = Measure::Value(5.0, peernet_logger::Unit::NONE);
+        late.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
+        ring.record(10, &Outcome::Timeout(String::new()), &late);
+        let second = &ring.changed_seconds().0[0];
+        assert_eq!(second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["skipped-starts"]);
+        assert_eq!(second.values[0].1.moments.mean, 5.0);
+    }
+
+    #[test]
     fn delays_without_value_are_counted_and_not_averaged() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));

@@ -15,6 +15,10 @@ pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// [`EPISODE_SUCCESS`] does.
 pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
 
+/// Name of the count of starts that were skipped between the previous iteration and this one because the pipeline was
+/// too far behind its rate. Absent if it is zero.
+pub(crate) const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
+
 /// Largest number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
 const MAX_NAMES: usize = 64;
@@ -54,13 +58,14 @@ impl SecondStatistics {
             Outcome::Lost(_) => self.counts.lost += 1,
             Outcome::Timeout(_) => self.counts.timeout += 1,
         }
-        // The durations of a failed iteration are left out: they say nothing about successful iterations. Only the
-        // name of the deadline's value is added, so that a second without answers still shows that there is a deadline.
+        // The durations of a failed iteration are left out: they say nothing about successful iterations. The name of the
+        // deadline's value is added, so that a second without answers still shows that there is a deadline. What does not
+        // depend on the answer counts: skipped starts and the results of an episode.
         if *outcome != Outcome::Ok {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);
             }
-            for name in [EPISODE_SUCCESS, EPISODE_RETURN] {
+            for name in [SKIPPED_STARTS, EPISODE_SUCCESS, EPISODE_RETURN] {
                 if let Some(value) = tree.find(&[name.as_str()]).and_then(|(_, node)| node.measure.value()) {
                     self.values.record(0, &name, value);
                 }

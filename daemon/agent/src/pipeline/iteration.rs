@@ -6,10 +6,8 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
 
 use super::in_flight::StartedIteration;
+use crate::live::SKIPPED_STARTS;
 
-/// Name of the count of starts that were skipped between the previous iteration and this one because the pipeline was
-/// too far behind its rate. Absent if it is zero.
-const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
 /// Name of the time from the intended start to the actual start, which is part of `unattributed`. A separate node shows
 /// whether the pipeline keeps up with its rate. Absent in a closed loop, which is never late.
 const LATE_START: Name = Name::from_static("lateness");
