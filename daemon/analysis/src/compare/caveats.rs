@@ -1,5 +1,7 @@
 //! Defects of the results that are compared.
 
+use std::path::{Path, PathBuf};
+
 use peernet_clock::Verdict;
 use peernet_statistics::Summary;
 use peernet_statistics::number::counted;
@@ -18,8 +20,9 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         .collect();
     let missing_numbers: Vec<String> =
         lines.iter().flat_map(|line| describe_missing_numbers(runs, line)).collect();
-    let reports =
-        runs.iter().filter_map(|run| Some((run.folder.display().to_string(), run.record.trust.as_ref()?)));
+    let shared = shared_folder(runs);
+    let name = |run: &Loaded| run.folder.strip_prefix(&shared).unwrap_or(&run.folder).display().to_string();
+    let reports = runs.iter().filter_map(|run| Some((name(run), run.record.trust.as_ref()?)));
     let mut sentences = publication_caveats(reports);
     sentences.extend(skipped_starts(lines.iter().map(|line| (line.name(), line.starts))));
     sentences.extend(replayed(runs, lines));
@@ -33,6 +36,16 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
         ));
     }
     sentences
+}
+
+/// Returns the innermost folder that contains the folders of all runs.
+// A table that is kept with its results must not depend on the folder in which it was made.
+fn shared_folder(runs: &[Loaded]) -> PathBuf {
+    let parents = runs.iter().map(|run| run.folder.parent().unwrap_or(Path::new("")).to_owned());
+    let shared = |a: PathBuf, b: PathBuf| {
+        a.components().zip(b.components()).take_while(|(a, b)| a == b).map(|(a, _)| a).collect()
+    };
+    parents.reduce(shared).unwrap_or_default()
 }
 
 /// Returns a sentence about the configurations with skipped starts. Each configuration is given by its name and its starts. The name of a
