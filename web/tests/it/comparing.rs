@@ -135,7 +135,7 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(drawn.contains("#distributions\" data-swap=\"distributions\""), "{drawn}");
     let page = dashboard.get(&format!("{address}telepathy")).await;
     assert_eq!(page.status, StatusCode::BAD_REQUEST);
-    assert!(page.text().contains("no run that is compared has"), "{}", page.text());
+    assert!(page.text().contains("none of the compared runs has"), "{}", page.text());
     let run = dashboard.get(&format!("/runs/{}", runs[0])).await;
     assert!(run.text().contains(&format!("/compare?experiment={id}")), "{}", run.text());
     assert!(run.text().contains("On cam-1, CPU governor: schedutil"), "{}", run.text());

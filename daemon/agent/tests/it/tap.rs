@@ -53,11 +53,12 @@ async fn program_receives_events_and_missed_ones_are_counted() {
         }
         let iterations = seen.iter().filter(|event| matches!(event, Event::Iteration(_))).count();
         let ended = seen.iter().filter(|event| matches!(event, Event::RunEnded(_))).count();
-        // The model, the run's two ends and a hundred iterations.
-        assert_eq!(seen.len() as u64 + events_missed_by_tap, 103);
-        if room > 103 {
+        if room > 104 {
+            // The loading and the unloading of the model, the run's two ends and a hundred iterations.
+            assert_eq!(seen.len(), 104);
             assert_eq!((iterations, ended, events_missed_by_tap), (100, 1, 0));
         } else {
+            // The model was unloaded after the missed events had been counted.
             assert_eq!((seen.len(), events_missed_by_tap), (room, 93));
         }
     }

@@ -278,7 +278,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     let html = asked_for(&two, "download-throughput").await.expect("a usual one");
     assert!(panel(&html).contains("No run that is compared has measured this."), "{html}");
     let refused = asked_for(&two, "<b>").await.expect_err("nobody has it").to_string();
-    assert!(refused.contains("no run that is compared has \"<b>\"; ask for"), "{refused}");
+    assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 
     let alone = page_of(two[..1].to_vec(), false).await;
     assert_eq!(panel(&alone).matches("<figcaption>").count(), 6);

@@ -146,9 +146,9 @@ async fn intact_batches_of_damaged_spool_are_stored_once() {
     let state = agent.stop_and_keep().await.expect("stops well");
     // A further start sends nothing again.
     let agent = TestAgent::start_in(state, &aggregator.address, idle()).await;
+    let seen = aggregator.until(|seen| seen.hellos >= 2).await;
     agent.until(|live| live.accounting.waiting == 0).await;
     agent.stop().await.expect("stops well");
-    let seen = aggregator.until(|seen| seen.hellos >= 2).await;
     let iterations = seen.iterations();
     assert_contiguous(&iterations);
     assert!(!iterations.is_empty() && seen.repeated == 0, "{} batches were stored twice", seen.repeated);
