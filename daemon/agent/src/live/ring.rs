@@ -166,7 +166,10 @@ mod tests {
         late.add(peernet_logger::NodeId::ROOT, "skipped-starts".into(), Span::ZERO, measure);
         ring.record(10, &Outcome::Timeout(String::new()), &late);
         let second = &ring.changed_seconds().0[0];
-        assert_eq!(second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(), ["skipped-starts"]);
+        assert_eq!(
+            second.values.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>(),
+            ["skipped-starts"]
+        );
         assert_eq!(second.values[0].1.moments.mean, 5.0);
     }
 
