@@ -7,6 +7,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -194,16 +195,19 @@ def _whole(section: Section, bench: Bench, repeats: int, ports: list[int]) -> No
         outside = [a - b for a, b in zip(total, inference, strict=True)]
         columns.setdefault(name, []).append({"total": spread(total), "outside": spread(outside)})
 
-    # Clouds that offer the model `echo` alone: further models of a process cost some microseconds per request.
     echo_port, old_port = ports
     places = {"not streamed": (echo_port, PEERNET), "one part": (bench.cloud, PEERNET)}
-    with cloud(bench.folder, echo_port, _echo()):
-        if baseline:
-            places["baseline"] = (old_port, baseline / "peernet")
-            with cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"):
-                _in_turn("not streamed", repeats, list(places), add)
-        else:
-            _in_turn("not streamed", repeats, list(places), add)
+    if baseline:
+        places["baseline"] = (old_port, baseline / "peernet")
+    for repeat in range(repeats):
+        # The two builds have the same models, and new processes in each repeat: a process may keep a faster or slower
+        # core, by up to 40 % of a request.
+        with ExitStack() as clouds:
+            clouds.enter_context(cloud(bench.folder, echo_port, _echo()))
+            if baseline:
+                clouds.enter_context(cloud(bench.folder, old_port, _echo(), program=baseline / "peernetd"))
+            first, names = repeat % len(places), list(places)
+            _in_turn(f"not streamed, processes {repeat + 1}", 1, [*names[first:], *names[:first]], add)
     section.say(
         f"An answer of {WHOLE_BYTES:,} bytes through the cloud: *not streamed*, by the model `echo`; in *one part*, by "
         "the server above in one token. `total` of the latter includes the request to the server; *total without "
