@@ -117,22 +117,11 @@ fn value(row: RowRef<'_>, name: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::{Outcome, Row, Rows};
+    use crate::rows::{Outcome, Rows};
+    use crate::testing::row_of_values;
 
     fn rows(outcome: Outcome, values: &[&[(&'static str, f64)]]) -> Rows {
-        let row = |values: &&[(&'static str, f64)]| Row {
-            iteration: 1,
-            at: 0.0,
-            episode: 0,
-            step: 0,
-            warm_up: false,
-            outcome,
-            reason: None,
-            values: values.iter().map(|(name, value)| ((*name).into(), *value)).collect(),
-            upload: None,
-            download: None,
-        };
-        values.iter().map(row).collect()
+        values.iter().map(|values| row_of_values(outcome, values)).collect()
     }
 
     fn value_and_count(quality: Quality, rows: &Rows) -> Option<(f64, u64)> {

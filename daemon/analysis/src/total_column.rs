@@ -61,26 +61,14 @@ impl TotalColumn {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::{Outcome, Row, Rows};
+    use crate::rows::{Outcome, Rows};
+    use crate::testing::row_of_values;
 
     fn rows(totals: &[Option<f64>], outcome: Outcome) -> Rows {
-        let row = |total: &Option<f64>| Row {
-            iteration: 1,
-            at: 0.0,
-            episode: 0,
-            step: 0,
-            warm_up: false,
-            outcome,
-            reason: None,
-            values: total
-                .map(|total| ("total".into(), total))
-                .into_iter()
-                .chain([("stages-total".into(), 1.0)])
-                .collect(),
-            upload: None,
-            download: None,
+        let values = |total: &Option<f64>| {
+            total.map(|total| ("total", total)).into_iter().chain([("stages-total", 1.0)])
         };
-        totals.iter().map(row).collect()
+        totals.iter().map(|total| row_of_values(outcome, &values(total).collect::<Vec<_>>())).collect()
     }
 
     #[test]

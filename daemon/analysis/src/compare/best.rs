@@ -3,8 +3,8 @@
 use peernet_sample::printable_line;
 use peernet_statistics::number::column_decimals;
 
+use super::difference_table::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
 use super::ranking::{ConfigurationTotal, Ranking, model_computes};
-use super::render::{INTERVAL_LIMITATION, MEAN_INTERVAL_MEANING, in_milliseconds, with_interval};
 use super::{Comparison, EMPTY_CELL, Line, MeanEstimate, values};
 use crate::loaded::Loaded;
 use crate::table::{CaptionedTable, Table};

@@ -13,6 +13,7 @@ mod caveats;
 mod columns;
 mod configuration;
 mod difference;
+mod difference_table;
 mod differences;
 mod labels;
 mod latency_bar;

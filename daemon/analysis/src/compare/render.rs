@@ -1,30 +1,18 @@
 //! Comparisons as tables.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{EXACT, column_decimals, decimals, fixed, measured, percent, range_ms};
+use peernet_statistics::number::{column_decimals, decimals, fixed, percent, range_ms};
 
-use super::{
-    Comparison, Difference, Differences, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES,
-    StageDifference,
-};
+use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
+use super::{Comparison, Difference, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES};
 use crate::accuracy::{ACCURACIES, Accuracy};
 use crate::actuator_results::{EpisodeReturn, SuccessRate};
 use crate::deadline::Misses;
-use crate::table::{CaptionedTable, Table, csv_text, interval};
+use crate::table::{Table, csv_text, interval};
 use crate::total_column::TotalColumn;
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
-/// Maximum number of decimals of a number of ms: a microsecond. The clock of another host is never known more precisely.
-const MAX_MS_DECIMALS: usize = 3;
-/// Explanation of an interval.
-pub(super) const INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were measured again \
-     (of means: Welch, from batch means; of medians: stationary bootstrap).";
-/// Explanation of an interval of means.
-pub(super) const MEAN_INTERVAL_MEANING: &str = "The interval says how far the difference would vary if the same minutes were \
-     measured again (Welch, from batch means).";
-pub(super) const INTERVAL_LIMITATION: &str =
-    "Changes from day to day are not part of it; only repeats show them.";
 /// Columns of the actuator in CSV.
 const ACTUATOR_COLUMNS: [&str; 8] = [
     "superseded",
@@ -395,122 +383,4 @@ fn share(known: Option<(f64, (f64, f64))>) -> String {
         || EMPTY_CELL.to_owned(),
         |(share, (lo, hi))| format!("{} ({})", percent(share), interval([percent(lo), percent(hi)])),
     )
-}
-
-impl Differences {
-    /// Returns the table for people, with a caption.
-    pub fn captioned(&self) -> CaptionedTable {
-        CaptionedTable { heading: self.heading(), table: self.table(), notes: self.notes() }
-    }
-
-    /// Returns CSV for programs: seconds, with all digits. It has one row for each pair of lines and stage.
-    pub fn csv(differences: &[Self]) -> String {
-        let rows = differences.iter().flat_map(|pair| pair.stages.iter().map(|stage| pair.csv_row(stage)));
-        csv_text(&Self::CSV_HEADER, &rows.collect::<Vec<_>>())
-    }
-
-    const CSV_HEADER: [&'static str; 14] = [
-        "baseline",
-        "other",
-        "stage",
-        "baseline-mean",
-        "other-mean",
-        "mean-difference",
-        "mean-difference-lo",
-        "mean-difference-hi",
-        "baseline-median",
-        "other-median",
-        "median-difference",
-        "median-difference-lo",
-        "median-difference-hi",
-        "clocks",
-    ];
-
-    fn csv_row(&self, stage: &StageDifference) -> Vec<String> {
-        let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-        let difference_cells = |difference: Difference| difference.ends().map(number);
-        let value_cells = |values: (f64, f64)| [values.0.to_string(), values.1.to_string()];
-        let names = [self.baseline.clone(), self.other.clone(), stage.stage.clone()].into_iter();
-        let means = value_cells(stage.means).into_iter().chain(difference_cells(stage.mean));
-        let medians = value_cells(stage.medians).into_iter().chain(difference_cells(stage.median));
-        names.chain(means).chain(medians).chain([number(stage.clocks)]).collect()
-    }
-
-    fn heading(&self) -> String {
-        printable_line(&format!("A: {}. B: {}.", self.baseline, self.other)).into_owned()
-    }
-
-    fn table(&self) -> Table {
-        let header = [
-            "stage",
-            "mean A",
-            "mean B",
-            "B − A",
-            "95 % confidence",
-            "median A",
-            "median B",
-            "B − A",
-            "95 % confidence",
-            "clocks",
-        ];
-        Table { header: header.map(str::to_owned).to_vec(), labels: 1, rows: self.rows(), marked: Vec::new() }
-    }
-
-    /// Returns a row for each stage. All numbers of a column have the same number of decimals.
-    fn rows(&self) -> Vec<Vec<String>> {
-        let stages = || self.stages.iter();
-        let max_decimals = |difference: fn(&StageDifference) -> Difference| {
-            stages().map(|stage| column_decimals(difference(stage).margin())).max().unwrap_or_default()
-        };
-        let mean_decimals = max_decimals(|stage| stage.mean);
-        let median_decimals = max_decimals(|stage| stage.median);
-        let clock_errors = stages().filter_map(|stage| stage.clocks).filter(|error| *error > 0.0);
-        let clock_decimals =
-            clock_errors.map(|error| decimals(error * 1e3, 2).min(MAX_MS_DECIMALS)).max().unwrap_or_default();
-        let cells = |values: (f64, f64), difference: Difference, decimals: usize| {
-            let ms = |seconds: f64| in_milliseconds(seconds, decimals);
-            let [difference, interval] = with_interval(difference, decimals);
-            [ms(values.0), ms(values.1), difference, interval]
-        };
-        let clock_cell = |error: f64| match error {
-            0.0 => EXACT.to_owned(),
-            error => format!("±{}", measured(error * 1e3, clock_decimals)),
-        };
-        let row = |stage: &StageDifference| {
-            let name = std::iter::once(stage.stage.clone());
-            let means = cells(stage.means, stage.mean, mean_decimals);
-            let medians = cells(stage.medians, stage.median, median_decimals);
-            let clocks = stage.clocks.map(clock_cell).unwrap_or_default();
-            name.chain(means).chain(medians).chain([clocks]).collect()
-        };
-        stages().map(row).collect()
-    }
-
-    fn notes(&self) -> String {
-        let clocks = if self.stages.iter().any(|stage| stage.clocks.is_some_and(|clocks| clocks > 0.0)) {
-            " The column clocks adds the uncertainty of the clock offset, which the interval does not contain."
-        } else {
-            ""
-        };
-        format!("In ms. {INTERVAL_MEANING}{clocks} {INTERVAL_LIMITATION}")
-    }
-}
-
-/// Formats seconds as milliseconds.
-pub(super) fn in_milliseconds(seconds: f64, decimals: usize) -> String {
-    fixed(seconds * 1e3, decimals)
-}
-
-/// Returns a difference and its interval in milliseconds.
-pub(super) fn with_interval(difference: Difference, decimals: usize) -> [String; 2] {
-    let signed_ms = |seconds: f64| format_signed(seconds, decimals);
-    let ends = difference.interval.map(|(lo, hi)| interval([signed_ms(lo), signed_ms(hi)]));
-    [signed_ms(difference.value), ends.unwrap_or_else(|| EMPTY_CELL.to_owned())]
-}
-
-/// Formats seconds as milliseconds with a sign. Numbers above zero have a plus sign.
-fn format_signed(seconds: f64, decimals: usize) -> String {
-    let text = in_milliseconds(seconds, decimals);
-    let is_zero = !text.bytes().any(|digit| (b'1'..=b'9').contains(&digit));
-    if seconds > 0.0 && !is_zero { format!("+{text}") } else { text }
 }

@@ -4,11 +4,27 @@ mod iterations;
 
 pub(crate) use iterations::*;
 
-use crate::rows::{Row, Rows};
+use crate::rows::{Outcome, Row, Rows};
 
 /// Returns [`iterations`] as rows.
 pub(crate) fn rows(count: u64) -> Vec<Row> {
     iterations(count).iter().map(Row::from_iteration).collect()
+}
+
+/// Returns a row without one-way delays, with these values of nodes.
+pub(crate) fn row_of_values(outcome: Outcome, values: &[(&'static str, f64)]) -> Row {
+    Row {
+        iteration: 1,
+        at: 0.0,
+        episode: 0,
+        step: 0,
+        warm_up: false,
+        outcome,
+        reason: None,
+        values: values.iter().map(|(name, value)| ((*name).into(), *value)).collect(),
+        upload: None,
+        download: None,
+    }
 }
 
 /// Returns the rows in the form in which they are stored.

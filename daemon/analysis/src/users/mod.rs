@@ -52,7 +52,7 @@ pub struct UsersLine {
     pub totals: Totals,
 }
 
-/// What the edges of one repeat of a configuration measured while all of them were measuring. `T` holds the totals of an edge.
+/// Measurements of the edges of one repeat of a configuration from the time in which all of them were measuring. `T` holds the totals of an edge.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Repeat<T> {
     /// Length of the [common time](common_time); `None` if the edges never measured at the same time.
@@ -61,7 +61,7 @@ pub struct Repeat<T> {
     pub edges: Vec<EdgeMeasured<T>>,
 }
 
-/// What one edge measured within the common time.
+/// Measurements of one edge within the common time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EdgeMeasured<T> {
     /// Number of starts of answered iterations.

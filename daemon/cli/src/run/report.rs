@@ -24,7 +24,7 @@ use super::table;
 use crate::compare::{default_baseline, difference_tables, differences, join_texts};
 use crate::experiment::unfinished_runs_note;
 
-/// What was written about the runs.
+/// Text about the runs, with the failures of writing.
 pub(super) struct Report {
     /// Text to be printed.
     pub(super) text: String,

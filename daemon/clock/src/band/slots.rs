@@ -4,7 +4,7 @@
 //! it is at most U + w(|q − x|) at any time q, where w(d) is ρ·d rounded up: a cone that opens upwards. The bound at q
 //! is the lowest of all cones. Bounds from below are the same with the opposite sign.
 //!
-//! Of two points in one slot, the slot keeps the point whose cone is lower at the time of the later point.
+//! A slot keeps one of its points: of two, the point whose cone is lower at the time of the later one.
 //! By w(a + b) ≥ w(a) + w(b) − 1 that cone is, to a nanosecond, also the lower one at every time after the slot: a query
 //! about the present gets the bound that all exchanges together give. Thinning has two costs: the oldest slot of the
 //! window expires as a whole, and the bound at a time within a slot may be wider by ρ × twice the slot's length.

@@ -28,7 +28,7 @@ pub(crate) struct UsersRow {
     pub total: String,
 }
 
-/// What the users of each configuration measured at the same time.
+/// Measurements of the users of each configuration from the time that they have in common.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct MeasuredUsers {
     /// Repeats of each configuration, without repeats that lack a user. Empty if the numbers of users do not differ.

@@ -44,7 +44,7 @@ pub(super) enum RecoveryError {
     /// The tables of the new spool cannot be created.
     #[error("cannot create a new spool: {0}")]
     Create(String),
-    /// The first batch is damaged, or there is none.
+    /// The spool has no batch, or its first batch is damaged.
     #[error("no batch before the damage")]
     NoBatch,
     /// The damaged spool belongs to another host, or has no stream.
