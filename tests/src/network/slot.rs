@@ -1,11 +1,16 @@
 //! Numbers that separate the networks of concurrent tests.
 
 use std::fs::{File, TryLockError};
+use std::io;
 use std::net::Ipv4Addr;
 
-use rustix::process::{Pid, Signal, geteuid, kill_process};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::process::{Pid, PidfdFlags, Signal, geteuid, pidfd_open, pidfd_send_signal};
 
 use super::command::try_run;
+
+/// Longest time that a killed process may take to exit.
+const EXIT_TIMEOUT: Timespec = Timespec { tv_sec: 10, tv_nsec: 0 };
 
 /// Number that no other test on this machine uses now, with the names and addresses derived from it.
 #[derive(Debug)]
@@ -72,15 +77,40 @@ impl Slot {
         for namespace in names.filter(|name| name.starts_with(&self.prefix())) {
             let pids = try_run("ip", &["netns", "pids", namespace]).unwrap_or_default();
             for pid in pids.lines().filter_map(|pid| Pid::from_raw(pid.parse().ok()?)) {
-                // A process that has just ended by itself needs no signal.
-                let _ = kill_process(pid, Signal::KILL);
+                if let Err(problem) = kill_and_await_exit(pid) {
+                    print_problem(&format!("cannot end process {pid:?} in {namespace}: {problem}"));
+                }
             }
             if let Err(problem) = try_run("ip", &["netns", "delete", namespace]) {
-                #[expect(clippy::print_stderr, reason = "a drop must not panic, and this must be seen")]
-                {
-                    eprintln!("{problem}");
-                }
+                print_problem(&problem);
             }
         }
     }
+}
+
+/// Kills a process and waits until it has exited; its parent need not have collected its status.
+///
+/// # Errors
+/// If the process cannot be killed, or still exists after [`EXIT_TIMEOUT`].
+fn kill_and_await_exit(pid: Pid) -> io::Result<()> {
+    // A descriptor cannot refer to another process that got the number later.
+    let process = match pidfd_open(pid, PidfdFlags::empty()) {
+        // A process that has just ended by itself needs no signal.
+        Err(rustix::io::Errno::SRCH) => return Ok(()),
+        opened => opened?,
+    };
+    match pidfd_send_signal(&process, Signal::KILL) {
+        Ok(()) | Err(rustix::io::Errno::SRCH) => {}
+        Err(error) => return Err(error.into()),
+    }
+    // The kernel ends a killed process later than the signal returns; until then it keeps its namespace.
+    match poll(&mut [PollFd::new(&process, PollFlags::IN)], Some(&EXIT_TIMEOUT))? {
+        0 => Err(io::Error::new(io::ErrorKind::TimedOut, "it has not exited 10 s after it was killed")),
+        _ => Ok(()),
+    }
+}
+
+#[expect(clippy::print_stderr, reason = "a drop must not panic, and this must be seen")]
+fn print_problem(problem: &str) {
+    eprintln!("{problem}");
 }

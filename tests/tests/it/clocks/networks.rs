@@ -102,6 +102,19 @@ fn wire_delays_directions_separately() {
     assert!(down > Span::from_millis(3) && down < Span::from_millis(38), "{down}");
 }
 
+/// Returns the kernel's number of the interface that has an address.
+fn index_of_interface(address: Ipv4Addr) -> u32 {
+    let printed = printed_by_ip(&["-oneline", "address", "show", "to", &address.to_string()]);
+    let (index, _) = printed.split_once(':').expect("one line that begins with the index");
+    index.parse().expect("an index is a number")
+}
+
+fn printed_by_ip(arguments: &[&str]) -> String {
+    let output = Command::new("ip").args(arguments).output().expect("ip is installed");
+    assert!(output.status.success(), "ip {arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).expect("ip prints UTF-8")
+}
+
 #[test]
 fn panicking_test_removes_its_network() {
     let (sender, receiver) = std::sync::mpsc::sync_channel(1);
@@ -109,20 +122,22 @@ fn panicking_test_removes_its_network() {
         let network = Network::direct();
         let inode = network.edge().run("readlink", &["/proc/self/ns/net"]);
         let process = network.edge().start(Path::new("sleep"), &["1000"], Path::new("/"), &[]);
-        sender.send((inode, process.pid(), network.edge().test_address)).expect("the test waits");
+        let interface = index_of_interface(network.edge().test_address);
+        sender.send((inode, process.pid(), interface)).expect("the test waits");
         // The process is leaked, as if the test could not stop it.
         std::mem::forget(process);
         panic!("a test fails here, on purpose");
     });
-    let (inode, pid, test_address) = receiver.recv().expect("told before the panic");
+    let (inode, pid, interface) = receiver.recv().expect("told before the panic");
     test.join().expect_err("it panics");
     let is_in_namespace =
         |path: String| std::fs::read_link(path).is_ok_and(|link| link.display().to_string() == inode.trim());
     // The killed process remains as a zombie of this process, but is in no namespace.
     assert!(!is_in_namespace(format!("/proc/{pid}/ns/net")));
-    let addresses = Command::new("ip").args(["address", "show"]).output().expect("ip is installed").stdout;
+    // A test that runs beside this one may already have the same address, but never the same index.
+    let links = printed_by_ip(&["-oneline", "link", "show"]);
     assert!(
-        !String::from_utf8_lossy(&addresses).contains(&format!("{test_address}/")),
-        "{test_address} is still there"
+        !links.lines().any(|line| line.starts_with(&format!("{interface}:"))),
+        "interface {interface} is still there"
     );
 }
