@@ -91,8 +91,11 @@ fn visit(tree: &Tree, index: usize, both_ways: Option<f64>) -> Option<Visit> {
         let by_wall_clock = transit.received? - edge.wall;
         Some((node.start, by_raw_clock.unwrap_or_else(|| by_wall_clock.seconds())))
     });
-    // The sum that the agent measured is valid even if a clock was stepped during the iteration. The difference of the stamps is not.
-    let network = answer.and(both_ways.or(tree.stages().transport().map(Span::seconds)));
+    let delay_value = |transit: &Transit| Some(transit.delay.as_ref()?.value?.seconds());
+    let both_delays = download.and_then(|(_, back)| Some(delay_value(request)? + delay_value(back)?));
+    // The measured sum and the delays are valid even if a clock was stepped during the iteration. The difference of the wall clock's stamps is not.
+    let network =
+        answer.and(both_ways.or(both_delays).or_else(|| tree.stages().transport().map(Span::seconds)));
 
     let delay = request.delay.as_ref();
     let (arrival, shift) = match (delay.and_then(|delay| delay.value), delay.and_then(|delay| delay.bounds)) {

@@ -166,6 +166,7 @@ fn visit_is_placed_despite_edge_clock_step() {
     assert!(close(visit.arrival, 0.022), "{visit:?}");
     let (left, back) = visit.answer_times.expect("it was answered");
     assert!(close(left, 0.026) && close(back, 0.027), "{visit:?}");
+    assert!(close(visit.network.expect("both delays are known"), 0.021), "{visit:?}");
     assert!(timeline.end < 0.1, "{}", timeline.end);
     // The raw delay that is shown is a difference of wall clocks.
     let upload = timeline.nodes.iter().find_map(|node| node.delay.filter(|_| node.name == stage::UPLOAD));

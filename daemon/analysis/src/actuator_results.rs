@@ -1,6 +1,6 @@
 //! Results of a run's actuator: superseded answers, and success and return of the episodes.
 
-use peernet_statistics::number::{fixed, percent};
+use peernet_statistics::number::{fixed, share};
 use peernet_statistics::{Moments, Summary};
 use serde::{Deserialize, Serialize};
 
@@ -106,7 +106,7 @@ impl ActuatorResults {
         });
         let success = self.success.map(|success| {
             let SuccessRate { rate, interval: (lo, hi), episodes } = success;
-            let [rate, lo, hi] = [rate, lo, hi].map(percent);
+            let [rate, lo, hi] = [rate, lo, hi].map(share);
             format!(
                 "Success: {rate} % of {} episodes (95 % confidence: {lo} – {hi} %).",
                 fixed(episodes as f64, 0)
@@ -170,7 +170,7 @@ mod tests {
             found.sentences(1_000),
             [
                 "Superseded: 1 of 1,000 answers were not acted on, because a newer answer had been acted on or the episode had ended.",
-                "Success: 50 % of 2 episodes (95 % confidence: 9.5 – 91 %).",
+                "Success: 50.0 % of 2 episodes (95 % confidence: 9.5 – 90.5 %).",
                 "Return per episode: 2.00 ± 1.41 over 2 episodes."
             ]
         );

@@ -10,7 +10,9 @@ use peernet_analysis::trust::{Report, Starts};
 use peernet_figures::drawing::View;
 use peernet_logger::stage;
 use peernet_statistics::histogram::MAX_BINS;
-use peernet_statistics::number::{NONE, SPACE, count, duration, figure, mean_std_ms, percent, rate, share};
+use peernet_statistics::number::{
+    NONE, SPACE, count, duration, mean_std_ms, milliseconds, percent, rate, share,
+};
 use peernet_store::{IterationFilter, RunDetail, RunStatistics, RunSummary, StageStatistics};
 use peernet_stream::ExperimentPlace;
 use serde::Deserialize;
@@ -279,8 +281,7 @@ fn assemble(
     let summary = &run.summary;
     let stack = Stack::of_run(stages, bounds);
     let total = summary.total.as_ref();
-    let quantile =
-        |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), |seconds| figure(seconds * 1e3));
+    let quantile = |value: Option<f64>| value.map_or_else(|| NONE.to_owned(), milliseconds);
     let missing: u64 = run.gaps.iter().map(|gap| gap.count).sum();
     let (zone, snapshot) = (app.zone, app.live_state());
     let link = link::of_placement(&snapshot, summary.host_name.as_str(), &summary.placement);

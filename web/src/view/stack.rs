@@ -6,7 +6,7 @@ use peernet_analysis::unaccounted_time::{IterationDurations, UnaccountedTime};
 use peernet_figures::drawing::{StageBar, StagePart};
 use peernet_figures::scale::Scale;
 use peernet_logger::Name;
-use peernet_statistics::number::{duration, figure};
+use peernet_statistics::number::{duration, milliseconds};
 use peernet_store::{DelayAccuracy, IterationRow, QuantityStatistics, StageStatistics};
 
 use crate::picture::Picture;
@@ -92,7 +92,7 @@ impl Stack {
         let names = largest
             .iter()
             .take(3)
-            .map(|part| format!("{} {}\u{202f}ms", part.name, figure(part.seconds * 1e3)));
+            .map(|part| format!("{} {}\u{202f}ms", part.name, milliseconds(part.seconds)));
         format!("{text}. Largest stages: {}.", names.collect::<Vec<_>>().join(", "))
     }
 }

@@ -12,6 +12,7 @@ mod blocks;
 mod caveats;
 mod columns;
 mod configuration;
+mod csv;
 mod difference;
 mod difference_table;
 mod differences;
@@ -41,6 +42,7 @@ use crate::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLabels};
 use crate::actuator_results::{ActuatorResults, EPISODE_VALUES, SUPERSEDED};
 use crate::deadline::{DEADLINE_MISSED, Misses};
 use crate::loaded::{Loaded, unknown_labels};
+use crate::quality::{Quality, QualityEstimate};
 use crate::rows::{Rows, SKIPPED_STARTS};
 use crate::total_column::TotalColumn;
 use crate::trust::Starts;
@@ -48,6 +50,9 @@ use labels::EMPTY_CELL;
 
 /// Latency columns of the paper's table; the last two are the sum of all stages, which the paper calls Total, and the measured total.
 pub const LATENCIES: [&str; 6] = ["sensing", "upload", "inference", "download", "stages-total", "total"];
+
+/// Scores of the answers that are not the share of right answers.
+pub const SCORES: [Quality; 2] = [Quality::Map50, Quality::MeanIou];
 
 /// Column of the time from the request to a language model until its first token.
 const FIRST_TOKEN: &str = "inference_time-to-first-token";
@@ -127,6 +132,8 @@ pub struct Line {
     pub first_token: Option<Latency>,
     /// Accuracies in the order of [`ACCURACIES`]; `None` where the right answers are not known.
     pub accuracies: [Option<Accuracy>; ACCURACIES.len()],
+    /// Mean scores of the answers in the order of [`SCORES`]; `None` where no answer has the score.
+    pub scores: [Option<QualityEstimate>; SCORES.len()],
     /// Samples whose label is not a class of the model. Their answers are neither right nor wrong.
     pub unknown_labels: Option<UnknownLabels>,
     /// Mean of [`total_column`](Comparison::total_column) minus that of the best line. `None` for the best line itself, or without a mean.
@@ -199,6 +206,7 @@ impl Line {
             hidden_stages: Vec::new(),
             first_token: None,
             accuracies: [None; ACCURACIES.len()],
+            scores: [None; SCORES.len()],
             unknown_labels: None,
             difference_to_best: None,
             repeat_moments: Vec::new(),
@@ -232,6 +240,7 @@ impl Line {
         self.misses = Misses::from_rows(rows());
         self.actuator = ActuatorResults::from_rows(rows());
         self.accuracies = ACCURACIES.map(|column| Accuracy::from_rows(rows(), column));
+        self.scores = SCORES.map(|score| score.from_rows(rows));
         self.unknown_labels = unknown_labels(runs_of_line());
         let latency = |name: &str| {
             let mut moments = Moments::default();
@@ -272,7 +281,7 @@ pub fn is_compared(column: &str) -> bool {
     let bounds = ["upload-lo", "upload-hi", "download-lo", "download-hi"];
     let columns = differences::STAGES.iter().chain(&LATENCIES).chain(&ACCURACIES).chain(&bounds);
     let columns = columns.chain(&[UNKNOWN_LABEL, SKIPPED_STARTS, DEADLINE_MISSED, SUPERSEDED, FIRST_TOKEN]);
-    columns.chain(&EPISODE_VALUES).any(|name| *name == column)
+    columns.chain(&EPISODE_VALUES).chain(&SCORES.map(Quality::name)).any(|name| *name == column)
 }
 
 #[cfg(test)]

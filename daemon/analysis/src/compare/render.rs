@@ -1,30 +1,19 @@
 //! Comparisons as tables.
 
 use peernet_sample::printable_line;
-use peernet_statistics::number::{column_decimals, decimals, fixed, percent, range_ms};
+use peernet_statistics::number::{column_decimals, decimals, fixed, percent, range_ms, share};
 
 use super::difference_table::{MAX_MS_DECIMALS, in_milliseconds};
-use super::{Comparison, Difference, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES};
+use super::{Comparison, EMPTY_CELL, LATENCIES, Latency, Line, MIN_KNOWN_SHARE, MIN_VALUES, SCORES};
 use crate::accuracy::{ACCURACIES, Accuracy};
-use crate::actuator_results::{EpisodeReturn, SuccessRate};
 use crate::deadline::Misses;
-use crate::table::{Table, csv_text, interval};
+use crate::table::{Table, interval};
 use crate::total_column::TotalColumn;
 
 const HEADINGS: [&str; LATENCIES.len()] =
     ["sensing", "upload", "inference", "download", "total (stages)", "total (measured)"];
-/// Columns of the actuator in CSV.
-const ACTUATOR_COLUMNS: [&str; 8] = [
-    "superseded",
-    "success-rate",
-    "success-rate-lo",
-    "success-rate-hi",
-    "success-episodes",
-    "return-mean",
-    "return-std",
-    "return-episodes",
-];
 const ACCURACY_HEADINGS: [&str; ACCURACIES.len()] = ["Top-1 (%)", "Top-5 (%)"];
+const SCORE_HEADINGS: [&str; SCORES.len()] = ["mAP@0.5 (%)", "mean IoU (%)"];
 
 impl Comparison {
     /// Returns the text for a terminal.
@@ -42,123 +31,51 @@ impl Comparison {
         self.table().latex(&self.notes().join(" "))
     }
 
-    /// Returns CSV for programs: seconds, with all digits.
-    pub fn csv(&self) -> String {
-        let mut header: Vec<String> = self.axes.clone();
-        header.extend(["runs", "count", "unanswered", "best", "tie"].map(str::to_owned));
-        header.extend(LATENCIES.iter().flat_map(|name| [format!("{name}-mean"), format!("{name}-std")]));
-        header.push("edges".to_owned());
-        header.extend(
-            ACCURACIES
-                .iter()
-                .flat_map(|name| ["", "-lo", "-hi", "-unscored"].map(|end| format!("{name}{end}"))),
-        );
-        header.extend(["", "-lo", "-hi"].map(|end| format!("beyond-best{end}")));
-        header.push("miss-rate".to_owned());
-        header.extend(ACTUATOR_COLUMNS.map(str::to_owned));
-        header.extend(["first-token-mean", "first-token-std"].map(str::to_owned));
-        let row = |(index, line): (usize, &Line)| {
-            let flag = |value: bool| u8::from(value).to_string();
-            let number = |number: Option<f64>| number.map(|number| number.to_string()).unwrap_or_default();
-            let label = |label: &String| if label == EMPTY_CELL { String::new() } else { label.clone() };
-            let mut cells: Vec<String> = line.labels.iter().map(label).collect();
-            cells.extend([line.repeats as u64, line.count, line.unanswered].map(|count| count.to_string()));
-            let is_untested = self.untested.contains(&index);
-            let tie = if is_untested || self.unranked.contains(&index) {
-                String::new()
-            } else {
-                flag(self.ties.contains(&index))
-            };
-            cells.extend([flag(self.best == Some(index)), tie]);
-            cells.extend(line.latencies.iter().flat_map(|latency| {
-                [number(latency.map(|latency| latency.mean)), number(latency.and_then(|latency| latency.std))]
-            }));
-            cells.push(line.edges.to_string());
-            cells.extend(line.accuracies.iter().flat_map(|accuracy| {
-                let numbers = accuracy.map(|Accuracy { share, interval, unscored, .. }| {
-                    [share, interval.0, interval.1, unscored as f64]
-                });
-                numbers.map_or([None; 4], |numbers| numbers.map(Some)).map(number)
-            }));
-            cells.extend(line.difference_to_best.map_or([None; 3], Difference::ends).map(number));
-            cells.push(number(line.misses.and_then(Misses::rate)));
-            let success = line.actuator.success.map(|SuccessRate { rate, interval: (lo, hi), episodes }| {
-                [rate, lo, hi, episodes as f64].map(Some)
-            });
-            let episode_return = line.actuator.episode_return;
-            let of_return = episode_return
-                .map(|EpisodeReturn { mean, std, episodes }| [Some(mean), std, Some(episodes as f64)]);
-            cells.push(line.actuator.superseded.to_string());
-            cells.extend(success.unwrap_or_default().map(number));
-            cells.extend(of_return.unwrap_or_default().map(number));
-            cells.extend(
-                [
-                    line.first_token.map(|latency| latency.mean),
-                    line.first_token.and_then(|latency| latency.std),
-                ]
-                .map(number),
-            );
-            cells
-        };
-        let rows: Vec<Vec<String>> = self.lines.iter().enumerate().map(row).collect();
-        csv_text(&header.iter().map(String::as_str).collect::<Vec<_>>(), &rows)
-    }
-
     fn table(&self) -> Table {
-        let has_repeats = self.lines.iter().any(|line| line.repeats > 1);
-        let has_edges = self.lines.iter().any(|line| line.edges > 1);
-        let has_unanswered = self.lines.iter().any(|line| line.unanswered > 0);
-        let mut header = self.axes.clone();
-        header.extend(has_repeats.then(|| "runs".to_owned()));
-        header.extend(has_edges.then(|| "edges".to_owned()));
-        header.push("count".to_owned());
-        header.extend(has_unanswered.then(|| "unanswered".to_owned()));
-        let has_deadlines = self.lines.iter().any(|line| line.misses.is_some());
-        header.extend(has_deadlines.then(|| "missed (%)".to_owned()));
-        header.extend(HEADINGS.map(str::to_owned));
-        let has_tokens = self.lines.iter().any(|line| line.first_token.is_some());
-        header.extend(has_tokens.then(|| "first token".to_owned()));
-        let accuracies: Vec<usize> = (0..ACCURACIES.len())
-            .filter(|index| self.lines.iter().any(|line| line.accuracies[*index].is_some()))
-            .collect();
-        header.extend(accuracies.iter().map(|index| ACCURACY_HEADINGS[*index].to_owned()));
-        let has_superseded = self.lines.iter().any(|line| line.actuator.superseded > 0);
-        let has_success = self.lines.iter().any(|line| line.actuator.success.is_some());
-        let has_returns = self.lines.iter().any(|line| line.actuator.episode_return.is_some());
-        header.extend(has_superseded.then(|| "superseded".to_owned()));
-        header.extend(has_success.then(|| "success (%)".to_owned()));
-        header.extend(has_returns.then(|| "return".to_owned()));
-        let decimals =
-            HEADINGS.iter().enumerate().map(|(index, _)| self.decimals(|line| line.latencies[index]));
-        let decimals: Vec<usize> = decimals.collect();
-        let token_decimals = self.decimals(|line| line.first_token);
-        let row = |line: &Line| {
-            let mut cells = line.labels.clone();
-            cells.extend(has_repeats.then(|| count(line.repeats as u64)));
-            cells.extend(has_edges.then(|| count(line.edges as u64)));
-            cells.push(count(line.count));
-            cells.extend(has_unanswered.then(|| count(line.unanswered)));
-            let miss_rate = line.misses.and_then(Misses::rate);
-            let missed = miss_rate.map_or_else(|| EMPTY_CELL.to_owned(), |rate| fixed(rate * 100.0, 2));
-            cells.extend(has_deadlines.then_some(missed));
-            cells.extend(
-                line.latencies.iter().zip(&decimals).map(|(latency, decimals)| cell(*latency, *decimals)),
-            );
-            cells.extend(has_tokens.then(|| cell(line.first_token, token_decimals)));
-            cells.extend(
-                accuracies.iter().map(|index| share(line.accuracies[*index].map(share_and_interval))),
-            );
-            let results = line.actuator;
-            cells.extend(has_superseded.then(|| count(results.superseded)));
-            cells.extend(
-                has_success.then(|| share(results.success.map(|success| (success.rate, success.interval)))),
-            );
-            let or_empty = |cell: Option<String>| cell.unwrap_or_else(|| EMPTY_CELL.to_owned());
-            let episode_return = results.episode_return.map(|found| found.text());
-            cells.extend(has_returns.then(|| or_empty(episode_return)));
-            cells
-        };
-        let rows = self.lines.iter().map(row).collect();
+        let mut columns = Columns { lines: &self.lines, columns: Vec::new() };
+        for (index, axis) in self.axes.iter().enumerate() {
+            columns.add(axis, |line| Some(line.labels[index].clone()));
+        }
+        columns.add_if(|line| line.repeats > 1, "runs", |line| Some(count(line.repeats as u64)));
+        columns.add_if(|line| line.edges > 1, "edges", |line| Some(count(line.edges as u64)));
+        columns.add("count", |line| Some(count(line.count)));
+        columns.add_if(|line| line.unanswered > 0, "unanswered", |line| Some(count(line.unanswered)));
+        columns.add_if(
+            |line| line.misses.is_some(),
+            "missed (%)",
+            |line| line.misses.and_then(Misses::rate).map(percent),
+        );
+        for (index, heading) in HEADINGS.into_iter().enumerate() {
+            let decimals = self.decimals(|line| line.latencies[index]);
+            columns.add(heading, |line| Some(cell(line.latencies[index]?, decimals)));
+        }
+        let decimals = self.decimals(|line| line.first_token);
+        columns.add_known("first token", |line| Some(cell(line.first_token?, decimals)));
+        for (index, heading) in ACCURACY_HEADINGS.into_iter().enumerate() {
+            columns.add_known(heading, |line| {
+                let accuracy = line.accuracies[index]?;
+                Some(share_text(accuracy.share, accuracy.interval))
+            });
+        }
+        for (index, heading) in SCORE_HEADINGS.into_iter().enumerate() {
+            columns.add_known(heading, |line| {
+                let score = line.scores[index]?;
+                Some(share_text(score.value, score.interval))
+            });
+        }
+        columns.add_if(
+            |line| line.actuator.superseded > 0,
+            "superseded",
+            |line| Some(count(line.actuator.superseded)),
+        );
+        columns.add_known("success (%)", |line| {
+            let success = line.actuator.success?;
+            Some(share_text(success.rate, success.interval))
+        });
+        columns.add_known("return", |line| Some(line.actuator.episode_return?.text()));
+        let (header, cells): (Vec<String>, Vec<Vec<String>>) = columns.columns.into_iter().unzip();
+        let row = |index: usize| cells.iter().map(|column| column[index].clone()).collect();
+        let rows = (0..self.lines.len()).map(row).collect();
         Table { header, labels: self.axes.len(), rows, marked: self.best.into_iter().collect() }
     }
 
@@ -185,6 +102,11 @@ impl Comparison {
         }
         if self.lines.iter().any(|line| line.accuracies.iter().any(Option::is_some)) {
             let text = "Top-1 and Top-5: right answers in %, with the 95 % confidence interval (Wilson), which assumes that the \
+                        iterations are independent.";
+            notes.push(text.to_owned());
+        }
+        if self.lines.iter().any(|line| line.scores.iter().any(Option::is_some)) {
+            let text = "mAP@0.5 and mean IoU: mean over all pictures in %, with its 95 % confidence interval, which assumes that the \
                         iterations are independent.";
             notes.push(text.to_owned());
         }
@@ -345,11 +267,11 @@ impl Line {
 
     /// Returns the texts on delays that are known for only a part of the iterations, one for each direction.
     fn known_shares(&self) -> Vec<String> {
-        let share_text = |name: &str| {
+        let known_share = |name: &str| {
             let share = self.latency(name)?.count as f64 / self.count as f64;
             (share < MIN_KNOWN_SHARE).then(|| format!("{name} of {}: {} %", self.name(), percent(share)))
         };
-        ["upload", "download"].into_iter().filter_map(share_text).collect()
+        ["upload", "download"].into_iter().filter_map(known_share).collect()
     }
 }
 
@@ -363,24 +285,47 @@ fn count(count: u64) -> String {
 }
 
 /// Returns the cell of a latency: mean ± standard deviation in ms.
-fn cell(latency: Option<Latency>, decimals: usize) -> String {
+fn cell(latency: Latency, decimals: usize) -> String {
     let ms = |seconds: f64| in_milliseconds(seconds, decimals);
-    match latency {
-        None => EMPTY_CELL.to_owned(),
-        Some(Latency { mean, std: None, .. }) => ms(mean),
-        Some(Latency { mean, std: Some(std), .. }) => format!("{} ± {}", ms(mean), ms(std)),
+    match latency.std {
+        None => ms(latency.mean),
+        Some(std) => format!("{} ± {}", ms(latency.mean), ms(std)),
     }
 }
 
-const fn share_and_interval(accuracy: Accuracy) -> (f64, (f64, f64)) {
-    (accuracy.share, accuracy.interval)
+/// Returns a share in per cent with its interval.
+fn share_text(value: f64, (lo, hi): (f64, f64)) -> String {
+    format!("{} ({})", share(value), interval([share(lo), share(hi)]))
 }
 
-/// Returns a share in per cent with its interval.
-fn share(known: Option<(f64, (f64, f64))>) -> String {
-    let percent = |share: f64| fixed(share * 100.0, 1);
-    known.map_or_else(
-        || EMPTY_CELL.to_owned(),
-        |(share, (lo, hi))| format!("{} ({})", percent(share), interval([percent(lo), percent(hi)])),
-    )
+/// Columns of a table, from left to right.
+struct Columns<'a> {
+    lines: &'a [Line],
+    /// Title of each column, and its cells in the order of the lines.
+    columns: Vec<(String, Vec<String>)>,
+}
+
+impl Columns<'_> {
+    /// Adds a column; a line without a text has an empty cell.
+    fn add(&mut self, title: &str, text: impl Fn(&Line) -> Option<String>) {
+        let cells = self.lines.iter().map(|line| text(line).unwrap_or_else(|| EMPTY_CELL.to_owned()));
+        self.columns.push((title.to_owned(), cells.collect()));
+    }
+
+    /// Adds a column if at least one line needs it.
+    fn add_if(
+        &mut self,
+        is_needed: impl Fn(&Line) -> bool,
+        title: &str,
+        text: impl Fn(&Line) -> Option<String>,
+    ) {
+        if self.lines.iter().any(is_needed) {
+            self.add(title, text);
+        }
+    }
+
+    /// Adds a column if at least one line has a text for it.
+    fn add_known(&mut self, title: &str, text: impl Fn(&Line) -> Option<String>) {
+        self.add_if(|line| text(line).is_some(), title, &text);
+    }
 }

@@ -384,7 +384,7 @@ fn miss_rate_is_shown_beside_unanswered() {
     assert_eq!((misses.missed, misses.iterations, comparison.lines[0].misses), (10, 101, None));
     let text = comparison.text();
     assert!(
-        text.contains("missed (%)") && text.contains(" 9.90 ") && text.contains("Missed: the share"),
+        text.contains("missed (%)") && text.contains(" 9.9 ") && text.contains("Missed: the share"),
         "{text}"
     );
     let csv = comparison.csv();
@@ -400,6 +400,27 @@ fn column(csv: &str, name: &str) -> Vec<String> {
     let header = cells(csv.lines().next().expect("a header"));
     let at = header.iter().position(|other| other == name).expect("such a column");
     csv.lines().skip(1).map(|line| cells(line)[at].clone()).collect()
+}
+
+#[test]
+fn scores_of_detections_are_shown_beside_latency() {
+    let mut runs = paper();
+    runs[1].rows.change(|row| {
+        let score = f64::from(u8::from(row.iteration % 2 == 0));
+        row.values.extend([("map-50".into(), score), ("mean-iou".into(), 0.7)]);
+    });
+    let comparison = Comparison::new(&runs);
+    let text = comparison.text();
+    // The mean overlap of the found objects is no score of a detection.
+    assert!(text.contains("mAP@0.5 (%)") && !text.contains("mean IoU (%)"), "{text}");
+    assert!(
+        text.contains("50.0 (") && text.contains("mAP@0.5 and mean IoU: mean over all pictures"),
+        "{text}"
+    );
+    let csv = comparison.csv();
+    assert_eq!(column(&csv, "map-50"), ["", "0.5", ""]);
+    assert_eq!(column(&csv, "map-50-count")[1], comparison.lines[1].count.to_string());
+    assert_eq!(column(&csv, "mean-iou"), ["", "", ""]);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Starts of iterations in an open loop.
 
-use peernet_statistics::number::{counted, fixed};
+use peernet_statistics::number::{counted, fixed, percent};
 use serde::Deserialize;
 
 use crate::rows::{Rows, SKIPPED_STARTS};
@@ -44,11 +44,11 @@ impl Starts {
         self.started + self.skipped
     }
 
-    /// Returns the text on skipped starts, such as `101 of 202 starts (50.0 %)`; `None` if no start was skipped.
+    /// Returns the text on skipped starts, such as `101 of 202 starts (50 %)`; `None` if no start was skipped.
     pub fn skipped_text(&self) -> Option<String> {
-        let percent = fixed(self.skipped_share() * 100.0, 1);
+        let share = percent(self.skipped_share());
         let skipped_text =
-            format!("{} of {} ({percent} %)", fixed(self.skipped as f64, 0), counted(self.total(), "start"));
+            format!("{} of {} ({share} %)", fixed(self.skipped as f64, 0), counted(self.total(), "start"));
         (self.skipped > 0).then_some(skipped_text)
     }
 

@@ -283,7 +283,9 @@ fn delay_verdicts_are_graded_per_direction() {
     for (verdict, every, grade) in [
         (Verdict::Stale, 1, Grade::Doubtful),
         (Verdict::Limited, 1, Grade::Doubtful),
-        (Verdict::Limited, 10, Grade::Good),
+        (Verdict::Limited, 10, Grade::Doubtful),
+        (Verdict::Limited, 25, Grade::Good),
+        (Verdict::Stale, 25, Grade::Good),
         (Verdict::Stepped, 10, Grade::Doubtful),
         (Verdict::Unsynchronised, 1, Grade::Bad),
     ] {

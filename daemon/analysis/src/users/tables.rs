@@ -1,6 +1,6 @@
 //! Tables of the statistics of many users.
 
-use peernet_statistics::number::{fixed, milliseconds, significant};
+use peernet_statistics::number::{fixed, milliseconds, rate};
 
 use super::{Users, UsersLine};
 use crate::table::{Table, csv_text};
@@ -56,10 +56,10 @@ impl Users {
         let row = |line: &UsersLine| {
             let mut cells = line.labels.clone();
             cells.push(line.edges.to_string());
-            cells.push(cell(line.rate, significant));
+            cells.push(cell(line.rate, rate));
             cells.push(line.rate_range().map_or_else(
                 || EMPTY_CELL.to_owned(),
-                |(least, most)| format!("{} – {}", significant(least), significant(most)),
+                |(least, most)| format!("{} – {}", rate(least), rate(most)),
             ));
             cells.push(cell(line.fairness, |value| fixed(value, 3)));
             cells.extend(latencies(line).map(|value| cell(value, milliseconds)));

@@ -34,7 +34,7 @@ fn counts_are_sums_and_shares() {
     let text = text(&summary);
     let starts = summary.starts;
     assert!(starts.started > summary.counts.ok && starts.skipped == 2 * starts.started, "{starts:?}");
-    let sentence = format!("Skipped: {} of {} starts (66.7 %).", starts.skipped, starts.total());
+    let sentence = format!("Skipped: {} of {} starts (67 %).", starts.skipped, starts.total());
     assert!(text.contains(&sentence) && !text.contains("skipped-starts"), "{text}");
     let line = text.lines().find(|line| line.starts_with("top-1")).expect("a line");
     assert_eq!(line.matches('—').count(), 4, "no quantile: {line}");
@@ -77,7 +77,7 @@ fn episodes_are_reported_below_table() {
     let episodes = rows.iter().filter(|row| row.iteration % 2 == 0).count();
     let summary = Summary::from_rows(&kept(&rows));
     let text = text(&summary);
-    assert!(text.contains(&format!("Success: 100 % of {episodes} episodes (95 % confidence: ")), "{text}");
+    assert!(text.contains(&format!("Success: 100.0 % of {episodes} episodes (95 % confidence: ")), "{text}");
     assert!(
         text.contains(&format!("over {episodes} episodes.")) && text.contains("Superseded: 1 of "),
         "{text}"

@@ -50,12 +50,12 @@ pub fn share(share: f64) -> String {
     measured(share * 100.0, 1)
 }
 
-/// Formats a rate per second: `0`, `5.00`, `30.0`, `12,346`.
+/// Formats a rate per second with three significant digits, or one decimal: `0`, `0.0137`, `5.00`, `141.3`, `12,346`.
 pub fn rate(hz: f64) -> String {
     match hz {
         0.0 => "0".to_owned(),
         // As in `percent`, the limits are where rounding would add a digit.
-        hz if hz < 9.995 => fixed(hz, 2),
+        hz if hz < 9.995 => significant(hz),
         hz if hz < 999.95 => fixed(hz, 1),
         hz => fixed(hz, 0),
     }

@@ -132,6 +132,7 @@ fn shares_rates_and_sizes_are_formatted_with_three_digits() {
     );
     assert_eq!(rate(30.0), "30.0");
     assert_eq!(rate(5.0), "5.00");
+    assert_eq!(rate(0.0137), "0.0137");
     assert_eq!(rate(12_345.6), "12,346");
     assert_eq!([0.0, 0.00625, 0.69, 106.3].map(|of| throughput(of * 8e6)), ["0", "0.00625", "0.690", "106"]);
     assert_eq!(bytes(412.0).to_string(), "412\u{202f}B");

@@ -2,7 +2,7 @@
 
 use peernet_analysis::quality::{Quality, QualityEstimate};
 use peernet_figures::drawing::{Accuracy, MOST_SCORES, Score, Unit};
-use peernet_statistics::number::{SPACE, duration, figure, share};
+use peernet_statistics::number::{SPACE, duration, share, significant};
 
 use super::{Comparison, Configuration};
 use crate::picture::Picture;
@@ -40,7 +40,7 @@ pub(super) const fn title(quality: Quality) -> (&'static str, &'static str) {
 
 /// Returns the estimate and its interval: shares in per cent.
 pub(super) fn texts(quality: Quality, estimate: &QualityEstimate) -> (String, Option<String>) {
-    let form = if title(quality).1 == "%" { share } else { figure };
+    let form = if title(quality).1 == "%" { share } else { significant };
     let QualityEstimate { value, interval: (low, high), count } = *estimate;
     (form(value), (count > 1).then(|| format!("{}{SPACE}–{SPACE}{}", form(low), form(high))))
 }

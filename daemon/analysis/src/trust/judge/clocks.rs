@@ -7,10 +7,8 @@ use peernet_stream::Grade;
 use super::{finding, percent, with_advice};
 use crate::trust::{Clocks, Finding, TrustInput};
 
-/// If at least this share of the delays is unusable, the grade is bad. If at least this share is limited, the grade is doubtful.
+/// If at least this share of the delays has no value, the grade is bad.
 const MAJORITY_SHARE: f64 = 0.5;
-/// Up to this share, unusable or stale delays do not affect the grade, because so few delays do not change a median.
-const NEGLIGIBLE_SHARE: f64 = 0.01;
 
 pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
     input.clocks.iter().filter_map(judge_direction).collect()
@@ -19,19 +17,9 @@ pub(super) fn findings(input: &TrustInput) -> Vec<Finding> {
 fn judge_direction(clocks: &Clocks) -> Option<Finding> {
     let stage = &clocks.stage;
     let about = format!("clocks, {stage}");
+    // The same rule determines the verdict that pages show beside these delays.
+    let prevailing = Verdict::prevailing(clocks.verdicts.iter().copied())?;
     let total: u64 = clocks.verdicts.iter().map(|(_, count)| count).sum();
-    if total == 0 {
-        return None;
-    }
-    let share = |wanted: &[Verdict]| {
-        let count: u64 = clocks
-            .verdicts
-            .iter()
-            .filter(|(verdict, _)| wanted.contains(verdict))
-            .map(|(_, count)| count)
-            .sum();
-        count as f64 / total as f64
-    };
     let verdict_shares: Vec<String> = clocks
         .verdicts
         .iter()
@@ -52,26 +40,27 @@ fn judge_direction(clocks: &Clocks) -> Option<Finding> {
         _ => "no delay has a value".to_owned(),
     };
     let text = format!("Of the delays of `{stage}`, {}; {precision}.", verdict_shares.join(", "));
-    let unusable = share(&[Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent]);
-    let (limited, stale) = (share(&[Verdict::Limited]), share(&[Verdict::Stale]));
-    Some(match () {
-        () if unusable >= MAJORITY_SHARE => with_advice(
+    let unusable_verdicts = [Verdict::Unsynchronised, Verdict::Stepped, Verdict::Inconsistent];
+    let unusable = clocks.verdicts.iter().filter(|(verdict, _)| unusable_verdicts.contains(verdict));
+    let unusable: u64 = unusable.map(|(_, count)| count).sum();
+    Some(match prevailing {
+        Verdict::Ok => finding(&about, Grade::Good, text),
+        Verdict::Limited => with_advice(
+            finding(&about, Grade::Doubtful, text),
+            "the interval is wider than half the delay: publish the interval, or the sum of upload and download",
+        ),
+        Verdict::Stale => with_advice(
+            finding(&about, Grade::Doubtful, text),
+            "the two clocks were rarely compared: check that the probes' port is open, or exchange samples more often",
+        ),
+        _ if unusable as f64 >= MAJORITY_SHARE * total as f64 => with_advice(
             finding(&about, Grade::Bad, text),
             "do not publish upload and download separately: their sum and the total need no related clocks; \
              `peernet calibrate` shows the cause",
         ),
-        () if unusable > NEGLIGIBLE_SHARE => with_advice(
+        Verdict::Unsynchronised | Verdict::Stepped | Verdict::Inconsistent => with_advice(
             finding(&about, Grade::Doubtful, text),
             "delays without a value are in no statistic: report this, or repeat the run when the clocks are stable",
         ),
-        () if limited >= MAJORITY_SHARE => with_advice(
-            finding(&about, Grade::Doubtful, text),
-            "the interval is wider than half the delay: publish the interval, or the sum of upload and download",
-        ),
-        () if stale > NEGLIGIBLE_SHARE => with_advice(
-            finding(&about, Grade::Doubtful, text),
-            "the two clocks were rarely compared: check that the probes' port is open, or exchange samples more often",
-        ),
-        () => finding(&about, Grade::Good, text),
     })
 }

@@ -1,7 +1,7 @@
 //! Judgement of missing measurements: unanswered iterations, skipped starts, superseded answers, missing events and an early end.
 
 use peernet_statistics::MIN_VALUES_FOR_P95;
-use peernet_statistics::number::{counted, fixed, significant};
+use peernet_statistics::number::{counted, fixed, rate};
 use peernet_stream::Grade;
 
 use super::{END, finding, iterations, percent, with_advice};
@@ -127,14 +127,14 @@ fn judge_unanswered(counts: &Counts) -> Finding {
 /// Returns the finding about the starts of an open loop; `None` for a closed loop.
 fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
     let about = "skipped starts";
-    let configured_hz = starts.hz.map(significant);
+    let configured_hz = starts.hz.map(rate);
     if starts.skipped == 0 {
         let text = configured_hz
             .map(|hz| format!("No start was skipped: {hz}\u{202f}Hz were configured and achieved."));
         return text.map(|text| finding(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let achieved = starts.actual_hz.map(|hz| format!(", {}\u{202f}Hz achieved", significant(hz)));
+    let achieved = starts.actual_hz.map(|hz| format!(", {}\u{202f}Hz achieved", rate(hz)));
     let rates = configured_hz.map_or_else(String::new, |hz| {
         format!(": {hz}\u{202f}Hz were configured{}", achieved.unwrap_or_default())
     });

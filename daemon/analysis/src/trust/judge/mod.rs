@@ -10,7 +10,7 @@ mod restarts;
 mod time_series;
 
 pub use losses::NOTABLE_SHARE;
-use peernet_statistics::number::{counted, fixed, significant};
+use peernet_statistics::number::{self, significant};
 use peernet_stream::Grade;
 
 use super::{Finding, TrustInput};
@@ -41,16 +41,9 @@ fn with_advice(finding: Finding, advice: impl Into<String>) -> Finding {
     Finding { advice: advice.into(), ..finding }
 }
 
-/// Formats a share in per cent with two significant digits: `0.12 %`, `3.4 %`, `56 %`, `<0.01 %`.
+/// Formats a share in per cent, with the sign: `0.12 %`, `3.4 %`, `56 %`.
 fn percent(share: f64) -> String {
-    let value = share * 100.0;
-    let decimals = match value.abs() {
-        v if v == 0.0 || v >= 9.95 => 0,
-        v if v >= 0.995 => 1,
-        v if v >= 0.005 => 2,
-        _ => return "<0.01\u{202f}%".to_owned(),
-    };
-    format!("{}\u{202f}%", fixed(value, decimals))
+    format!("{}\u{202f}%", number::percent(share))
 }
 
 /// Formats seconds as milliseconds with three significant digits: `16.1 ms`.
@@ -60,5 +53,5 @@ fn ms(seconds: f64) -> String {
 
 /// Returns the number with its noun: `1 iteration`, `2 iterations`.
 fn iterations(count: u64) -> String {
-    counted(count, "iteration")
+    number::counted(count, "iteration")
 }
