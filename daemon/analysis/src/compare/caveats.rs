@@ -21,8 +21,16 @@ pub(super) fn sentences(runs: &[Loaded], lines: &[Line]) -> Vec<String> {
     let missing_numbers: Vec<String> =
         lines.iter().flat_map(|line| describe_missing_numbers(runs, line)).collect();
     let shared = shared_folder(runs);
-    let name = |run: &Loaded| run.folder.strip_prefix(&shared).unwrap_or(&run.folder).display().to_string();
-    let reports = runs.iter().filter_map(|run| Some((name(run), run.record.trust.as_ref()?)));
+    let name = |index: usize| {
+        let has_several_edges = lines.iter().any(|line| line.edges > 1 && line.runs.contains(&index));
+        let folder = &runs[index].folder;
+        // The results of edges that measured at the same time are in the folder of their run.
+        let folder = folder.parent().filter(|_| has_several_edges).unwrap_or(folder);
+        let relative = folder.strip_prefix(&shared).ok().filter(|path| !path.as_os_str().is_empty());
+        relative.or_else(|| folder.file_name().map(Path::new)).unwrap_or(folder).display().to_string()
+    };
+    let reports =
+        runs.iter().enumerate().filter_map(|(index, run)| Some((name(index), run.record.trust.as_ref()?)));
     let mut sentences = publication_caveats(reports);
     sentences.extend(skipped_starts(lines.iter().map(|line| (line.name(), line.starts))));
     sentences.extend(replayed(runs, lines));

@@ -10,9 +10,18 @@ use super::{Publish, Report};
 const MAX_NAMED_RUNS: usize = 8;
 
 /// Returns a sentence about the runs that cannot be published, and one about those that can only be published with caveats. Each run is
-/// given by its name and its report. Empty if all of them can be published as they are.
+/// given by its name and its report; edges that measured at the same time have the name of their run, which is as good as the worst of them.
+/// Empty if all of them can be published as they are.
 pub fn publication_caveats<'a>(runs: impl IntoIterator<Item = (String, &'a Report)>) -> Vec<String> {
-    let runs: Vec<(String, &Report)> = runs.into_iter().collect();
+    let mut reports: Vec<(String, &Report)> = Vec::new();
+    for (name, report) in runs {
+        match reports.iter_mut().find(|(other, _)| *other == name) {
+            Some((_, worst)) if report.verdict > worst.verdict => *worst = report,
+            Some(_) => {}
+            None => reports.push((name, report)),
+        }
+    }
+    let runs = reports;
     let sentence = |verdict: Publish, grade: Grade, meaning: &str| {
         let of_verdict: Vec<&(String, &Report)> =
             runs.iter().filter(|(_, report)| report.verdict == verdict).collect();
@@ -86,6 +95,9 @@ mod tests {
             ]
         );
         assert!(publication_caveats([("#1".to_owned(), &good)]).is_empty());
+        // Two edges of one run.
+        let edges = publication_caveats([("001".to_owned(), &good), ("001".to_owned(), &bad)]);
+        assert_eq!(edges, [format!("The run cannot be published: 001 (end, clocks){ending}")]);
     }
 
     #[test]

@@ -229,7 +229,8 @@ fn title_without_ranking_names_no_fastest() {
     assert_eq!(text, "A and B, C and 1 more do not differ by more than chance");
     let short = scaled(&[1.0, 1.5, 2.0]);
     let text = title_of(&short, &totals(&short, 3), 0);
-    let known = "A has the smallest mean of 3, 16.0\u{202f}ms; too little is known to tell more";
+    let known =
+        "A has the smallest mean of the 3 configurations, 16.0\u{202f}ms; too little is known to tell more";
     assert_eq!(text, known);
     assert!(title_of(&comparison(Vec::new()), &RunMeans::new(), 0).contains("was finished yet"));
 }
@@ -260,7 +261,7 @@ fn title_counts_only_what_was_measured() {
         }
         title_of(&all, &totals(&all, 20), 0)
     };
-    let text = "B has the smallest mean of 3, 24.1\u{202f}ms; too little is known of A to tell more";
+    let text = "B has the smallest mean of the 3 configurations, 24.1\u{202f}ms; too little is known of A to tell more";
     assert_eq!(without(&[0]), text, "the terminal says so too");
     assert_eq!(without(&[0, 2]), "Only B has measured anything: there is nothing to compare it with");
     assert_eq!(without(&[0, 1, 2]), "No successful iteration of these runs is stored yet");

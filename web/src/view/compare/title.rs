@@ -33,7 +33,9 @@ pub(crate) fn title(comparison: &Comparison, differences: &Differences) -> Strin
     if !untested.is_empty() {
         let statement = match ranking.differences.len() {
             1 => format!("{} has the smaller mean, {mean}", best.name),
-            others => format!("{} has the smallest mean of {}, {mean}", best.name, others + 1),
+            others => {
+                format!("{} has the smallest mean of the {} configurations, {mean}", best.name, others + 1)
+            }
         };
         let configurations = match untested.len() < ranking.differences.len() {
             true => format!(" of {}", names(all, &untested)),
