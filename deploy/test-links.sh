@@ -30,8 +30,8 @@ state=/run/peernet-test-links
 # 640 × 480 pixels has 2 × 640 × 480 × 3 = 1,843,200 bytes; resized to 320 × 240 it has 460,800 bytes. Of each Ethernet frame of
 # 1,514 bytes, 1,448 are payload of TCP, so the links carry 1,927,000 and 482,000 bytes.
 #
-# lan: 1,927,000 B at 1 Gbit/s take 15.4 ms, and the copies at both ends 1 to 3 ms. Paper: 17.53 ms. Resized: 3.9 ms and the copies.
-#     Paper: 6.25 ms. Download without added delay: below 1 ms. Paper: 0.37 and 0.62 ms.
+# lan: 1,927,000 B at 1 Gbit/s take 15.4 ms. Paper: 17.53 ms. Resized: 3.9 ms. Paper: 6.25 ms. No delay is added for the
+#     difference. Download without added delay: below 1 ms. Paper: 0.37 and 0.62 ms.
 # campus (CAN in the paper): the rate is chosen for the pair that is not resized: 1,927,000 B at 160 Mbit/s take 96 ms, and the delay
 #     adds 2 to 3 ms. Paper: 98.28 ms. Resized: 24 ms and the delay. Paper: 14.53 ms. No rate reproduces both, because the paper does
 #     not give the size to which it resizes: 14.53 ms would be half of our bytes. Download: the delay alone. Paper: 1.73 to 3.59 ms.

@@ -224,7 +224,7 @@ def arguments() -> argparse.ArgumentParser:
                         help="default, none (random ones, without a download), or a name such as IMAGENET1K_V1")
     parser.add_argument("--seed", type=int, default=0, help="of random weights (default: 0)")
     parser.add_argument("--batch", type=int, choices=[1], default=1,
-                        help="pictures at a time: PEERNet computes each sample when it comes (default: 1)")
+                        help="length of the graph's first dimension; a model of this length cannot compute batches (default: 1)")
     parser.add_argument("--opset", type=int, default=13, help="version of ONNX's operators (default: 13)")
     parser.add_argument("--overwrite", action="store_true", help="replace folders that exist")
     return parser
