@@ -45,7 +45,7 @@ fn main() {
         println!("{}", serde_json::Value::from_iter(rows));
         return;
     }
-    println!("{:<8}{:>12}{:>10}{:>10}   µs there and back, {rounds} rounds", "", "bytes", "p50", "p99");
+    println!("{:<8}{:>12}{:>10}{:>10}   µs per round trip, {rounds} rounds", "", "bytes", "p50", "p99");
     for (name, size, [p50, p99]) in rows {
         println!("{name:<8}{size:>12}{:>10.1}{:>10.1}", p50 * 1e6, p99 * 1e6);
     }

@@ -8,15 +8,16 @@
 //! to a model      sample BYTES MEDIA-TYPE SHAPE SOURCE, bytes
 //! to an actuator  answer BYTES MEDIA-TYPE SHAPE SOURCE, bytes
 //! from a sensor   answer BYTES [MEDIA-TYPE [SHAPE]], bytes | end | error TEXT
-//! from a model    answer BYTES [MEDIA-TYPE [SHAPE]], bytes | error TEXT
+//! from a model    answer BYTES [MEDIA-TYPE [SHAPE]], bytes | partial BYTES [MEDIA-TYPE [SHAPE]], bytes | error TEXT
 //! from an actuator  done | error TEXT
 //! ```
 //!
 //! A sensor or an actuator may be sent `reset` before an episode, and replies with `done | error TEXT`.
 //!
-//! `part` instead of `sample` or `answer` announces that another part of the same sample follows. Before its reply a
-//! program may write lines that begin with `version`, `stage` or `value`, a sensor also with `sequence`, `label` or
-//! `source`, and an actuator with `reward`, `success` or `episode-ended`.
+//! `part` instead of `sample` or `answer` announces that another part of the same sample or answer follows. `partial`
+//! announces a partial answer: the whole answer follows later. Before its reply a program may write lines that begin with
+//! `version`, `stage` or `value`, a sensor also with `sequence`, `label` or `source`, and an actuator with `reward`,
+//! `success` or `episode-ended`.
 
 mod arguments;
 mod command;

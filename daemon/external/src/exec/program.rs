@@ -32,7 +32,7 @@ pub struct Program {
 /// A request to the program and its reply.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ProgramCall {
-    /// Start of the program's restart for this request, if it had failed before.
+    /// Time at which the program was restarted for this request; `None` if it was already running.
     pub restarted_at: Option<MonoTime>,
     /// Time at which writing the request began.
     pub started_at: MonoTime,
@@ -45,10 +45,10 @@ pub struct ProgramCall {
 }
 
 impl Program {
-    /// Starts the program; `name` is the owner in log messages.
+    /// Starts the program. `name` says in log messages what runs it, such as `model quality-control`.
     ///
     /// # Errors
-    /// If the command is wrong or the system cannot start it.
+    /// If the configuration is wrong or the system cannot start the program.
     pub fn start(
         config: &ExecConfig,
         role: Role,
@@ -90,18 +90,19 @@ impl Program {
     /// # Errors
     /// The reason that this request has no reply. The next request may succeed.
     pub fn call(&mut self, request: Request<'_>) -> Result<ProgramCall, ProgramCallError> {
-        self.call_in_parts(request, &mut |_| true)
+        self.call_with_partial_answers(request, &mut |_| true)
     }
 
-    /// Sends a request as [`call`](Self::call) does, and passes each part of a model's answer to `on_part` when it arrives. `on_part`
-    /// returns whether somebody still waits for the answer; if not, the program is killed. The timeout begins again with each part.
+    /// Sends a request as [`call`](Self::call) does, and passes each partial answer of a model to `on_partial_answer` when it arrives.
+    /// `on_partial_answer` returns whether somebody still waits for the answer; if not, the program is killed. The timeout begins again
+    /// with each partial answer.
     ///
     /// # Errors
-    /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if `on_part` returns `false`.
-    pub fn call_in_parts(
+    /// As [`call`](Self::call), and [`ProgramCallError::Cancelled`] if `on_partial_answer` returns `false`.
+    pub fn call_with_partial_answers(
         &mut self,
         request: Request<'_>,
-        on_part: &mut dyn FnMut(Part) -> bool,
+        on_partial_answer: &mut dyn FnMut(Part) -> bool,
     ) -> Result<ProgramCall, ProgramCallError> {
         if self.is_finished {
             let now = self.clock.mono();
@@ -121,12 +122,12 @@ impl Program {
         };
         let started_at = self.clock.mono();
         let deadline = || self.clock.mono() + self.timeout;
-        let result = send_and_receive(&mut process, request, self.role, &deadline, on_part);
+        let result = send_and_receive(&mut process, request, self.role, &deadline, on_partial_answer);
         let ended_at = self.clock.mono();
         match result {
             Ok(Reply { notes, outcome }) => {
                 self.process = Some(process);
-                // A reply that reports an error is a success as well: the program follows the framing and still runs.
+                // For the restart delay, a reply that reports an error is a success: the program follows the framing and still runs.
                 self.restart_backoff.record_success();
                 self.is_finished = outcome == ReplyOutcome::End;
                 match outcome {
@@ -135,9 +136,9 @@ impl Program {
                 }
             }
             Err(error) => {
-                // The program is killed before the delay starts, so that it cannot disturb the next process.
+                // The program is killed before the restart delay begins, so that it has ended when the next process starts.
                 let error = match error {
-                    // The program has not failed, so that its restart is not delayed.
+                    // The program has not failed, so its restart is not delayed.
                     ProgramCallError::Cancelled => {
                         drop(process);
                         return Err(error);
@@ -199,11 +200,11 @@ fn send_and_receive(
     request: Request<'_>,
     role: Role,
     deadline: &dyn Fn() -> MonoTime,
-    on_part: &mut dyn FnMut(Part) -> bool,
+    on_partial_answer: &mut dyn FnMut(Part) -> bool,
 ) -> Result<Reply, ProgramCallError> {
     let mut until = deadline();
-    // Output before the request would be mistaken for the reply to it. From then on, each reply would be mistaken for
-    // the reply to the next request.
+    // Output that precedes the request would be mistaken for the reply to it, and from then on each reply for the reply to the
+    // next request.
     if process.has_more() {
         return Err(ProgramCallError::UnsolicitedOutput(shorten(&process.peek_line())));
     }
@@ -219,7 +220,7 @@ fn send_and_receive(
         input = match input {
             ReplyInput::Line => assembler.push_line(&process.read_line(MAX_LINE_BYTES, until)?)?,
             ReplyInput::LineAfter(part) => {
-                if !on_part(part) {
+                if !on_partial_answer(part) {
                     return Err(ProgramCallError::Cancelled);
                 }
                 until = deadline();

@@ -105,7 +105,7 @@ pub enum ReplyInput {
     Line,
     /// The given number of bytes.
     Bytes(u64),
-    /// A line, after the caller has passed on this part of a model's answer.
+    /// A line, after the caller has passed on this partial answer of a model.
     LineAfter(Part),
     /// Nothing: the reply is complete.
     Reply(Reply),
@@ -133,7 +133,7 @@ enum Position {
     Inner,
     /// The last part of the result, with which the reply ends.
     Last,
-    /// A part of the answer that is passed on at once, before the whole answer.
+    /// A partial answer, which is passed on at once, before the whole answer.
     Partial,
 }
 
@@ -226,7 +226,7 @@ impl ReplyAssembler {
         let part = Part { description, bytes };
         match position {
             Position::Partial => {
-                // A streamed answer may have any number of parts, which do not add up in memory.
+                // An answer may have any number of partial answers, which do not add up in memory.
                 self.line_count -= 1;
                 self.bytes -= part.bytes.len() as u64;
                 return ReplyInput::LineAfter(part);

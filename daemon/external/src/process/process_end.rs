@@ -43,7 +43,7 @@ impl Fault {
 }
 
 impl ProcessEnd {
-    /// Returns whether it ended by itself and with exit status 0.
+    /// Returns whether the exit status is 0, also after a requested termination.
     pub fn is_success(&self) -> bool {
         self.status.is_some_and(|status| status.success())
     }
@@ -62,11 +62,15 @@ impl ProcessEnd {
             Some(status) => match (status.code(), status.signal()) {
                 // A shell reports a program that a signal ended as 128 + the number of the signal.
                 (Some(code), _) => match signal_name(code - 128) {
-                    Some(name) => format!("exit status {code} (from a shell: signal {}, {name})", code - 128),
+                    Some(name) => format!(
+                        "exit status {code} (from a shell: signal {}, {name}{})",
+                        code - 128,
+                        signal_cause(code - 128)
+                    ),
                     None => format!("exit status {code}"),
                 },
                 (None, Some(signal)) => match signal_name(signal) {
-                    Some(name) => format!("signal {signal} ({name})"),
+                    Some(name) => format!("signal {signal} ({name}{})", signal_cause(signal)),
                     None => format!("signal {signal}"),
                 },
                 (None, None) => status.to_string(),
@@ -104,10 +108,16 @@ fn signal_name(signal: i32) -> Option<&'static str> {
         6 => "SIGABRT",
         7 => "SIGBUS",
         8 => "SIGFPE",
-        9 => "SIGKILL: killed, or out of memory",
+        9 => "SIGKILL",
         11 => "SIGSEGV",
         13 => "SIGPIPE",
         15 => "SIGTERM",
         _ => return None,
     })
+}
+
+/// Returns a possible cause of a signal as a suffix for its name; empty if the name says enough.
+const fn signal_cause(signal: i32) -> &'static str {
+    // The kernel sends SIGKILL to a process if the system has no memory left.
+    if signal == 9 { "; perhaps the system ran out of memory" } else { "" }
 }

@@ -89,20 +89,20 @@ impl PythonObject {
     /// If the process died or did not answer, the next call restarts it. After repeated failures the restart is delayed,
     /// and calls fail until then. An exception of the user's code does not end the process.
     pub fn call(&mut self, parts: &[Part]) -> CallResult {
-        self.call_in_parts(parts, &mut |_| true)
+        self.call_with_partial_answers(parts, &mut |_| true)
     }
 
-    /// Calls a model as [`call`](Self::call) does, and passes each part of its answer to `on_part`. A part is a value that the
-    /// generator `infer` yields. `on_part` returns whether somebody still waits for the answer. If it returns `false`, the
-    /// object stops computing and the call fails. The timeout begins again with each part.
-    pub fn call_in_parts(
+    /// Calls a model as [`call`](Self::call) does, and passes each partial answer to `on_partial_answer`: each value that the
+    /// generator `infer` yields. `on_partial_answer` returns whether somebody still waits for the answer. If it returns `false`, the
+    /// object stops computing and the call fails. The timeout begins again with each partial answer.
+    pub fn call_with_partial_answers(
         &mut self,
         parts: &[Part],
-        on_part: &mut dyn FnMut(Vec<Part>) -> bool,
+        on_partial_answer: &mut dyn FnMut(Vec<Part>) -> bool,
     ) -> CallResult {
         let clock = SharedClock::clone(&self.clock);
         let timeout = milliseconds(self.config.timeout_ms.get());
-        self.exchange(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_part))
+        self.exchange(|worker, _| worker.call(parts, &|| clock.mono() + timeout, on_partial_answer))
     }
 
     /// Returns whether the object has `reset()`.

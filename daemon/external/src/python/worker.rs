@@ -57,13 +57,13 @@ impl Worker {
         self.receive_reply(deadline)
     }
 
-    /// Calls the object. `on_part` gets each part of the answer and returns whether somebody still waits for the answer;
+    /// Calls the object. `on_partial_answer` gets each partial answer and returns whether somebody still waits for the answer;
     /// `deadline` returns the end of the timeout that begins now.
     pub(super) fn call(
         &mut self,
         parts: &[Part],
         deadline: &dyn Fn() -> MonoTime,
-        on_part: &mut dyn FnMut(Vec<Part>) -> bool,
+        on_partial_answer: &mut dyn FnMut(Vec<Part>) -> bool,
     ) -> Result<Answer, WorkerError> {
         let positions = self.shared_memory.write_parts(parts).map_err(WorkerError::Memory)?;
         let heads = parts.iter().zip(&positions).map(|(part, at)| PartHead::new(part, *at)).collect();
@@ -78,8 +78,8 @@ impl Worker {
                 self.shared_memory.release_excess();
                 return Ok((reply, bytes));
             };
-            // The worker waits for this request, so a part in the shared memory is read before the next part is written.
-            let is_awaited = on_part(frame::join_parts(parts, bytes));
+            // The worker waits for this request, so a partial answer in the shared memory is read before the next one is written.
+            let is_awaited = on_partial_answer(frame::join_parts(parts, bytes));
             let request = if is_awaited { Request::Proceed {} } else { Request::Cancel {} };
             self.process.write(&[&encode_request(&request)?], deadline())?;
         }

@@ -121,7 +121,7 @@ impl Worker for ExecWorker {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let failed = |reason| InferenceError::Failed { model: self.model.clone(), reason };
-        let called = self.program.call_in_parts(Request::Sample(sample), &mut |part| {
+        let called = self.program.call_with_partial_answers(Request::Sample(sample), &mut |part| {
             let part = Sample { parts: vec![part], source: String::new(), label: None };
             requester.send_part(part).is_ok()
         });

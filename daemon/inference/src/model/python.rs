@@ -107,7 +107,7 @@ impl Worker for PythonWorker {
         requester: &dyn Requester,
     ) -> Result<Sample, InferenceError> {
         let mut is_cancelled = false;
-        let called = self.object.call_in_parts(&sample.parts, &mut |parts| {
+        let called = self.object.call_with_partial_answers(&sample.parts, &mut |parts| {
             let part = Sample { parts, source: String::new(), label: None };
             is_cancelled = requester.send_part(part).is_err();
             !is_cancelled

@@ -1,4 +1,4 @@
-//! Objects that are refused at the start, or by a check that does not run users' code.
+//! Which objects are accepted and which are refused: at the start, and by a check that does not run users' code.
 
 use std::fs;
 use std::path::PathBuf;
@@ -44,7 +44,7 @@ fn start_error_names_missing_part() {
 }
 
 #[test]
-fn classes_instances_and_modules_are_used() {
+fn classes_instances_and_modules_are_accepted() {
     for object in ["own::Model", "own::instance"] {
         let model = Module::new(SOURCE, object).model();
         assert!(model.description().object.ends_with(object), "{}", model.description().object);
