@@ -7,7 +7,7 @@ use peernet_clock::MonoTime;
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
 
-use crate::{InferenceError, PatientRequester, Requester};
+use crate::{InferenceError, Requester, UncancelledRequester};
 
 /// Sample for which a model computes an answer, with its recorder and its callback.
 pub struct Job {
@@ -26,7 +26,7 @@ pub struct Job {
 impl Job {
     /// Returns a job whose requester takes no parts of the answer and never cancels.
     pub fn for_whole_answer(sample: Sample, recorder: Recorder, received: MonoTime, reply: Reply) -> Self {
-        Self { sample, recorder, received, requester: Arc::new(PatientRequester), reply }
+        Self { sample, recorder, received, requester: Arc::new(UncancelledRequester), reply }
     }
 }
 

@@ -11,12 +11,12 @@ mod batching;
 mod error;
 mod job;
 mod loaded_models;
+mod locked_temp_dir;
 pub mod model;
 mod pool;
 mod process_memory;
 mod queue;
 mod requester;
-mod scratch;
 mod temp_dirs;
 mod thread;
 
@@ -25,12 +25,12 @@ pub use batching::{Batching, Request};
 pub use error::{InferenceError, LibraryError, LoadError};
 pub use job::{FinishedJob, Job, RefusedJob, Reply};
 pub use loaded_models::LoadedModels;
+pub use locked_temp_dir::LockedTempDir;
 pub use model::onnx::{CardSummary, MODEL_HASH, OnnxRuntimeConfig, UNKNOWN_LABEL};
 pub use model::{ModelConfig, SharedKeys};
 pub use pool::Pool;
 pub use process_memory::ProcessMemory;
-pub use requester::{Cancelled, PatientRequester, Requester};
-pub use scratch::Scratch;
+pub use requester::{Cancelled, Requester, UncancelledRequester};
 
 use peernet_logger::Recorder;
 use peernet_sample::Sample;
@@ -38,7 +38,7 @@ use peernet_sample::Sample;
 /// A loaded model, as used by one thread.
 pub trait Worker: Send {
     /// Computes the answer, and records each of the stages `preprocessing`, `inference` and `postprocessing` that
-    /// the model has. May send parts of the answer to `requester`, and stops early, where it can, if the request is
+    /// the model has. May send partial answers to `requester`, and stops early, where it can, if the request is
     /// cancelled.
     ///
     /// # Errors
@@ -52,6 +52,8 @@ pub trait Worker: Send {
 
     /// Computes the answers of several requests together, at most as many as [`Model::batching`] allows. Returns one result per
     /// request, in their order. Each stage is recorded for all of them, from its start to its end for the whole batch.
+    ///
+    /// The default is for models without batches: it calls [`infer`](Self::infer) for one request after the other.
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
         requests.iter_mut().map(|one| self.infer(one.sample, one.recorder, one.requester)).collect()
     }

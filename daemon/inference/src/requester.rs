@@ -5,12 +5,12 @@ use std::time::Duration;
 use peernet_sample::Sample;
 use tokio_util::sync::CancellationToken;
 
-/// Receiver of one answer. A model may send it parts of the answer before the answer is complete, and stops computing
+/// Receiver of one answer. A model may send it partial answers before the answer is complete, and stops computing
 /// when the request is cancelled.
 pub trait Requester: Send + Sync {
-    /// Sends a part of the answer. Waits while too many earlier parts are unread.
+    /// Sends a partial answer. Waits while too many earlier ones are unread.
     ///
-    /// The complete answer repeats the content of its parts. The content of a lost part therefore only arrives later.
+    /// The complete answer repeats the content of the partial ones. The content of a lost partial answer therefore only arrives later.
     ///
     /// # Errors
     /// If the request was cancelled.
@@ -31,11 +31,11 @@ pub trait Requester: Send + Sync {
 #[error("nobody waits for the answer any more: its time limit passed, or the other end is gone")]
 pub struct Cancelled;
 
-/// Requester that takes no parts and never cancels.
+/// Requester that ignores partial answers and never cancels.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct PatientRequester;
+pub struct UncancelledRequester;
 
-impl Requester for PatientRequester {
+impl Requester for UncancelledRequester {
     fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
         Ok(())
     }

@@ -21,7 +21,7 @@ use peernet_analysis::WriteError;
 use peernet_analysis::calibration::{Setting, Study};
 use peernet_clock::WallTime;
 use peernet_figures::draw_calibration;
-use peernet_inference::Scratch;
+use peernet_inference::LockedTempDir;
 
 use crate::foreground::{AgentEnd, AgentResult, LogDestination, ReadyAgent, start_log};
 use folder::Folder;
@@ -37,7 +37,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
     start_log(LogDestination::StandardError)?;
     let plan = Plan::new(arguments).map_err(|error| Failure::new(Exit::Usage, error))?;
-    let state = Scratch::new("agent")
+    let state = LockedTempDir::new("agent")
         .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(unavailable)?;
     let config = plan.agent(arguments.config.as_deref(), state.path())?;

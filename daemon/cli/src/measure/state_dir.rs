@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow};
 use peernet_actuators::ActuatorKind;
 use peernet_agent::config::HostConfig;
 use peernet_agent::{AgentConfig, share_argument_key};
-use peernet_inference::{ModelConfig, Scratch};
+use peernet_inference::{LockedTempDir, ModelConfig};
 use peernet_sensors::SensorKind;
 
 use super::spools;
@@ -15,7 +15,7 @@ use super::spools;
 /// A folder for the agent's state: a permanent one if an aggregator is to recognise the host again, otherwise a temporary one.
 pub(crate) enum AgentStateDir {
     Permanent(PathBuf),
-    Temporary(Scratch),
+    Temporary(LockedTempDir),
 }
 
 impl AgentStateDir {
@@ -26,7 +26,7 @@ impl AgentStateDir {
     pub(crate) fn for_agent(agent: &HostConfig) -> Result<Self, Failure> {
         let unavailable = |error: anyhow::Error| Failure::new(Exit::Unavailable, error);
         if agent.aggregator.is_none() {
-            let folder = Scratch::new("agent");
+            let folder = LockedTempDir::new("agent");
             let folder = folder.context("cannot create a temporary folder; set TMPDIR to another folder");
             return folder.map(Self::Temporary).map_err(unavailable);
         }

@@ -10,7 +10,7 @@ use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
 use peernet_clock::SharedClock;
-use peernet_inference::Scratch;
+use peernet_inference::LockedTempDir;
 use peernet_networks::Address;
 use peernet_results::{Overwrite, ResultFolder};
 use peernet_stream::{Condition, Grade};
@@ -57,7 +57,7 @@ pub(super) async fn configurations(
     signals: &mut Signals,
     quiet: bool,
 ) -> Result<TrialResults, Failure> {
-    let folder = Scratch::new("trial")
+    let folder = LockedTempDir::new("trial")
         .context("cannot create a temporary folder; set TMPDIR to another folder")
         .map_err(|error| Failure::new(Exit::Unavailable, error))?;
     let mut results = TrialResults {

@@ -5,7 +5,7 @@ use std::sync::mpsc::sync_channel;
 use std::time::Duration;
 
 use peernet_inference::{
-    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, PatientRequester, Requester,
+    Bank, Cancelled, FinishedJob, InferenceError, Job, LoadError, Requester, UncancelledRequester,
 };
 use peernet_logger::{HostId, Recorder};
 use peernet_sample::{ElementType, Part, Sample};
@@ -61,7 +61,7 @@ fn run_all(bank: &Bank, name: &str, requests: Vec<(Vec<Part>, Arc<dyn Requester>
 }
 
 fn awaited(parts: Vec<Part>) -> (Vec<Part>, Arc<dyn Requester>) {
-    (parts, Arc::new(PatientRequester))
+    (parts, Arc::new(UncancelledRequester))
 }
 
 fn row(numbers: &[f32]) -> Vec<Part> {

@@ -3,7 +3,7 @@
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
-use super::listener::run_in_parts;
+use super::listener::run_until_partial_answer;
 use super::{bank, jpeg, loaded, run, slug};
 
 /// Program that answers with its input and its device, and reports durations if the sample asks for them.
@@ -29,7 +29,7 @@ fn text(text: &'static str) -> Sample {
 }
 
 #[test]
-fn silent_program_is_inference_else_remainder_is_ipc() {
+fn call_is_inference_unless_program_reports_stages() {
     let bank = bank(&[&model("device = 'cuda:3'\nenv = { COLOUR = 'red' }\nworkers = 2")]);
     let pool = loaded(&bank, "p");
     assert_eq!((pool.device(), pool.workers()), ("cuda:3".to_owned(), 2));
@@ -39,8 +39,12 @@ fn silent_program_is_inference_else_remainder_is_ipc() {
     assert_eq!(answer.parts[0].description.media, MediaType::Text);
     let tree = done.recorder.finish();
     assert!(tree.find(&["inference"]).is_some() && tree.find(&["ipc"]).is_none());
+}
 
-    let tree = run(&pool, text("stages")).recorder.finish();
+#[test]
+fn time_outside_reported_stages_is_ipc() {
+    let bank = bank(&[&model("")]);
+    let tree = run(&loaded(&bank, "p"), text("stages")).recorder.finish();
     let value = |name: &str| tree.find(&[name]).and_then(|(_, node)| node.measure.value());
     assert_eq!((value("preprocessing"), value("inference")), (Some(0.0), Some(1e-7)));
     assert!(value("ipc").is_some_and(|ipc| ipc > 0.0));
@@ -75,7 +79,7 @@ done
 }
 
 #[test]
-fn stages_longer_than_exchange_fail_one_sample() {
+fn stages_longer_than_call_fail_one_sample() {
     let bank = bank(&[&model("")]);
     let pool = loaded(&bank, "p");
     let error = run(&pool, text("lie")).result.expect_err("an hour has not passed");
@@ -95,18 +99,21 @@ fn missing_program_is_found_by_check_and_load() {
 }
 
 #[test]
-fn partial_lines_are_parts_of_the_answer() {
+fn partial_lines_are_partial_answers() {
     let script = "while read -r word bytes media shape rest; do x=$(head -c \"$bytes\"); \
                   for i in 1 2 3; do printf 'partial 2 text/plain\\n%s;' \"$i\"; done; \
                   printf 'answer 4 text/plain\\n%s' done; done";
     let config = format!("name = 'p'\nkind = 'exec'\ncommand = {script:?}");
     let bank = bank(&[&config]);
     let pool = loaded(&bank, "p");
-    let (result, parts) = run_in_parts(&pool, text("x"), 10);
-    let texts: Vec<_> = parts.iter().map(|part| part.parts[0].bytes.clone()).collect();
+    let (result, partial_answers) = run_until_partial_answer(&pool, text("x"), 10);
+    let texts: Vec<_> = partial_answers.iter().map(|partial| partial.parts[0].bytes.clone()).collect();
     assert_eq!(texts, ["1;", "2;", "3;"]);
     assert_eq!(result.unwrap_or_else(|error| panic!("{error}")).parts[0].bytes, "done");
-    let (result, parts) = run_in_parts(&pool, text("x"), 2);
-    assert_eq!((result, parts.len()), (Err(InferenceError::Cancelled { model: "p".to_owned() }), 2));
+    let (result, partial_answers) = run_until_partial_answer(&pool, text("x"), 2);
+    assert_eq!(
+        (result, partial_answers.len()),
+        (Err(InferenceError::Cancelled { model: "p".to_owned() }), 2)
+    );
     assert!(run(&pool, text("x")).result.is_ok(), "the program is started again");
 }

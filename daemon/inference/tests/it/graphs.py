@@ -19,7 +19,7 @@ from PIL import Image
 PICTURE = (120, 80)  # width, height
 INPUT = (64, 64)
 LABELS = ["bolt", "nut", "washer"]
-SCORE, IOU, MOST = 0.3, 0.5, 20
+SCORE, IOU, MAX_DETECTIONS = 0.3, 0.5, 20
 TYPES = {
     "float16": TensorProto.FLOAT16, "float32": TensorProto.FLOAT, "float64": TensorProto.DOUBLE,
     "int8": TensorProto.INT8, "int16": TensorProto.INT16, "int32": TensorProto.INT32, "int64": TensorProto.INT64,
@@ -66,7 +66,7 @@ def detector(out, name, outputs, lines, candidates, iou):
     infos = [value(n, types[numpy_helper.from_array(a).data_type], a.shape) for n, a in outputs.items()]
     labels = json.dumps(LABELS)
     card = f'task = "detection"\n{picture_input()}{PREPROCESSING}[output]\nlabels = {labels}\n'
-    card += f"score_threshold = {SCORE}\nmax_detections = {MOST}\n{lines}\n"
+    card += f"score_threshold = {SCORE}\nmax_detections = {MAX_DETECTIONS}\n{lines}\n"
     if iou is not None:
         card += f"iou_threshold = {iou}\n"
     inputs = [value("image", "float32", [1, 3, INPUT[1], INPUT[0]])]
@@ -79,7 +79,7 @@ def detector(out, name, outputs, lines, candidates, iou):
 def suppressed(candidates, iou):
     left = sorted(candidates, key=lambda c: -c[1])
     kept = []
-    while left and len(kept) < MOST:
+    while left and len(kept) < MAX_DETECTIONS:
         best = left.pop(0)
         kept.append(best)
         if iou is not None:
@@ -138,9 +138,9 @@ def detectors(out):
 
     objects = rng.normal(0, 2, count).astype(np.float32)
     logits = rng.normal(0, 2, (count, 3)).astype(np.float32)
-    share = lambda x: 1 / (1 + np.exp(-x.astype(np.float64)))
+    sigmoid = lambda x: 1 / (1 + np.exp(-x.astype(np.float64)))
     raw = np.concatenate([b, objects[:, None], logits], axis=1)[None]
-    found = [(l.argmax(), share(o) * share(l).max(), *e) for o, l, e in zip(objects, logits, edges(b))]
+    found = [(l.argmax(), sigmoid(o) * sigmoid(l).max(), *e) for o, l, e in zip(objects, logits, edges(b))]
     detector(out, "yolov5", {"output": raw}, 'layout = "yolov5"\nname = "output"\nactivation = "sigmoid"', found, IOU)
 
     top = np.concatenate([edges(b), scores.max(axis=1)[:, None], kinds[:, None].astype(np.float32)], axis=1)
@@ -149,15 +149,15 @@ def detectors(out):
     detector(out, "yolov10", {"output0": top[None].astype(np.float32)}, 'layout = "yolov10"\nname = "output0"', found, None)
 
     queries = rng.normal(0, 2, (count, 4)).astype(np.float32)
-    shares = np.exp(queries.astype(np.float64))
-    shares /= shares.sum(axis=1, keepdims=True)
-    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(shares, edges(b))]
+    softmax = np.exp(queries.astype(np.float64))
+    softmax /= softmax.sum(axis=1, keepdims=True)
+    found = [(s[:3].argmax(), s[:3].max(), *e) for s, e in zip(softmax, edges(b))]
     fractions = b / np.array([*INPUT, *INPUT], np.float32)
     lines = 'layout = "detr"\nscores = "logits"\nboxes = "pred_boxes"\n'
     both = {"logits": queries[None], "pred_boxes": fractions[None]}
     detector(out, "detr", both, lines + 'activation = "softmax"', found, None)
 
-    pairs = [(k, share(l[k]), *e) for l, e in zip(logits, edges(b)) for k in range(3)]
+    pairs = [(k, sigmoid(l[k]), *e) for l, e in zip(logits, edges(b)) for k in range(3)]
     both = {"logits": logits[None], "pred_boxes": fractions[None]}
     detector(out, "rt-detr", both, lines + 'activation = "sigmoid"', pairs, None)
 
@@ -239,7 +239,7 @@ def arrays(out):
     policy(out, "policy", 1)
     policy(out, "open-policy", "batch")
 
-    # The root of a negative number is NaN; the zeros of the first run have one.
+    # The root of a negative number is NaN. The zeros of the run at loading have a root, so the model can be loaded.
     for name, shape in (("root", [3]), ("open-root", ["batch", 3])):
         card_shape = [1 if length == "batch" else length for length in shape]
         card = f'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = {card_shape}\n'
@@ -247,7 +247,7 @@ def arrays(out):
         node = helper.make_node("Sqrt", ["x"], ["y"])
         write(out, name, card, [node], [value("x", "float32", shape)], [value("y", "float32", shape)])
 
-    # One row for all samples of a batch.
+    # The batch dimension of the input is open, but the output has one row for all samples of a batch: such a model cannot compute batches.
     card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "float32"\nshape = [1, 3]\n'
     card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
     node = helper.make_node("ReduceMean", ["x"], ["y"], axes=[0])

@@ -1,4 +1,4 @@
-//! A requester that keeps the parts of an answer.
+//! A requester that keeps partial answers.
 
 use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
@@ -11,18 +11,19 @@ use tokio_util::sync::CancellationToken;
 
 use super::clock;
 
-/// Requester that keeps parts and cancels after some of them, or when its token is cancelled.
+/// Requester that keeps partial answers and cancels after some of them, or when its token is cancelled.
 struct Listener {
-    parts: Mutex<Vec<Sample>>,
+    partial_answers: Mutex<Vec<Sample>>,
+    /// Number of the partial answer with which the request is cancelled.
     limit: usize,
     cancellation: CancellationToken,
 }
 
 impl Requester for Listener {
     fn send_part(&self, part: Sample) -> Result<(), Cancelled> {
-        let mut parts = self.parts.lock().expect("is not poisoned");
-        parts.push(part);
-        if parts.len() < self.limit { Ok(()) } else { Err(Cancelled) }
+        let mut partial_answers = self.partial_answers.lock().expect("is not poisoned");
+        partial_answers.push(part);
+        if partial_answers.len() < self.limit { Ok(()) } else { Err(Cancelled) }
     }
 
     fn cancellation(&self) -> CancellationToken {
@@ -34,15 +35,15 @@ impl Requester for Listener {
     }
 }
 
-/// Submits a sample, and cancels its request with the part of this number. Returns the result and the parts.
-pub(super) fn run_in_parts(
+/// Submits a sample, and cancels its request with the partial answer of this number. Returns the result and the partial answers.
+pub(super) fn run_until_partial_answer(
     pool: &Pool,
     sample: Sample,
     limit: usize,
 ) -> (Result<Sample, InferenceError>, Vec<Sample>) {
     let (finished, listener) = run_until(pool, sample, limit, |_| ());
-    let parts = std::mem::take(&mut *listener.parts.lock().expect("is not poisoned"));
-    (finished, parts)
+    let partial_answers = std::mem::take(&mut *listener.partial_answers.lock().expect("is not poisoned"));
+    (finished, partial_answers)
 }
 
 /// Submits a sample, and cancels its request when `event` returns. Returns the result.
@@ -65,8 +66,11 @@ fn run_until(
     when_submitted: impl FnOnce(&CancellationToken),
 ) -> (Result<Sample, InferenceError>, Arc<Listener>) {
     let clock = clock();
-    let listener =
-        Arc::new(Listener { parts: Mutex::default(), limit, cancellation: CancellationToken::new() });
+    let listener = Arc::new(Listener {
+        partial_answers: Mutex::default(),
+        limit,
+        cancellation: CancellationToken::new(),
+    });
     let (sender, receiver) = sync_channel(1);
     let job = Job {
         sample,

@@ -5,7 +5,7 @@ use std::fs;
 use peernet_inference::{InferenceError, LoadError};
 use peernet_sample::{Description, MediaType, Sample};
 
-use super::listener::run_in_parts;
+use super::listener::run_until_partial_answer;
 use super::{bank, loaded, run, slug};
 
 const MODEL: &str = "
@@ -83,7 +83,7 @@ class Broken:
         raise ValueError('lost the thread')
 ";
 
-/// Runs an object of [`GENERATORS`]; returns the result and the parts that it sent.
+/// Runs an object of [`GENERATORS`]; returns the result and the partial answers that it sent.
 fn run_generator(
     folder: &tempfile::TempDir,
     object: &str,
@@ -92,17 +92,17 @@ fn run_generator(
     fs::write(folder.path().join("generators.py"), GENERATORS).expect("can be written");
     let bank = bank(&[&model(folder, &format!("generators::{object}"), "")]);
     let pool = loaded(&bank, "p");
-    let (result, parts) = run_in_parts(&pool, text("one two three"), limit);
+    let (result, partial_answers) = run_until_partial_answer(&pool, text("one two three"), limit);
     // The process serves the next sample as well, whatever became of the last one.
     assert_eq!(run(&pool, text("one two three")).result.is_ok(), object != "Broken");
-    (result, parts)
+    (result, partial_answers)
 }
 
 #[test]
-fn values_that_infer_yields_are_parts_of_the_answer() {
+fn values_that_infer_yields_are_partial_answers() {
     let folder = tempfile::tempdir().expect("can be made");
-    let (result, parts) = run_generator(&folder, "Words", 10);
-    let texts: Vec<_> = parts.iter().map(|part| part.parts[0].bytes.clone()).collect();
+    let (result, partial_answers) = run_generator(&folder, "Words", 10);
+    let texts: Vec<_> = partial_answers.iter().map(|partial| partial.parts[0].bytes.clone()).collect();
     assert_eq!(texts, ["one ", "two ", "three "]);
     assert_eq!(
         result.expect("answers").parts[0].bytes,
@@ -110,21 +110,24 @@ fn values_that_infer_yields_are_parts_of_the_answer() {
         "without a returned value it is all of them"
     );
     // Bytes of 50 kB are in the shared memory, one after the other.
-    let (result, parts) = run_generator(&folder, "Count", 10);
-    let ends: Vec<_> = parts.iter().map(|part| (part.parts[0].bytes[0], part.parts[0].bytes.len())).collect();
+    let (result, partial_answers) = run_generator(&folder, "Count", 10);
+    let ends: Vec<_> = partial_answers
+        .iter()
+        .map(|partial| (partial.parts[0].bytes[0], partial.parts[0].bytes.len()))
+        .collect();
     assert_eq!(ends, [(0, 50_000), (b'1', 50_000)]);
     assert_eq!(result.expect("answers").parts[0].bytes, r#"{"words":3}"#);
-    let (result, parts) = run_generator(&folder, "Broken", 10);
+    let (result, partial_answers) = run_generator(&folder, "Broken", 10);
     assert!(result.expect_err("raises").to_string().contains("ValueError: lost the thread"));
-    assert_eq!(parts.len(), 1);
+    assert_eq!(partial_answers.len(), 1);
 }
 
 #[test]
 fn generator_is_closed_when_nobody_waits() {
     let folder = tempfile::tempdir().expect("can be made");
-    let (result, parts) = run_generator(&folder, "Words", 2);
+    let (result, partial_answers) = run_generator(&folder, "Words", 2);
     assert_eq!(result, Err(InferenceError::Cancelled { model: "p".to_owned() }));
-    assert_eq!(parts.len(), 2, "the third is not computed");
+    assert_eq!(partial_answers.len(), 2, "the third is not computed");
     assert!(folder.path().join("closed").exists());
 }
 

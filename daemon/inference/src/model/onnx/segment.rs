@@ -16,7 +16,7 @@ use super::outputs::{Output, OutputError, Outputs};
 struct Answer<'a> {
     /// The classes that the picture shows, the most frequent one first.
     classes: Vec<SegmentedClass<'a>>,
-    /// Number of the model's classes: a mask with a larger number cannot be answered right.
+    /// Number of the model's classes. A pixel of a mask with this number or a larger one, except 255, has a class that the model does not have.
     class_count: usize,
     /// Width of the sample's picture, pixels.
     width: u32,
@@ -129,7 +129,7 @@ impl ClassMap {
         Ok(Self { width, height, classes: numbers.iter().map(class).collect::<Result<_, _>>()? })
     }
 
-    /// Returns the class of each pixel of the picture: that of the output's pixel in which the centre of the picture's pixel lies.
+    /// Returns the class of each pixel of the picture. It is the class of the output's pixel that contains the centre of the picture's pixel.
     fn in_picture(&self, transform: &PictureTransform) -> Vec<u8> {
         let (width, height) = transform.picture;
         let index = |at: f32, input: u32, length: usize| {

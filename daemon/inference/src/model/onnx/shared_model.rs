@@ -15,14 +15,14 @@ use super::device::Device;
 use super::library::Runtime;
 use super::{MODEL, Plan, session};
 use crate::temp_dirs::TempDirs;
-use crate::{LoadError, Scratch};
+use crate::{LoadError, LockedTempDir};
 
 /// Initialisers shorter than this number of bytes stay in the model's file.
 const MIN_SHARED_BYTES: &str = "1024";
 
 /// Optimised model on disk; dropping it deletes the files.
 pub(super) struct SharedModel {
-    folder: Scratch,
+    folder: LockedTempDir,
     temp_dirs: TempDirs,
 }
 
@@ -43,7 +43,7 @@ impl SharedModel {
         if plan.workers < 2 || plan.device != Device::Cpu {
             return Ok(None);
         }
-        let folder = Scratch::new("model").map_err(|error| LoadError::File {
+        let folder = LockedTempDir::new("model").map_err(|error| LoadError::File {
             file: std::env::temp_dir(),
             reason: format!(
                 "{error}; several workers share a model through a temporary folder: set TMPDIR or workers = 1"

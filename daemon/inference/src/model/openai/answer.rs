@@ -1,15 +1,17 @@
-//! An answer that arrives in chunks: its text, and the times at which its tokens arrived. No I/O.
+//! An answer that arrives in chunks: its text, and the times at which its chunks arrived. No I/O.
+//!
+//! A chunk is an event of the stream with text of the answer or of the reasoning. Events with a role or the number of tokens only are not chunks.
 
 use peernet_clock::{MonoTime, Span};
 
-use super::chunk::{Choice, Chunk, Usage, error_text};
+use super::event_data::{Choice, EventData, Usage, error_text};
 use super::event_stream::{EventStream, EventTooLong};
 
 /// Largest text of an answer, bytes.
 const MAX_TEXT_BYTES: usize = 1 << 20;
-/// Largest number of bytes of a stream: a chunk with one token has some hundred bytes.
+/// Largest number of bytes of a stream: an event with one token has some hundred bytes.
 const MAX_STREAM_BYTES: usize = 256 << 20;
-/// Largest number of chunks with tokens.
+/// Largest number of chunks.
 // Each chunk has a stamp of 8 bytes in memory.
 const MAX_CHUNKS: usize = 1 << 20;
 /// Data of the event that ends the stream.
@@ -18,9 +20,12 @@ const DONE: &str = "[DONE]";
 /// Reason why a stream is not a complete answer.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum StreamError {
-    /// A chunk is not JSON, or not of the expected form.
-    #[error("chunk {number} of its answer cannot be read: {reason}")]
-    Chunk { number: u64, reason: String },
+    /// The data of an event is not JSON, or not of the expected form.
+    #[error("event {number} of its answer cannot be read: {reason}")]
+    Event { number: u64, reason: String },
+    /// An event is too long.
+    #[error("its server sent an event longer than 1 MiB; check that url is the server's chat API")]
+    EventTooLong,
     /// The server reported an error in the stream.
     #[error("its server ended the answer after {}: {text}", chunks(*.after))]
     Server { after: u64, text: String },
@@ -34,7 +39,7 @@ pub(super) enum StreamError {
 
 impl From<EventTooLong> for StreamError {
     fn from(_: EventTooLong) -> Self {
-        Self::TooLong("1 MiB in one chunk")
+        Self::EventTooLong
     }
 }
 
@@ -54,8 +59,8 @@ pub(super) struct StreamedAnswer {
     pub(super) first_content_at: Option<MonoTime>,
     /// Arrival of the first chunk with text of the reasoning.
     pub(super) first_reasoning_at: Option<MonoTime>,
-    /// Arrivals of all chunks with tokens, of the reasoning or of the answer, in order.
-    pub(super) token_times: Vec<MonoTime>,
+    /// Arrivals of all chunks, in order.
+    pub(super) chunk_times: Vec<MonoTime>,
     /// Text of the answer, without the reasoning.
     pub(super) text: String,
     /// Number of tokens as the server counted them.
@@ -64,7 +69,7 @@ pub(super) struct StreamedAnswer {
     pub(super) finish_reason: Option<String>,
     is_done: bool,
     events: EventStream,
-    /// Number of events, with or without tokens.
+    /// Number of events with data so far, chunks or not; without the one that ends the stream.
     event_count: u64,
     byte_count: usize,
 }
@@ -77,7 +82,7 @@ impl StreamedAnswer {
             connected_at: None,
             first_content_at: None,
             first_reasoning_at: None,
-            token_times: Vec::new(),
+            chunk_times: Vec::new(),
             text: String::new(),
             usage: None,
             finish_reason: None,
@@ -124,13 +129,13 @@ impl StreamedAnswer {
             return Ok(());
         }
         self.event_count += 1;
-        let chunk: Chunk = serde_json::from_str(data)
-            .map_err(|error| StreamError::Chunk { number: self.event_count, reason: error.to_string() })?;
-        if let Some(error) = &chunk.error {
+        let event: EventData = serde_json::from_str(data)
+            .map_err(|error| StreamError::Event { number: self.event_count, reason: error.to_string() })?;
+        if let Some(error) = &event.error {
             return Err(StreamError::Server { after: self.chunk_count(), text: error_text(error) });
         }
-        self.usage = chunk.usage.or(self.usage);
-        match chunk.choices.into_iter().flatten().next() {
+        self.usage = event.usage.or(self.usage);
+        match event.choices.into_iter().flatten().next() {
             Some(choice) => self.receive_choice(at, choice, receive_text),
             None => Ok(()),
         }
@@ -144,7 +149,7 @@ impl StreamedAnswer {
     ) -> Result<(), StreamError> {
         let delta = choice.delta.unwrap_or_default();
         let has_reasoning = delta.has_reasoning();
-        // The first chunk often has a role and no text: it is no token.
+        // The first event often has a role and no text, so it is not a chunk.
         let content = delta.content.filter(|content| !content.is_empty());
         if has_reasoning {
             self.first_reasoning_at.get_or_insert(at);
@@ -158,10 +163,10 @@ impl StreamedAnswer {
             receive_text(content);
         }
         if has_reasoning || content.is_some() {
-            if self.token_times.len() >= MAX_CHUNKS {
+            if self.chunk_times.len() >= MAX_CHUNKS {
                 return Err(StreamError::TooLong("1,048,576 chunks"));
             }
-            self.token_times.push(at);
+            self.chunk_times.push(at);
         }
         self.finish_reason = choice.finish_reason.or(self.finish_reason.take());
         Ok(())
@@ -185,24 +190,24 @@ impl StreamedAnswer {
         }
     }
 
-    /// Returns the number of chunks with tokens. A chunk may have several tokens.
+    /// Returns the number of chunks. A chunk may have several tokens.
     pub(super) const fn chunk_count(&self) -> u64 {
-        self.token_times.len() as u64
+        self.chunk_times.len() as u64
     }
 
-    /// Returns the arrival of the last chunk with tokens.
-    pub(super) fn last_token_at(&self) -> Option<MonoTime> {
-        self.token_times.last().copied()
+    /// Returns the arrival of the last chunk.
+    pub(super) fn last_chunk_at(&self) -> Option<MonoTime> {
+        self.chunk_times.last().copied()
     }
 
-    /// Returns the times between successive chunks with tokens.
-    pub(super) fn gaps(&self) -> Vec<Span> {
-        self.token_times.windows(2).map(|times| times[1] - times[0]).collect()
+    /// Returns the times between successive chunks.
+    pub(super) fn chunk_intervals(&self) -> Vec<Span> {
+        self.chunk_times.windows(2).map(|times| times[1] - times[0]).collect()
     }
 
-    /// Returns the time between the first and the last chunk with tokens; `None` without tokens.
+    /// Returns the time between the first and the last chunk; `None` without chunks.
     pub(super) fn decode_time(&self) -> Option<Span> {
-        Some(*self.token_times.last()? - *self.token_times.first()?)
+        Some(*self.chunk_times.last()? - *self.chunk_times.first()?)
     }
 }
 
@@ -223,11 +228,11 @@ mod tests {
     }
 
     #[test]
-    fn role_and_empty_chunks_are_no_tokens() {
+    fn events_without_text_are_no_chunks() {
         let mut answer = StreamedAnswer::new(at(0));
         let role = "data: {\"choices\":[{\"delta\":{\"role\":\"assistant\",\"content\":\"\"}}]}\n\n";
-        receive(&mut answer, 10, role).expect("is a chunk");
-        receive(&mut answer, 20, "data:\n\n: ping\n\ndata: {\"choices\":[]}\n\n").expect("has no tokens");
+        receive(&mut answer, 10, role).expect("is an event");
+        receive(&mut answer, 20, "data:\n\n: ping\n\ndata: {\"choices\":[]}\n\n").expect("is an event");
         assert_eq!((answer.first_content_at, answer.chunk_count()), (None, 0));
         let mut passed_on = String::new();
         let stream = [content("a"), content("b c")].concat();
@@ -248,7 +253,7 @@ mod tests {
         }
         receive(&mut answer, 20, &content("a")).expect("is a chunk");
         assert_eq!((answer.first_reasoning_at, answer.first_content_at), (Some(at(5)), Some(at(20))));
-        assert_eq!(answer.gaps(), [Span::from_millis(4), Span::from_millis(11)]);
+        assert_eq!(answer.chunk_intervals(), [Span::from_millis(4), Span::from_millis(11)]);
         assert_eq!((answer.decode_time(), &*answer.text), (Some(Span::from_millis(15)), "a"));
     }
 
@@ -260,11 +265,17 @@ mod tests {
         let error = error.expect_err("is an error").to_string();
         assert_eq!(error, "its server ended the answer after 1 chunk: out of memory");
         let error = receive(&mut answer, 3, "data: {\"choices\":\n\n").expect_err("is cut").to_string();
-        assert!(error.starts_with("chunk 3 of its answer cannot be read: EOF"), "{error}");
+        assert!(error.starts_with("event 3 of its answer cannot be read: EOF"), "{error}");
         let error = answer.end().expect_err("is not complete").to_string();
         assert_eq!(error, "its server closed the connection after 1 chunk without ending the answer");
         let long = content(&"x".repeat(600_000));
         receive(&mut answer, 4, &long).expect("is short enough");
         assert_eq!(receive(&mut answer, 5, &long), Err(StreamError::TooLong("1 MiB")));
+        let endless = "x".repeat((1 << 20) + 1);
+        let error = receive(&mut answer, 6, &endless).expect_err("has no end").to_string();
+        assert_eq!(
+            error,
+            "its server sent an event longer than 1 MiB; check that url is the server's chat API"
+        );
     }
 }

@@ -39,7 +39,7 @@ pub struct OpenaiConfig {
     /// Longest time from the request to the first token, milliseconds.
     #[serde(default = "one_minute")]
     pub first_token_timeout_ms: NonZeroU64,
-    /// Longest time from one chunk with tokens to the next, milliseconds.
+    /// Longest time from one chunk of text to the next, milliseconds.
     #[serde(default = "ten_seconds")]
     pub token_timeout_ms: NonZeroU64,
     /// Longest time for a whole answer, milliseconds.

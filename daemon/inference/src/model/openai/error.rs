@@ -71,7 +71,9 @@ impl RequestError {
             Self::Tls { .. }
             | Self::Total { .. }
             | Self::NotStreamed(_)
-            | Self::Stream(StreamError::Chunk { .. } | StreamError::TooLong(_)) => false,
+            | Self::Stream(StreamError::Event { .. } | StreamError::EventTooLong | StreamError::TooLong(_)) => {
+                false
+            }
         }
     }
 
@@ -91,13 +93,15 @@ impl RequestError {
             | Self::NotStreamed(text)
             | Self::Tls { reason: text, .. }
             | Self::Connection { reason: text, .. }
-            | Self::Stream(StreamError::Server { text, .. } | StreamError::Chunk { reason: text, .. }) => {
+            | Self::Stream(StreamError::Server { text, .. } | StreamError::Event { reason: text, .. }) => {
                 clean(text);
             }
             Self::FirstToken(_)
             | Self::Token { .. }
             | Self::Total { .. }
-            | Self::Stream(StreamError::EndedEarly(_) | StreamError::TooLong(_)) => {}
+            | Self::Stream(
+                StreamError::EndedEarly(_) | StreamError::EventTooLong | StreamError::TooLong(_),
+            ) => {}
         }
         self.to_string()
     }
@@ -137,8 +141,8 @@ fn status_remedy(status: hyper::StatusCode, retry_after: Option<&str>) -> String
 const fn stream_remedy(error: &StreamError) -> &'static str {
     match error {
         StreamError::Server { .. } | StreamError::EndedEarly(_) => "; the server's log says why",
-        StreamError::Chunk { .. } => "; url must name a server with the OpenAI API",
-        StreamError::TooLong(_) => "",
+        StreamError::Event { .. } => "; url must name a server with the OpenAI API",
+        StreamError::EventTooLong | StreamError::TooLong(_) => "",
     }
 }
 
@@ -162,7 +166,7 @@ mod tests {
             },
             RequestError::NotStreamed(text()),
             RequestError::Stream(StreamError::Server { after: 1, text: text() }),
-            RequestError::Stream(StreamError::Chunk { number: 1, reason: text() }),
+            RequestError::Stream(StreamError::Event { number: 1, reason: text() }),
         ];
         for error in errors {
             let message = error.message(Some(KEY));

@@ -1,6 +1,6 @@
 //! Parser of server-sent events (WHATWG HTML Living Standard, section 9.2). No I/O.
 
-/// Largest event and largest line, bytes. The longest event of an answer is a chunk with many tokens.
+/// Largest event and largest line, bytes. The longest events of an answer have the text of many tokens.
 const MAX_EVENT_BYTES: usize = 1 << 20;
 
 /// Byte order mark that may precede a stream.

@@ -24,7 +24,7 @@ pub fn any_stream(data: &[u8]) {
     assert_eq!(in_pieces.text, whole.text);
     assert_eq!((in_pieces.usage, &in_pieces.finish_reason), (whole.usage, &whole.finish_reason));
     assert_eq!((in_pieces.chunk_count(), in_pieces.is_done()), (whole.chunk_count(), whole.is_done()));
-    assert_eq!(in_pieces.gaps().len() as u64 + 1, in_pieces.chunk_count().max(1));
+    assert_eq!(in_pieces.chunk_intervals().len() as u64 + 1, in_pieces.chunk_count().max(1));
 }
 
 #[cfg(test)]

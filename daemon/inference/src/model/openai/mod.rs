@@ -2,16 +2,16 @@
 //! TensorRT-LLM or LM Studio. Answers are streamed.
 //!
 //! ```text
-//! sample ── request ── server (HTTP over TCP or TLS) ── event_stream ── chunk ── answer ── nodes, sample
+//! sample ── request ── server (HTTP over TCP or TLS) ── event_stream ── event_data ── answer ── nodes, sample
 //! ```
 //!
-//! `event_stream`, `chunk` and `answer` have no I/O; `server` stamps the bytes that arrive before they are parsed.
+//! `event_stream`, `event_data` and `answer` have no I/O; `server` stamps the bytes that arrive before they are parsed.
 
 mod answer;
-mod chunk;
 mod config;
 mod connection;
 mod error;
+mod event_data;
 mod event_stream;
 pub mod fuzzing;
 mod nodes;

@@ -9,17 +9,17 @@ use super::answer::StreamedAnswer;
 const CONNECT: Name = Name::from_static("connect");
 /// Time from the start of the request to the first chunk with text of the reasoning.
 const TIME_TO_FIRST_REASONING_TOKEN: Name = Name::from_static("time-to-first-reasoning-token");
-/// Mean time between successive chunks with tokens.
+/// Mean time between successive chunks.
 const INTER_TOKEN_LATENCY: Name = Name::from_static("inter-token-latency");
-/// Median time between successive chunks with tokens.
+/// Median time between successive chunks.
 const INTER_TOKEN_LATENCY_P50: Name = Name::from_static("inter-token-latency-p50");
-/// Longest time between successive chunks with tokens.
+/// Longest time between successive chunks.
 const INTER_TOKEN_LATENCY_MAX: Name = Name::from_static("inter-token-latency-max");
-/// Time from the first to the last chunk with tokens, divided by the number of tokens after the first.
+/// Time from the first to the last chunk, divided by the number of tokens after the first.
 const TIME_PER_OUTPUT_TOKEN: Name = Name::from_static("time-per-output-token");
-/// Tokens of reasoning and answer, divided by the time from the start of the request to the last chunk with tokens.
+/// Tokens of reasoning and answer, divided by the time from the start of the request to the last chunk.
 const OUTPUT_TOKEN_RATE: Name = Name::from_static("output-token-rate");
-/// Number of chunks with tokens.
+/// Number of chunks.
 const OUTPUT_CHUNKS: Name = Name::from_static("output-chunks");
 /// Tokens of reasoning and answer, as the server counted them.
 const OUTPUT_TOKENS: Name = Name::from_static("output-tokens");
@@ -46,17 +46,17 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
             inference.record_timer(name, started_at, at);
         }
     }
-    let mut gaps = answer.gaps();
-    gaps.sort_unstable();
-    if let Some(longest) = gaps.last().copied() {
-        let sum: f64 = gaps.iter().map(|gap| gap.seconds()).sum();
-        inference.value(INTER_TOKEN_LATENCY, sum / gaps.len() as f64, Unit::SECONDS);
-        inference.value(INTER_TOKEN_LATENCY_P50, median(&gaps), Unit::SECONDS);
+    let mut intervals = answer.chunk_intervals();
+    intervals.sort_unstable();
+    if let Some(longest) = intervals.last().copied() {
+        let sum: f64 = intervals.iter().map(|interval| interval.seconds()).sum();
+        inference.value(INTER_TOKEN_LATENCY, sum / intervals.len() as f64, Unit::SECONDS);
+        inference.value(INTER_TOKEN_LATENCY_P50, median(&intervals), Unit::SECONDS);
         inference.value(INTER_TOKEN_LATENCY_MAX, longest.seconds(), Unit::SECONDS);
     }
     inference.value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
     let usage = answer.usage.unwrap_or_default();
-    if let (Some(tokens), Some(last)) = (usage.completion_tokens, answer.last_token_at()) {
+    if let (Some(tokens), Some(last)) = (usage.completion_tokens, answer.last_chunk_at()) {
         if let Some(time) = answer.decode_time().filter(|_| tokens > 1) {
             inference.value(TIME_PER_OUTPUT_TOKEN, time.seconds() / (tokens - 1) as f64, Unit::SECONDS);
         }

@@ -15,9 +15,9 @@ use peernet_clock::{MonoTime, SharedClock, Span};
 use tokio::time::timeout;
 
 use super::answer::StreamedAnswer;
-use super::chunk::error_text_of_body;
 use super::connection::{Connection, Connector};
 use super::error::RequestError;
+use super::event_data::error_text_of_body;
 
 /// Largest body of an error that is read, bytes.
 const MAX_ERROR_BYTES: usize = 64 << 10;
@@ -31,7 +31,7 @@ const CHECK_TIMEOUT: Duration = Duration::from_secs(10);
 pub(super) struct TimeLimits {
     /// From the start of the request to its first token, of the reasoning or of the answer.
     pub(super) first_token: Duration,
-    /// From one chunk with tokens to the next, and from the last to the end of the answer.
+    /// From one chunk to the next, and from the last to the end of the answer.
     pub(super) token: Duration,
     /// From the start of the request to the end of the answer.
     pub(super) total: Duration,
@@ -220,7 +220,7 @@ async fn within<T>(
 ) -> Result<T, RequestError> {
     let after = answer.chunk_count();
     let end_of = |from: MonoTime, limit: Duration| from + span(limit);
-    let (next, late) = match answer.last_token_at() {
+    let (next, late) = match answer.last_chunk_at() {
         None => (end_of(answer.started_at, limits.first_token), RequestError::FirstToken(limits.first_token)),
         Some(last) => (end_of(last, limits.token), RequestError::Token { limit: limits.token, after }),
     };

@@ -52,9 +52,9 @@ impl Worker for OpenaiWorker {
         let mut inference = recorder.time(stage::INFERENCE);
         let mut answer = StreamedAnswer::new(clock.mono());
         let limits = config.time_limits();
-        // While the requester has too many unread parts, this thread waits and reads nothing from the server.
+        // While the requester has too many unread partial answers, this thread waits and reads nothing from the server.
         let send_text = |text: &str| {
-            if let Err(Cancelled) = requester.send_part(text_part(text)) {
+            if let Err(Cancelled) = requester.send_part(partial_answer(text)) {
                 tracing::debug!(model = name, "the request was cancelled; the rest of the text is not sent");
             }
         };
@@ -76,8 +76,8 @@ impl Worker for OpenaiWorker {
     }
 }
 
-/// Returns a part of an answer: a text.
-fn text_part(text: &str) -> Sample {
+/// Returns a partial answer: a text.
+fn partial_answer(text: &str) -> Sample {
     Sample::from_part(Description::unshaped(MediaType::Text), Bytes::copy_from_slice(text.as_bytes()))
 }
 

@@ -123,7 +123,7 @@ fn answer_broken_off_is_no_answer() {
     let (reason, _) = failure(vec![head(), content("a"), error, Step::Stall], "");
     assert_eq!(reason, "its server ended the answer after 1 chunk: out of memory; the server's log says why");
     let (reason, _) = failure(vec![head(), event("{\"choices\":["), Step::Stall], "");
-    assert!(reason.starts_with("chunk 1 of its answer cannot be read: "), "{reason}");
+    assert!(reason.starts_with("event 1 of its answer cannot be read: "), "{reason}");
 }
 
 #[test]

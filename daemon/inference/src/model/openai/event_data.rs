@@ -1,15 +1,15 @@
-//! Chunks of a streamed answer, as JSON: the object `chat.completion.chunk` of the OpenAI API.
+//! Data of the events of a streamed answer, as JSON: the object `chat.completion.chunk` of the OpenAI API.
 //!
 //! Servers differ, so every field may be missing or null, and unknown fields are ignored.
 
 use serde::Deserialize;
 use serde_json::Value;
 
-/// One chunk.
+/// Data of one event.
 #[derive(Debug, Default, Deserialize)]
-pub(super) struct Chunk {
+pub(super) struct EventData {
     pub(super) choices: Option<Vec<Choice>>,
-    /// Number of tokens; in the last chunk, or in each chunk up to here.
+    /// Number of tokens of the whole answer in the last event; some servers send the number so far in each event.
     pub(super) usage: Option<Usage>,
     /// Error that ended the answer.
     pub(super) error: Option<Value>,
@@ -55,7 +55,7 @@ struct CompletionDetails {
 }
 
 impl Delta {
-    /// Returns whether the chunk has text of the reasoning.
+    /// Returns whether the event has text of the reasoning.
     pub(super) fn has_reasoning(&self) -> bool {
         [&self.reasoning_content, &self.reasoning].into_iter().flatten().any(|text| !text.is_empty())
     }
@@ -113,13 +113,13 @@ mod tests {
 
     #[test]
     fn fields_may_be_missing_or_null() {
-        for chunk in [
+        for data in [
             "{}",
             r#"{"choices":null,"usage":null}"#,
             r#"{"choices":[{"delta":{"content":null},"finish_reason":null}]}"#,
             r#"{"choices":[{}],"usage":{"prompt_tokens_details":null}}"#,
         ] {
-            serde_json::from_str::<Chunk>(chunk).unwrap_or_else(|error| panic!("{chunk}: {error}"));
+            serde_json::from_str::<EventData>(data).unwrap_or_else(|error| panic!("{data}: {error}"));
         }
     }
 }

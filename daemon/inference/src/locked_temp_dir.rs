@@ -5,22 +5,21 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
-use tempfile::TempDir;
-
 /// Prefix of the names of all such folders.
 const PREFIX: &str = "peernet-";
 /// Name of a file in each folder, which the owner keeps locked while it lives. Folders without it are never removed.
 const LOCK_FILE: &str = ".held";
 
-/// Temporary folder. Dropping it deletes the folder; if its owner was killed, the next creation does.
+/// Temporary folder with a file that its owner keeps locked. Dropping it deletes the folder; if the owner was killed, the next creation of such
+/// a folder deletes it.
 #[derive(Debug)]
-pub struct Scratch {
-    folder: TempDir,
+pub struct LockedTempDir {
+    folder: tempfile::TempDir,
     /// The lock is released when the process ends, for whatever reason.
     _lock: File,
 }
 
-impl Scratch {
+impl LockedTempDir {
     /// Creates a folder `peernet-KIND-…` among the system's temporary files, and removes folders of this user's
     /// processes that have ended.
     ///
@@ -79,9 +78,9 @@ mod tests {
     #[test]
     fn folders_of_ended_processes_are_removed_others_stay() {
         let parent = tempfile::tempdir().expect("a folder");
-        let new = || Scratch::new_in(parent.path(), "model").expect("made");
+        let new = || LockedTempDir::new_in(parent.path(), "model").expect("made");
         let living = new();
-        let Scratch { folder, _lock: lock } = new();
+        let LockedTempDir { folder, _lock: lock } = new();
         let dead = folder.keep();
         fs::write(dead.join("weights.bin"), b"x").expect("written");
         let rescued = parent.path().join("peernet-results-x");
