@@ -45,7 +45,8 @@ pub(super) async fn drive(
             return reason;
         }
         let wakeup_at = pipeline_loop.next_wakeup();
-        let sensing = pipeline_loop.resources.sensing.as_mut().map(|sensing| &mut sensing.sample);
+        let sensing =
+            pipeline_loop.resources.pending_sample.as_mut().map(|pending_sample| &mut pending_sample.sample);
         let preparing = pipeline_loop.resources.pending_preparation.as_mut();
         let start_timer = &mut pipeline_loop.resources.start_timer;
         tokio::select! {

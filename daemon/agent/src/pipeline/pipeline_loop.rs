@@ -107,18 +107,21 @@ impl<'a> PipelineLoop<'a> {
     /// Continues to wait for a sample that was requested before the connection was lost. A sample that arrived in the
     /// meantime is recorded as lost.
     fn resume_pending_sample(&mut self) {
-        let arrived =
-            self.resources.sensing.as_mut().and_then(|pending_sample| pending_sample.sample.try_recv().ok());
+        let arrived = self
+            .resources
+            .pending_sample
+            .as_mut()
+            .and_then(|pending_sample| pending_sample.sample.try_recv().ok());
         let since = self
             .resources
-            .sensing
+            .pending_sample
             .as_ref()
             .filter(|_| arrived.is_none())
             .map(|pending_sample| pending_sample.started_at);
         // The wait for the sensor continues over a reconnect, so the live state keeps the time of the request.
         self.resources.live_state.set_sensor_busy_since(since);
         let Some(SensorOutput { log, sample }) = arrived else { return };
-        let Some(PendingSample { run, start, started_at, .. }) = self.resources.sensing.take() else {
+        let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() else {
             return;
         };
         // The end of the sensor, a failure of the sensor and a sample of an earlier run are handled as if there were a connection.
@@ -174,7 +177,7 @@ impl<'a> PipelineLoop<'a> {
         match self.resources.sensor.request_sample(log) {
             SensorResponse::Done(sensed) => self.accept_sample(self.run.id(), (start, started_at), sensed),
             SensorResponse::Pending(sample) => {
-                self.resources.sensing =
+                self.resources.pending_sample =
                     Some(PendingSample { run: self.run.id(), start, started_at, sample });
                 self.resources.live_state.set_sensor_busy_since(Some(started_at));
             }
@@ -201,13 +204,14 @@ impl<'a> PipelineLoop<'a> {
     pub(super) fn end_reason(&self) -> Option<LoopEnd> {
         let reason = self.end_reason.clone()?;
         // After a disconnect the loop does not wait for the sensor, because a slow sensor must not delay reconnecting.
-        let is_sensing = self.resources.sensing.is_some() && !matches!(reason, LoopEnd::Disconnected(_));
+        let is_sensing =
+            self.resources.pending_sample.is_some() && !matches!(reason, LoopEnd::Disconnected(_));
         (!is_sensing && self.queued.is_none() && self.in_flight.is_empty()).then_some(reason)
     }
 
     /// Handles the output of the sensor's thread.
     pub(super) fn handle_sensed(&mut self, sensed: SensorOutput) {
-        if let Some(PendingSample { run, start, started_at, .. }) = self.resources.sensing.take() {
+        if let Some(PendingSample { run, start, started_at, .. }) = self.resources.pending_sample.take() {
             self.resources.live_state.set_sensor_busy_since(None);
             self.accept_sample(run, (start, started_at), sensed);
         }
@@ -215,7 +219,7 @@ impl<'a> PipelineLoop<'a> {
 
     /// Handles the unexpected end of the sensor's thread.
     pub(super) fn handle_sensor_death(&mut self) {
-        self.resources.sensing = None;
+        self.resources.pending_sample = None;
         self.resources.live_state.set_sensor_busy_since(None);
         self.end(LoopEnd::Broken(LoopError::SensorDied));
     }
@@ -256,7 +260,7 @@ impl<'a> PipelineLoop<'a> {
 
     /// Returns whether a sample is requested from the sensor, or waits in the queue.
     fn awaits_sample(&self) -> bool {
-        self.resources.sensing.is_some() || self.queued.is_some()
+        self.resources.pending_sample.is_some() || self.queued.is_some()
     }
 
     /// Returns the end of the pause after failures; `None` if the loop does not pause.
@@ -350,7 +354,7 @@ impl<'a> PipelineLoop<'a> {
         if let Some(result) = result {
             result.record(&mut tree, ended.mono - iteration.start.intended);
         }
-        self.resources.add_elapsed(ended.mono - iteration.start.intended);
+        self.resources.extend_pending_advance(ended.mono - iteration.start.intended);
         self.run.record(iteration.position, outcome, tree, ended, self.context, &self.resources.live_state);
     }
 }

@@ -1,4 +1,4 @@
-//! The parts of a pipeline that outlive a run: sensor, actuator, schedule.
+//! The parts of a pipeline that outlive a run and a connection.
 
 use std::io;
 use std::sync::Arc;
@@ -41,13 +41,14 @@ pub(super) enum AssembleError {
     Panicked(#[from] JoinError),
 }
 
-/// The parts of a pipeline except its placement.
+/// The parts of a pipeline that outlive a run and a connection: its configuration and live state, the sensor with its transforms, the actuator,
+/// and the schedule of the starts. Only the placement is not among them.
 pub(super) struct PipelineResources {
     pub(super) config: Arc<PipelineConfig>,
     pub(super) live_state: Arc<PipelineLiveState>,
     pub(super) sensor: SensorExecutor,
     /// The requested sample. A request cannot be cancelled, so it may outlive the connection.
-    pub(super) sensing: Option<PendingSample>,
+    pub(super) pending_sample: Option<PendingSample>,
     /// `None` if the pipeline has no actuator.
     pub(super) actuator: Option<ActuatorExecutor>,
     /// `true` if the sensor or the actuator has to be reset before each episode.
@@ -58,11 +59,12 @@ pub(super) struct PipelineResources {
     pub(super) pending_preparation: Option<PendingPreparation>,
     /// `true` from a reset until the first sample after it.
     pub(super) is_reset: bool,
-    /// Time by which the simulation has not been advanced yet.
-    elapsed: Option<Span>,
+    /// Time by which the simulation is advanced before the next sample: the sum of the durations of the iterations since the last preparation.
+    /// `None` if there was none, or without a simulation.
+    pending_advance: Option<Span>,
     pub(super) schedule: Schedule,
     pub(super) start_timer: StartTimer,
-    /// Facts about sensor, transforms and load (label and text) for the page of a run.
+    /// Facts about sensor, transforms, load and actuator (label and text) for the page of a run.
     facts: Vec<(String, String)>,
 }
 
@@ -103,13 +105,13 @@ impl PipelineResources {
             advances,
             pending_preparation: None,
             is_reset: false,
-            elapsed: None,
+            pending_advance: None,
             schedule: Schedule::new(&config.load, config.max_in_flight.get(), clock.mono()),
             start_timer: StartTimer::new(clock).map_err(AssembleError::Timer)?,
             config,
             live_state,
             sensor,
-            sensing: None,
+            pending_sample: None,
             facts,
         })
     }
@@ -120,31 +122,31 @@ impl PipelineResources {
         self.schedule = Schedule::new(&self.config.load, self.config.max_in_flight.get(), now);
     }
 
-    /// Returns what must precede the next iteration. `begins_episode`: it is the first of an episode.
+    /// Returns what must precede the next iteration. `begins_episode` says whether that is the first one of an episode.
     pub(super) fn due_preparation(&self, begins_episode: bool) -> Option<Preparation> {
         if begins_episode && self.resets {
             return (!self.is_reset).then_some(Preparation::Reset);
         }
-        self.elapsed.map(Preparation::Advance)
+        self.pending_advance.map(Preparation::Advance)
     }
 
     /// Adds the duration of an iteration to the time by which the simulation is advanced before the next sample.
-    pub(super) fn add_elapsed(&mut self, duration: Span) {
+    pub(super) fn extend_pending_advance(&mut self, duration: Span) {
         if self.advances {
-            self.elapsed = Some(self.elapsed.unwrap_or(Span::ZERO) + duration);
+            self.pending_advance = Some(self.pending_advance.unwrap_or(Span::ZERO) + duration);
         }
     }
 
-    /// Starts a preparation. No request to the sensor is pending.
+    /// Starts a preparation. The caller does so only while no sample is requested, because the sensor handles one request at a time.
     pub(super) fn start_preparation(&mut self, preparation: Preparation) {
-        // A reset begins a new simulation, so the time of the last iteration does not count.
-        self.elapsed = None;
+        // An advance has this time already. A reset begins a new simulation, in which the time of earlier iterations does not pass.
+        self.pending_advance = None;
         let actuator = self.actuator.clone().filter(ActuatorExecutor::resets);
         let request = self.sensor.preparation_sender();
         self.pending_preparation = Some(preparation::prepare(preparation, actuator, request));
     }
 
-    /// Returns the facts about sensor, transforms and load, then `model_facts`.
+    /// Returns the facts about sensor, transforms, load and actuator, then `model_facts`.
     pub(super) fn facts(&self, model_facts: Vec<(String, String)>) -> Vec<(String, String)> {
         self.facts.iter().cloned().chain(model_facts).collect()
     }

@@ -31,14 +31,15 @@ impl StartTimer {
         let timer = timerfd_create(TimerfdClockId::Monotonic, flags)?;
         #[expect(
             deprecated,
-            reason = "its successor is unsafe, for types whose descriptor can change; ours cannot"
+            reason = "its successor `AsyncFd::register` is unsafe, because the descriptor of some types can change or be closed; an OwnedFd \
+                      keeps its descriptor open"
         )]
         let timer = AsyncFd::new(timer)?;
         Ok(Self { timer, clock, armed_for: None })
     }
 
-    /// Waits until `at`; returns at once if that has passed. Cancelling the wait and repeating it for the same moment
-    /// needs no system call.
+    /// Waits until `at`; returns at once if that has passed. If the wait is cancelled and repeated for the same time, the timer is
+    /// not set again.
     ///
     /// # Errors
     /// When the kernel refuses to set the timer.
@@ -86,7 +87,7 @@ mod tests {
         let mut start_timer = StartTimer::new(Arc::clone(&clock)).expect("a timer");
         for millis in [3, 1, 0, -5, 2] {
             let at = clock.mono() + Span::from_millis(millis);
-            start_timer.wait_until(at).await.expect("rings");
+            start_timer.wait_until(at).await.expect("the timer can be set");
             assert!(clock.mono() >= at);
         }
     }
@@ -102,7 +103,7 @@ mod tests {
             () = std::future::ready(()) => {}
         }
         let near = clock.mono() + Span::from_millis(2);
-        start_timer.wait_until(near).await.expect("rings");
+        start_timer.wait_until(near).await.expect("the timer can be set");
         assert!(clock.mono() >= near);
     }
 }

@@ -17,10 +17,10 @@ impl Announcer {
         Self { shared }
     }
 
-    /// Sends the state of the cloud's clocks to all open sessions. Sessions that open later get it in place of the
-    /// [`host_clock`](crate::SessionAccepted::host_clock) that they are accepted with, so that no session misses it.
+    /// Sends the state of the cloud's clocks to all open sessions. For sessions that are accepted later, it replaces the
+    /// [`host_clock`](crate::SessionAccepted::host_clock) of the acceptance, which the caller may have read before this announcement.
     ///
-    /// Never waits. An edge whose connection takes no more bytes does not get the message.
+    /// Never waits. An open session whose connection takes no more bytes does not get this state.
     pub fn announce(&self, clock: PeerClock) {
         if let Some(shared) = self.shared.upgrade() {
             shared.send_clock_to_edges(clock);

@@ -30,7 +30,9 @@ impl TopicMessage {
                 .stamp
                 .map(Some)
                 .ok_or("its header.stamp is 0 or missing; set pair_by = \"order\", which does not use it"),
-            PairBy::Sequence => self.sequence.map(Some).ok_or("it has no sequence number"),
+            PairBy::Sequence => {
+                self.sequence.map(Some).ok_or("it has no sequence number; choose another pair_by")
+            }
             PairBy::Order => Ok(None),
         }
     }

@@ -35,7 +35,7 @@ pub(super) enum SessionEnded {
     Midnight,
     /// The agent stops.
     Stopped,
-    /// The node of the subscriptions has ended.
+    /// The ROS node of the subscriptions has ended.
     SourceLost(SourceError),
 }
 
@@ -82,7 +82,7 @@ impl<'a> Observation<'a> {
     }
 
     /// Records iterations of `run` until the session ends. All iterations that had started are recorded by then, unless
-    /// the node has ended.
+    /// the ROS node of the subscriptions has ended.
     pub(super) async fn run(&mut self, source: &mut Source, run: &mut Run, runner: &Runner) -> SessionEnded {
         let clock = &runner.context.host.clock;
         let mut stopping = pin!(runner.stop.cancelled());
@@ -114,8 +114,8 @@ impl<'a> Observation<'a> {
                     ending = Some(SessionEnded::Midnight);
                 }
             }
-            // The session ends only when all iterations that have started are complete, so that the end of a run
-            // separates no pair.
+            // The session ends only when all iterations that have started are complete, so that both messages of a pair
+            // belong to the same run.
             if self.pairing.is_settled()
                 && self.peer.as_ref().is_none_or(PeerStamps::is_settled)
                 && let Some(ending) = ending.take()
@@ -133,7 +133,7 @@ impl<'a> Observation<'a> {
                 }
                 message = source.input.next() => match message {
                     Ok(message) if ending.is_none() => self.handle_input(message, run, runner),
-                    // The run is over: no further iteration starts.
+                    // The run is ending: no further iteration starts.
                     Ok(_) => {}
                     Err(error) => return SessionEnded::SourceLost(error.into()),
                 },
@@ -236,7 +236,7 @@ impl<'a> Observation<'a> {
                     let topic = &self.config.output;
                     tracing::warn!(
                         topic,
-                        "a message cannot be paired: {reason}; such messages count as output-unmatched"
+                        "a message cannot be paired: {reason}; such messages count as output-unmatched, and further ones are not logged"
                     );
                 }
             }
@@ -289,7 +289,7 @@ impl<'a> Observation<'a> {
     }
 }
 
-/// Waits for the next pair that the peer has answered.
+/// Waits for the next pair that the peer has answered, or whose timeout has passed.
 async fn next_settled(peer: &mut Option<PeerStamps>) -> SettledPair {
     match peer {
         Some(peer) => peer.next().await,
@@ -308,16 +308,16 @@ fn record_lost(input: &Input, reason: String, run: &mut Run, runner: &Runner) {
     run.record(input.position, Outcome::Lost(reason), tree, ended, &runner.context, &runner.live_state);
 }
 
-/// Logs that this agent dropped messages: it is no fault of the observed nodes.
+/// Logs that this agent dropped messages, so that they are not taken for messages that the observed nodes lost.
 fn report_dropped(source: &Source, reported: &mut u64) {
     let dropped = source.input.dropped() + source.output.dropped();
     if dropped > *reported {
-        let (input, output, more) = (source.input.name(), source.output.name(), dropped - *reported);
+        let (input, output) = (source.input.name(), source.output.name());
         tracing::warn!(
             input,
             output,
-            more,
-            "this agent was too slow and dropped messages of observed topics"
+            dropped_since_last_report = dropped - *reported,
+            "this agent was too slow and dropped messages of observed topics; stop other programs on this host, or observe fewer pipelines"
         );
         *reported = dropped;
     }

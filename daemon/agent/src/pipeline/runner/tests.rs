@@ -177,9 +177,10 @@ async fn taken_up(requesting_run: impl FnOnce(RunId) -> RunId) -> Vec<Outcome> {
     let (tell, sample) = oneshot::channel();
     let came = Sample::from_part(Description::bytes(), "x".into());
     assert!(tell.send(SensorOutput { log, sample: Ok(Some(came)) }).is_ok(), "before the connection is back");
-    resources.sensing = Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
+    resources.pending_sample =
+        Some(PendingSample { run: requesting_run(run.id()), start, started_at, sample });
     drop(PipelineLoop::new(&mut resources, &mut run, &context));
-    assert!(resources.sensing.is_none());
+    assert!(resources.pending_sample.is_none());
     run.end(EndReason::Stopped, &context);
     let mut outcomes = Vec::new();
     loop {
