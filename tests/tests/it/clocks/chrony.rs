@@ -17,30 +17,30 @@ const EDGE_IDENTITY: &str = "clock_identity = \"edge\"\n";
 const MIN_DELAYS: u64 = 600;
 
 /// Two hosts whose time daemons are synchronised, and a pipeline that runs until the edge is stopped.
-struct Scene {
+struct TimeDaemonTestbed {
     edge: Process,
     _cloud: Process,
     _daemons: TimeDaemons,
-    testbed: TwoHostTestbed,
+    hosts: TwoHostTestbed,
 }
 
-impl Scene {
+impl TimeDaemonTestbed {
     /// Starts the hosts. `identity` and `faults` are the edge's; `trusts` is whether it trusts the daemons.
     fn new(network: impl FnOnce(&Path) -> Network, identity: &str, faults: &str, trusts: bool) -> Self {
-        let testbed = TwoHostTestbed::new(network);
-        let daemons = TimeDaemons::start(&testbed.network, testbed.folder());
+        let hosts = TwoHostTestbed::new(network);
+        let daemons = TimeDaemons::start(&hosts.network, hosts.folder());
         let clock = TimeDaemons::table();
-        let cloud = testbed.start_cloud(&clock);
+        let cloud = hosts.start_cloud(&clock);
         let load = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64";
-        let pipeline = testbed.pipeline("kept", 1000, load);
+        let pipeline = hosts.pipeline("kept", 1000, load);
         let trust = if trusts { "trust_time_daemons = true\n" } else { "" };
-        let edge = testbed.start_edge(&format!("{identity}{clock}{trust}{faults}{pipeline}"), &[]);
-        Self { edge, _cloud: cloud, _daemons: daemons, testbed }
+        let edge = hosts.start_edge(&format!("{identity}{clock}{trust}{faults}{pipeline}"), &[]);
+        Self { edge, _cloud: cloud, _daemons: daemons, hosts }
     }
 
     /// Waits until the link has a claim of chrony and this verdict; returns the offset.
     fn wait_for_offset(&self, verdict: &str) -> Value {
-        self.testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
+        self.hosts.api.wait_until("/api/v1/links/edge~cloud", |link| {
             let offset = &link["now"]["offset"];
             let sources = offset["sources"].as_array()?.iter().map(|source| &source["source"]);
             let has_both = sources.eq(["in-band", "chrony"]);
@@ -51,7 +51,7 @@ impl Scene {
     /// Waits until the aggregator shows a text of a host's time daemon that begins like this. The offset of the link
     /// may be shown earlier.
     fn wait_for_daemon(&self, host: &str, beginning: &str) {
-        self.testbed.api.wait_until(&format!("/api/v1/hosts/{host}"), |host| {
+        self.hosts.api.wait_until(&format!("/api/v1/hosts/{host}"), |host| {
             host["clock"]["text"].as_str().is_some_and(|text| text.starts_with(beginning)).then_some(())
         });
     }
@@ -62,14 +62,14 @@ impl Scene {
             "SELECT count(*) FROM transit AS t LEFT JOIN verdict ON verdict.id = t.verdict \
              LEFT JOIN source ON source.id = t.source WHERE {condition}"
         );
-        let count = || self.testbed.query_database(&sql).trim().parse::<u64>().expect("a number");
+        let count = || self.hosts.query_database(&sql).trim().parse::<u64>().expect("a number");
         let before = count();
         wait_until(condition, || (count() >= before + MIN_DELAYS).then_some(()));
         assert_eq!(self.edge.stop().code(), 0);
-        self.testbed
+        self.hosts
             .api
             .wait_until("/api/v1/runs", |runs| (runs["runs"][0]["reason"] == "stopped").then_some(()));
-        self.testbed.iterations()
+        self.hosts.iterations()
     }
 }
 
@@ -90,15 +90,15 @@ fn contains((lo, hi): (Span, Span), offset: Span) -> bool {
 
 /// Runs a case with the machine's clock on both hosts: the true offset is zero.
 fn check_correct_clocks(case: &str, network: impl FnOnce(&Path) -> Network, condition: &str) {
-    let scene = Scene::new(network, EDGE_IDENTITY, "", true);
-    let offset = scene.wait_for_offset("ok");
+    let testbed = TimeDaemonTestbed::new(network, EDGE_IDENTITY, "", true);
+    let offset = testbed.wait_for_offset("ok");
     for source in ["in-band", "chrony"] {
         assert!(contains(bounds_of_source(&offset, source), Span::ZERO), "{source}: {offset}");
     }
     for host in ["edge", "cloud"] {
-        scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
+        testbed.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let iterations = scene.iterations(condition);
+    let iterations = testbed.iterations(condition);
     let of_kernel = HostClock::of_kernel();
     let (up, down) = assert_contains_truth(case, &iterations, &of_kernel, &of_kernel);
     for comparison in [&up, &down] {
@@ -125,13 +125,13 @@ fn correct_claims_bound_delays_on_asymmetric_path() {
 fn wrong_clock_with_confident_daemon_is_detected() {
     const AHEAD: Span = Span::from_millis(50);
     let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let scene = Scene::new(|_| Network::direct(), "", &fault, true);
-    let offset = scene.wait_for_offset("inconsistent");
+    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, true);
+    let offset = testbed.wait_for_offset("inconsistent");
     let (in_band, chrony) = (bounds_of_source(&offset, "in-band"), bounds_of_source(&offset, "chrony"));
     assert!(contains(in_band, -AHEAD) && !contains(in_band, Span::ZERO), "{offset}");
     assert!(contains(chrony, Span::ZERO) && !contains(chrony, -AHEAD), "{offset}");
 
-    let iterations = scene.iterations("verdict.text = 'inconsistent'");
+    let iterations = testbed.iterations("verdict.text = 'inconsistent'");
     let delays = iterations.iter().flat_map(|iteration| [&iteration.up, &iteration.down]);
     let contradictory = delays.filter(|delay| is_contradictory(delay)).count() as u64;
     print_line(&format!("unaware by {AHEAD}: {contradictory} of {} delays exposed", 2 * iterations.len()));
@@ -151,43 +151,43 @@ fn is_contradictory(delay: &Delay) -> bool {
 #[test]
 fn wrong_claim_affects_delays_only_if_trusted() {
     let fault = faults(50.0, 0.0, "discipline = \"unaware\"");
-    let scene = Scene::new(|_| Network::direct(), "", &fault, false);
+    let testbed = TimeDaemonTestbed::new(|_| Network::direct(), "", &fault, false);
     for host in ["edge", "cloud"] {
-        scene.wait_for_daemon(host, "chrony, stratum 11, to 10.");
+        testbed.wait_for_daemon(host, "chrony, stratum 11, to 10.");
     }
-    let edge = scene.testbed.clock_of("edge");
-    let sources = scene.testbed.api.wait_until("/api/v1/links/edge~cloud", |link| {
+    let edge = testbed.hosts.clock_of("edge");
+    let sources = testbed.hosts.api.wait_until("/api/v1/links/edge~cloud", |link| {
         let offset = &link["now"]["offset"];
         (offset["verdict"] == "ok").then(|| offset["sources"].as_array().cloned())?
     });
     assert!(sources.iter().all(|source| source["source"] == "in-band"), "{sources:?}");
-    let iterations = scene.iterations("verdict.text IN ('ok', 'limited')");
+    let iterations = testbed.iterations("verdict.text IN ('ok', 'limited')");
     assert_contains_truth("a wrong claim, not trusted", &iterations, &edge, &HostClock::of_kernel());
 }
 
 /// Starts hosts whose daemons claim less than a millisecond while the clocks differ by ten: within the bounds of the
 /// exchanges on 5/40 ms.
-fn start_with_irrefutable_wrong_claims(trusts: bool) -> Scene {
+fn start_with_irrefutable_wrong_claims(trusts: bool) -> TimeDaemonTestbed {
     let wire_direction = |delay_ms| WireProperties { delay_ms, jitter_ms: 0, loss_percent: 0 };
     let wire = |folder: &Path| Network::wire(folder, wire_direction(5), wire_direction(40));
-    let scene = Scene::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trusts);
+    let testbed = TimeDaemonTestbed::new(wire, "", &faults(-10.0, 0.0, "discipline = \"unaware\""), trusts);
     for host in ["edge", "cloud"] {
-        scene.wait_for_daemon(host, "chrony, stratum 11, to ");
+        testbed.wait_for_daemon(host, "chrony, stratum 11, to ");
     }
-    scene
+    testbed
 }
 
 /// Waits until the page of the link contains this text.
-fn wait_for_page(scene: &Scene, text: &str) {
-    wait_until(text, || scene.testbed.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(text)));
+fn wait_for_page(testbed: &TimeDaemonTestbed, text: &str) {
+    wait_until(text, || testbed.hosts.api.get("/links/edge~cloud").filter(|(_, page)| page.contains(text)));
 }
 
 #[test]
 fn wrong_claims_within_round_trip_affect_nothing() {
-    let scene = start_with_irrefutable_wrong_claims(false);
-    let edge = scene.testbed.clock_of("edge");
-    wait_for_page(&scene, "as claimed by chrony on both hosts, of the wall clocks, not used");
-    let iterations = scene.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
+    let testbed = start_with_irrefutable_wrong_claims(false);
+    let edge = testbed.hosts.clock_of("edge");
+    wait_for_page(&testbed, "as claimed by chrony on both hosts, of the wall clocks, not used");
+    let iterations = testbed.iterations("source.text = 'in-band' AND verdict.text IN ('ok', 'limited')");
     let case = "claims wrong by 10 ms, 5/40 ms, not trusted";
     let (up, down) = assert_contains_truth(case, &iterations, &edge, &HostClock::of_kernel());
     assert!(up.without_value.is_empty() && down.without_value.is_empty(), "{:?}", up.without_value);
@@ -200,10 +200,10 @@ fn wrong_claims_within_round_trip_affect_nothing() {
 
 #[test]
 fn delays_by_trusted_claims_are_marked() {
-    let scene = start_with_irrefutable_wrong_claims(true);
-    let edge = scene.testbed.clock_of("edge");
-    wait_for_page(&scene, "bounds as claimed by chrony");
-    let iterations = scene.iterations("source.text = 'chrony'");
+    let testbed = start_with_irrefutable_wrong_claims(true);
+    let edge = testbed.hosts.clock_of("edge");
+    wait_for_page(&testbed, "bounds as claimed by chrony");
+    let iterations = testbed.iterations("source.text = 'chrony'");
     let of_kernel = HostClock::of_kernel();
     let (up, down) = compare(&iterations, &edge, &of_kernel);
     print_line(&format!("claims wrong by 10 ms, 5/40 ms, trusted, upload: {}", up.summary()));

@@ -70,7 +70,7 @@ fn manual_installation_matches_paths_of_units() {
         }
         assert!(machine_root.join("var/lib/peernet").join(role).is_dir(), "{role}");
 
-        // The file as installed, with this machine's folders.
+        // The installed file names folders of the system. In this test a folder of the machine stands for its root.
         let file = format!("/etc/peernet/{role}.toml");
         let text = std::fs::read_to_string(machine_root.join(&file[1..])).expect("it was installed");
         machines.install(edge, &file, &text, &[]);
@@ -82,7 +82,7 @@ fn manual_installation_matches_paths_of_units() {
     machines.finish();
 }
 
-/// Runs the demo with another port.
+/// Runs the demo with the user's own files: the shipped ones with another port of the dashboard.
 fn run_demo(machines: &DocumentedCommands) {
     for name in ["aggregator", "cloud", "edge"] {
         let text = Document::read(format!("configs/{name}.toml")).text;

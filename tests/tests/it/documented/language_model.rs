@@ -79,12 +79,12 @@ fn language_model_answers_on_edge_and_cloud() {
     // The paper's own measurement needs no cloud.
     assert_success(&machines.on_edge(ONE_RUN, &[]).wait_for_end());
     let results = Results::of(machines.folder().join("results/llm"));
-    assert_eq!(results.stages().iter().filter(|stage| *stage == "finished").count(), 1);
+    assert_eq!(results.states().iter().filter(|state| *state == "finished").count(), 1);
 
     let cloud = machines.on_cloud(CLOUD, &[]);
     cloud.wait_for("ready");
     assert_success(&machines.on_edge(ALL_RUNS, &[]).wait_for_end());
-    assert_eq!(results.stages(), ["finished"; 4]);
+    assert_eq!(results.states(), ["finished"; 4]);
     let mut lengths = Vec::new();
     for folder in results.folders() {
         check_run(&results, &folder);
@@ -101,7 +101,7 @@ fn language_model_answers_on_edge_and_cloud() {
     let two_machines = [("run --set", "run --result-loc results/two --only Where=cloud --set")];
     assert_success(&machines.on_edge(TWO_MACHINES, &two_machines).wait_for_end());
     let two = Results::of(machines.folder().join("results/two"));
-    assert_eq!(two.stages().iter().filter(|stage| *stage == "finished").count(), 2);
+    assert_eq!(two.states().iter().filter(|state| *state == "finished").count(), 2);
 
     let [edge_server, cloud_server] = servers;
     for process in [cloud, edge_server, cloud_server] {

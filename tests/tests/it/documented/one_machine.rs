@@ -37,7 +37,7 @@ fn readme_commands_without_aggregator_work() {
     let study = wait_for_runs(machines.on_edge("peernet run configs/experiments/sensor-study.toml", &[]), 4);
     assert_eq!(study.code(), 0, "{}", study.log);
     let results = Results::of(machines.folder().join("results/sensor-study"));
-    assert_eq!(results.stages(), ["finished"; 4]);
+    assert_eq!(results.states(), ["finished"; 4]);
     for folder in results.folders() {
         let study = std::fs::read_to_string(results.file(&folder, "sensor.txt")).expect("it was written");
         assert!(study.contains("samples per second"), "{study}");

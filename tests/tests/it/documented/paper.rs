@@ -125,7 +125,7 @@ fn measure_detection(machines: &DocumentedCommands) {
     let end = wait_for_runs(machines.on_edge(DETECTION, &[]), 4);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/detection-line"));
-    assert_eq!(results.stages(), ["finished"; 4]);
+    assert_eq!(results.states(), ["finished"; 4]);
     assert_eq!(column(&results.folder.join("compare.csv"), "edges"), ["1", "2", "1", "2"]);
     for folder in results.folders().iter().filter(|folder| folder.contains("-on-1-")) {
         let sizes = column(&results.file(folder, "data.csv"), "inference_batch-size");
@@ -149,7 +149,7 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
     let end = wait_for_runs(experiment, 6);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/efficientnet"));
-    assert_eq!(results.stages(), ["finished"; 6]);
+    assert_eq!(results.states(), ["finished"; 6]);
     let table = results.folder.join("compare.csv");
     assert_eq!(column(&table, "Where"), ["local", "local", "local", "cloud", "cloud", "cloud"]);
     assert_eq!(column(&table, "Model"), ["S", "M", "L", "S", "M", "L"]);
@@ -189,7 +189,7 @@ fn measure_teleoperation(machines: &DocumentedCommands) {
         wait_for_runs(machines.on_edge(ALL_NETWORKS, &[("peernet run --only Network=LAN", PYTHON_RUN)]), 9);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/teleoperation"));
-    assert_eq!(results.stages(), ["finished"; 9]);
+    assert_eq!(results.states(), ["finished"; 9]);
     assert_eq!(column(&results.folder.join("compare.csv"), "success-rate"), ["1"; 9]);
     let end = machines.on_edge(NO_NETWORK, &[("peernet run", PYTHON_RUN)]).wait_for_end();
     assert_eq!(end.code(), 0, "its run is finished: {}", end.log);
@@ -220,7 +220,7 @@ fn measure_payload_study(machines: &DocumentedCommands) {
     let end = wait_for_runs(machines.on_edge(PAYLOADS, &[("=100", "=10")]), 8);
     assert_eq!(end.code(), 0, "{}", end.log);
     let results = Results::of(machines.folder().join("results/payload-study"));
-    assert_eq!(results.stages(), ["finished"; 8]);
+    assert_eq!(results.states(), ["finished"; 8]);
     assert_eq!(column(&results.folder.join("compare.csv"), "count"), ["10"; 8]);
     assert!(results.folder.join("payload-latency.svg").is_file(), "{}", end.log);
 }

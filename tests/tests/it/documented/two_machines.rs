@@ -167,7 +167,7 @@ fn compare_placements(machines: &DocumentedCommands) {
     let log = assert_success(machines.on_edge(PLACEMENTS, &[file]).wait_for_end());
     assert!(log.contains("total (measured)"), "{log}");
     let results = Results::of(machines.folder().join("results/demo"));
-    assert_eq!(results.stages().iter().filter(|stage| *stage == "finished").count(), 6);
+    assert_eq!(results.states().iter().filter(|state| *state == "finished").count(), 6);
     assert_eq!(column(&results.folder.join("compare.csv"), "Where"), ["local", "cloud", "cloud"]);
 }
 

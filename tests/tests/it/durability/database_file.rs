@@ -146,7 +146,7 @@ fn database_replaced_by_backup_is_compared_with_spools() {
     let stored_events = assert_all_accounted_for(&mut fleet);
     let (host, run) = (&stored_events.hosts["edge"], stored_events.runs.values().next().expect("one run"));
     assert_eq!((host.gaps, host.quarantined, stored_events.runs.len()), (1, 0, 1), "{stored_events:?}");
-    assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one hole, told as a gap: {run:?}");
+    assert_eq!((run.ranges.len(), run.reason.as_str()), (2, "stopped"), "one gap: {run:?}");
     assert_eq!(run.ranges[0], 1..=backup_events.iterations());
     let reason = query_database(fleet.database(), "SELECT reason FROM gap");
     assert!(reason.contains("batches"), "{reason}");

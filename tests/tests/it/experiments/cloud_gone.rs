@@ -26,7 +26,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     let end = process.wait_for_end();
     assert_eq!(end.code(), 75, "{}", end.log);
     assert!(end.log.contains("2 runs failed") && end.log.contains("is away"), "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished", "failed", "failed"]);
+    assert_eq!(lab.results.states(), ["finished", "failed", "failed"]);
     // Rows that were measured before the cloud died are kept.
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     assert!(outcomes.iter().filter(|outcome| *outcome == "ok").count() >= 3, "{outcomes:?}");
@@ -35,7 +35,7 @@ fn missing_cloud_fails_runs_that_can_be_resumed() {
     lab.start_cloud();
     let end = lab.run(&experiment_with_short_timeout(), &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished"; 3]);
+    assert_eq!(lab.results.states(), ["finished"; 3]);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     assert_eq!((outcomes.len(), outcomes.iter().all(|outcome| outcome == "ok")), (252, true), "{outcomes:?}");
     assert_eq!(
@@ -57,7 +57,7 @@ fn returning_cloud_loses_only_iterations_in_flight() {
     lab.start_cloud();
     let end = process.wait_for_end();
     assert_eq!(end.code(), 75, "iterations without an answer are told: {}", end.log);
-    assert_eq!(lab.results.stages(), ["finished"; 3], "{}", end.log);
+    assert_eq!(lab.results.states(), ["finished"; 3], "{}", end.log);
     let outcomes = column(&lab.results.file(&second, "data.csv"), "outcome");
     let unanswered = outcomes.iter().filter(|outcome| *outcome != "ok").count();
     assert!((1..outcomes.len() - 3).contains(&unanswered), "{outcomes:?}");

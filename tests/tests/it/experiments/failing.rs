@@ -22,7 +22,7 @@ fn crashed_run_is_marked_and_others_continue() {
         end.log
     );
     assert!(end.log.contains("1 run failed"), "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished", "failed", "finished"]);
+    assert_eq!(lab.results.states(), ["finished", "failed", "finished"]);
     // The table of an experiment is the same, whichever command writes it.
     let (experiment_table, copy) =
         (lab.results.folder.join("compare.txt"), lab.deployment.folder().join("compare.txt"));
@@ -37,7 +37,7 @@ fn crashed_run_is_marked_and_others_continue() {
 
     let end = lab.run(THREE_RUNS, &[]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished"; 3]);
+    assert_eq!(lab.results.states(), ["finished"; 3]);
 }
 
 #[test]

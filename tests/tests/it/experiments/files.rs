@@ -23,11 +23,11 @@ fn shipped_experiments_pass_check_with_their_run_counts() {
     }
     let entries = std::fs::read_dir(root().join("configs/experiments")).expect("it is there");
     let files = entries.filter(|entry| entry.as_ref().expect("is readable").path().is_file()).count();
-    assert_eq!(files, 7, "each of them stands above");
+    assert_eq!(files, 7, "the list above has each file");
 }
 
 #[test]
-fn unknown_device_key_is_reported_once() {
+fn unknown_key_of_device_file_is_reported_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let write = |name: &str, text: &str| {
         let path = folder.path().join(name);

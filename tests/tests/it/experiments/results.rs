@@ -28,7 +28,7 @@ impl Results {
     }
 
     /// Returns the states of the runs, in their order.
-    pub(crate) fn stages(&self) -> Vec<String> {
+    pub(crate) fn states(&self) -> Vec<String> {
         let record = self.record();
         let states = record["states"].as_array().expect("a list").iter();
         states.map(|state| state["stage"].as_str().expect("a word").to_owned()).collect()

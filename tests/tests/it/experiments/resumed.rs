@@ -16,7 +16,7 @@ fn wait_for_second_run(lab: &Lab, process: &Process) -> Vec<String> {
 /// Checks that every run is complete and exists once.
 fn assert_complete(lab: &Lab, folders: &[String]) {
     assert_eq!(lab.results.folders(), folders);
-    assert_eq!(lab.results.stages(), ["finished"; 3]);
+    assert_eq!(lab.results.states(), ["finished"; 3]);
     for (folder, (size, rows)) in folders.iter().zip([("100", 27), ("200", 252), ("300", 27)]) {
         let data = lab.results.file(folder, "data.csv");
         let numbers: Vec<String> = (1..=rows).map(|number: u32| number.to_string()).collect();
@@ -61,7 +61,7 @@ fn interrupted_runs_are_repeated_and_finished_ones_kept() {
     let end = process.wait_for_end();
     assert_eq!(end.code(), 130, "{}", end.log);
     assert!(end.log.contains("1 of 3 runs finished, 1 interrupted, 1 to do"), "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
+    assert_eq!(lab.results.states(), ["finished", "interrupted", "pending"]);
     assert_eq!(json(&lab.results.file(&folders[1], "run.json"))["reason"], "stopped");
     assert_rest_is_left_out(&lab, &folders, "interrupted");
     let first = json(&lab.results.file(&folders[0], "run.json"));
@@ -100,7 +100,7 @@ fn suspended_run_is_killed_and_marked_interrupted() {
     let end = process.wait_for_end();
     assert_eq!(end.code(), 130, "{}", end.log);
     assert!(end.log.contains("killing the processes that did not end in time"), "{}", end.log);
-    assert_eq!(lab.results.stages(), ["finished", "interrupted", "pending"]);
+    assert_eq!(lab.results.states(), ["finished", "interrupted", "pending"]);
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn kill_leaves_no_process_and_no_partial_run() {
         // Only init collects it, which may take a while.
         stat.map_or(true, |stat| stat.contains(") Z ")).then_some(())
     });
-    assert_eq!(lab.results.stages(), ["finished", "running", "pending"]);
+    assert_eq!(lab.results.states(), ["finished", "running", "pending"]);
     assert_rest_is_left_out(&lab, &folders, "in progress or killed");
     let end = lab.run(THREE_RUNS, &["--yes"]).wait_for_end();
     assert_eq!(end.code(), 0, "{}", end.log);

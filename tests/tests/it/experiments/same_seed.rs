@@ -11,17 +11,20 @@ pub(crate) const COMMANDS: [&str; 3] = [
     "peernet run configs/experiments/demo.toml",
 ];
 
-/// Returns the order of the runs, and the sizes of the pictures of each run that sends them unchanged.
+/// Returns the order of the runs; and, for each run that sends its pictures to the cloud unchanged, their sizes. These runs are sorted by
+/// configuration and repeat.
 fn run_order_and_sizes(results: &Results) -> (Vec<String>, Vec<Vec<String>>) {
     let mut folders = results.folders();
     let order = folders.clone();
+    // The name of a folder is the number of the run, the labels of its configuration and its repeat, such as `004-cloud-no-r1`. The label
+    // `no` means that pictures are not resized.
     folders.retain(|folder| folder.contains("-no-") && !folder.contains("local"));
     folders.sort_by_key(|folder| folder[3..].to_owned());
     let sizes = folders.iter().map(|folder| column(&results.file(folder, "data.csv"), "upload-bytes"));
     (order, sizes.collect())
 }
 
-/// Returns the number of an experiment's runs that the aggregator on the cloud stores as finished.
+/// Waits until all stored runs of an experiment are finished, and returns their number.
 fn wait_for_stored_runs(machines: &DocumentedCommands, experiment: &str) -> usize {
     let experiment = experiment.to_owned();
     machines.cloud().run_in_namespace(move || {
@@ -71,7 +74,7 @@ fn demo_with_same_seed_repeats_order_and_payloads() {
     let places = column(&results.folder.join("compare.csv"), "Where");
     assert_eq!(places, ["local", "cloud", "cloud", "echo", "echo"], "in the order of the file");
     let counts = column(&results.folder.join("compare.csv"), "count");
-    // Two repeats of one episode, each without its first step.
+    // Two repeats. In each, one of the two episodes is warm-up, and so is the first of the six steps of the other.
     assert!(counts.iter().all(|count| count == "10"), "{counts:?}");
     let id = results.record()["id"].as_str().expect("it has one").to_owned();
     assert_eq!(wait_for_stored_runs(&machines, &id), 10);

@@ -60,7 +60,7 @@ fn random_kills_lose_and_duplicate_no_spooled_iteration() {
         assert_eq!(counts.produced, host.events + host.missing, "{counts:?}, {host:?}");
     }
     for (id, run) in &stored_events.runs {
-        assert!(run.host != "steady" || run.is_contiguous(), "holes in run {id}: {run:?}");
+        assert!(run.host != "steady" || run.is_contiguous(), "gaps in run {id}: {run:?}");
         assert!(!run.reason.is_empty(), "nobody noticed that run {id} has ended: {run:?}");
     }
     let number = |count: u64| thousands(count as f64);

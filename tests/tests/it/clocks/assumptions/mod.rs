@@ -1,8 +1,8 @@
 //! Tests with clocks that fulfil the assumptions of the intervals, and with clocks that violate them.
 //!
-//! A preloaded library shows the clocks of both hosts to the programs. Each case defines when an assumption begins to
-//! be violated. No interval with the verdict `ok` or `limited` may miss the truth later than a window after that. No
-//! delay with the verdict `inconsistent` has a value or bounds.
+//! A preloaded library, the shim, replaces the clock readings of the programs of both hosts. Each case defines from when
+//! on an assumption is violated. In the window after that, intervals may be wrong; later, each interval with the verdict
+//! `ok` or `limited` must contain the truth. No delay with the verdict `inconsistent` has a value or bounds.
 
 mod outcome;
 mod paused;
@@ -32,23 +32,24 @@ fn wire_network(up: WireProperties, down: WireProperties) -> impl FnOnce(&Path) 
     move |folder| Network::wire(folder, up, down)
 }
 
-/// Table of a host whose clocks the shim shows. The kernel's statements about its own clock do not apply to those.
+/// Table of a host whose clock readings the shim replaces. The agent uses neither the kernel's receive stamps nor its
+/// statements about the wall clock, because they are of the kernel's own clocks.
 const CLOCK: &str = "[clock]\ntimestamps = \"user\"\ndiscipline = []\n";
 
 /// Load of a pipeline with a steady rate, which runs until its host is stopped.
 const LOAD: &str = "load = { mode = \"rate\", hz = 50.0 }\nmax_in_flight = 64\ntimeout_ms = 5000";
 
-/// Two hosts whose clocks the shim shows, and a pipeline that runs until the edge is stopped.
-struct Scene {
+/// Two hosts whose clock readings the shim replaces, and a pipeline that runs until the edge is stopped.
+struct ClockTestbed {
     case: &'static str,
     edge: Process,
     cloud: Option<Process>,
-    /// The edge's clocks and the cloud's.
+    /// The shims of the edge and of the cloud.
     shims: [ClockShim; 2],
-    testbed: TwoHostTestbed,
+    hosts: TwoHostTestbed,
 }
 
-impl Scene {
+impl ClockTestbed {
     /// Starts the hosts. `keys` are additional keys of the edge's table `[clock]`; `prepare` sets the clocks of edge
     /// and cloud before they start.
     fn new(
@@ -57,20 +58,20 @@ impl Scene {
         keys: &str,
         prepare: impl FnOnce([&ClockShim; 2]),
     ) -> Self {
-        let testbed = TwoHostTestbed::new(network);
+        let hosts = TwoHostTestbed::new(network);
         let shims =
-            ["edge", "cloud"].map(|host| ClockShim::new(&testbed.folder().join(format!("{host}-clocks"))));
+            ["edge", "cloud"].map(|host| ClockShim::new(&hosts.folder().join(format!("{host}-clocks"))));
         let [edge, cloud] = &shims;
         prepare([edge, cloud]);
-        let cloud = start_cloud(&testbed, cloud);
+        let cloud = start_cloud(&hosts, cloud);
         // Both hosts are on one machine: without an identity of its own the edge's clock would count as the cloud's.
-        let pipeline = testbed.pipeline("misled", 1000, LOAD);
+        let pipeline = hosts.pipeline("misled", 1000, LOAD);
         let tables = format!("clock_identity = \"shown\"\n{CLOCK}{keys}\n{pipeline}");
-        let edge = testbed.start_edge(&tables, &edge.environment());
-        Self { case, edge, cloud: Some(cloud), shims, testbed }
+        let edge = hosts.start_edge(&tables, &edge.environment());
+        Self { case, edge, cloud: Some(cloud), shims, hosts }
     }
 
-    /// Returns the edge's clocks.
+    /// Returns the edge's shim.
     const fn shim(&self) -> &ClockShim {
         &self.shims[0]
     }
@@ -86,7 +87,7 @@ impl Scene {
         self.cloud.take().expect("it runs").kill();
         let begin = shim.schedule_change(step, ppm, 0.0);
         wait_until("the cloud's clocks after its reboot", || (shim.now() > begin).then_some(()));
-        self.cloud = Some(start_cloud(&self.testbed, shim));
+        self.cloud = Some(start_cloud(&self.hosts, shim));
     }
 
     /// Returns the arrival of the newest stored upload by the kernel's clock; `None` before there is one.
@@ -94,7 +95,7 @@ impl Scene {
         let sql = "SELECT t.received_raw_ns FROM transit AS t JOIN node USING (run, iteration, node) \
                    JOIN name ON name.id = node.name WHERE name.text = 'upload' AND t.received_raw_ns IS NOT NULL \
                    ORDER BY t.run DESC, t.iteration DESC LIMIT 1";
-        let shown = RawTime::from_nanos(self.testbed.query_database(sql).trim().parse().ok()?);
+        let shown = RawTime::from_nanos(self.hosts.query_database(sql).trim().parse().ok()?);
         self.shims[1].errors().truths(shown).last().copied()
     }
 
@@ -105,7 +106,7 @@ impl Scene {
         });
     }
 
-    /// Waits until the window is full: eleven seconds are stored. Returns the time of that.
+    /// Waits until all uploads of eleven seconds are stored, so that the window is full. Returns the end of these seconds.
     fn wait_for_full_window(&self) -> RawTime {
         let settled = wait_until("the first upload", || self.stored_until()) + WINDOW + Span::from_seconds(1);
         self.wait_until_stored_to(settled);
@@ -115,18 +116,18 @@ impl Scene {
     /// Stops the edge and returns the stored delays.
     fn end(self) -> Outcome {
         assert_eq!(self.edge.stop().code(), 0);
-        self.testbed.api.wait_until("/api/v1/runs", |runs| {
+        self.hosts.api.wait_until("/api/v1/runs", |runs| {
             let mut runs = runs["runs"].as_array()?.iter();
             runs.all(|run| run["reason"] == "stopped").then_some(())
         });
-        let incidents = self.testbed.api.json("/api/v1/incidents").to_string();
+        let incidents = self.hosts.api.json("/api/v1/incidents").to_string();
         let [edge, cloud] = self.shims.map(|shim| HostClock::shown(shim.errors()));
-        Outcome::new(self.case, &self.testbed.iterations(), [&edge, &cloud], incidents)
+        Outcome::new(self.case, &self.hosts.iterations(), [&edge, &cloud], incidents)
     }
 }
 
-fn start_cloud(testbed: &TwoHostTestbed, shim: &ClockShim) -> Process {
-    let cloud = testbed.start_cloud_with(CLOCK, &shim.environment());
+fn start_cloud(hosts: &TwoHostTestbed, shim: &ClockShim) -> Process {
+    let cloud = hosts.start_cloud_with(CLOCK, &shim.environment());
     cloud.wait_for("ready");
     cloud
 }

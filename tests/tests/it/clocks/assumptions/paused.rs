@@ -3,38 +3,42 @@
 use peernet_clock::{RawTime, Span};
 use rustix::process::Signal;
 
-use super::{Outcome, Process, Scene, WINDOW, wire_direction, wire_network};
+use super::{ClockTestbed, Outcome, Process, WINDOW, wire_direction, wire_network};
 
 /// Stops a process for a while and calls `during_pause` meanwhile. Returns the result, and the times at which the process was
 /// stopped and resumed.
 fn pause_process(
     case: &'static str,
     length: Span,
-    process_of: fn(&Scene) -> &Process,
-    during_pause: impl FnOnce(&Scene),
+    process_of: fn(&ClockTestbed) -> &Process,
+    during_pause: impl FnOnce(&ClockTestbed),
 ) -> (Outcome, RawTime, RawTime) {
-    let scene =
-        Scene::new(case, wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)), "", |[edge, _]| {
+    let testbed = ClockTestbed::new(
+        case,
+        wire_network(wire_direction(2, 0, 0), wire_direction(2, 0, 0)),
+        "",
+        |[edge, _]| {
             edge.schedule_change(Span::from_seconds(77), 150.0, 0.0);
-        });
-    scene.wait_for_full_window();
-    process_of(&scene).signal(Signal::STOP);
-    let stopped = scene.shim().now();
-    during_pause(&scene);
+        },
+    );
+    testbed.wait_for_full_window();
+    process_of(&testbed).signal(Signal::STOP);
+    let stopped = testbed.shim().now();
+    during_pause(&testbed);
     // Nothing but time ends the pause.
-    std::thread::sleep((stopped + length - scene.shim().now()).to_duration());
-    let resumed = scene.shim().now();
-    process_of(&scene).signal(Signal::CONT);
-    scene.wait_until_stored_to(resumed + WINDOW + Span::from_seconds(5));
-    (scene.end(), stopped, resumed)
+    std::thread::sleep((stopped + length - testbed.shim().now()).to_duration());
+    let resumed = testbed.shim().now();
+    process_of(&testbed).signal(Signal::CONT);
+    testbed.wait_until_stored_to(resumed + WINDOW + Span::from_seconds(5));
+    (testbed.end(), stopped, resumed)
 }
 
-const fn edge(scene: &Scene) -> &Process {
-    &scene.edge
+const fn edge(testbed: &ClockTestbed) -> &Process {
+    &testbed.edge
 }
 
 /// Stops only the process; its clocks keep running.
-fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&Scene) -> &Process) {
+fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&ClockTestbed) -> &Process) {
     let (outcome, ..) = pause_process(case, length, process_of, |_| ());
     outcome.assert_never_wrong();
     outcome.assert_good_at_end();
@@ -42,9 +46,9 @@ fn check_stopped_process(case: &'static str, length: Span, process_of: fn(&Scene
 
 /// Stops process and clocks: when the process is resumed, its clocks are behind by the length of the pause.
 fn check_paused_machine(case: &'static str, length: Span) {
-    let (outcome, stopped, resumed) = pause_process(case, length, edge, |scene| {
-        let begin = scene.shim().now() + Span::from_millis(200);
-        scene.shim().schedule_change_at(begin, -length, 150.0, 0.0);
+    let (outcome, stopped, resumed) = pause_process(case, length, edge, |testbed| {
+        let begin = testbed.shim().now() + Span::from_millis(200);
+        testbed.shim().schedule_change_at(begin, -length, 150.0, 0.0);
     });
     outcome.assert_wrong_for_at_most(WINDOW + (resumed - stopped), stopped);
     outcome.assert_good_at_end();
@@ -57,7 +61,7 @@ fn intervals_are_right_after_process_stop() {
 
 #[test]
 fn intervals_are_right_after_cloud_process_stop() {
-    check_stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), Scene::cloud);
+    check_stopped_process("the cloud is stopped for 2 s, 2/2 ms", Span::from_seconds(2), ClockTestbed::cloud);
 }
 
 #[test]
@@ -80,7 +84,7 @@ fn long_vm_pause_affects_one_window_at_most() {
 #[test]
 fn intervals_are_right_after_cloud_reboot() {
     let case = "the cloud is rebooted, 2/6 ms";
-    let mut scene = Scene::new(
+    let mut testbed = ClockTestbed::new(
         case,
         wire_network(wire_direction(2, 0, 0), wire_direction(6, 0, 0)),
         "",
@@ -89,11 +93,11 @@ fn intervals_are_right_after_cloud_reboot() {
             cloud.schedule_change(Span::from_seconds(7_200), 100.0, 0.0);
         },
     );
-    scene.wait_for_full_window();
-    scene.reboot_cloud(Span::from_seconds(-7_000), -100.0);
-    let rebooted = scene.shim().now();
-    scene.wait_until_stored_to(rebooted + Span::from_seconds(8));
-    let outcome = scene.end();
+    testbed.wait_for_full_window();
+    testbed.reboot_cloud(Span::from_seconds(-7_000), -100.0);
+    let rebooted = testbed.shim().now();
+    testbed.wait_until_stored_to(rebooted + Span::from_seconds(8));
+    let outcome = testbed.end();
     outcome.assert_never_wrong();
     outcome.assert_good_at_end();
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use peernet_clock::Span;
 use peernet_tests::network::{Network, WireProperties};
 
-use super::{Outcome, Scene, WINDOW, direct_network, wire_direction, wire_network};
+use super::{ClockTestbed, Outcome, WINDOW, direct_network, wire_direction, wire_network};
 
 /// Runs a case whose clocks drift apart faster than the limit from the start on, on a path whose round trip hides it.
 fn run_with_hidden_drift(
@@ -16,12 +16,12 @@ fn run_with_hidden_drift(
     duration_s: i64,
 ) -> Outcome {
     let limit = format!("max_drift_ppm = {limit:?}");
-    let scene = Scene::new(case, wire_network(up, down), &limit, |[edge, _]| {
+    let testbed = ClockTestbed::new(case, wire_network(up, down), &limit, |[edge, _]| {
         edge.schedule_change(Span::ZERO, drift, 0.0);
     });
-    let settled = scene.wait_for_full_window();
-    scene.wait_until_stored_to(settled + Span::from_seconds(duration_s));
-    let outcome = scene.end();
+    let settled = testbed.wait_for_full_window();
+    testbed.wait_until_stored_to(settled + Span::from_seconds(duration_s));
+    let outcome = testbed.end();
     outcome.assert_never_wrong();
     outcome
 }
@@ -57,11 +57,11 @@ fn run_with_change(
     (step_ms, ppm): (i64, f64),
     duration_s: i64,
 ) -> Outcome {
-    let scene = Scene::new(case, network, "", |_| ());
-    scene.wait_for_full_window();
-    let begin = scene.shim().schedule_change(Span::from_millis(step_ms), ppm, 0.0);
-    scene.wait_until_stored_to(begin + Span::from_seconds(duration_s));
-    let outcome = scene.end();
+    let testbed = ClockTestbed::new(case, network, "", |_| ());
+    testbed.wait_for_full_window();
+    let begin = testbed.shim().schedule_change(Span::from_millis(step_ms), ppm, 0.0);
+    testbed.wait_until_stored_to(begin + Span::from_seconds(duration_s));
+    let outcome = testbed.end();
     outcome.assert_wrong_for_at_most(WINDOW, begin);
     outcome
 }
@@ -97,12 +97,13 @@ fn common_time_gain_affects_one_window_at_most() {
 #[test]
 fn expired_exchange_bounds_no_delay() {
     let case = "1/1 ms becomes 40/40 ms while a drift of 1,000 ppm of 200 begins";
-    let scene = Scene::new(case, wire_network(wire_direction(1, 0, 0), wire_direction(1, 0, 0)), "", |_| ());
-    scene.wait_for_full_window();
-    scene.testbed.network.set_delays(wire_direction(40, 0, 0), wire_direction(40, 0, 0));
-    let begin = scene.shim().schedule_change(Span::ZERO, 1_000.0, 0.0);
-    scene.wait_until_stored_to(begin + WINDOW + Span::from_seconds(8));
-    let outcome = scene.end();
+    let testbed =
+        ClockTestbed::new(case, wire_network(wire_direction(1, 0, 0), wire_direction(1, 0, 0)), "", |_| ());
+    testbed.wait_for_full_window();
+    testbed.hosts.network.set_delays(wire_direction(40, 0, 0), wire_direction(40, 0, 0));
+    let begin = testbed.shim().schedule_change(Span::ZERO, 1_000.0, 0.0);
+    testbed.wait_until_stored_to(begin + WINDOW + Span::from_seconds(8));
+    let outcome = testbed.end();
     outcome.assert_wrong_for_at_most(WINDOW, begin);
     outcome.assert_good_at_end();
 }

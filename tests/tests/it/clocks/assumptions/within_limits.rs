@@ -4,7 +4,7 @@ use peernet_clock::Span;
 use peernet_tests::ClockShim;
 use peernet_tests::network::WireProperties;
 
-use super::{Scene, wire_direction, wire_network};
+use super::{ClockTestbed, wire_direction, wire_network};
 
 /// Runs a case for this time after the window is full, and checks every interval.
 fn check_case(
@@ -13,10 +13,10 @@ fn check_case(
     duration_s: i64,
     prepare: impl FnOnce([&ClockShim; 2]),
 ) {
-    let scene = Scene::new(case, wire_network(up, down), "", prepare);
-    let settled = scene.wait_for_full_window();
-    scene.wait_until_stored_to(settled + Span::from_seconds(duration_s));
-    let outcome = scene.end();
+    let testbed = ClockTestbed::new(case, wire_network(up, down), "", prepare);
+    let settled = testbed.wait_for_full_window();
+    testbed.wait_until_stored_to(settled + Span::from_seconds(duration_s));
+    let outcome = testbed.end();
     outcome.assert_never_wrong();
     outcome.assert_good_at_end();
 }
