@@ -8,7 +8,7 @@ use crate::table::{Table, csv_text};
 /// Cell of an unknown value.
 pub(super) const EMPTY_CELL: &str = "—";
 /// Note below the tables.
-const NOTE: &str = "Counted while all edges of a run were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
+const NOTE: &str = "Of several edges, the time counts in which all were measuring. Fairness is Jain's index of the edges' rates: 1 when all \
                     are served alike, 1/n when one of n gets everything.";
 
 impl Users {
