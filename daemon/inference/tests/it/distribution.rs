@@ -80,6 +80,36 @@ fn recorded_latencies_are_replayed_from_file() {
 }
 
 #[test]
+fn whole_cloud_is_replayed_from_several_columns() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = "preprocessing,inference,postprocessing\n0.25,0.125,0.001\n0.125,0.125,0.001\n";
+    fs::write(folder.path().join("data.csv"), text).expect("written");
+    let table = |more: &str| {
+        format!("name = 'cloud'\nkind = 'distribution'\ninner = 'nap'\ndata = {:?}\n{more}", folder.path())
+    };
+    let inner =
+        "name = 'nap'\nkind = 'sleep'\npreprocessing_ms = 100\ninference_ms = 20\npostprocessing_ms = 0";
+    let load = |more: &str| loaded(&bank(&[&table(more), inner]), "cloud");
+    let replayed = |pool: &Pool| {
+        let fact = pool.facts().into_iter().find(|(name, _)| name == "Replayed");
+        fact.map(|(_, text)| text).expect("is recorded")
+    };
+    // The stages of the inner model take 120 ms, which is shorter than the three stages of each row and no overrun.
+    let pool = load("column = ['preprocessing', 'inference', 'postprocessing']");
+    let tree = run(&pool, bytes()).recorder.finish();
+    let value = |path: &[&str]| tree.find(path).and_then(|(_, node)| node.measure.value());
+    assert!(value(&["inference", "drawn-latency"]) >= Some(0.250));
+    assert_eq!(value(&["inference", "overrun"]), Some(0.0));
+    let whole = "inference is drawn from columns preprocessing + inference + postprocessing of 2 iterations of a data.csv, \
+                 with mean 314 ms, seed 0";
+    assert_eq!(replayed(&pool), whole);
+    // The postprocessing is below 1 %.
+    let without = "inference is drawn from column inference of 2 iterations of a data.csv, with mean 125 ms, without \
+                   preprocessing (mean 188 ms), seed 0";
+    assert_eq!(replayed(&load("")), without);
+}
+
+#[test]
 fn inner_model_answers_after_drawn_latency() {
     let bank = bank(&[
         "name = 'gpu'\nkind = 'distribution'\nmean_ms = 30.0\nstd_ms = 0.0\ninner = 'qc'",

@@ -1,11 +1,13 @@
-//! Latencies of a recorded run, from a column of its `data.csv`.
+//! Latencies of a recorded run, from columns of its `data.csv`.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use csv::StringRecord;
+use peernet_logger::stage;
 
+use super::columns::Columns;
 use super::latency::MAX_LATENCY_S;
 use crate::LoadError;
 
@@ -16,18 +18,71 @@ const MAX_LATENCIES: usize = 10_000_000;
 /// Numbers beyond it count as unknown everywhere in PEERNet.
 const MAX_NUMBER: f64 = 1e140;
 
-/// Returns the file that a path names: the file itself, or `data.csv` in a folder.
-pub(super) fn data_file(path: &Path) -> PathBuf {
-    if path.is_dir() { path.join(FILE_NAME) } else { path.to_owned() }
+/// File in the folder of an experiment, and its folder with the folders of the runs.
+const EXPERIMENT_FILE: &str = "experiment.json";
+const RUNS_FOLDER: &str = "runs";
+/// Largest number of runs that an error names.
+const MAX_NAMED_RUNS: usize = 3;
+/// Smallest share of the mean latency at which a stage that is not part of the latencies is reported.
+const MIN_REPORTED_SHARE: f64 = 0.01;
+
+/// Latencies of a recorded run.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct RecordedLatencies {
+    /// Latencies, seconds; at least one.
+    pub(super) latencies: Vec<f64>,
+    /// Stages of the model that the latencies do not contain, with their means in seconds, if they are 1 % of the mean latency or
+    /// more.
+    pub(super) omitted_stages: Vec<(String, f64)>,
 }
 
-/// Reads the latencies in a column of a `data.csv`, seconds, from the iterations that statistics include: iterations with
-/// an answer that are not warm-up. A file without columns for outcome and warm-up has only such iterations; for example, a
-/// file of the program that was published with the paper.
+/// Returns the file that a path names: the file itself, or `data.csv` in a folder.
 ///
 /// # Errors
-/// If the file cannot be read, has no such column, or the column has no latency.
-pub(super) fn read_latencies(file: &Path, column: &str) -> Result<Vec<f64>, LoadError> {
+/// If the folder is that of an experiment, which has several runs.
+pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    let file = path.join(FILE_NAME);
+    if file.exists() || !path.join(EXPERIMENT_FILE).is_file() {
+        return Ok(file);
+    }
+    let runs = runs_of_experiment(path);
+    let advice = match runs.get(..MAX_NAMED_RUNS) {
+        _ if runs.is_empty() => "it has no finished run yet; name the folder of a run".to_owned(),
+        Some(first) if runs.len() > MAX_NAMED_RUNS => {
+            format!("name one of its {} runs, such as {}", runs.len(), first.join(", "))
+        }
+        _ => format!("name one of its runs: {}", runs.join(", ")),
+    };
+    Err(LoadError::File {
+        file: path.to_owned(),
+        reason: format!("it is the folder of an experiment, and data is one run; {advice}"),
+    })
+}
+
+/// Returns the folders with a `data.csv` of an experiment, sorted. A run with several users has a folder for each.
+fn runs_of_experiment(path: &Path) -> Vec<String> {
+    // A folder that cannot be listed has no runs to name; the error about the path remains.
+    let folders = |path: &Path| -> Vec<PathBuf> {
+        fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
+    };
+    let runs = folders(&path.join(RUNS_FOLDER));
+    let users = runs.iter().flat_map(|run| folders(run));
+    let all = runs.iter().cloned().chain(users).filter(|folder| folder.join(FILE_NAME).is_file());
+    let mut names: Vec<String> = all.map(|folder| folder.display().to_string()).collect();
+    names.sort();
+    names
+}
+
+/// Reads the latencies in a `data.csv`, each the sum of the columns in a row, from the iterations that statistics include:
+/// iterations with an answer that are not warm-up. A file without columns for outcome and warm-up has only such iterations; for
+/// example, a file of the program that was published with the paper. A row in which a column is empty has no latency.
+///
+/// # Errors
+/// If the file cannot be read, lacks a column, or no row has a latency.
+pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
     let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
     let mut opened = File::open(file).map_err(|error| wrong(error.to_string()))?;
     let is_complete = ends_with_line_feed(&mut opened).map_err(|error| wrong(error.to_string()))?;
@@ -35,11 +90,15 @@ pub(super) fn read_latencies(file: &Path, column: &str) -> Result<Vec<f64>, Load
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(BufReader::new(opened));
     let header = reader.headers().map_err(|error| wrong(error.to_string()))?.clone();
     let position = |name: &str| header.iter().position(|cell| cell == name);
-    let Some(value_at) = position(column) else {
-        let known: Vec<&str> = header.iter().take(60).collect();
-        return Err(wrong(format!("it has no column {column}; it has {}", known.join(", "))));
-    };
+    let named = columns.names().iter().map(|column| {
+        position(column).ok_or_else(|| {
+            let known: Vec<&str> = header.iter().take(60).collect();
+            wrong(format!("it has no column {column}; it has {}", known.join(", ")))
+        })
+    });
+    let value_positions = named.collect::<Result<Vec<usize>, LoadError>>()?;
     let (outcome_at, warm_up_at) = (position("outcome"), position("warm-up"));
+    let mut omitted: Vec<OmittedStage> = omitted_stages(columns, position);
     let mut latencies = Vec::new();
     let mut records = reader.records().peekable();
     while let Some(record) = records.next() {
@@ -58,20 +117,63 @@ pub(super) fn read_latencies(file: &Path, column: &str) -> Result<Vec<f64>, Load
         if !is_counted {
             continue;
         }
-        latencies
-            .extend(latency(&record, value_at).map_err(|reason| wrong(format!("line {line}: {reason}")))?);
+        let sum = sum_of_cells(&record, &value_positions)
+            .map_err(|reason| wrong(format!("line {line}: {reason}")))?;
+        let Some(latency) = sum else { continue };
+        latencies.push(latency);
+        // The column is not drawn from, so that a defect in it is no error.
+        omitted.iter_mut().for_each(|stage| {
+            stage.sum_s += latency_in_cell(&record, stage.at).ok().flatten().unwrap_or_default();
+        });
         if latencies.len() > MAX_LATENCIES {
             return Err(wrong(format!("it has more than {MAX_LATENCIES} latencies; give a shorter file")));
         }
     }
     if latencies.is_empty() {
-        return Err(wrong(format!("its column {column} has no number in a row with an answer")));
+        let reason = match columns.names() {
+            [column] => format!("its column {column} has no number in a row with an answer"),
+            _ => format!("no row with an answer has a number in each of the columns {columns}"),
+        };
+        return Err(wrong(reason));
     }
-    Ok(latencies)
+    let least_s = latencies.iter().sum::<f64>() * MIN_REPORTED_SHARE;
+    let count = latencies.len() as f64;
+    omitted.retain(|stage| stage.sum_s > 0.0 && stage.sum_s >= least_s);
+    let omitted_stages = omitted.into_iter().map(|stage| (stage.column, stage.sum_s / count)).collect();
+    Ok(RecordedLatencies { latencies, omitted_stages })
+}
+
+/// A stage of the model that is in the file and not in the latencies.
+struct OmittedStage {
+    column: String,
+    at: usize,
+    sum_s: f64,
+}
+
+/// Returns the other stages of a model whose `inference` is drawn. Other columns, such as `total`, may contain them.
+fn omitted_stages(columns: &Columns, position: impl Fn(&str) -> Option<usize>) -> Vec<OmittedStage> {
+    if !columns.contains(stage::INFERENCE.as_str()) {
+        return Vec::new();
+    }
+    let stages = [stage::PREPROCESSING, stage::POSTPROCESSING].map(|stage| stage.to_string());
+    let omitted = stages.into_iter().filter(|stage| !columns.contains(stage));
+    omitted.filter_map(|column| position(&column).map(|at| OmittedStage { column, at, sum_s: 0.0 })).collect()
+}
+
+/// Returns the sum of the latencies in some cells, seconds; `None` if one is unknown.
+fn sum_of_cells(record: &StringRecord, positions: &[usize]) -> Result<Option<f64>, String> {
+    let values = positions.iter().map(|at| latency_in_cell(record, *at)).collect::<Result<Vec<_>, _>>()?;
+    let Some(sum) = values.into_iter().sum::<Option<f64>>() else { return Ok(None) };
+    if sum > MAX_LATENCY_S {
+        return Err(format!(
+            "the sum of the columns, {sum}, is above {MAX_LATENCY_S} seconds; name other columns"
+        ));
+    }
+    Ok(Some(sum))
 }
 
 /// Returns the latency in a cell, seconds; `None` if it is unknown.
-fn latency(record: &StringRecord, at: usize) -> Result<Option<f64>, String> {
+fn latency_in_cell(record: &StringRecord, at: usize) -> Result<Option<f64>, String> {
     let cell = record.get(at).unwrap_or_default();
     if cell.is_empty() {
         return Ok(None);
@@ -101,14 +203,18 @@ fn ends_with_line_feed(file: &mut File) -> std::io::Result<bool> {
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-
     use super::*;
 
-    fn read(text: &str, column: &str) -> Result<Vec<f64>, String> {
+    fn recorded(text: &str, columns: &[&str]) -> Result<RecordedLatencies, String> {
         let folder = tempfile::tempdir().expect("a folder");
         fs::write(folder.path().join(FILE_NAME), text).expect("written");
-        read_latencies(&data_file(folder.path()), column).map_err(|error| error.to_string())
+        let columns = serde_json::from_value(serde_json::json!(columns)).expect("columns");
+        let file = data_file(folder.path()).expect("no experiment");
+        read_latencies(&file, &columns).map_err(|error| error.to_string())
+    }
+
+    fn read(text: &str, column: &str) -> Result<Vec<f64>, String> {
+        recorded(text, &[column]).map(|recorded| recorded.latencies)
     }
 
     #[test]
@@ -139,7 +245,59 @@ mod tests {
             let error = read(text, "inference").expect_err(reason);
             assert!(error.contains(reason) && error.contains("data.csv"), "{error}");
         }
-        let missing = read_latencies(Path::new("/nowhere/data.csv"), "inference").expect_err("is missing");
+        let missing = read_latencies(Path::new("/nowhere/data.csv"), &Columns::default());
+        let missing = missing.expect_err("is missing");
         assert!(missing.is_missing(), "{missing}");
+    }
+
+    #[test]
+    fn columns_of_a_row_are_added() {
+        let text = "preprocessing,inference,postprocessing,warm-up,outcome\n\
+                    0.25,0.5,0.125,0,ok\n9.0,9.0,9.0,1,ok\n,0.5,0.125,0,ok\n0.5,1.0,0.25,0,ok\n";
+        let whole = recorded(text, &["preprocessing", "inference", "postprocessing"]).expect("three columns");
+        assert_eq!(whole, RecordedLatencies { latencies: vec![0.875, 1.75], omitted_stages: Vec::new() });
+        let empty = recorded("preprocessing,inference\n,0.5\n0.5,\n", &["preprocessing", "inference"]);
+        let reason = "no row with an answer has a number in each of the columns preprocessing + inference";
+        assert!(empty.expect_err("no sum").contains(reason));
+        let too_long = recorded("inference,download\n50000,50000\n", &["inference", "download"]);
+        assert!(too_long.expect_err("too long").contains("line 2: the sum of the columns, 100000"));
+    }
+
+    #[test]
+    fn omitted_stages_are_those_of_one_percent() {
+        let text = |preprocessing: f64, postprocessing: f64| {
+            format!(
+                "preprocessing,inference,postprocessing,total\n{preprocessing},1.0,{postprocessing},3.0\n"
+            )
+        };
+        let omitted = |text: &str, columns: &[&str]| {
+            recorded(text, columns).map(|recorded| recorded.omitted_stages).expect("latencies")
+        };
+        let named = |column: &str, mean_s: f64| (column.to_owned(), mean_s);
+        assert_eq!(omitted(&text(0.01, 0.009), &["inference"]), [named("preprocessing", 0.01)]);
+        assert_eq!(omitted(&text(0.5, 0.5), &["preprocessing", "inference"]), [named("postprocessing", 0.5)]);
+        assert_eq!(omitted(&text(0.5, 0.5), &["total"]), [], "a total contains all stages");
+        assert_eq!(omitted("inference\n0.0\n", &["inference"]), []);
+    }
+
+    #[test]
+    fn folder_of_an_experiment_is_refused_with_its_runs() {
+        let experiment = tempfile::tempdir().expect("a folder");
+        let path = experiment.path();
+        fs::write(path.join(EXPERIMENT_FILE), "{}").expect("written");
+        let refused = || data_file(path).expect_err("an experiment").to_string();
+        assert!(refused().contains("it has no finished run yet"), "{}", refused());
+        for run in ["001-local-r1", "002-cloud-r1/user-1", "002-cloud-r1/user-2"] {
+            fs::create_dir_all(path.join("runs").join(run)).expect("created");
+            fs::write(path.join("runs").join(run).join(FILE_NAME), "inference\n").expect("written");
+        }
+        let run = path.join("runs/001-local-r1").display().to_string();
+        assert!(
+            refused().contains("folder of an experiment") && refused().contains(&format!("runs: {run}, "))
+        );
+        fs::create_dir(path.join("runs/003-cloud-r1")).expect("created");
+        fs::write(path.join("runs/003-cloud-r1").join(FILE_NAME), "inference\n").expect("written");
+        assert!(refused().contains(&format!("one of its 4 runs, such as {run}, ")), "{}", refused());
+        assert!(!refused().contains("003-cloud-r1"), "{}", refused());
     }
 }

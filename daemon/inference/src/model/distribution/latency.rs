@@ -6,6 +6,9 @@ use peernet_statistics::SplitMix64;
 use peernet_statistics::number::{counted, significant};
 use serde::{Deserialize, Serialize};
 
+use super::columns::Columns;
+use super::data_file::RecordedLatencies;
+
 /// Longest latency, seconds: one day.
 pub(super) const MAX_LATENCY_S: f64 = 24.0 * 3600.0;
 /// Largest number of bins of a histogram.
@@ -26,10 +29,10 @@ pub struct Histogram {
 pub(super) enum LatencyDistribution {
     /// Recorded latencies, each drawn with the same probability.
     Empirical {
-        /// Latencies, seconds; at least one.
-        latencies: Vec<f64>,
-        /// Column of `data.csv` that they are from.
-        column: String,
+        /// Latencies, and the stages that they lack.
+        recorded: RecordedLatencies,
+        /// Columns of `data.csv` whose sums they are.
+        columns: Columns,
     },
     /// Counts in bins; latencies are uniform within each bin.
     Histogram(Histogram),
@@ -95,7 +98,7 @@ impl LatencyDistribution {
     /// Returns a random latency, seconds: 0 to [`MAX_LATENCY_S`].
     pub(super) fn draw(&self, random: &mut SplitMix64) -> f64 {
         let drawn = match self {
-            Self::Empirical { latencies, .. } => {
+            Self::Empirical { recorded: RecordedLatencies { latencies, .. }, .. } => {
                 let position = (random.unit() * latencies.len() as f64) as usize;
                 latencies.get(position).copied().unwrap_or_default()
             }
@@ -114,10 +117,17 @@ impl LatencyDistribution {
     /// Returns the description for people, such as `a log-normal distribution with mean 80 ms and …`.
     pub(super) fn describe(&self) -> String {
         match self {
-            Self::Empirical { latencies, column } => {
+            Self::Empirical { recorded: RecordedLatencies { latencies, omitted_stages }, columns } => {
                 let mean = latencies.iter().sum::<f64>() / latencies.len() as f64;
                 let count = counted(latencies.len() as u64, "iteration");
-                format!("column {column} of {count} of a data.csv, with mean {} ms", significant(mean * 1e3))
+                let noun = if columns.names().len() == 1 { "column" } else { "columns" };
+                let mean = significant(mean * 1e3);
+                let omitted = if omitted_stages.is_empty() {
+                    String::new()
+                } else {
+                    format!(", without {}", describe_stages(omitted_stages))
+                };
+                format!("{noun} {columns} of {count} of a data.csv, with mean {mean} ms{omitted}")
             }
             Self::Histogram(Histogram { edges_ms, counts }) => {
                 let [lowest, highest] =
@@ -133,6 +143,13 @@ impl LatencyDistribution {
             }
         }
     }
+}
+
+/// Describes stages with their means in seconds, such as `preprocessing (mean 339 ms) and postprocessing (mean 12.0 ms)`.
+pub(super) fn describe_stages(stages: &[(String, f64)]) -> String {
+    let described =
+        stages.iter().map(|(stage, mean_s)| format!("{stage} (mean {} ms)", significant(mean_s * 1e3)));
+    described.collect::<Vec<_>>().join(" and ")
 }
 
 /// Checks a latency of the configuration, milliseconds.
@@ -201,8 +218,8 @@ mod tests {
     #[test]
     fn empirical_draws_are_recorded_latencies() {
         let latencies = vec![0.001, 0.002, 0.004];
-        let empirical =
-            LatencyDistribution::Empirical { latencies: latencies.clone(), column: "inference".to_owned() };
+        let recorded = RecordedLatencies { latencies: latencies.clone(), omitted_stages: Vec::new() };
+        let empirical = LatencyDistribution::Empirical { recorded, columns: Columns::default() };
         let [mean, _, _] = draws(&empirical);
         assert_close(mean, 0.007 / 3.0);
         let mut random = SplitMix64::new(1);

@@ -1,8 +1,10 @@
 //! Model kind `distribution`, whose latencies are drawn from a distribution instead of measured.
 
+mod columns;
 mod data_file;
 mod latency;
 
+pub use columns::Columns;
 pub use latency::Histogram;
 
 use std::fs::File;
@@ -20,7 +22,7 @@ use serde::{Deserialize, Serialize};
 use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Requester, UNKNOWN_LABEL, Worker};
 use data_file::{data_file, read_latencies};
-use latency::{LatencyDistribution, check_ms};
+use latency::{LatencyDistribution, check_ms, describe_stages};
 
 /// Name of the fact that marks the latencies of a run as replayed, with their distribution.
 // peernet-analysis reads it by this name.
@@ -40,9 +42,9 @@ pub struct DistributionConfig {
     /// `data.csv` of a run, or the folder that contains it: its latencies are drawn, each with the same probability.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data: Option<PathBuf>,
-    /// Column of `data` with the latencies, seconds.
-    #[serde(default = "default_column")]
-    pub column: String,
+    /// Columns of `data` whose sum in a row is a latency, seconds.
+    #[serde(default)]
+    pub column: Columns,
     /// Mean of a log-normal distribution, milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean_ms: Option<f64>,
@@ -60,10 +62,6 @@ pub struct DistributionConfig {
     // TOML requires that tables follow the other keys.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub histogram: Option<Histogram>,
-}
-
-fn default_column() -> String {
-    stage::INFERENCE.to_string()
 }
 
 impl ModelKind for DistributionConfig {
@@ -85,9 +83,19 @@ impl ModelKind for DistributionConfig {
 
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let distribution = self.distribution(shared)?;
+        if let LatencyDistribution::Empirical { recorded, columns } = &distribution
+            && !recorded.omitted_stages.is_empty()
+        {
+            let omitted = describe_stages(&recorded.omitted_stages);
+            tracing::warn!(
+                model = %shared.name, %columns,
+                "the drawn latencies are without {omitted}, which the file has as well; to replay them, name their columns in \
+                 column of [[model]], too"
+            );
+        }
         let inner = self.inner_model(shared, context)?.map(|inner| inner.load(context)).transpose()?;
         let hash = self.data.as_deref().map(|data| {
-            let file = data_file(data);
+            let file = data_file(data)?;
             let hash = File::open(&file).and_then(peernet_external::sha256);
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
@@ -109,8 +117,8 @@ impl DistributionConfig {
         let wrong = |key, reason| LoadError::InvalidKey { model: shared.name.to_string(), key, reason };
         match (&self.data, &self.histogram, self.mean_ms) {
             (Some(data), None, None) => {
-                let latencies = read_latencies(&data_file(data), &self.column)?;
-                Ok(LatencyDistribution::Empirical { latencies, column: self.column.clone() })
+                let recorded = read_latencies(&data_file(data)?, &self.column)?;
+                Ok(LatencyDistribution::Empirical { recorded, columns: self.column.clone() })
             }
             (None, Some(histogram), None) => {
                 histogram.check().map_err(|reason| wrong("histogram", reason))?;

@@ -1,0 +1,122 @@
+//! Names of the columns of a `data.csv` whose sum is the latency.
+
+use std::collections::HashSet;
+use std::fmt;
+
+use peernet_logger::stage;
+use serde::de::{Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Largest number of columns.
+const MAX_COLUMNS: usize = 64;
+
+/// Different columns of a `data.csv`, at least one; their sum in a row is one latency. Written as one name or a list of names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Columns(Vec<String>);
+
+impl Columns {
+    /// Returns the names.
+    pub(super) fn names(&self) -> &[String] {
+        &self.0
+    }
+
+    /// Returns whether this is one of the columns.
+    pub(super) fn contains(&self, name: &str) -> bool {
+        self.0.iter().any(|column| column == name)
+    }
+
+    fn new(names: Vec<String>) -> Result<Self, String> {
+        let mut seen = HashSet::new();
+        if names.is_empty() {
+            return Err("the list is empty; name a column of the data.csv".to_owned());
+        }
+        if names.len() > MAX_COLUMNS {
+            return Err(format!("{} columns are too many; at most {MAX_COLUMNS}", names.len()));
+        }
+        match names.iter().find(|name| !seen.insert(name.as_str())) {
+            Some(twice) => Err(format!("the list contains {twice} twice")),
+            None => Ok(Self(names)),
+        }
+    }
+}
+
+impl Default for Columns {
+    fn default() -> Self {
+        Self(vec![stage::INFERENCE.to_string()])
+    }
+}
+
+impl fmt::Display for Columns {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0.join(" + "))
+    }
+}
+
+impl Serialize for Columns {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self.0.as_slice() {
+            [one] => one.serialize(serializer),
+            several => several.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Columns {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(OneOrSeveral)
+    }
+}
+
+/// Visitor that reads a name or a list of names.
+// An untagged enum would be shorter, but its error would not say what is wrong.
+struct OneOrSeveral;
+
+impl<'de> Visitor<'de> for OneOrSeveral {
+    type Value = Columns;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the name of a column or a list of names")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Columns, E> {
+        Ok(Columns(vec![text.to_owned()]))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Columns, A::Error> {
+        let mut names = Vec::new();
+        while let Some(name) = list.next_element()? {
+            names.push(name);
+        }
+        Columns::new(names).map_err(A::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{from_value, json, to_value};
+
+    use super::*;
+
+    #[test]
+    fn columns_read_back_as_written() {
+        for written in [json!("inference"), json!(["preprocessing", "inference"])] {
+            let read: Columns = from_value(written.clone()).expect("columns");
+            assert_eq!(to_value(&read).expect("writes"), written);
+        }
+        assert_eq!(to_value(from_value::<Columns>(json!(["total"])).expect("one")).expect("writes"), "total");
+    }
+
+    #[test]
+    fn wrong_columns_are_refused_with_reason() {
+        let many: Vec<String> = (0..65).map(|number| number.to_string()).collect();
+        for (written, reason) in [
+            (json!([]), "the list is empty"),
+            (json!(["inference", "total", "inference"]), "the list contains inference twice"),
+            (json!(many), "65 columns are too many; at most 64"),
+            (json!(7), "expected the name of a column or a list of names"),
+        ] {
+            let error = from_value::<Columns>(written).expect_err(reason).to_string();
+            assert!(error.contains(reason), "{error}");
+        }
+    }
+}
