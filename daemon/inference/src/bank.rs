@@ -3,6 +3,7 @@
 mod cache_entry;
 mod config;
 mod folders;
+mod load_watch;
 mod model_cache;
 mod unloaded_model;
 
@@ -19,6 +20,7 @@ use std::time::Duration;
 use peernet_clock::{SharedClock, Span};
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
+use tokio_util::sync::CancellationToken;
 
 use crate::loaded_models::LoadedModelCounter;
 use crate::model::LoadContext;
@@ -27,6 +29,7 @@ use crate::temp_dirs::TempDirs;
 use crate::{LoadError, LoadedModels, ModelConfig, OnnxRuntimeConfig, Pool, ProcessMemory};
 
 use cache_entry::CacheEntry;
+use load_watch::LoadWatch;
 use model_cache::ModelCache;
 
 /// Models that a host offers. Each is loaded when it is first requested, and shared afterwards.
@@ -44,6 +47,8 @@ pub struct Bank {
     on_load: Option<LoadObserver>,
     on_unload: Option<UnloadObserver>,
     fingerprints: Option<FingerprintKey>,
+    /// Cancelled by a shutdown, so that models stop computing where they can.
+    stop: CancellationToken,
 }
 
 type LoadObserver = Box<dyn Fn(&Pool) + Send + Sync>;
@@ -64,6 +69,7 @@ impl Bank {
             on_load: None,
             on_unload: None,
             fingerprints: None,
+            stop: CancellationToken::new(),
         }
     }
 
@@ -246,6 +252,7 @@ impl Bank {
     /// Returns the models that are still loading or computing: their threads are left running, and their temporary
     /// files are removed.
     pub fn shutdown_within(&self, timeout: Duration) -> Vec<Slug> {
+        self.stop.cancel();
         // Loading or computing may take minutes, for which the end of the process must not wait.
         let deadline =
             self.clock.mono() + Span::from_nanos(i64::try_from(timeout.as_nanos()).unwrap_or(i64::MAX));
@@ -287,12 +294,14 @@ impl Bank {
             temp_dirs: &self.temp_dirs,
             clock: &self.clock,
             models: self.models().collect(),
+            stop: &self.stop,
         }
     }
 
     fn start(&self, config: &ModelConfig) -> Result<Pool, LoadError> {
         config.check_limits()?;
         let started_at = self.clock.mono();
+        let _watch = LoadWatch::start(config.name(), config.device());
         let memory_before = resident_memory();
         let model = config.load(&self.context())?;
         let sizes = Sizes { workers: config.workers(), queue: config.queue() };

@@ -107,14 +107,28 @@ impl Pool {
                 }
                 Ok(())
             }
-            Execution::Threads { queue, .. } => queue.push(job).map_err(|(job, why)| {
-                let model = self.name.to_string();
-                let reason = match why {
-                    Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
-                    Rejection::Closed => InferenceError::Stopped { model },
-                };
-                RefusedJob { job: Box::new(job), reason }
-            }),
+            Execution::Threads { queue, .. } => {
+                if queue.is_full() {
+                    self.drop_cancelled(queue);
+                }
+                queue.push(job).map_err(|(job, why)| {
+                    let model = self.name.to_string();
+                    let reason = match why {
+                        Rejection::Full => InferenceError::QueueFull { model, capacity: queue.capacity() },
+                        Rejection::Closed => InferenceError::Stopped { model },
+                    };
+                    RefusedJob { job: Box::new(job), reason }
+                })
+            }
+        }
+    }
+
+    /// Answers the waiting jobs that were cancelled, which frees their places in the queue.
+    // While a worker computes for long, nobody else takes them out.
+    fn drop_cancelled(&self, queue: &Queue<Job>) {
+        for Job { recorder, reply, .. } in queue.remove(|job| job.requester.cancellation().is_cancelled()) {
+            let result = Err(InferenceError::Cancelled { model: self.name.to_string() });
+            deliver(&self.name, reply, FinishedJob { recorder, result });
         }
     }
 

@@ -38,6 +38,15 @@ impl<T> Queue<T> {
         self.capacity
     }
 
+    /// Returns whether [`push`](Self::push) would reject an item now because there is no place.
+    pub(crate) fn is_full(&self) -> bool {
+        self.is_full_in(&self.lock())
+    }
+
+    fn is_full_in(&self, state: &State<T>) -> bool {
+        state.waiting.len() >= self.capacity + state.idle
+    }
+
     /// Returns the number of waiting items.
     pub(crate) fn len(&self) -> usize {
         self.lock().waiting.len()
@@ -52,7 +61,7 @@ impl<T> Queue<T> {
         if state.closed {
             return Err((item, Rejection::Closed));
         }
-        if state.waiting.len() >= self.capacity + state.idle {
+        if self.is_full_in(&state) {
             return Err((item, Rejection::Full));
         }
         state.waiting.push_back(item);
@@ -60,6 +69,15 @@ impl<T> Queue<T> {
         drop(state);
         self.changed.notify_one();
         Ok(())
+    }
+
+    /// Removes and returns the waiting items for which `is_removed` is true.
+    pub(crate) fn remove(&self, mut is_removed: impl FnMut(&T) -> bool) -> Vec<T> {
+        let mut state = self.lock();
+        let (removed, kept) =
+            std::mem::take(&mut state.waiting).into_iter().partition(|item| is_removed(item));
+        state.waiting = kept;
+        removed.into()
     }
 
     /// Waits for the next item; returns `None` once the queue is closed.

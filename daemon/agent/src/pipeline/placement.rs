@@ -1,6 +1,7 @@
 //! The placement of a pipeline: inference on this host, on a peer, or none.
 
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
 use peernet_clock::{OneWayDelay, Span};
@@ -323,7 +324,7 @@ async fn compute_locally(
     sample: &Sample,
     timeout: Duration,
 ) -> ComputationResult {
-    let (reply, done) = oneshot::channel();
+    let (reply, mut done) = oneshot::channel();
     // The recorder moves to the model's thread, which may not return it. This copy then has what was recorded before.
     // It has a few nodes, so copying takes a fraction of a microsecond.
     let log_backup = log.clone();
@@ -340,7 +341,17 @@ async fn compute_locally(
         let result = Err(Outcome::Failed(refused.reason.to_string()));
         return ComputationResult { log: refused.job.recorder, result, transport: None };
     }
-    match tokio::time::timeout(timeout, done).await {
+    let answer = match futures::poll!(&mut done) {
+        Poll::Ready(answer) => {
+            if pool.runs_on_threads() {
+                // The answers of one batch arrive together. Those to older samples are ready as well, and the pipeline looks at them first.
+                tokio::task::yield_now().await;
+            }
+            Ok(answer)
+        }
+        Poll::Pending => tokio::time::timeout(timeout, done).await,
+    };
+    match answer {
         Ok(Ok(FinishedJob { recorder: log, result })) => {
             let result = result.map(Some).map_err(|error| Outcome::Failed(error.to_string()));
             ComputationResult { log, result, transport: None }

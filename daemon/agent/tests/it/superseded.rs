@@ -67,3 +67,50 @@ async fn answers_that_wait_for_actuator_stay_in_order() {
         assert_eq!(matches!(iteration.outcome, Outcome::Failed(_)), failed, "{:?}", iteration.outcome);
     }
 }
+
+/// Writes an ONNX model that answers with its input, a row of four bytes for each sample of a batch, and its card.
+fn write_identity(folder: &std::path::Path) {
+    /// Returns a field of a protocol buffer (onnx.proto3) with contents.
+    fn field(number: u8, contents: &[u8]) -> Vec<u8> {
+        let length = u8::try_from(contents.len()).expect("short");
+        [&[number << 3 | 2, length], contents].concat()
+    }
+    let number = |field: u8, value: u8| vec![field << 3, value];
+    let text = |number: u8, text: &str| field(number, text.as_bytes());
+    let shape = [field(1, &text(2, "batch")), field(1, &number(1, 4))].concat();
+    // The type of the elements is uint8.
+    let tensor = field(2, &field(1, &[number(1, 2), field(2, &shape)].concat()));
+    let value = |name: &str| [text(1, name), tensor.clone()].concat();
+    let node = [text(1, "x"), text(2, "y"), text(4, "Identity")].concat();
+    let graph =
+        [field(1, &node), text(2, "identity"), field(11, &value("x")), field(12, &value("y"))].concat();
+    let model = [number(1, 8), field(7, &graph), field(8, &number(2, 13))].concat();
+    std::fs::write(folder.join("model.onnx"), model).expect("written");
+    let card = "name = 'identity'\ntask = 'tensors'\n[input]\nname = 'x'\ndtype = 'uint8'\nshape = [1, 4]\n\
+                [output]\nname = 'y'\ndtype = 'uint8'\nshape = [1, 4]\n";
+    std::fs::write(folder.join("model.toml"), card).expect("written");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn answers_of_one_batch_are_acted_on_in_order() {
+    let folder = tempfile::tempdir().expect("a folder");
+    write_identity(folder.path());
+    // The wait of a batch is a multiple of the period, so that the last sample often arrives while the batch is computed.
+    let tables = format!(
+        "[[model]]\nname = 'identity'\nkind = 'onnx'\npath = {:?}\nbatch = {{ max_size = 8, max_wait_ms = 60.0 }}\n\
+         [[pipeline]]\nname = 'line'\n\
+         sensor = {{ kind = 'exec', command = '''while read -r request; do printf 'answer 4 application/x-tensor 1x4:u8\\nabcd'; done''' }}\n\
+         placement = {{ kind = 'local', model = 'identity' }}\nwarm_up = {{ iterations = 0 }}\n\
+         load = {{ mode = 'rate', hz = 100.0 }}\nmax_in_flight = 16\nlimit = {{ total = 400 }}\nactuator = {{ kind = 'log' }}",
+        folder.path()
+    );
+    let aggregator = Aggregator::start().await;
+    let agent = TestAgent::start("edge", Some(&aggregator.address), &tables).await;
+    let seen = aggregator.until(|seen| !seen.ended().is_empty()).await;
+    let iterations = seen.iterations();
+    agent.stop().await.expect("stops well");
+    assert_eq!(iterations.len(), 400);
+    let superseded = iterations.iter().filter(|iteration| value(&iteration.tree, "superseded").is_some());
+    assert_eq!(superseded.count(), 0);
+    assert!(iterations.iter().all(|iteration| iteration.outcome == Outcome::Ok));
+}

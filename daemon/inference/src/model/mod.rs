@@ -19,6 +19,7 @@ use peernet_clock::SharedClock;
 use peernet_external::exec::FingerprintKey;
 use peernet_logger::Slug;
 use serde::{Deserialize, Serialize};
+use tokio_util::sync::CancellationToken;
 
 use crate::temp_dirs::TempDirs;
 use crate::{LoadError, Model};
@@ -97,6 +98,8 @@ pub struct LoadContext<'a> {
     pub(crate) clock: &'a SharedClock,
     /// The configured models, of which one may use another.
     pub(crate) models: Vec<&'a ModelConfig>,
+    /// Cancelled when the host stops.
+    pub(crate) stop: &'a CancellationToken,
 }
 
 /// A table `[[model]]`: one model that this host offers. New kinds are registered here.

@@ -1,14 +1,16 @@
 use std::sync::Barrier;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::Duration;
 
 use bytes::Bytes;
 use peernet_clock::{ClockIdentity, ManualClock, Span, WallTime};
 use peernet_logger::{HostId, Recorder, stage};
 use peernet_sample::{Description, Sample};
+use tokio_util::sync::CancellationToken;
 
 use super::*;
 use crate::model::echo::{Echo, EchoConfig};
-use crate::{Requester, Worker};
+use crate::{Cancelled, Requester, Worker};
 
 type Compute = dyn Fn(&Sample) -> Result<Sample, InferenceError> + Send + Sync;
 
@@ -121,6 +123,45 @@ fn full_queue_returns_the_job() {
     assert_eq!(refused.job.sample, sample("third"));
     assert_eq!(refused.reason, InferenceError::QueueFull { model: "told".to_owned(), capacity: 1 });
     for done in [first_done, second_done] {
+        go.send(()).expect("a worker waits");
+        assert!(done.recv().expect("is answered").result.is_ok());
+    }
+}
+
+/// Requester that was cancelled after its request was queued.
+struct CancelledRequester(CancellationToken);
+
+impl Requester for CancelledRequester {
+    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+        Ok(())
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        self.0.clone()
+    }
+
+    fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
+        Ok(())
+    }
+}
+
+#[test]
+fn cancelled_request_gives_up_its_place_in_full_queue() {
+    let (compute, begins, go) = gated();
+    let pool = pool(1, 1, compute);
+    let (first, first_done) = job_with_receiver("first");
+    pool.submit(first).expect("a worker is free");
+    begins.recv().expect("the worker began");
+    let (mut second, second_done) = job_with_receiver("second");
+    let token = CancellationToken::new();
+    second.requester = Arc::new(CancelledRequester(token.clone()));
+    pool.submit(second).expect("the queue has room");
+    token.cancel();
+    let (third, third_done) = job_with_receiver("third");
+    pool.submit(third).expect("the place of the second is free");
+    let cancelled = Err(InferenceError::Cancelled { model: "told".to_owned() });
+    assert_eq!(second_done.recv().expect("is answered").result, cancelled);
+    for done in [first_done, third_done] {
         go.send(()).expect("a worker waits");
         assert!(done.recv().expect("is answered").result.is_ok());
     }

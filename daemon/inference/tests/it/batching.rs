@@ -139,6 +139,26 @@ fn failure_of_one_sample_leaves_the_others() {
     assert_eq!(value(finished.remove(0), &["inference"]), None, "it was not computed");
 }
 
+fn indices(numbers: [i64; 3]) -> Vec<Part> {
+    let bytes = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+    vec![array(ElementType::I64, &[1, 3], bytes)]
+}
+
+#[test]
+fn run_that_library_refuses_is_repeated_for_each_sample() {
+    let bank = batching_bank("table", "{ max_size = 3, max_wait_ms = 60000 }");
+    let requests = [[1, 2, 3], [4, 5_000, 6], [7, 8, 9]].map(|numbers| awaited(indices(numbers)));
+    let mut finished = run_all(&bank, "table", requests.into());
+    assert_eq!(numbers(&finished[0]), [1.0, 4.0, 9.0]);
+    assert_eq!(numbers(&finished[2]), [49.0, 64.0, 81.0]);
+    let error = finished[1].result.clone().expect_err("has no such index").to_string();
+    assert!(error.contains("5000"), "{error}");
+    // The refused run took time of this iteration, too.
+    let tree = finished.remove(0).recorder.finish();
+    let runs = tree.nodes().iter().filter(|node| node.name == "inference").count();
+    assert_eq!(runs, 2, "{tree:?}");
+}
+
 #[test]
 fn model_that_cannot_compute_batches_is_refused() {
     let refusal = |name: &str, batch: &str| -> LoadError {

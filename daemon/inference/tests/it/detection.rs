@@ -98,6 +98,14 @@ fn class_without_label_fails_iteration() {
 }
 
 #[test]
+fn impossible_numbers_of_detector_fail_iteration() {
+    let error = answer("nms-infinite-score", vec![grey_picture()]).expect_err("infinite score");
+    assert!(error.to_string().contains("its output contains inf"), "{error}");
+    let error = answer("nms-fraction-of-rows", vec![grey_picture()]).expect_err("1.5 rows");
+    assert!(error.to_string().contains("states 1.5 valid rows of 150"), "{error}");
+}
+
+#[test]
 fn labels_of_objects_are_compared_with_classes() {
     let bank = model("yolov8");
     let pool = loaded(&bank, "yolov8");

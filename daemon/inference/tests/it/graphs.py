@@ -174,6 +174,10 @@ def detectors(out):
     plain = {"boxes": edges(b), "scores": scores.max(axis=1), "classes": kinds.astype(np.float32)}
     lines = 'layout = "nms"\nboxes = "boxes"\nscores = "scores"\nclasses = "classes"'
     detector(out, "nms-plain", plain, lines, best, None)
+    infinite = {**plain, "scores": np.where(np.arange(count) == 7, np.inf, plain["scores"]).astype(np.float32)}
+    detector(out, "nms-infinite-score", infinite, lines, [], None)
+    with_count = {**plain, "count": np.array([1.5], np.float32)}
+    detector(out, "nms-fraction-of-rows", with_count, lines + '\ncount = "count"', [], None)
     plain["classes"] = kinds.astype(np.float32) + 1
     detector(out, "nms-unknown-class", plain, lines, [], None)
 
@@ -252,6 +256,28 @@ def arrays(out):
     card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
     node = helper.make_node("ReduceMean", ["x"], ["y"], axes=[0])
     write(out, "mean-of-rows", card, [node], [value("x", "float32", ["batch", 3])], [value("y", "float32", [1, 3])])
+
+    # ONNX Runtime refuses the whole run if one sample of a batch has an index beyond the table.
+    card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "int64"\nshape = [1, 3]\n'
+    card += '[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3]\n'
+    node = helper.make_node("Gather", ["squares", "x"], ["y"])
+    squares = ("squares", np.arange(1000, dtype=np.float32) ** 2)
+    write(out, "table", card, [node], [value("x", "int64", ["batch", 3])], [value("y", "float32", ["batch", 3])], [squares])
+
+    # Runs of a loop: as many as the first number says, or, in `endless`, always more than a run can end.
+    card = 'task = "tensors"\n[input]\nname = "x"\ndtype = "int64"\nshape = [1]\n'
+    card += '[output]\nname = "y"\ndtype = "int64"\nshape = [1]\n'
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["goes_on"], ["continues"]), helper.make_node("Add", ["sum", "one"], ["more"])],
+        "body",
+        [value("index", "int64", []), value("goes_on", "bool", []), value("sum", "int64", [1])],
+        [value("continues", "bool", []), value("more", "int64", [1])],
+    )
+    loops = {"counter": ("x", []), "endless": ("most", [("most", np.array([1 << 60]))])}
+    for name, (runs, initialisers) in loops.items():
+        node = helper.make_node("Loop", [runs, "true", "zero"], ["y"], body=body)
+        constants = [("true", np.array(True)), ("zero", np.zeros(1, np.int64)), ("one", np.ones(1, np.int64))]
+        write(out, name, card, [node], [value("x", "int64", [1])], [value("y", "int64", [1])], constants + initialisers)
 
     card = f'task = "tensors"\n{picture_input()}{PREPROCESSING}'
     card += f'[output]\nname = "y"\ndtype = "float32"\nshape = [1, 3, {INPUT[1]}, {INPUT[0]}]\n'

@@ -15,6 +15,7 @@ mod process;
 mod python;
 mod refusals;
 mod samples;
+mod termination;
 mod workers;
 
 use std::path::{Path, PathBuf};

@@ -27,6 +27,7 @@ mod segment;
 mod session;
 mod shared_model;
 mod summary;
+mod termination;
 mod worker;
 
 pub use config::{OnnxConfig, OnnxRuntimeConfig};
@@ -41,6 +42,7 @@ use std::sync::Arc;
 
 use peernet_logger::{Name, Slug};
 use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
+use tokio_util::sync::CancellationToken;
 
 use super::{LoadContext, SharedKeys};
 use crate::{Batching, LoadError, Model, Worker};
@@ -84,6 +86,8 @@ struct Onnx {
     runtime: Arc<Runtime>,
     /// Optimised model whose weights several workers share; `None` if there is only one worker.
     shared: Option<SharedModel>,
+    /// Cancelled when the host stops; terminates running computations.
+    stop: CancellationToken,
 }
 
 /// Settings of a model that are known before a session is opened.
@@ -111,7 +115,7 @@ impl Onnx {
         let (plan, runtime) = Self::plan(config, shared, context.runtime)?;
         let (hash, card_hash) = (hash_model(&config.path)?, hash_card(&config.path)?);
         let shared = SharedModel::prepare(&plan, &runtime, context.temp_dirs)?;
-        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared })
+        Ok(Self { plan: Arc::new(plan), hash, card_hash, runtime, shared, stop: context.stop.clone() })
     }
 
     fn plan(
@@ -162,7 +166,7 @@ impl Plan {
 impl Model for Onnx {
     fn create_worker(&self) -> Result<Box<dyn Worker>, LoadError> {
         let session = session::open(&self.plan, &self.runtime, self.shared.as_ref())?;
-        Ok(Box::new(OnnxWorker::new_warmed_up(Arc::clone(&self.plan), session)?))
+        Ok(Box::new(OnnxWorker::new_warmed_up(Arc::clone(&self.plan), session, self.stop.clone())?))
     }
 
     fn batching(&self) -> Batching {

@@ -8,7 +8,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Component, Path, PathBuf};
 
 use super::{MODEL, regular_file};
@@ -16,6 +16,9 @@ use crate::LoadError;
 
 /// Largest depth of messages within messages. A graph within an attribute of a node, as in loops, has three more levels.
 const MAX_DEPTH: u32 = 100;
+
+/// Beginning of a file that Git LFS puts in place of a large file until the large file is fetched.
+const GIT_LFS_POINTER: &[u8] = b"version https://git-lfs";
 
 /// Longest path of a data file, bytes.
 const MAX_PATH: u64 = 4096;
@@ -57,6 +60,8 @@ enum ModelFileError {
     Io(#[from] io::Error),
     #[error("it is not an ONNX model, or incomplete: {0}")]
     Form(&'static str),
+    #[error("it is not an ONNX model but a pointer of Git LFS; run `git lfs pull` in its repository")]
+    Pointer,
     #[error(
         "its weights are in {0:?}; put that file into the model's folder, and its name alone into the model (onnx.save_model with location=)"
     )]
@@ -78,7 +83,11 @@ pub(crate) fn model_files(folder: &Path) -> Result<Vec<PathBuf>, LoadError> {
 fn data_files(file: &Path) -> Result<BTreeSet<PathBuf>, ModelFileError> {
     let file = regular_file::open(file)?;
     let length = file.metadata()?.len();
-    let mut reader = ModelReader { file: BufReader::new(file), at: 0, graphs: 0, names: BTreeSet::new() };
+    let mut file = BufReader::new(file);
+    if file.fill_buf()?.starts_with(GIT_LFS_POINTER) {
+        return Err(ModelFileError::Pointer);
+    }
+    let mut reader = ModelReader { file, at: 0, graphs: 0, names: BTreeSet::new() };
     reader.read_message(Message::Model, length, 0)?;
     if reader.graphs == 0 {
         return Err(ModelFileError::Form("it contains no graph"));
@@ -141,6 +150,10 @@ impl ModelReader {
     /// Reads the tag of a field, and its length if it has one. Returns the number of the field and the position of its end.
     fn read_field(&mut self, end: u64) -> Result<(u64, u64), ModelFileError> {
         let tag = self.read_varint()?;
+        // No field has this number. A file that was not received to its end often continues with zeros.
+        if tag >> 3 == 0 {
+            return Err(ModelFileError::Form("it has a field with the number 0"));
+        }
         let field_end = match tag & 7 {
             0 => {
                 self.read_varint()?;
@@ -249,6 +262,8 @@ mod tests {
         for length in 0..whole.len() {
             assert!(found(&whole[..length]).is_err(), "{length} bytes");
         }
+        let padded = [field(7, &field(2, b"name")), vec![0; 4096]].concat();
+        assert!(found(&padded).expect_err("padded").contains("a field with the number 0"));
         for foreign in [&b"abc"[..], b"\x89PNG\r\n\x1a\n", b"version https://git-lfs.github.com/spec/v1\n"] {
             let error = found(foreign).expect_err("not a model");
             assert!(error.contains("not an ONNX model"), "{error}");

@@ -30,6 +30,11 @@ pub(super) enum OutputError {
     /// The output contains NaN.
     #[error("its output {0:?} contains NaN")]
     NotANumber(String),
+    /// The output states a number of rows that it cannot have.
+    #[error(
+        "its output {name:?} states {count} valid rows of {rows}; it must be a whole number from 0 to {rows}"
+    )]
+    RowCount { name: String, count: f32, rows: usize },
     /// The output names a class that the card does not have.
     #[error("its output {name:?} names class {class}, its card has labels for 0 to {}", .labels - 1)]
     UnknownClass { name: String, class: f32, labels: usize },

@@ -5,10 +5,12 @@ use std::sync::Arc;
 use ort::session::Session;
 use peernet_logger::{Name, Recorder, TimerGuard, Unit, stage};
 use peernet_sample::Sample;
+use tokio_util::sync::CancellationToken;
 
 use super::inputs::ModelInputs;
 use super::outputs::{OutputError, Outputs, Row};
 use super::picture::InputError;
+use super::termination::TerminableRun;
 use super::{Plan, UNKNOWN_LABEL, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
@@ -19,18 +21,24 @@ pub(super) struct OnnxWorker {
     plan: Arc<Plan>,
     session: Session,
     inputs: ModelInputs,
+    /// Cancelled when the host stops.
+    stop: CancellationToken,
 }
 
 impl OnnxWorker {
     /// Creates a worker, and runs it on zeros and the card's constants, once for each size of a batch that needs another
     /// amount of memory: one sample, and the largest batch.
     // The first run of a session is slow. It also shows whether the card fits the model before a sample arrives.
-    pub(super) fn new_warmed_up(plan: Arc<Plan>, session: Session) -> Result<Self, LoadError> {
+    pub(super) fn new_warmed_up(
+        plan: Arc<Plan>,
+        session: Session,
+        stop: CancellationToken,
+    ) -> Result<Self, LoadError> {
         let max_size = plan.batching.max_size;
         let inputs = ModelInputs::new(&plan.card.inputs, max_size, |input| {
             max_size > 1 && outlets::has_open_batch(input, session.inputs())
         });
-        let mut worker = Self { session, inputs, plan };
+        let mut worker = Self { session, inputs, plan, stop };
         let sizes = if max_size > 1 { &[1, max_size][..] } else { &[1] };
         sizes.iter().try_for_each(|size| worker.warm_up(*size)).map_err(|error| LoadError::Session {
             file: worker.plan.file.clone(),
@@ -41,7 +49,8 @@ impl OnnxWorker {
     }
 
     fn warm_up(&mut self, batch: usize) -> Result<(), OutputError> {
-        let outputs = self.session.run(self.inputs.values(batch)?)?;
+        let run = TerminableRun::new(Vec::new(), &self.stop)?;
+        let outputs = self.session.run_with_options(self.inputs.values(batch)?, run.options())?;
         answer::check(&self.plan.card, &Outputs::new(&outputs, Row { index: batch - 1, batch }))
     }
 
@@ -62,14 +71,17 @@ impl OnnxWorker {
         self.inputs.fill(samples).into_iter().zip(samples).map(failed).collect()
     }
 
-    /// Computes the answers of the first rows, one for each recorder. The outer error is an error of the whole run.
+    /// Computes the answers of the first rows, one for each recorder, unless all `cancellations` come first. The outer error is an error of
+    /// the whole run.
     fn compute(
         &mut self,
         recorders: &mut [&mut Recorder],
+        cancellations: Vec<CancellationToken>,
     ) -> Result<Vec<Result<Sample, InferenceError>>, InferenceError> {
-        let Self { plan, session, inputs } = self;
+        let Self { plan, session, inputs, stop } = self;
         let failed = |reason: String| InferenceError::Failed { model: plan.name.to_string(), reason };
         let batch = recorders.len();
+        let run = TerminableRun::new(cancellations, stop).map_err(|error| failed(error.to_string()))?;
         let outputs = {
             let mut stages = time_all(recorders, &stage::INFERENCE);
             if plan.batching.is_on() {
@@ -81,7 +93,11 @@ impl OnnxWorker {
             // the session wrote them until the answer is made. Binding outputs to reused buffers was measured and is not used: 0.73 ms
             // with and without it on the CPU, for an output of 2.8 MB.
             let values = inputs.values(batch).map_err(|error| failed(error.to_string()))?;
-            session.run(values).map_err(|error| failed(error.to_string()))?
+            session.run_with_options(values, run.options()).map_err(|error| match run.is_terminated() {
+                true if stop.is_cancelled() => InferenceError::Stopped { model: plan.name.to_string() },
+                true => InferenceError::Cancelled { model: plan.name.to_string() },
+                false => failed(error.to_string()),
+            })?
         };
         let _stages = time_all(recorders, &stage::POSTPROCESSING);
         let answer = |index: usize| {
@@ -90,6 +106,40 @@ impl OnnxWorker {
                 .map_err(|error| failed(error.to_string()))
         };
         Ok((0..batch).map(answer).collect())
+    }
+
+    /// Computes the answers of several requests in one run. If the library refuses the run, each request is computed alone, because the
+    /// sample of one of them may be the reason.
+    fn compute_together(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
+        let samples: Vec<&Sample> = requests.iter().map(|request| request.sample).collect();
+        let cancellations: Vec<_> = requests.iter().map(|request| request.requester.cancellation()).collect();
+        let mut recorders: Vec<&mut Recorder> =
+            requests.iter_mut().map(|request| &mut *request.recorder).collect();
+        let prepared = {
+            let _stages = time_all(&mut recorders, &stage::PREPROCESSING);
+            self.preprocess(&samples)
+        };
+        let mut ready: Vec<&mut Recorder> = recorders
+            .into_iter()
+            .zip(&prepared)
+            .filter_map(|(recorder, result)| result.is_ok().then_some(recorder))
+            .collect();
+        let count = ready.len();
+        let computed = if count == 0 { Ok(Vec::new()) } else { self.compute(&mut ready, cancellations) };
+        let mut answers = match computed {
+            Err(InferenceError::Failed { .. }) if count > 1 => {
+                return requests
+                    .iter_mut()
+                    .flat_map(|request| self.compute_together(std::slice::from_mut(request)))
+                    .collect();
+            }
+            Err(error) => vec![Err(error); count].into_iter(),
+            Ok(answers) => answers.into_iter(),
+        };
+        prepared
+            .into_iter()
+            .map(|result| result.and_then(|()| answers.next().unwrap_or_else(|| Err(self.no_answer()))))
+            .collect()
     }
 }
 
@@ -110,25 +160,7 @@ impl Worker for OnnxWorker {
     }
 
     fn infer_batch(&mut self, requests: &mut [Request<'_>]) -> Vec<Result<Sample, InferenceError>> {
-        let samples: Vec<&Sample> = requests.iter().map(|request| request.sample).collect();
-        let mut recorders: Vec<&mut Recorder> =
-            requests.iter_mut().map(|request| &mut *request.recorder).collect();
-        let prepared = {
-            let _stages = time_all(&mut recorders, &stage::PREPROCESSING);
-            self.preprocess(&samples)
-        };
-        let mut ready: Vec<&mut Recorder> = recorders
-            .into_iter()
-            .zip(&prepared)
-            .filter_map(|(recorder, result)| result.is_ok().then_some(recorder))
-            .collect();
-        let count = ready.len();
-        let computed = if count == 0 { Ok(Vec::new()) } else { self.compute(&mut ready) };
-        let mut answers = computed.unwrap_or_else(|error| vec![Err(error); count]).into_iter();
-        let results: Vec<_> = prepared
-            .into_iter()
-            .map(|result| result.and_then(|()| answers.next().unwrap_or_else(|| Err(self.no_answer()))))
-            .collect();
+        let results = self.compute_together(requests);
         // All stages are closed, so that the value is below the root, where the edge looks for it.
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();

@@ -172,10 +172,15 @@ impl<'a> Candidates<'a> {
                 _ => Err(error),
             })?;
             let numbers = output.numbers()?;
-            numbers.first().filter(|_| count == 1).copied().ok_or_else(|| output.wrong_shape("[1]"))
+            let count = numbers.first().filter(|_| count == 1).copied();
+            let count = count.ok_or_else(|| output.wrong_shape("[1]"))?;
+            // The cast saturates and drops fractions; only whole numbers within the range are equal to it.
+            let valid = (count as usize).min(rows);
+            let error = || OutputError::RowCount { name: output.name.to_owned(), count, rows };
+            if valid as f32 == count { Ok(valid) } else { Err(error()) }
         });
         // Rows after the last valid one may have any numbers.
-        let valid = count.transpose()?.map_or(rows, |count| (count.max(0.0) as usize).min(rows));
+        let valid = count.transpose()?.unwrap_or(rows);
         let (numbers, values, named) = (boxes.numbers()?, scores.numbers()?, classes.numbers()?);
         for ((numbers, score), class) in
             numbers.chunks_exact(4).zip(values.iter()).zip(named.iter()).take(valid)

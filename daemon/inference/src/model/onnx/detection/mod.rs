@@ -36,13 +36,16 @@ struct DetectedObject<'a> {
 /// Returns the answer, with boxes in pixels of the sample's picture.
 ///
 /// # Errors
-/// If an output does not have the shape of its layout, contains NaN, or names a class without label.
+/// If an output does not have the shape of its layout, contains NaN or an infinite score, or names a class without label.
 pub(super) fn detect(
     detection: &Detection,
     outputs: &Outputs<'_, '_>,
     transform: &PictureTransform,
 ) -> Result<Vec<u8>, OutputError> {
     let mut candidates = Candidates::read(detection, outputs, transform.input)?;
+    if let Some(candidate) = candidates.iter().find(|candidate| !candidate.score.is_finite()) {
+        return Err(OutputError::NotFinite(candidate.score));
+    }
     keep_best(&mut candidates, detection.iou_threshold, detection.max_detections);
     let objects = candidates.iter().filter_map(|candidate| {
         let edges = in_picture(candidate.rectangle, transform)?;
@@ -61,7 +64,10 @@ pub(super) fn check(
 ) -> Result<(), OutputError> {
     match Candidates::read(detection, outputs, input) {
         // Zeros are not a picture, so their answer may be anything.
-        Ok(_) | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. }) => Ok(()),
+        Ok(_)
+        | Err(OutputError::NotANumber(_) | OutputError::UnknownClass { .. } | OutputError::RowCount { .. }) => {
+            Ok(())
+        }
         Err(error) => Err(error),
     }
 }

@@ -1,0 +1,52 @@
+//! Log lines about a model that loads for long.
+
+use std::sync::mpsc::{RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use peernet_logger::Slug;
+
+/// Time after which the first line is logged. Each further line follows after twice the time.
+const FIRST_REPORT: Duration = Duration::from_secs(30);
+
+/// Logs that a model is still loading, until this is dropped.
+// The first run of a model may never end, and building an engine for a GPU may take many minutes.
+pub(super) struct LoadWatch {
+    /// Dropping it ends the thread that logs.
+    loading: Option<SyncSender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl LoadWatch {
+    /// Starts to watch the loading of a model on a device.
+    pub(super) fn start(model: &Slug, device: &str) -> Self {
+        let (loading, loaded) = sync_channel(0);
+        let (model, device) = (model.clone(), device.to_owned());
+        let report = move || {
+            let mut next = FIRST_REPORT;
+            let mut elapsed_s = 0;
+            while loaded.recv_timeout(next) == Err(RecvTimeoutError::Timeout) {
+                elapsed_s += next.as_secs();
+                next *= 2;
+                tracing::warn!(
+                    %model, %device, elapsed_s,
+                    "the model is still loading: its files are read, or its first computation has not ended"
+                );
+            }
+        };
+        let thread = thread::Builder::new().name("load-watch".to_owned()).spawn(report);
+        let thread = thread.inspect_err(
+            |error| tracing::error!(%error, "cannot start the thread that reports long loading"),
+        );
+        Self { loading: Some(loading), thread: thread.ok() }
+    }
+}
+
+impl Drop for LoadWatch {
+    fn drop(&mut self) {
+        drop(self.loading.take());
+        if self.thread.take().is_some_and(|thread| thread.join().is_err()) {
+            tracing::error!("the thread that reports long loading panicked");
+        }
+    }
+}

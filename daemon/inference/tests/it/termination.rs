@@ -1,0 +1,88 @@
+//! Tests of computations that do not end by themselves.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use peernet_inference::{Cancelled, FinishedJob, InferenceError, Job, Pool, Requester};
+use peernet_logger::{HostId, Recorder};
+use peernet_sample::{ElementType, Sample};
+use tokio_util::sync::CancellationToken;
+
+use super::graphs::{array, model};
+use super::{clock, loaded, slug};
+
+/// More runs of a loop than end within the life of a test.
+const ENDLESS: i64 = 1 << 60;
+/// Time within which a terminated computation must have ended, also on a busy machine.
+const LONG: Duration = Duration::from_secs(60);
+
+/// Requester with a token that the test cancels.
+#[derive(Default)]
+struct CancellableRequester(CancellationToken);
+
+impl Requester for CancellableRequester {
+    fn send_part(&self, _part: Sample) -> Result<(), Cancelled> {
+        Ok(())
+    }
+
+    fn cancellation(&self) -> CancellationToken {
+        self.0.clone()
+    }
+
+    fn wait(&self, _duration: Duration) -> Result<(), Cancelled> {
+        Ok(())
+    }
+}
+
+/// Submits a request for so many runs of a loop. Returns the receiver of the result.
+fn submit(pool: &Pool, runs: i64, token: &CancellationToken) -> std::sync::mpsc::Receiver<FinishedJob> {
+    let (sender, receiver) = sync_channel(1);
+    let clock = clock();
+    let part = array(ElementType::I64, &[1], runs.to_le_bytes().to_vec());
+    let job = Job {
+        sample: Sample { parts: vec![part], source: String::new(), label: None },
+        recorder: Recorder::new(Arc::clone(&clock), HostId::random()),
+        received: clock.mono(),
+        requester: Arc::new(CancellableRequester(token.clone())),
+        // The receiver is gone if the test has failed.
+        reply: Box::new(move |done| drop(sender.send(done))),
+    };
+    pool.submit(job).expect("the queue has room");
+    receiver
+}
+
+#[test]
+fn cancelled_request_ends_its_computation() {
+    let bank = model("counter");
+    let pool = loaded(&bank, "counter");
+    let token = CancellationToken::new();
+    let endless = submit(&pool, ENDLESS, &token);
+    let next = submit(&pool, 3, &CancellationToken::new());
+    token.cancel();
+    let done = endless.recv_timeout(LONG).expect("is terminated");
+    assert_eq!(done.result, Err(InferenceError::Cancelled { model: "counter".to_owned() }));
+    let answer = next.recv_timeout(LONG).expect("the worker is free again").result.expect("computes");
+    assert_eq!(answer.parts[0].bytes[..], 3_i64.to_le_bytes());
+}
+
+#[test]
+fn shutdown_ends_a_computation() {
+    let bank = model("counter");
+    let pool = loaded(&bank, "counter");
+    let endless = submit(&pool, ENDLESS, &CancellationToken::new());
+    assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
+    let stopped = Err(InferenceError::Stopped { model: "counter".to_owned() });
+    assert_eq!(endless.recv_timeout(LONG).expect("is answered").result, stopped);
+}
+
+#[test]
+fn shutdown_ends_first_run_of_a_model() {
+    let bank = model("endless");
+    let loading = std::thread::scope(|scope| {
+        let loading = scope.spawn(|| bank.load(&slug("endless"), None).map(drop));
+        assert_eq!(bank.shutdown_within(LONG), [] as [peernet_logger::Slug; 0]);
+        loading.join().expect("does not panic")
+    });
+    assert!(loading.is_err(), "the first run was terminated");
+}
