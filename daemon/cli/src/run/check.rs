@@ -1,5 +1,6 @@
 //! Check of configurations before anything is tried.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::exit::{Exit, Failure};
@@ -15,6 +16,29 @@ use super::plan::describe_labels;
 const MACHINE_KEYS: [&str; 4] =
     ["pipeline[0].sensor", "pipeline[0].placement", "pipeline[0].actuator", "bank"];
 
+/// A problem and the configurations that have it.
+struct Problem {
+    text: String,
+    is_machine_key: bool,
+    /// Labels of the first configuration with the problem; empty without axes.
+    first_labels: String,
+    /// Number of configurations with the problem.
+    configurations: usize,
+}
+
+impl Problem {
+    /// Returns the text with the configurations, unless all have the problem.
+    fn describe(&self, all: usize) -> String {
+        let Self { text, first_labels, configurations, .. } = self;
+        match configurations {
+            _ if *configurations == all || first_labels.is_empty() => text.clone(),
+            1 => format!("{text} (with {first_labels})"),
+            2 => format!("{text} (with {first_labels} and 1 other configuration)"),
+            count => format!("{text} (with {first_labels} and {} other configurations)", count - 1),
+        }
+    }
+}
+
 /// Replaces the key of an agent's only pipeline in an error by the key in an experiment's file.
 pub(super) fn with_experiment_keys(problem: &str) -> String {
     problem.replacen("pipeline[0]", "pipeline", 1)
@@ -29,28 +53,61 @@ pub(super) fn configurations(
     configurations: &[Configuration],
     clock: &SharedClock,
 ) -> Result<Vec<String>, Failure> {
-    let (mut file_problems, mut machine_problems): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
+    let mut problems: Vec<Problem> = Vec::new();
     let folder = std::env::temp_dir();
     for configuration in configurations {
         let mut agent: AgentConfig = configuration.agent.clone();
         agent.agent.state_dir.clone_from(&folder);
+        // A configuration may have the same problem in two places.
+        let mut seen = BTreeSet::new();
         for problem in Agent::check(&agent, clock) {
             let is_machine_key = MACHINE_KEYS.contains(&problem.key.as_str())
                 || problem.key.starts_with("model[") && problem.key.ends_with(']')
                 || MACHINE_KEYS.iter().any(|key| problem.key.starts_with(&format!("{key}.")));
-            let labels = shorten_label(&describe_labels(&configuration.labels));
-            let label_note = if labels.is_empty() { String::new() } else { format!(" (with {labels})") };
             let text = with_experiment_keys(&problem.to_string());
-            let list = if is_machine_key { &mut machine_problems } else { &mut file_problems };
-            if !list.iter().any(|other| other.starts_with(&text)) {
-                list.push(format!("{text}{label_note}"));
+            if !seen.insert(text.clone()) {
+                continue;
+            }
+            match problems.iter_mut().find(|other| other.text == text) {
+                Some(known) => known.configurations += 1,
+                None => problems.push(Problem {
+                    text,
+                    is_machine_key,
+                    first_labels: shorten_label(&describe_labels(&configuration.labels)),
+                    configurations: 1,
+                }),
             }
         }
     }
+    let (machine, file_wide): (Vec<Problem>, Vec<Problem>) =
+        problems.into_iter().partition(|problem| problem.is_machine_key);
+    let describe = |problem: &Problem| problem.describe(configurations.len());
+    let (machine_problems, file_problems): (Vec<String>, Vec<String>) =
+        (machine.iter().map(describe).collect(), file_wide.iter().map(describe).collect());
     if file_problems.is_empty() {
         return Ok(machine_problems);
     }
     let file_problems: Vec<String> =
         file_problems.iter().map(|text| format!("{}: {text}", file.display())).collect();
     Err(Failure::new(Exit::Configuration, anyhow!("{}", file_problems.join("\n"))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn configurations_are_named_unless_all_have_the_problem() {
+        let problem = |configurations| Problem {
+            text: "model[1]: missing".to_owned(),
+            is_machine_key: true,
+            first_labels: "GPU = here".to_owned(),
+            configurations,
+        };
+        let described = |configurations| problem(configurations).describe(4);
+        assert_eq!(described(1), "model[1]: missing (with GPU = here)");
+        assert_eq!(described(2), "model[1]: missing (with GPU = here and 1 other configuration)");
+        assert_eq!(described(3), "model[1]: missing (with GPU = here and 2 other configurations)");
+        assert_eq!(described(4), "model[1]: missing");
+    }
 }
