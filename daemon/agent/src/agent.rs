@@ -320,6 +320,13 @@ impl RunningAgent {
         self.live.update(self.host.id, self.host.clock.wall(), accounting).0
     }
 
+    /// Waits until the aggregator has stored all events of this host, or has stored none for `patience`, or the outbox has ended.
+    pub async fn wait_until_delivered(&self, patience: Duration) {
+        if let Some(outbox) = &self.parts.outbox {
+            outbox.wait_until_delivered(patience).await;
+        }
+    }
+
     /// Waits until the token is cancelled or a task fails, then stops the agent within the configured time: pipelines
     /// finish the iterations in flight, runs end, and the outbox sends its events.
     ///

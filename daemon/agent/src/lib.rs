@@ -46,6 +46,7 @@ pub use error::{ReflectorError, StartError};
 pub use identity::{IdentityError, host_id, host_secret};
 pub use incidents::REMARK_LOG_TARGET;
 pub use link::Cloud;
+pub use outbox::reach_aggregator;
 pub use serve::ServedCounts;
 pub use tasks::{Failure, FailureCause};
 

@@ -135,6 +135,21 @@ impl Connection {
     }
 }
 
+/// Connects to an aggregator once, and closes the connection.
+///
+/// # Errors
+/// Returns the reason for people if no aggregator can be reached within five seconds.
+pub async fn reach_aggregator(address: &Address) -> Result<(), String> {
+    match tokio::time::timeout(HANDSHAKE_TIMEOUT, Connection::open(address)).await {
+        Ok(Ok(connection)) => {
+            connection.close(Duration::ZERO).await;
+            Ok(())
+        }
+        Ok(Err(error)) => Err(error.to_string()),
+        Err(_) => Err(format!("no answer within {} s", HANDSHAKE_TIMEOUT.as_secs())),
+    }
+}
+
 /// Determines why a connection failed by connecting again, because the library does not report the reason.
 async fn diagnose(address: &Address) -> ConnectionError {
     match tokio::time::timeout(DIAGNOSIS_TIMEOUT, TcpStream::connect(address.authority())).await {

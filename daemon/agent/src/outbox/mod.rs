@@ -20,11 +20,14 @@ mod sender;
 mod shutdown;
 mod spool;
 
+pub use connection::reach_aggregator;
 pub(crate) use live_sources::LiveSources;
 pub(crate) use spool::{FileKind, OpenSpool};
 pub use spool::{
     InspectError, Inspection, SpoolDamage, SpoolDefect, SpoolError, SpoolReadError, inspect, pending_events,
 };
+
+use std::time::Duration;
 
 use peernet_clock::{SharedClock, Span};
 use peernet_logger::HostId;
@@ -134,6 +137,22 @@ impl Outbox {
     /// Returns the current counts of events.
     pub(crate) fn accounting(&self) -> Accounting {
         self.accounting.borrow().clone()
+    }
+
+    /// Waits until the aggregator has stored all events, or has stored none for `patience`, or the task has ended.
+    pub(crate) async fn wait_until_delivered(&self, patience: Duration) {
+        let mut accounting = self.accounting.clone();
+        loop {
+            let Accounting { stored, waiting, .. } = *accounting.borrow_and_update();
+            if waiting == 0 {
+                return;
+            }
+            let progress = accounting.wait_for(|now| now.waiting == 0 || now.stored > stored);
+            // Other changes, such as further attempts to send, are no progress.
+            if !matches!(tokio::time::timeout(patience, progress).await, Ok(Ok(_))) {
+                return;
+            }
+        }
     }
 
     /// Stops the task: writes all events to the spool, sends events until `deadline`, and sends a goodbye.

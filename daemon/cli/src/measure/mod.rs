@@ -24,7 +24,7 @@ pub(crate) use command::{Arguments, run};
 pub(crate) use order::Order;
 pub(crate) use previous_results::previous_results_folder;
 pub(crate) use progress_report::{Phase, ProgressDisplay, ProgressReport};
-pub(crate) use spools::{AGENT_LOCK, UndeliveredEvents, undelivered, undelivered_in_spool};
+pub(crate) use spools::{AGENT_LOCK, UndeliveredEvents, spool_file, undelivered, undelivered_in_spool};
 pub(crate) use state_dir::AgentStateDir;
 
 use std::path::{Path, PathBuf};

@@ -24,9 +24,14 @@ const SPOOL_PREFIX: (&str, &str) = ("spool-", ".sqlite");
 /// # Errors
 /// When a spool of an earlier version exists and cannot be taken over.
 pub(super) fn prepare(folder: &Path, aggregator: &Address) -> io::Result<PathBuf> {
-    let spool = folder.join(format!("{}{}{}", SPOOL_PREFIX.0, spool_name(aggregator), SPOOL_PREFIX.1));
+    let spool = spool_file(folder, aggregator);
     take_over(folder, &spool)?;
     Ok(spool)
+}
+
+/// Returns the path of the spool of the host in this folder for an aggregator.
+pub(crate) fn spool_file(folder: &Path, aggregator: &Address) -> PathBuf {
+    folder.join(format!("{}{}{}", SPOOL_PREFIX.0, spool_name(aggregator), SPOOL_PREFIX.1))
 }
 
 /// Returns an aggregator's address as part of a spool's file name.
@@ -84,6 +89,21 @@ impl UndeliveredEvents {
     /// Returns whether the events wait for this aggregator.
     pub(crate) fn is_for(&self, aggregator: &Address) -> bool {
         self.aggregator == spool_name(aggregator)
+    }
+
+    /// Returns the aggregator, as in the name of the spool.
+    pub(crate) fn aggregator(&self) -> &str {
+        &self.aggregator
+    }
+
+    /// Returns the spool.
+    pub(crate) fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Returns the number of waiting events; `None` if the spool cannot be read.
+    pub(crate) fn count(&self) -> Option<u64> {
+        self.events.as_ref().ok().copied()
     }
 
     /// Reads the waiting events of a file; `None` if there are none.

@@ -32,7 +32,11 @@ impl AgentStateDirs {
         Self::lock(&folders(plan, runs)?)
     }
 
-    fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
+    /// Locks these folders, which are created.
+    ///
+    /// # Errors
+    /// Those of [`acquire`](Self::acquire).
+    pub(super) fn lock(folders: &BTreeSet<PathBuf>) -> Result<Self, Failure> {
         let locks = folders.iter().map(|folder| {
             fs::create_dir_all(folder).map_err(|error| cannot("create", folder, &error))?;
             let path = folder.join(LOCK);

@@ -11,6 +11,7 @@ mod agent_state_dirs;
 mod arguments;
 mod check;
 mod children;
+mod delivery;
 mod ending;
 mod estimate;
 mod execute;
@@ -125,7 +126,7 @@ async fn execute_experiment(
     }
     let to_do = record.to_do(|run| RunSelection::selects(&arguments.only, &record.plan, run));
     version_change_note(&record, &to_do, VERSION).iter().for_each(print_to_stderr);
-    let _agent_state_dirs =
+    let agent_state_dirs =
         match folder.as_ref().map(|_| AgentStateDirs::acquire(&record.plan, &to_do)).transpose() {
             Ok(agent_state_dirs) => agent_state_dirs,
             Err(failure) => {
@@ -161,6 +162,7 @@ async fn execute_experiment(
     for condition in &trial_results.conditions {
         print_to_stderr(describe_condition(condition));
     }
+    delivery::warn_if_unreachable(&aggregators(&record.plan, &to_do)).await;
     // One unavailable configuration stops everything: an incomplete matrix cannot be compared.
     if let Some(failure) = unavailable_configurations(&trial_results, &arguments.file) {
         discard(folder, &record);
@@ -188,13 +190,19 @@ async fn execute_experiment(
     let Report { text, figure_error } = report::write(&folder, &record, external_files.plots)?;
     print_to_stdout(format_args!("\n{text}"));
     print_to_stdout(format_args!("\n{path_text}: {}", summary(&record)));
+    // The agents that deliver lock the folders themselves.
+    drop(agent_state_dirs);
+    if !interrupted {
+        delivery::deliver(&record.plan, &mut signals, arguments.quiet).await?;
+    }
     let undelivered = undelivered_events(&record.plan).await?;
-    for aggregator in aggregators(&record.plan) {
+    let aggregators = aggregators(&record.plan, &record.plan.runs);
+    for aggregator in &aggregators {
         let runs = format_args!("the runs of experiment {}", record.plan.name);
         let has_all = !undelivered.iter().any(|events| events.is_for(aggregator));
         print_to_stdout(dashboard_hint(runs, aggregator, has_all));
     }
-    undelivered.iter().for_each(print_to_stderr);
+    delivery::describe_undelivered(&undelivered, &aggregators).iter().for_each(print_to_stderr);
     // Runs that were finished by an earlier command count, too, so that repeating a command gives the same exit code.
     let selected_runs: Vec<Run> = record
         .runs()
@@ -226,6 +234,9 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
 
 fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
     let expected = record
+    if !trial_results.unavailable.is_empty() {
+        return Estimates::new(vec![None; record.plan.configurations.len()]);
+    }
         .plan
         .configurations
         .iter()
@@ -304,10 +315,10 @@ fn discard(folder: Option<Folder>, record: &Record) {
     }
 }
 
-/// Returns the aggregators to which the runs were streamed, each once.
-fn aggregators(plan: &Plan) -> Vec<&Address> {
+/// Returns the aggregators to which these runs are streamed, each once.
+fn aggregators<'a>(plan: &'a Plan, runs: &[Run]) -> Vec<&'a Address> {
     let mut aggregators = Vec::new();
-    for aggregator in plan.configurations.iter().filter_map(|one| one.agent.agent.aggregator.as_ref()) {
+    for aggregator in runs.iter().filter_map(|run| plan.configuration(run).agent.agent.aggregator.as_ref()) {
         if !aggregators.contains(&aggregator) {
             aggregators.push(aggregator);
         }

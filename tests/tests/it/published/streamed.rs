@@ -117,6 +117,43 @@ fn experiment_prints_no_link_to_unused_dashboard() {
         let names_spool =
             end.log.lines().any(|line| line.contains("events wait for") && line.contains(spool));
         assert!(names_spool, "{spool}: {}", end.log);
+        assert!(end.log.contains("warning: the aggregator at tcp://127.0.0.1:"), "{}", end.log);
         std::fs::remove_dir_all(lab.folder().join("state")).expect("it was made");
     }
+}
+
+#[test]
+fn same_command_delivers_events_that_wait() {
+    let (lab, deployment) = (Lab::on_one_machine(), LoopbackDeployment::new());
+    let address = format!("tcp://127.0.0.1:{}", deployment.events);
+    let file = format!(
+        "[experiment]\nname = \"late\"\niterations = 20\nusers = 2\naggregator = \"{address}\"\n\
+         [pipeline]\nsensor = {{ kind = \"synthetic\", size_bytes = 100 }}\nplacement = {{ kind = \"local\", model = \"echo\" }}\n\
+         [[model]]\nname = \"echo\"\nkind = \"echo\"\n"
+    );
+    std::fs::write(lab.folder().join("late.toml"), file).expect("writable");
+    let run = || {
+        let end = lab.start_client("PEERNet run late.toml").wait_for_end();
+        assert_eq!(end.code(), 0, "{}", end.log);
+        end.log
+    };
+    let waiting = format!(
+        "events wait for the aggregator at {address}, on 2 hosts of this experiment; the same command"
+    );
+    let output = run();
+    assert!(output.contains(&format!("warning: the aggregator at {address} cannot be reached")), "{output}");
+    assert_eq!(output.matches(&waiting).count(), 1, "{output}");
+    let output = run();
+    assert!(output.contains("nothing to do") && output.contains(&waiting), "still away: {output}");
+
+    let (_aggregator, api) = deployment.start_aggregator();
+    let output = run();
+    assert!(output.contains("nothing to do") && !output.contains("events wait"), "{output}");
+    assert!(output.contains("see the runs of experiment late"), "{output}");
+    let runs = api.wait_until("/api/v1/runs", |runs| {
+        let runs = runs["runs"].as_array()?.clone();
+        (runs.len() == 2 && runs.iter().all(|run| run["ended"].is_string())).then_some(runs)
+    });
+    assert!(runs.iter().all(|run| run["ended"].is_string()), "{runs:#?}");
+    assert!(!run().contains("delivering"), "nothing is left");
 }
