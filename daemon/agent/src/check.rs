@@ -141,7 +141,7 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
             let text = format!("another pipeline is named {}, too; choose another name", pipeline.name);
             report.add(format!("{prefix}.name"), text);
         }
-        check_pipeline(&mut report, &prefix, pipeline, &models, clock);
+        check_pipeline(&mut report, &prefix, pipeline, (&models, &config.bank.folders), clock);
     }
     report.0
 }
@@ -213,7 +213,7 @@ fn check_pipeline(
     report: &mut Report,
     prefix: &str,
     pipeline: &PipelineConfig,
-    models: &[Slug],
+    (models, model_folders): (&[Slug], &[PathBuf]),
     clock: &SharedClock,
 ) {
     match (&pipeline.sensor, &pipeline.placement) {
@@ -248,7 +248,18 @@ fn check_pipeline(
                 format!("this host has {}", names.join(", "))
             }
         };
-        report.add(format!("{prefix}.placement.model"), format!("no model is named {model}; {available}"));
+        let searched = match model_folders {
+            [] => String::new(),
+            folders => {
+                let folders: Vec<String> =
+                    folders.iter().map(|folder| folder.display().to_string()).collect();
+                format!("; looked in the tables [[model]] and in the folders {}", folders.join(", "))
+            }
+        };
+        report.add(
+            format!("{prefix}.placement.model"),
+            format!("no model is named {model}; {available}{searched}"),
+        );
     }
     if let Some(hz) = pipeline.load.hz()
         && !(hz * MAX_RUN_S >= 1.0 && hz <= 100_000.0)

@@ -39,7 +39,8 @@ fn all_problems_are_listed_with_key_and_remedy() {
          warm_up = { steps = 1 }\nlimit = { duration_s = -1.0, episodes = 2 }\n\
          [[pipeline]]\nname = 'line'\nsensor = { kind = 'synthetic', size_bytes = 1 }\n\
          placement = { kind = 'local', model = 'echo' }\n\
-         actuator = { kind = 'socket', address = 'udp://arm:9000', timeout_ms = 86400001 }\n",
+         actuator = { kind = 'socket', address = 'udp://arm:9000', timeout_ms = 86400001 }\n\
+         [bank]\nfolders = ['/nowhere/models']\n",
     );
     broken.agent.state_dir = state.path().to_owned();
     let found = problems(&broken);
@@ -59,6 +60,8 @@ fn all_problems_are_listed_with_key_and_remedy() {
     ] {
         assert!(found.iter().any(|problem| problem.starts_with(expected)), "{expected} in {found:#?}");
     }
+    let searched = "; looked in the tables [[model]] and in the folders /nowhere/models";
+    assert!(found.iter().any(|problem| problem.ends_with(searched)), "{found:#?}");
     assert_eq!(found.len(), 12, "{found:#?}");
 }
 

@@ -145,7 +145,11 @@ fn read(
     document.retain(|key, _| AGENT_TABLES.contains(&key));
     document.insert("pipeline".to_owned(), Value::Array(vec![Value::Table(pipeline)]));
     let mut agent: AgentConfig = convert(document).map_err(ConfigurationError::Agent)?;
-    if !has_bank {
+    if has_bank {
+        // A folder on the command line precedes those of the file, as it precedes all others.
+        let folders = models.iter().chain(&agent.bank.folders).cloned();
+        agent.bank.folders = ModelFolders::new(folders).paths().to_vec();
+    } else {
         agent.bank.folders = ModelFolders::search(models).paths().to_vec();
     }
     agent.agent.aggregator = experiment.aggregator.clone().or(agent.agent.aggregator);

@@ -31,6 +31,21 @@ fn labels(configuration: &Configuration) -> String {
 }
 
 #[test]
+fn model_folders_of_command_line_are_searched_first() {
+    let folders = |more: &str| {
+        let file = File::parse(format!("{COMMON}{more}").parse().expect("TOML"), Path::new("e.toml"));
+        let (configurations, _) = file
+            .and_then(|file| Ok(file.configurations(&["/mine".into(), "/b".into()])))
+            .expect("is parsed")
+            .expect("reads");
+        configurations[0].agent.bank.folders.clone()
+    };
+    let of_bank = folders("[bank]\nfolders = ['/a', '/b']\n");
+    assert_eq!(of_bank, ["/mine", "/b", "/a"].map(std::path::PathBuf::from));
+    assert_eq!(folders("")[..2], ["/mine", "/b"].map(std::path::PathBuf::from));
+}
+
+#[test]
 fn file_without_axes_has_one_configuration() {
     let [only] = read("").try_into().expect("one");
     assert_eq!((only.labels.len(), only.users, only.warm_up.as_str()), (0, 1, "the first 5 iterations"));
