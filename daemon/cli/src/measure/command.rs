@@ -32,8 +32,21 @@ pub(crate) fn run(arguments: &Arguments) -> Result<(), Failure> {
     let order: Order = serde_json::from_str(&text).map_err(|error| {
         Failure::new(Exit::Configuration, anyhow!("cannot parse the description of the measurement: {error}"))
     })?;
-    let measured = measure(&order, &mut JsonProgress)?;
-    measured.failure().map_or(Ok(()), Err)
+    let measured = measure(&order, &mut JsonProgress).map_err(with_indented_lines)?;
+    measured.failure().map_or(Ok(()), |failure| Err(with_indented_lines(failure)))
+}
+
+/// Indents all lines of a failure but the first. The experiment takes a failure for the last line that is not indented, with the
+/// indented lines after it, and a traceback of Python ends with a line that is not indented.
+fn with_indented_lines(failure: Failure) -> Failure {
+    let text = failure.to_string();
+    if !text.contains('\n') {
+        return failure;
+    }
+    let lines =
+        text.lines().map(|line| if line.starts_with(' ') { line.to_owned() } else { format!("  {line}") });
+    let text = lines.collect::<Vec<_>>().join("\n");
+    Failure::new(failure.exit, anyhow!("{}", text.trim_start()))
 }
 
 /// Ends this process if its parent, the experiment, ends. Otherwise this process could write into a folder that a later run uses.

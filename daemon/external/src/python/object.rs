@@ -229,9 +229,8 @@ impl PythonObject {
                 self.description = description;
                 Ok(worker)
             }
-            Ok((Reply::Raised { text, .. } | Reply::UnsupportedValue { text, .. }, _)) => {
-                Err(self.start_error(text))
-            }
+            Ok((Reply::Raised { text, .. }, _)) => Err(self.start_error(with_import_advice(&text))),
+            Ok((Reply::UnsupportedValue { text, .. }, _)) => Err(self.start_error(text)),
             Ok(_) => Err(self.start_error("it answered before a request".to_owned())),
             Err(WorkerError::Process(ProcessError::TimedOut)) => {
                 let (timeout_s, stderr_suffix) = (timeout.seconds(), worker.kill().stderr_suffix());
@@ -279,6 +278,19 @@ impl Drop for PythonObject {
             }
         }
     }
+}
+
+/// Adds advice to the first line of an exception and its traceback, if a module is missing that the user's code imports.
+fn with_import_advice(text: &str) -> String {
+    if !text.starts_with("ModuleNotFoundError: ") {
+        return text.to_owned();
+    }
+    let (exception, traceback) = text.split_once('\n').unwrap_or((text, ""));
+    let advised = format!(
+        "{exception}; install it for this interpreter, or name the interpreter that has it with the key python or the variable \
+         PEERNET_PYTHON"
+    );
+    if traceback.is_empty() { advised } else { format!("{advised}\n{traceback}") }
 }
 
 fn milliseconds(number: u64) -> Span {
