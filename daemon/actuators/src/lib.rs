@@ -68,6 +68,15 @@ pub trait ActuatorKind {
     /// If its program cannot be started.
     fn build(&self, clock: &SharedClock) -> Result<Box<dyn Actuator>, ActuatorError>;
 
+    /// Creates what the actuator is and drops it again, without an action, to find errors of the user's code. Most kinds have nothing
+    /// that [`check`](Self::check) does not find.
+    ///
+    /// # Errors
+    /// Those of [`build`](Self::build).
+    fn try_build(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
+        Ok(())
+    }
+
     /// Returns whether answers are acted on at all.
     fn acts(&self) -> bool {
         true

@@ -22,6 +22,10 @@ impl ActuatorKind for PythonConfig {
         Ok(Box::new(Python { name: self.object.clone(), object }))
     }
 
+    fn try_build(&self, clock: &SharedClock) -> Result<(), ActuatorError> {
+        self.build(clock).map(drop)
+    }
+
     fn ends_episodes(&self) -> bool {
         true
     }
@@ -91,6 +95,11 @@ class Arm:
         return {'reward': self.resets, 'success': answer == 'door'}
 ";
 
+    fn folder_of(config: &ActuatorConfig) -> Option<std::path::PathBuf> {
+        let ActuatorConfig::Python(config) = config else { return None };
+        config.folder.clone()
+    }
+
     #[test]
     fn object_acts_resets_and_gives_feedback() {
         let folder = tempfile::tempdir().expect("can be made");
@@ -116,5 +125,11 @@ class Arm:
         assert!(recorder.tree().find(&["actuation-ipc"]).is_some());
         let missing = ActuatorConfig::Python(PythonConfig::new("nowhere::Arm")).check(&clock);
         assert!(missing.expect_err("is not there").to_string().contains("nowhere.py"));
+        config.try_build(&clock).expect("can be created");
+        let folder = folder_of(&config);
+        let no_class = ActuatorConfig::Python(PythonConfig { folder, ..PythonConfig::new("own::Leg") });
+        no_class.check(&clock).expect("the module is there");
+        let error = no_class.try_build(&clock).expect_err("the class is not there").to_string();
+        assert!(error.contains("own::Leg"), "{error}");
     }
 }

@@ -78,7 +78,7 @@ impl QueuedSample {
                 let position = self.iteration.position;
                 let origin = SampleOrigin { run: self.run, position, source: &self.sample.source };
                 let (log, acted) = actuator_executor.act(log, origin, answer).await;
-                (log, acted.map_err(|error| Outcome::Failed(error.to_string())))
+                (log, acted.map_err(|error| Outcome::Failed(format!("the actuator failed: {error}"))))
             }
             (Ok(_), _) => (log, Ok(Feedback::default())),
             (Err(outcome), _) => (log, Err(outcome.clone())),

@@ -301,6 +301,7 @@ impl<'a> PipelineLoop<'a> {
                 if self.sensor_failures == FAILURES_FOR_INCIDENT {
                     self.report_sensor_failures(&reason);
                 }
+                let reason = format!("the sensor failed: {reason}");
                 self.finish(iteration, log, Outcome::Failed(reason), Feedback::default(), None);
             }
         }

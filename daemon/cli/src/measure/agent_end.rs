@@ -60,8 +60,19 @@ impl AgentEnd {
                         Outcome::Failed | Outcome::Ok => "failed",
                     }
                 );
+                let all_are_actions = rows
+                    .iter()
+                    .filter(|row| row.outcome() != Outcome::Ok)
+                    .all(|row| row.reason().is_some_and(|reason| reason.starts_with(ACTUATOR_FAILED)));
                 let (unanswered, all) = (unanswered.count() as u64, counted(rows.len() as u64, "iteration"));
-                incomplete(format!("{unanswered} of {all} {} no answer; {text}", has_or_have(unanswered)))
+                let verb = has_or_have(unanswered);
+                incomplete(if all_are_actions {
+                    format!(
+                        "{unanswered} of {all} {verb} an answer that the actuator failed to act on; {text}"
+                    )
+                } else {
+                    format!("{unanswered} of {all} {verb} no answer; {text}")
+                })
             }
             Self::OwnReason(never) => match *never {},
         }
@@ -71,10 +82,16 @@ impl AgentEnd {
 /// Separator between an exception and its traceback.
 const TRACEBACK: &str = " Traceback (most recent call last):";
 
+/// Beginning of the reason if the actuator did not act on an answer.
+const ACTUATOR_FAILED: &str = "the actuator failed: ";
+
 /// Removes the repetition of the exception at the end of its traceback.
 fn without_repetition(reason: &str) -> &str {
     let exception = reason.split_once(TRACEBACK).map_or("", |(exception, _)| exception.trim_end());
-    reason.strip_suffix(exception).map_or(reason, str::trim_end)
+    // The agent names the part that raised the exception.
+    let raised = exception.split_once(" failed: ").map(|(_, raised)| raised);
+    let end = [Some(exception), raised].into_iter().flatten().find_map(|end| reason.strip_suffix(end));
+    end.map_or(reason, str::trim_end)
 }
 
 const fn has_or_have(count: u64) -> &'static str {

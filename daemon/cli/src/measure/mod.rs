@@ -31,6 +31,7 @@ use std::path::{Path, PathBuf};
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
+use peernet_actuators::ActuatorKind;
 use peernet_agent::conditions;
 use peernet_analysis::WriteError;
 use peernet_analysis::record::RunRecord;
@@ -85,6 +86,11 @@ pub(crate) fn measure(
     let mut config = order.agent.clone();
     state_dir.configure(&mut config)?;
     let ready = ReadyAgent::new(config)?;
+    if let Some(actuator) = &order.tried_actuator {
+        actuator.try_build(&ready.clock).map_err(|error| {
+            Failure::new(Exit::Unavailable, anyhow!("the actuator cannot be created: {error}"))
+        })?;
+    }
     let mut results = Results::prepare(order)?;
     let free_space = conditions::free_space("results", results.path(), "");
     let mut recorder = RunRecorder::new(

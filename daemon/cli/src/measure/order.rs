@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::exit::{Exit, Failure};
 use anyhow::anyhow;
+use peernet_actuators::ActuatorConfig;
 use peernet_agent::AgentConfig;
 use peernet_agent::config::PipelineConfig;
 use peernet_analysis::record::{NetworkConfig, User};
@@ -42,6 +43,9 @@ pub(crate) struct Order {
     /// Longest wait for an absent peer, before the run and during it; seconds. Default: 90.
     #[serde(default, rename = "patience_s", skip_serializing_if = "Option::is_none")]
     pub(crate) peer_timeout_s: Option<f64>,
+    /// Actuator of the runs of which this is a trial. It is created and dropped before the trial, which runs without an actuator.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) tried_actuator: Option<ActuatorConfig>,
 }
 
 impl Order {

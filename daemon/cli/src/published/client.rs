@@ -95,6 +95,7 @@ fn order(arguments: &Arguments, devices: &Devices) -> Result<Order, Failure> {
         user: None,
         warm_up: format!("the first {WARM_UP_ITERATIONS} iterations"),
         peer_timeout_s: Some(arguments.patience),
+        tried_actuator: None,
     })
 }
 

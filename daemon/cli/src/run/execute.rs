@@ -131,6 +131,7 @@ impl Execution<'_> {
                 user: (users > 1).then(|| User { number: user + 1, count: users }),
                 warm_up: configuration.warm_up.clone(),
                 peer_timeout_s: configuration.patience_s,
+                tried_actuator: None,
             }
         };
         (0..).zip(self.folder.results(plan, run)).map(order).collect()

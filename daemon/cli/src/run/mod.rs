@@ -232,11 +232,12 @@ fn clear(folder: &Folder) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Estimates the durations of the runs. Nothing is known if a trial failed, because then no run starts.
 fn estimates(record: &Record, trial_results: &TrialResults) -> Estimates {
-    let expected = record
     if !trial_results.unavailable.is_empty() {
         return Estimates::new(vec![None; record.plan.configurations.len()]);
     }
+    let expected = record
         .plan
         .configurations
         .iter()

@@ -5,7 +5,7 @@ use std::num::NonZeroU64;
 
 use crate::exit::{Exit, Failure};
 use anyhow::{Context, anyhow};
-use peernet_actuators::ActuatorConfig;
+use peernet_actuators::ActuatorKind;
 use peernet_agent::config::{Limit, LoadConfig, PlacementConfig, WarmUp};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::Rows;
@@ -25,6 +25,8 @@ use crate::short::shorten_label;
 
 /// Number of iterations of a trial: the first may be slow, the others give the pace.
 const ITERATIONS: u64 = 3;
+/// Words in the reasons for which a sensor gave no sample.
+const SENSOR: &str = "the sensor";
 /// Timeout for an unreachable peer unless the file sets another; seconds. The peer may have to load its model.
 const PEER_TIMEOUT_S: f64 = 30.0;
 
@@ -111,6 +113,7 @@ pub(super) async fn configurations(
                 configurations.iter().for_each(|index| results.paces[*index] = pace);
             }
             Some(exit) => {
+                let exit = describe_failure(order, exit);
                 // A trial that took as long as the timeout failed because it waited for the peer; a shorter one
                 // failed for another reason, which says nothing about the peer.
                 if duration_s >= order.peer_timeout_s.unwrap_or(PEER_TIMEOUT_S) {
@@ -137,7 +140,10 @@ fn trials(plan: &Plan, indexes: &BTreeSet<usize>) -> Vec<Trial> {
         let order = order(configuration);
         // `order` has removed everything from the agent's configuration that a trial does not test, so equal ones are
         // the same trial.
-        match trials.iter_mut().find(|trial| trial.order.agent == order.agent) {
+        let is_same = |trial: &&mut Trial| {
+            trial.order.agent == order.agent && trial.order.tried_actuator == order.tried_actuator
+        };
+        match trials.iter_mut().find(is_same) {
             Some(trial) => trial.configurations.push(index),
             None => trials.push(Trial { order, configurations: vec![index] }),
         }
@@ -172,11 +178,25 @@ fn peer(order: &Order) -> Option<Address> {
     }
 }
 
+/// Adds to the failure of a sensor that the trial had no actuator, on which the sensor may depend.
+fn describe_failure(order: &Order, exit: ProcessResult) -> ProcessResult {
+    let has_actuator = order.tried_actuator.as_ref().is_some_and(ActuatorKind::acts);
+    let explain = |reason: String| match reason.contains(SENSOR) && has_actuator {
+        true => format!(
+            "{reason}; a trial runs without the actuator, so the sensor must give samples before the first action \
+             (docs/actuators.md, \"Trials\")"
+        ),
+        false => reason,
+    };
+    ProcessResult { reason: exit.reason.map(explain), ..exit }
+}
+
 /// Makes the order of a trial: the configuration with few iterations, without an actuator and without an aggregator.
 fn order(configuration: &Configuration) -> Order {
     let mut agent = configuration.agent.clone();
     // Dashboards show no trials.
     agent.agent.aggregator = None;
+    let mut tried_actuator = None;
     for pipeline in &mut agent.pipelines {
         pipeline.limit = Limit { total: NonZeroU64::new(ITERATIONS), ..Limit::default() };
         pipeline.warm_up = WarmUp { iterations: 0, episodes: 0, steps: 0 };
@@ -184,7 +204,7 @@ fn order(configuration: &Configuration) -> Order {
         // A slow rate would only prolong the trial.
         pipeline.load = LoadConfig::Closed {};
         // No robot moves before the user has confirmed the runs.
-        pipeline.actuator = ActuatorConfig::default();
+        tried_actuator = Some(std::mem::take(&mut pipeline.actuator)).filter(ActuatorKind::acts);
     }
     Order {
         agent,
@@ -197,6 +217,7 @@ fn order(configuration: &Configuration) -> Order {
         user: None,
         warm_up: String::new(),
         peer_timeout_s: Some(configuration.patience_s.unwrap_or(PEER_TIMEOUT_S)),
+        tried_actuator,
     }
 }
 

@@ -3,6 +3,7 @@
 mod cloud_gone;
 mod failing;
 mod files;
+mod own_objects;
 mod printed;
 mod repeated;
 mod results;

@@ -1,0 +1,100 @@
+//! Tests of experiments with users' sensors, models and actuators in Python on one machine.
+
+use std::fs;
+use std::path::Path;
+
+use peernet_tests::{Document, Process, ProcessEnd, free_port, program};
+
+/// Runs `peernet run arm.toml` in a folder with these objects in `arm.py`.
+fn run(folder: &Path, objects: &str, experiment: &str) -> ProcessEnd {
+    fs::write(folder.join("arm.py"), objects).expect("writable");
+    fs::write(folder.join("arm.toml"), experiment).expect("writable");
+    let state = folder.join("state").display().to_string();
+    let environment = [("PEERNET_PYTHON", "/usr/bin/python3"), ("XDG_STATE_HOME", &*state)];
+    Process::start(&program("peernet"), &["run", "arm.toml"], folder, &environment).wait_for_end()
+}
+
+/// Returns the objects and the experiment that the document shows, with a port that no other test uses.
+fn documented() -> (String, String) {
+    let document = Document::read("docs/actuators.md");
+    let block = |language: &str, part: &str| {
+        let blocks = document.fenced(language).into_iter().map(|(_, text)| text);
+        blocks.into_iter().find(|text| text.contains(part)).expect("the document has it")
+    };
+    let port = free_port().to_string();
+    (block("python", "class Motor").replace("9005", &port), block("toml", "arm::Motor"))
+}
+
+#[test]
+fn documented_arm_reaches_its_target() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (objects, experiment) = documented();
+    let end = run(folder.path(), &objects, &experiment);
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let table = fs::read_to_string(folder.path().join("results/arm/compare.csv")).expect("it was written");
+    let mut rows = csv::Reader::from_reader(table.as_bytes());
+    let at = rows.headers().expect("a header").iter().position(|name| name == "success-rate");
+    let rates: Vec<String> = rows
+        .records()
+        .map(|row| row.expect("a row").get(at.expect("a column")).unwrap_or_default().to_owned())
+        .collect();
+    assert_eq!(rates, ["1"], "{}", end.log);
+}
+
+#[test]
+fn trial_finds_mistakes_of_python_objects() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (objects, experiment) = documented();
+    let wrong = |objects: &str, experiment: &str, expected: &[&str]| {
+        let end = run(folder.path(), objects, experiment);
+        assert!(matches!(end.code(), 69 | 75), "{}: {}", end.code(), end.log);
+        for text in expected {
+            assert!(end.log.contains(text), "{text} is not in {}", end.log);
+        }
+        // A trial that failed says nothing about the duration.
+        assert!(end.log.contains("how long it takes is not known"), "{}", end.log);
+        assert!(!end.log.contains("begins"), "nothing was measured: {}", end.log);
+    };
+    wrong(
+        &format!("import no_such_package\n{objects}"),
+        &experiment,
+        &[
+            "cannot start arm::Motor with /usr/bin/python3: ModuleNotFoundError: No module named 'no_such_package'",
+            "with the key python or the variable PEERNET_PYTHON",
+            "Traceback",
+        ],
+    );
+    let without_actuator = "actuator = { kind = \"python\", object = \"arm::Motor\" }";
+    wrong(
+        &format!("import no_such_package\n{objects}"),
+        &experiment.replace(without_actuator, ""),
+        &["cannot start arm::Arm with /usr/bin/python3: ModuleNotFoundError", "PEERNET_PYTHON"],
+    );
+    wrong(
+        &objects,
+        &experiment.replace("arm::Motor", "arm::Moter"),
+        &["the actuator cannot be created: ", "arm::Moter"],
+    );
+    let needs_action = "            return {\"position\": self.position}";
+    wrong(
+        &objects.replacen(needs_action, "            raise RuntimeError('no action yet')", 1),
+        &experiment,
+        &["the sensor failed: RuntimeError: no action yet", "a trial runs without the actuator"],
+    );
+}
+
+#[test]
+fn failed_action_is_named_as_such() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (objects, experiment) = documented();
+    let act = "        self.arm.sendto(json.dumps(answer).encode(), ARM)";
+    let objects = objects.replacen(act, "        raise RuntimeError('the brake is on')", 1);
+    // Failures are repeated after growing pauses.
+    let experiment = experiment
+        .replace("episodes = 5\nepisode_steps = 20", "iterations = 2\nwarm_up = { iterations = 0 }");
+    let end = run(folder.path(), &objects, &experiment);
+    assert_eq!(end.code(), 75, "{}", end.log);
+    let text = "have an answer that the actuator failed to act on; iteration 1 failed: the actuator failed: \
+                RuntimeError: the brake is on";
+    assert!(end.log.contains(text), "{}", end.log);
+}
