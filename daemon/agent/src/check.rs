@@ -11,7 +11,8 @@ use std::sync::Arc;
 
 use peernet_actuators::ActuatorKind;
 use peernet_clock::SharedClock;
-use peernet_inference::{Bank, LoadError};
+use peernet_inference::bank::ModelFolders;
+use peernet_inference::{Bank, LoadError, check_library};
 use peernet_logger::Slug;
 use peernet_networks::{Address, NetworkKind, SessionSettings};
 use peernet_ros::topics::check_name;
@@ -150,6 +151,15 @@ pub(crate) fn check(config: &AgentConfig, clock: &SharedClock) -> Vec<Problem> {
 /// sensors and actuators query other hosts.
 pub(crate) fn remarks(config: &AgentConfig) -> Vec<Problem> {
     let mut report = Report::default();
+    // No error: the models of the folders may be missing now, and may never be requested.
+    let folders = ModelFolders::new(config.bank.folders.iter().cloned());
+    let offers_folders = || folders.list().iter().any(|model| model.card.is_ok());
+    if !config.bank.devices.is_empty()
+        && offers_folders()
+        && let Err(error) = check_library(&config.onnxruntime)
+    {
+        report.add("onnxruntime", format!("the models of [bank] cannot be loaded: {error}"));
+    }
     for (index, pipeline) in config.pipelines.iter().enumerate() {
         let warm_up = pipeline.warm_up.iterations;
         if let Some(total) = pipeline.limit.total.filter(|total| total.get() <= warm_up) {

@@ -198,9 +198,14 @@ impl LoadError {
     }
 
     /// Returns the text for a peer that requested the model. It says what can be requested instead, and reveals
-    /// nothing of this host's files.
-    pub fn to_peer(&self, model: &str) -> String {
+    /// nothing of this host's files and of the addresses of servers behind this host. `host` is the name of this host.
+    pub fn to_peer(&self, model: &str, host: &str) -> String {
         match self {
+            // The peer waits until it succeeds, so that its user sees what is missing. Such a reason names no address, nor a variable
+            // with a key; a text of the server could.
+            Self::Server { url, is_transient: true, reason, .. } if !names_server(reason, url) => {
+                format!("model {model} cannot be loaded on host {host}: {reason}")
+            }
             Self::NotFound { .. }
             | Self::Library(_)
             | Self::Program { .. }
@@ -211,7 +216,7 @@ impl LoadError {
             | Self::Server { .. }
             | Self::Thread { .. } => {
                 format!(
-                    "model {model} cannot be loaded on the serving host; its log and its incidents have the reason"
+                    "model {model} cannot be loaded on host {host}; the log and the incidents of {host} have the reason"
                 )
             }
             Self::NoProvider { device, provider, .. } => {
@@ -229,6 +234,14 @@ impl LoadError {
             | Self::InvalidDevice(_) => self.to_string(),
         }
     }
+}
+
+/// Returns whether a text contains the address in a URL.
+fn names_server(text: &str, url: &str) -> bool {
+    let address = url.split_once("://").map_or(url, |(_, rest)| rest);
+    let authority = address.split(['/', '?']).next().unwrap_or(address);
+    let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+    !host.is_empty() && text.contains(host)
 }
 
 /// Reason why ONNX Runtime cannot be loaded.

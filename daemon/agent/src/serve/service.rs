@@ -46,7 +46,10 @@ impl Service {
         pool.map(Self::Model).map_err(|error: LoadError| {
             let requested =
                 hello.model.as_ref().map_or_else(|| "that is offered".to_owned(), Slug::to_string);
-            Refusal { reason: error.to_string(), to_peer: error.to_peer(&requested) }
+            Refusal {
+                reason: error.to_string(),
+                to_peer: error.to_peer(&requested, context.host.name.as_str()),
+            }
         })
     }
 

@@ -210,3 +210,19 @@ fn actuator_of_sensor_alone_is_refused() {
     assert_eq!(remarks.len(), 1, "{remarks:#?}");
     assert!(remarks[0].starts_with("pipeline[0].limit.total: all 5 iterations are warm-up"), "{remarks:#?}");
 }
+
+#[test]
+fn missing_onnx_runtime_of_bank_is_remark() {
+    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models");
+    let remarks = |bank: &str| -> Vec<String> {
+        let text = format!("[agent]\nname = 'cloud'\n[onnxruntime]\nlibrary = '/nowhere/lib.so'\n{bank}");
+        let config: peernet_agent::AgentConfig = toml::from_str(&text).expect("a configuration");
+        Agent::remarks(&config).iter().map(ToString::to_string).collect()
+    };
+    let found = remarks(&format!("[bank]\nfolders = ['{models}']"));
+    assert_eq!(found.len(), 1, "{found:#?}");
+    assert!(found[0].starts_with("onnxruntime: the models of [bank] cannot be loaded: "), "{found:#?}");
+    assert!(found[0].contains("/nowhere/lib.so"), "{found:#?}");
+    // Without a model the library is not needed.
+    assert!(remarks("[bank]\nfolders = ['/nowhere/models']").is_empty());
+}

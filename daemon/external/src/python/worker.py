@@ -1,5 +1,6 @@
 # The worker process of a user's object: reads a call, makes it and writes the result.
 import inspect
+import numbers
 import time
 import traceback
 
@@ -128,15 +129,28 @@ def feedback(returned):
     for key in returned:
         if key not in FEEDBACK:
             raise UnsupportedValue("act() returned the key %r; the keys are %s" % (key, ", ".join(FEEDBACK)))
+    for key in FEEDBACK[:2]:
+        value = returned.get(key)
+        is_zero_or_one = isinstance(value, numbers.Integral) and value in (0, 1)
+        if value is not None and not is_zero_or_one and not is_truth_value(value):
+            raise UnsupportedValue("act() returned %s = %.60r; return True or False" % (key, value))
+    reward = returned.get("reward")
+    if isinstance(reward, (str, bytes, bytearray)) or is_truth_value(reward):
+        raise UnsupportedValue("act() returned reward = %.60r; return a number" % (reward,))
     try:
         given = {key: bool(returned[key]) for key in FEEDBACK[:2] if returned.get(key) is not None}
-        if returned.get("reward") is not None:
-            given["reward"] = float(returned["reward"])
+        if reward is not None:
+            given["reward"] = float(reward)
     except (TypeError, ValueError) as error:
         raise UnsupportedValue("act() returned a value that cannot be used: %s" % error) from None
     if not math.isfinite(given.get("reward", 0.0)):
         raise UnsupportedValue("act() returned the reward %s, which is not a finite number" % given["reward"])
     return given
+
+
+def is_truth_value(value):
+    """Whether this is True or False, or such a value of numpy or torch."""
+    return isinstance(value, bool) or str(getattr(value, "dtype", "")) in ("bool", "torch.bool")
 
 
 def kind_name(value):

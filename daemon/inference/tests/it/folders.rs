@@ -229,7 +229,7 @@ fn invalid_card_blocks_no_other_model() {
         assert!(reason.contains(part), "{reason}");
     }
     for found in &found {
-        let told = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str());
+        let told = found.card.as_ref().expect_err("no card").to_peer(found.name.as_str(), "cloud");
         assert!(told.contains(found.name.as_str()), "{told}");
         assert!(!told.contains("root:x") && !told.contains(&*place.path().to_string_lossy()), "{told}");
     }

@@ -57,7 +57,11 @@ fn feedback_is_returned_as_json() {
     for (returned, part) in [
         ("3", "act() returned a int; return None, or a dict with episode_ended, success, reward"),
         ("{'sucess': True}", "act() returned the key 'sucess'; the keys are"),
-        ("{'reward': 'much'}", "cannot be used: could not convert"),
+        ("{'reward': '3'}", "act() returned reward = '3'; return a number"),
+        ("{'reward': True}", "act() returned reward = True; return a number"),
+        ("{'reward': [1]}", "cannot be used: "),
+        ("{'success': 'no'}", "act() returned success = 'no'; return True or False"),
+        ("{'episode_ended': 2}", "act() returned episode_ended = 2; return True or False"),
         ("{'reward': float('nan')}", "the reward nan, which is not a finite number"),
         ("1 / 0", "ZeroDivisionError"),
     ] {

@@ -48,7 +48,7 @@ pub(super) fn check(card: &Card, outputs: &Outputs<'_, '_>) -> Result<(), Output
 
 /// Returns a classifier's numbers, which may be NaN.
 fn classes<'a>(output: &Output<'a>, labels: usize) -> Result<std::borrow::Cow<'a, [f32]>, OutputError> {
-    let expected = format!("[1, {labels}]");
+    let expected = format!("[1, {labels}] (`labels` of the card has {labels})");
     if output.unbatched(&expected)? != [labels] {
         return Err(output.wrong_shape(&expected));
     }

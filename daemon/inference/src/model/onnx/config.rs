@@ -8,8 +8,9 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::Onnx;
+use super::library::Runtime;
 use crate::model::{LoadContext, ModelConfig, ModelKind, ModelTable, SharedKeys};
-use crate::{Batching, LoadError, Model};
+use crate::{Batching, LibraryError, LoadError, Model};
 
 /// Largest number of threads within or across the operators of a model.
 const MAX_THREADS: usize = 1024;
@@ -105,6 +106,14 @@ impl ModelConfig {
         ModelTable { shared, kind_keys: OnnxConfig { path, intra_threads, inter_threads, batch: None } }
             .into()
     }
+}
+
+/// Loads ONNX Runtime as the first model does. A process loads it once.
+///
+/// # Errors
+/// If the library cannot be found or used.
+pub fn check_library(config: &OnnxRuntimeConfig) -> Result<(), LibraryError> {
+    Runtime::get(config).map(drop)
 }
 
 /// The table `[onnxruntime]`: the library that runs the models of kind `onnx`.

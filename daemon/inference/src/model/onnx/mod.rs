@@ -30,7 +30,7 @@ mod summary;
 mod termination;
 mod worker;
 
-pub use config::{OnnxConfig, OnnxRuntimeConfig};
+pub use config::{OnnxConfig, OnnxRuntimeConfig, check_library};
 pub(crate) use example::example_sample;
 pub(crate) use model_files::model_files;
 pub use summary::CardSummary;

@@ -79,13 +79,17 @@ fn check_outputs(task: &Task, outlets: &[Outlet]) -> Result<(), MismatchError> {
     match task {
         Task::Classification(task) => {
             let classes = Some(task.labels.len());
-            check(&task.name, Elements::Floats, &[&[one, classes], &[classes]])
+            with_labels(
+                task.labels.len(),
+                check(&task.name, Elements::Floats, &[&[one, classes], &[classes]]),
+            )
         }
         Task::Detection(task) => check_detection(task, &check),
         Task::Segmentation(task) => {
             let scores = [one, Some(task.labels.len()), None, None];
             // A float is a score; whether a shape fits the type is checked with the first run.
-            check(&task.name, Elements::Any, &[&scores, &[one, None, None], &[one, one, None, None]])
+            let shapes: [&[Length]; 3] = [&scores, &[one, None, None], &[one, one, None, None]];
+            with_labels(task.labels.len(), check(&task.name, Elements::Any, &shapes))
         }
         Task::Embedding(task) => check(&task.name, Elements::Floats, &[&[one, None], &[None]]),
         Task::Tensors(tensors) => tensors.iter().try_for_each(|tensor| {
@@ -102,15 +106,15 @@ fn check_detection(
     let (one, four, labels) = (Some(1), Some(4), task.labels.len());
     match &task.outputs {
         DetectionOutputs::Yolov5 { name, .. } => {
-            check(name, Elements::Floats, &[&[one, None, Some(5 + labels)]])
+            with_labels(labels, check(name, Elements::Floats, &[&[one, None, Some(5 + labels)]]))
         }
         DetectionOutputs::Yolov8 { name, .. } => {
-            check(name, Elements::Floats, &[&[one, Some(4 + labels), None]])
+            with_labels(labels, check(name, Elements::Floats, &[&[one, Some(4 + labels), None]]))
         }
         DetectionOutputs::Yolov10 { name } => check(name, Elements::Floats, &[&[one, None, Some(6)]]),
         DetectionOutputs::Detr { scores, boxes, is_softmax } => {
             let logits = Some(labels + usize::from(*is_softmax));
-            check(scores, Elements::Floats, &[&[one, None, logits]])?;
+            with_labels(labels, check(scores, Elements::Floats, &[&[one, None, logits]]))?;
             check(boxes, Elements::Floats, &[&[one, None, four]])
         }
         DetectionOutputs::Nms { boxes, scores, classes, count } => {
@@ -123,6 +127,17 @@ fn check_detection(
             }
         }
     }
+}
+
+/// Adds the number of labels to the form that an output must have, because the card has labels and no shape.
+fn with_labels(labels: usize, result: Result<(), MismatchError>) -> Result<(), MismatchError> {
+    result.map_err(|mismatch| match mismatch {
+        MismatchError::Form { what, name, actual, expected } => {
+            let expected = format!("{expected}, because `labels` has {labels}; write a label for each class");
+            MismatchError::Form { what, name, actual, expected }
+        }
+        other => other,
+    })
 }
 
 /// Checks that there is an input or output of that name, with such elements and one of the shapes.

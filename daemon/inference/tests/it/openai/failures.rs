@@ -159,7 +159,12 @@ fn server_that_is_down_is_refused_at_load() {
     let text = error.to_string();
     assert!(text.starts_with(&format!("model vlm at {url}: cannot connect to its server: ")), "{text}");
     assert!(text.ends_with("start the server, or correct url"), "{text}");
-    assert!(!error.to_peer("vlm").contains(&url), "a peer does not see the address");
+    let told = error.to_peer("vlm", "gpu-1");
+    assert!(
+        told.starts_with("model vlm cannot be loaded on host gpu-1: cannot connect to its server: "),
+        "{told}"
+    );
+    assert!(!told.contains("127.0.0.1"), "a peer does not see the address: {told}");
 }
 
 #[test]

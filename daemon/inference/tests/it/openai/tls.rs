@@ -90,7 +90,7 @@ fn answer() -> Vec<Step> {
 /// Returns the text of the error with which a model cannot be loaded.
 fn refusal(url: &str) -> String {
     let error = bank_at(url, "").load(&"vlm".parse().expect("is a name"), None).expect_err("is refused");
-    assert!(!error.to_peer("vlm").contains(url), "a peer does not see the address");
+    assert!(!error.to_peer("vlm", "gpu-1").contains(url), "a peer does not see the address");
     error.to_string()
 }
 

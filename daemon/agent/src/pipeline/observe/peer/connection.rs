@@ -297,7 +297,7 @@ mod tests {
             with_advice(OpenError::Refused { address, reason }.to_string())
         };
         let unknown = LoadError::UnknownModel { name: MODEL.to_owned(), known: vec!["echo".to_owned()] };
-        let text = refused(unknown.to_peer(MODEL));
+        let text = refused(unknown.to_peer(MODEL, "cloud"));
         for part in ["tcp://rack:5551", "PEERNet 0.3 or later", "[[pipeline]]"] {
             assert!(text.contains(part), "{text}");
         }
