@@ -20,6 +20,7 @@ pub(super) const EXECUTED_ELSEWHERE: [(&[&str], &str, &str); 16] = [
         &[
             "python3 models/export_torchvision.py efficientnet_v2_s efficientnet_v2_m efficientnet_v2_l",
             "/usr/bin/python3 models/export_torchvision.py efficientnet_v2_s efficientnet_v2_m efficientnet_v2_l",
+            "/usr/bin/python3 models/export_torchvision.py efficientnet_v2_s --weights none",
             "/usr/bin/python3 models/export_torchvision.py resnet50 --weights IMAGENET1K_V1 --models-dir /var/lib/peernet/models",
         ],
         "tests/tests/it/models/torchvision.rs",

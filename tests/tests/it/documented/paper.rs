@@ -4,9 +4,10 @@ use peernet_tests::{Document, DocumentedCommands};
 
 use crate::experiments::{Results, column, wait_for_runs};
 
-pub(crate) const COMMANDS: [&str; 12] = [
+pub(crate) const COMMANDS: [&str; 13] = [
     "peernetd run cloud.toml",
     "peernet run configs/experiments/efficientnet.toml",
+    SHORT,
     "peernet plot --kind paired results/efficientnet",
     "peernet run --check configs/experiments/teleoperation.toml",
     ALL_NETWORKS,
@@ -22,6 +23,9 @@ pub(crate) const COMMANDS: [&str; 12] = [
 const NO_NETWORK: &str = "peernet run --only Network=none configs/experiments/teleoperation.toml";
 /// Measures all networks without the option.
 const ALL_NETWORKS: &str = "peernet run --only Network=LAN configs/experiments/teleoperation.toml";
+
+/// Measures one model on one machine without a GPU.
+const SHORT: &str = "peernet run --only Model=S --set pipeline.placement.peer=tcp://127.0.0.1:5551 --set pipeline.placement.device=cpu --set bank.devices='[\"cpu\"]' --set experiment.iterations=40 --result-loc results/short configs/experiments/efficientnet.toml";
 
 /// `peernet run` with a Python that has Debian's packages.
 const PYTHON_RUN: &str = "env PEERNET_PYTHON=/usr/bin/python3 peernet run";
@@ -158,6 +162,11 @@ fn measure_efficientnet(machines: &DocumentedCommands) {
         let sent = column(&results.file(folder, "data.csv"), "upload-bytes");
         assert!(sent.len() == 8 && sent.iter().all(|bytes| *bytes == picture_bytes), "{folder}: {sent:?}");
     }
+    let address = [("127.0.0.1", DocumentedCommands::CLOUD)];
+    let end = machines.on_edge(SHORT, &address).wait_for_end();
+    assert_eq!(end.code(), 0, "{}", end.log);
+    let short = column(&machines.folder().join("results/short/compare.csv"), "Where");
+    assert_eq!(short, ["local", "cloud"], "{}", end.log);
     let figure = results.folder.join("paired.png");
     std::fs::remove_file(&figure).expect("it is among the figures of the whole");
     let end = machines.on_edge("peernet plot --kind paired results/efficientnet", &[]).wait_for_end();
