@@ -11,6 +11,7 @@
 
 pub mod csv;
 mod host;
+mod iteration_values;
 pub mod limits;
 mod measure;
 mod meter;
@@ -23,6 +24,7 @@ mod tree_error;
 pub mod wire;
 
 pub use host::{HostId, InvalidName, RunId, Slug};
+pub use iteration_values::{CountedNodes, IterationValues, NodeRole};
 pub use measure::{Measure, Rate, RawStamps, Transit};
 pub use meter::Meter;
 pub use name::{Name, Unit, stage};

@@ -174,6 +174,38 @@ mod tests {
     }
 
     #[test]
+    fn stage_of_several_nodes_has_values_of_results() {
+        let mut tree = tree(4);
+        let root = peernet_logger::NodeId::ROOT;
+        let timer = |millis| Measure::Timer(Some(Span::from_millis(millis)));
+        let inference = tree.add(root, stage::INFERENCE, Span::ZERO, timer(40));
+        let inner = tree.add(inference, "inner-model".into(), Span::ZERO, timer(10));
+        for name in [stage::PREPROCESSING, stage::INFERENCE] {
+            tree.add(inner, name, Span::ZERO, timer(5));
+        }
+        tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(1));
+        tree.add(root, stage::SEND_QUEUE, Span::ZERO, timer(2));
+        let mut ring = Ring::default();
+        ring.record(10, &Outcome::Ok, &tree);
+        let second = &ring.changed_seconds().0[0];
+        let iteration = peernet_stream::Iteration {
+            run: peernet_logger::RunId::random(),
+            number: 1,
+            episode: 0,
+            step: 0,
+            warm_up: false,
+            outcome: Outcome::Ok,
+            tree,
+        };
+        let row = peernet_analysis::rows::Row::from_iteration(&iteration);
+        for name in ["upload", "preprocessing", "inference", "send-queue"] {
+            let summary = second.values.iter().find(|(other, _)| other == name).map(|(_, summary)| summary);
+            let live = summary.map(|summary| (summary.count(), summary.moments.mean));
+            assert_eq!(live, row.value(name).map(|seconds| (1, seconds)), "{name}");
+        }
+    }
+
+    #[test]
     fn delays_without_value_are_counted_and_not_averaged() {
         let mut ring = Ring::default();
         ring.record(10, &Outcome::Ok, &tree(4));

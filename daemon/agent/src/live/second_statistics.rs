@@ -1,6 +1,6 @@
 //! The statistics of one second.
 
-use peernet_logger::{Measure, Name, Node, Tree};
+use peernet_logger::{Measure, Name, Node, Tree, stage};
 use peernet_statistics::Summary;
 use peernet_stream::{Outcome, OutcomeCounts, Second};
 
@@ -14,10 +14,6 @@ pub(crate) const EPISODE_SUCCESS: Name = Name::from_static("episode-success");
 /// Name of the return of the episode that ended with an iteration: the sum of its rewards. It counts as
 /// [`EPISODE_SUCCESS`] does.
 pub(crate) const EPISODE_RETURN: Name = Name::from_static("episode-return");
-
-/// Name of the count of starts that were skipped between the previous iteration and this one because the pipeline was
-/// too far behind its rate. Absent if it is zero.
-pub(crate) const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
 
 /// Largest number of names per second.
 // A peer adds nodes of its choice to a tree, so the memory for their names must be bounded.
@@ -65,7 +61,7 @@ impl SecondStatistics {
             if tree.find(&[DEADLINE_MISSED.as_str()]).is_some() {
                 self.values.find_or_add(0, &DEADLINE_MISSED);
             }
-            for name in [SKIPPED_STARTS, EPISODE_SUCCESS, EPISODE_RETURN] {
+            for name in [stage::SKIPPED_STARTS, EPISODE_SUCCESS, EPISODE_RETURN] {
                 if let Some(value) = tree.find(&[name.as_str()]).and_then(|(_, node)| node.measure.value()) {
                     self.values.record(0, &name, value);
                 }
@@ -73,8 +69,8 @@ impl SecondStatistics {
             return;
         }
         let mut hint = 0;
-        for node in tree.nodes() {
-            if let Some(value) = node.measure.value() {
+        for (_, node, value) in tree.counted_nodes().iter() {
+            if let Some(value) = value {
                 hint = self.values.record(hint, &node.name, value);
             }
             self.record_delay(node);

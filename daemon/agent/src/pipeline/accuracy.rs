@@ -7,17 +7,12 @@ use peernet_analysis::accuracy::detection::{DETECTION_SCORES, DetectionScores, P
 use peernet_analysis::accuracy::segmentation::{
     ClassMap, IGNORED_CLASS, SEGMENTATION_SCORE, SegmentedPixels,
 };
-use peernet_inference::UNKNOWN_LABEL;
+use peernet_logger::stage::{TOP_1, TOP_5, UNKNOWN_LABEL};
 use peernet_logger::{Name, Recorder, Unit};
 use peernet_sample::{MaskLabel, MediaType, ObjectsLabel, Sample, normalized_label};
 use peernet_sensors::read_mask;
 use serde::Deserialize;
 
-/// Name of the value that is 1 if the answer's best class is the sample's label, else 0. Its mean over iterations is
-/// the top-1 accuracy.
-const TOP_1: Name = Name::from_static("top-1");
-/// Name of the value that is 1 if the label is among the answer's five best classes, else 0.
-const TOP_5: Name = Name::from_static("top-5");
 /// Name of the value that is the mean average precision of the picture.
 const MAP_50: Name = Name::from_static(DETECTION_SCORES[0]);
 /// Name of the value that is the mean overlap of the labelled objects that were found.

@@ -3,14 +3,9 @@
 //! Its root starts at the intended start, so that a stall of the edge shows in the latency.
 
 use peernet_clock::{MonoTime, SharedClock, Span};
-use peernet_logger::{HostId, Measure, Name, NodeId, Recorder, Tree, Unit, stage};
+use peernet_logger::{HostId, Measure, NodeId, Recorder, Tree, Unit, stage};
 
 use super::in_flight::StartedIteration;
-use crate::live::SKIPPED_STARTS;
-
-/// Name of the time from the intended start to the actual start, which is part of `unattributed`. A separate node shows
-/// whether the pipeline keeps up with its rate. Absent in a closed loop, which is never late.
-const LATE_START: Name = Name::from_static("lateness");
 
 /// Starts the tree of an iteration with its root at `intended`. Also returns the actual start.
 pub(super) fn start(clock: &SharedClock, host: HostId, intended: MonoTime) -> (Recorder, MonoTime) {
@@ -52,11 +47,12 @@ fn add_totals(
     let mut tree = log.finish();
     if iteration.start.skipped > 0 {
         let skipped = Measure::Value(iteration.start.skipped as f64, Unit::NONE);
-        tree.add(NodeId::ROOT, SKIPPED_STARTS, total, skipped);
+        tree.add(NodeId::ROOT, stage::SKIPPED_STARTS, total, skipped);
     }
     let mut add = |name, start, span| tree.add(NodeId::ROOT, name, start, Measure::Timer(Some(span)));
+    // The lateness shows whether the pipeline keeps up with its rate. A closed loop is never late.
     if !closed_loop {
-        add(LATE_START, Span::ZERO, iteration.started_at - intended);
+        add(stage::LATENESS, Span::ZERO, iteration.started_at - intended);
     }
     add(stage::TOTAL, Span::ZERO, total);
     if let Some(stages) = stages {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use peernet_logger::{Measure, Node, NodeId, Tree, Unit, stage};
+use peernet_logger::{IterationValues, Measure, Node, NodeId, NodeRole, Tree, Unit};
 
 use super::Column;
 
@@ -105,9 +105,12 @@ pub(super) fn values(tree: &Tree) -> Vec<(Column, f64)> {
 }
 
 /// Measurements of a tree.
+#[derive(Default)]
 pub(super) struct TreeValues<'a> {
-    /// Values of the columns that every file has.
-    fixed: [Option<f64>; FIXED_COLUMNS.len()],
+    /// Values of the names that have one value in each iteration.
+    of_iteration: IterationValues,
+    /// Columns of the bounds of throughputs, which have no nodes of their own.
+    bounds: Vec<(&'static str, f64)>,
     /// Name, value and unit of each further column.
     further: Vec<(Column, f64, Unit)>,
     /// Number of children with each name that a parent has so far.
@@ -116,8 +119,7 @@ pub(super) struct TreeValues<'a> {
 
 impl<'a> TreeValues<'a> {
     pub(super) fn from_tree(tree: &'a Tree) -> Self {
-        let mut tree_values =
-            TreeValues { fixed: [None; FIXED_COLUMNS.len()], further: Vec::new(), siblings: HashMap::new() };
+        let mut tree_values = TreeValues::default();
         let mut labels: Vec<Column> = vec![Column::Borrowed(""); tree.nodes().len()];
         for (id, node) in tree.iter().skip(1) {
             labels[id.index()] = tree_values.add_node(tree, id, node, &labels);
@@ -126,9 +128,13 @@ impl<'a> TreeValues<'a> {
     }
 
     pub(super) fn values(self) -> Vec<(Column, f64)> {
-        let fixed = self.fixed.iter().zip(FIXED_COLUMNS);
-        let fixed = fixed.filter_map(|(value, (name, _))| Some((Column::Borrowed(name), (*value)?)));
-        fixed.chain(self.further.into_iter().map(|(name, value, _)| (name, value))).collect()
+        let Self { of_iteration, bounds, further, .. } = self;
+        let fixed = FIXED_COLUMNS.into_iter().filter_map(|(name, _)| {
+            // Of several nodes, the bounds of the last one count.
+            let bound = || bounds.iter().rev().find(|(column, _)| *column == name).map(|(_, bound)| *bound);
+            Some((Column::Borrowed(name), of_iteration.get(name).or_else(bound)?))
+        });
+        fixed.chain(further.into_iter().map(|(name, value, _)| (name, value))).collect()
     }
 
     /// Returns names and units of the further columns.
@@ -140,15 +146,15 @@ impl<'a> TreeValues<'a> {
     fn add_node(&mut self, tree: &Tree, id: NodeId, node: &'a Node, labels: &[Column]) -> Column {
         let parent = node.parent.unwrap_or(NodeId::ROOT);
         let value = node.measure.value().filter(|value| !value.is_nan());
-        if let Some(column) = fixed_column(tree, parent, &node.name) {
-            // Several nodes with the same name are added up, as in `stages-total`.
-            if let Some(value) = value {
-                self.fixed[column] = Some(self.fixed[column].unwrap_or_default() + value);
+        if let NodeRole::OfIteration(_) = self.of_iteration.add(id, node.parent, &node.name, value) {
+            let name = column(&node.name);
+            if let (Column::Owned(name), Some(sum)) = (&name, self.of_iteration.get(&node.name)) {
+                self.set_further(name, sum, node.measure.unit());
             }
             if let Measure::Throughput(rate) = &node.measure {
-                self.set_bounds(FIXED_COLUMNS[column].0, rate.bounds);
+                self.set_bounds(&name, rate.bounds);
             }
-            return Column::Borrowed(FIXED_COLUMNS[column].0);
+            return name;
         }
         let occurrence = self.siblings.entry((parent, node.name.as_str())).or_default();
         *occurrence += 1;
@@ -168,12 +174,20 @@ impl<'a> TreeValues<'a> {
         Column::Owned(label)
     }
 
+    /// Sets the value of a column that not every file has.
+    fn set_further(&mut self, name: &str, value: f64, unit: Unit) {
+        match self.further.iter_mut().find(|(other, ..)| other == name) {
+            Some((_, previous, _)) => *previous = value,
+            None => self.further.push((Column::Owned(name.to_owned()), value, unit)),
+        }
+    }
+
     /// Sets the columns with the bounds of a throughput.
     fn set_bounds(&mut self, name: &str, bounds: Option<(f64, f64)>) {
         let Some((lo, hi)) = bounds else { return };
         for (suffix, value) in [("lo", lo), ("hi", hi)] {
             if let Some(column) = fixed_index(&format!("{name}-{suffix}")) {
-                self.fixed[column] = Some(value);
+                self.bounds.push((FIXED_COLUMNS[column].0, value));
             }
         }
     }
@@ -188,16 +202,4 @@ impl<'a> TreeValues<'a> {
         let mut numbered_names = (2..).map(|number| format!("{name}_{number}"));
         numbered_names.find(|name| !is_taken(name)).unwrap_or(name)
     }
-}
-
-/// Returns the index of the fixed column for a node with this name and parent; `None` if no fixed column is for this node.
-fn fixed_column(tree: &Tree, parent: NodeId, name: &str) -> Option<usize> {
-    let is_below_sensing =
-        tree.get(parent).is_some_and(|node| node.name == stage::SENSING && node.parent == Some(NodeId::ROOT));
-    let is_part_of_sensing = name == stage::CAPTURE.as_str() || name == stage::TRANSFORM.as_str();
-    let has_expected_parent = if is_part_of_sensing { is_below_sensing } else { parent == NodeId::ROOT };
-    // The bounds of a throughput come from its node. They have no nodes of their own.
-    let is_bound = name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
-    let is_node = |column: &usize| FIXED_COLUMNS[*column].1 == ColumnKind::Node;
-    fixed_index(name).filter(|column| has_expected_parent && !is_bound && is_node(column))
 }

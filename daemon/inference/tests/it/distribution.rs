@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use peernet_inference::{FinishedJob, LoadError, Pool, UNKNOWN_LABEL};
+use peernet_inference::{FinishedJob, LoadError, Pool};
+use peernet_logger::stage;
 use peernet_sample::{Description, Sample};
 
 use super::{answer, bank, jpeg, loaded, pictures, quality_control, run};
@@ -127,7 +128,7 @@ fn inner_model_answers_after_drawn_latency() {
     assert!(value(&["inference"]) >= Some(0.030));
     assert!(value(&["inference", "inner-model", "preprocessing"]).is_some());
     assert_eq!(value(&["preprocessing"]), None, "its stages are not those of the iteration");
-    assert_eq!(value(&[UNKNOWN_LABEL.as_str()]), Some(1.0));
+    assert_eq!(value(&[stage::UNKNOWN_LABEL.as_str()]), Some(1.0));
     let facts = pool.facts();
     let named = |name: &str| facts.iter().filter(|(known, _)| known == name).count();
     assert_eq!([named("Model"), named("Inner model"), named("Model SHA-256"), named("Classes")], [1; 4]);

@@ -120,6 +120,18 @@ pub const CAPTURE_RESTART: Name = Name::from_static("capture-restart");
 /// Wait for an actuator's restarted worker, below `actuation` and part of it.
 pub const ACTUATION_RESTART: Name = Name::from_static("actuation-restart");
 
+/// Edge, in an open loop: from the scheduled to the actual start, a part of `unattributed`.
+// This name and those below are text on the wire, like `ipc`.
+pub const LATENESS: Name = Name::from_static("lateness");
+/// Number of starts of an open loop that were skipped before this iteration, because the pipeline was too far behind; absent if it is zero.
+pub const SKIPPED_STARTS: Name = Name::from_static("skipped-starts");
+/// 1 if the labelled class is the first answer, else 0.
+pub const TOP_1: Name = Name::from_static("top-1");
+/// 1 if the labelled class is among the first five answers, else 0.
+pub const TOP_5: Name = Name::from_static("top-5");
+/// 1 for a sample whose label is not a class of the model.
+pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
+
 /// Number of stages that add up to `stages-total`.
 pub const COUNT: usize = 12;
 

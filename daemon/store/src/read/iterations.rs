@@ -2,10 +2,9 @@
 
 use std::collections::HashMap;
 
-use peernet_analysis::rows::LATENESS;
 use peernet_analysis::slowness::{self, IterationTimes, Medians};
 use peernet_clock::{DelaySource, Span, Verdict};
-use peernet_logger::{Name, stage};
+use peernet_logger::{IterationValues, Name, NodeId, stage};
 use sqlx::FromRow;
 
 use super::clocks::WindowAssumptions;
@@ -38,6 +37,8 @@ pub(super) struct Row {
 #[derive(FromRow)]
 struct NodeSeconds {
     iteration: i64,
+    node: u32,
+    parent: Option<u32>,
     /// Name of the node, such as a stage.
     #[sqlx(rename = "text")]
     name: String,
@@ -195,10 +196,10 @@ async fn complete_rows(
         .fetch_all(&readers.pool())
         .await
         .map_err(readers.failed(WHAT))?;
-    let mut by_iteration: HashMap<i64, (Vec<NodeSeconds>, Vec<DelayRow>)> =
-        HashMap::with_capacity(rows.len());
-    for duration in durations {
-        by_iteration.entry(duration.iteration).or_default().0.push(duration);
+    let mut by_iteration: HashMap<i64, (IterationValues, Vec<DelayRow>)> = HashMap::with_capacity(rows.len());
+    for NodeSeconds { iteration, node, parent, name, seconds } in durations {
+        let (values, _) = by_iteration.entry(iteration).or_default();
+        values.add(NodeId(node), parent.map(NodeId), &name, Some(seconds));
     }
     let times = || rows.iter().map(|row| row.started_ns);
     // Only delays depend on the assumptions of a window.
@@ -214,27 +215,23 @@ async fn complete_rows(
     }
     rows.into_iter()
         .map(|row| {
-            let (durations, delays) = by_iteration.remove(&row.number).unwrap_or_default();
-            complete_row(row, &durations, delays, medians)
+            let (values, delays) = by_iteration.remove(&row.number).unwrap_or_default();
+            complete_row(row, &values, delays, medians)
         })
         .collect()
 }
 
 fn complete_row(
     row: Row,
-    durations: &[NodeSeconds],
+    values: &IterationValues,
     delays: Vec<DelayRow>,
     medians: &Medians,
 ) -> Result<IterationRow, StoreError> {
-    let seconds_of = |name: &Name| {
-        // An iteration may have several nodes with the name of a stage.
-        let nodes = durations.iter().filter(|duration| name == duration.name.as_str());
-        let values: Vec<f64> = nodes.map(|node| node.seconds).collect();
-        (!values.is_empty()).then(|| values.iter().sum::<f64>())
-    };
-    let stages: Vec<(Name, f64)> =
-        stage::ORDER.into_iter().filter_map(|stage| Some((stage.clone(), seconds_of(&stage)?))).collect();
-    let unattributed = seconds_of(&stage::UNATTRIBUTED);
+    let stages: Vec<(Name, f64)> = stage::ORDER
+        .into_iter()
+        .filter_map(|stage| values.get(&stage).map(|seconds| (stage, seconds)))
+        .collect();
+    let unattributed = values.get(&stage::UNATTRIBUTED);
     let is_direction_unknown = delays.iter().any(|delay| delay.value.is_none());
     // Without one-way delays only the sum of both directions is known.
     let transport_sum = is_direction_unknown.then(|| {
@@ -259,7 +256,7 @@ fn complete_row(
         causes: medians.causes(&IterationTimes {
             total: row.total,
             stages: &stages,
-            lateness: seconds_of(&Name::from_static(LATENESS)),
+            lateness: values.get(&stage::LATENESS),
             unattributed,
             both_ways: transport_sum,
         }),

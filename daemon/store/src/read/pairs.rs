@@ -3,11 +3,11 @@
 use std::collections::BTreeMap;
 
 use futures::future::try_join_all;
+use peernet_logger::{IterationValues, NodeId, NodeRole};
 use sqlx::FromRow;
 
 use super::{corrupt_data, sql};
 use crate::error::StoreError;
-use crate::figures::rank;
 use crate::readers::Readers;
 use crate::types::ValuePairs;
 
@@ -18,40 +18,39 @@ const CONCURRENT_READS: usize = 4;
 /// The positions therefore never repeat.
 const GOLDEN_RATIO: f64 = 0.618_033_988_749_895;
 
-/// A node with one of the two names.
+/// A node with one of the two names, or a node `sensing`, which is the parent of some of them.
 #[derive(FromRow)]
 struct Row {
     iteration: i64,
     node: u32,
     parent: Option<u32>,
+    #[sqlx(rename = "text")]
+    name: String,
     value: Option<f64>,
-    is_x: bool,
-    is_y: bool,
 }
 
-/// The values of the nodes with one name in an iteration, from which one number is computed.
+/// The values of an iteration by name.
 #[derive(Default)]
-struct NameValues {
-    /// The first node of the name with its value.
-    first: Option<(u32, Option<f64>)>,
-    /// Sum of the nodes directly below the root.
-    sum: Option<f64>,
+struct Values {
+    of_iteration: IterationValues,
+    /// Value of the first node of each further name.
+    first: Vec<(String, Option<f64>)>,
 }
 
-impl NameValues {
-    fn add(&mut self, row: &Row) {
-        if self.first.is_none_or(|(node, _)| row.node < node) {
-            self.first = Some((row.node, row.value));
-        }
-        if row.parent == Some(0) {
-            self.sum = row.value.map(|value| value + self.sum.unwrap_or_default()).or(self.sum);
+impl Values {
+    /// Adds a node. Nodes are added in the order of their tree.
+    fn add(&mut self, Row { node, parent, name, value, .. }: Row) {
+        let role = self.of_iteration.add(NodeId(node), parent.map(NodeId), &name, value);
+        if role == NodeRole::Other && self.first.iter().all(|(other, _)| *other != name) {
+            self.first.push((name, value));
         }
     }
 
-    /// Returns the value that a row of `data.csv` has. For a standard name this is the sum, as in `stages-total`. For a name
-    /// that a user defined it is the value of the first node, because each further node has its own column.
-    fn value(&self, is_standard: bool) -> Option<f64> {
-        if is_standard { self.sum } else { self.first.and_then(|(_, value)| value) }
+    /// Returns the value that a row of `data.csv` has. For a name that a user defined it is the value of the first node, because each
+    /// further node has its own column.
+    fn get(&self, name: &str) -> Option<f64> {
+        let first = || self.first.iter().find(|(other, _)| other == name)?.1;
+        self.of_iteration.get(name).or_else(first)
     }
 }
 
@@ -86,18 +85,11 @@ pub(crate) async fn value_pairs(
     // The iterations are read concurrently: in a long run they are far from each other in the file, and each read waits for the disk.
     let part_length = numbers.len().div_ceil(CONCURRENT_READS).max(1);
     let rows = try_join_all(numbers.chunks(part_length).map(read)).await?;
-    let mut by_iteration = BTreeMap::<i64, [NameValues; 2]>::new();
+    let mut by_iteration = BTreeMap::<i64, Values>::new();
     for row in rows.into_iter().flatten() {
-        let [x_values, y_values] = by_iteration.entry(row.iteration).or_default();
-        if row.is_x {
-            x_values.add(&row);
-        }
-        if row.is_y {
-            y_values.add(&row);
-        }
+        by_iteration.entry(row.iteration).or_default().add(row);
     }
-    let is_standard = [x, y].map(|name| rank(name).0 < usize::MAX);
-    let point = |[x, y]: &[NameValues; 2]| Some((x.value(is_standard[0])?, y.value(is_standard[1])?));
+    let point = |values: &Values| Some((values.get(x)?, values.get(y)?));
     Ok(ValuePairs {
         points: by_iteration.values().filter_map(point).collect(),
         read_iterations: numbers.len() as u64,

@@ -167,18 +167,19 @@ statements! {
     /// ?1 run, ?2 number.
     ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number = ?2");
     /// Durations in iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
-    DURATIONS = "SELECT node.iteration, name.text, node.value FROM node CROSS JOIN name ON name.id = node.name \
+    DURATIONS = "SELECT node.iteration, node.node, node.parent, name.text, node.value \
+                 FROM node CROSS JOIN name ON name.id = node.name \
                  WHERE node.run = ?1 AND node.iteration IN (SELECT value FROM json_each(?2)) \
-                 AND node.value IS NOT NULL AND name.unit = 's'";
-    /// The nodes with one of two names, in iterations that statistics include. Iterations are found by their numbers and not by the
+                 AND node.value IS NOT NULL AND name.unit = 's' ORDER BY node.iteration, node.node";
+    /// The nodes with one of two names, and the nodes `sensing`, in iterations that statistics include. Iterations are found by their numbers and not by the
     /// index with `warm_up` and `outcome`, which has all iterations of a run. ?1 run, ?2 numbers, a JSON array, ?3 and ?4 the names.
     PAIRS = "SELECT node.iteration, node.node, node.parent, node.value, \
-             node.name IN (SELECT id FROM name WHERE text = ?3) AS is_x, \
-             node.name IN (SELECT id FROM name WHERE text = ?4) AS is_y \
+             (SELECT text FROM name WHERE id = node.name) AS text \
              FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
              WHERE iteration.run = ?1 AND iteration.number IN (SELECT value FROM json_each(?2)) \
              AND +iteration.warm_up = 0 AND +iteration.outcome = 0 \
-             AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4))";
+             AND node.name IN (SELECT id FROM name WHERE text IN (?3, ?4, 'sensing')) \
+             ORDER BY iteration.number, node.node";
     /// One-way delays of iterations, for the rows of a list: ?1 run, ?2 the iterations' numbers, a JSON array.
     DELAYS = "SELECT transit.iteration, name.text, node.value, node.lo, node.hi, transit.raw_ns, transit.source, \
               transit.verdict, transit.sent_ns, transit.received_ns, \

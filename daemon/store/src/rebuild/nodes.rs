@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 
 use futures::TryStreamExt as _;
+use peernet_logger::{IterationValues, NodeId, NodeRole};
 use peernet_statistics::Summary;
 use sqlx::{FromRow, SqliteConnection};
 
@@ -17,23 +18,62 @@ const MAX_PENDING_SUMMARIES: usize = 20_000;
 /// page, ?3 limit.
 pub(super) const PAGE: &str = "SELECT max(number), count(*) FILTER (WHERE warm_up = 0 AND outcome = 0) FROM \
      (SELECT number, warm_up, outcome FROM iteration WHERE run = ?1 AND number > ?2 ORDER BY number LIMIT ?3)";
-/// The values of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last iteration of
+/// The nodes of the successful iterations of a page, without the warm-up, and all values of episodes: ?1 run, ?2 last iteration of
 /// the previous page, ?3 last iteration of this page. The joins follow the key that all these tables have: run, iteration, node.
-pub(super) const NUMBERS: &str = "SELECT iteration.started_ns, node.name, node.value, node.lo, node.hi, transit.verdict \
+pub(super) const NUMBERS: &str = "SELECT node.iteration, iteration.started_ns, node.node, node.parent, node.name, \
+     (SELECT text FROM name WHERE id = node.name) AS text, node.value, node.lo, node.hi, transit.verdict \
      FROM iteration CROSS JOIN node ON node.run = iteration.run AND node.iteration = iteration.number \
      LEFT JOIN transit ON transit.run = node.run AND transit.iteration = node.iteration AND transit.node = node.node \
      WHERE iteration.run = ?1 AND iteration.number > ?2 AND iteration.number <= ?3 \
      AND (+iteration.warm_up = 0 AND +iteration.outcome = 0 \
-     OR +node.name IN (SELECT id FROM name WHERE text IN ('episode-success', 'episode-return')))";
+     OR +node.name IN (SELECT id FROM name WHERE text IN ('episode-success', 'episode-return'))) \
+     ORDER BY iteration.number, node.node";
 
 #[derive(FromRow)]
 struct NodeRow {
+    iteration: i64,
     started_ns: i64,
+    node: u32,
+    parent: Option<u32>,
+    /// Id of the name.
     name: i64,
+    text: String,
     value: Option<f64>,
     lo: Option<f64>,
     hi: Option<f64>,
     verdict: Option<u8>,
+}
+
+/// Statistics of the iterations of a page.
+#[derive(Default)]
+struct PageStatistics {
+    summaries: HashMap<(i64, Quantity, i64), Summary>,
+    verdicts: HashMap<(i64, u8), u64>,
+}
+
+impl PageStatistics {
+    /// Adds the nodes of an iteration, which are in the order of their tree.
+    fn add_iteration(&mut self, rows: &[NodeRow]) {
+        let mut values = IterationValues::default();
+        let add = |row: &NodeRow| values.add(NodeId(row.node), row.parent.map(NodeId), &row.text, row.value);
+        let roles: Vec<NodeRole> = rows.iter().map(add).collect();
+        for (row, role) in rows.iter().zip(roles) {
+            let second_s = row.started_ns.div_euclid(1_000_000_000);
+            let mut record = |quantity, value| {
+                self.summaries.entry((row.name, quantity, second_s)).or_default().record(value);
+            };
+            if let Some(value) = values.counted(NodeId(row.node), role, row.value) {
+                record(Quantity::Value, value);
+            }
+            if let Some(verdict) = row.verdict.filter(|_| role != NodeRole::Nested) {
+                *self.verdicts.entry((row.name, verdict)).or_default() += 1;
+                // As `OneWayDelay::half_width`: only of delays with a value.
+                if let (Some(_), Some(lo), Some(hi)) = (row.value, row.lo, row.hi) {
+                    record(Quantity::HalfWidth, (hi - lo) / 2.0);
+                }
+            }
+        }
+    }
 }
 
 /// Writes the roll-ups of a run for the buckets without deleted nodes. `first_complete_s` is the second before which nodes are deleted.
@@ -56,28 +96,21 @@ pub(super) async fn sum_up(
             .fetch_one(&mut *connection)
             .await?;
         let Some(last) = last else { break };
-        let mut summaries = HashMap::<(i64, Quantity, i64), Summary>::new();
-        let mut verdicts = HashMap::<(i64, u8), u64>::new();
+        let mut statistics = PageStatistics::default();
+        let mut of_iteration = Vec::<NodeRow>::new();
         let mut rows =
             sqlx::query_as(NUMBERS).bind(run).bind(previous_last).bind(last).fetch(&mut *connection);
         while let Some(row) = rows.try_next().await? {
-            let NodeRow { started_ns, name, value, lo, hi, verdict } = row;
-            let second_s = started_ns.div_euclid(1_000_000_000);
-            let mut record = |quantity, value| {
-                summaries.entry((name, quantity, second_s)).or_default().record(value);
-            };
-            if let Some(value) = value {
-                record(Quantity::Value, value);
+            let row: NodeRow = row;
+            if of_iteration.last().is_some_and(|previous| previous.iteration != row.iteration) {
+                statistics.add_iteration(&of_iteration);
+                of_iteration.clear();
             }
-            if let Some(verdict) = verdict {
-                *verdicts.entry((name, verdict)).or_default() += 1;
-                // As `OneWayDelay::half_width`: only of delays with a value.
-                if let (Some(_), Some(lo), Some(hi)) = (value, lo, hi) {
-                    record(Quantity::HalfWidth, (hi - lo) / 2.0);
-                }
-            }
+            of_iteration.push(row);
         }
+        statistics.add_iteration(&of_iteration);
         drop(rows);
+        let PageStatistics { summaries, verdicts } = statistics;
         for ((name, quantity, second_s), summary) in summaries {
             rollups.merge(run, name, quantity, second_s, &summary);
         }

@@ -20,6 +20,7 @@ mod limits;
 mod maintaining;
 mod measured_time;
 mod migrating;
+mod one_value;
 mod ownership;
 mod pairs;
 mod plans;

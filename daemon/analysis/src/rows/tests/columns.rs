@@ -1,7 +1,7 @@
 //! Tests of the columns that numbers are stored in.
 
 use peernet_clock::Span;
-use peernet_logger::{Measure, Name, stage};
+use peernet_logger::{IterationValues, Measure, Name, stage};
 use peernet_stream::Outcome as Ended;
 use proptest::prelude::*;
 
@@ -72,8 +72,26 @@ fn repeated_stage_is_summed() {
     let mut tree = tree();
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(2))));
     add(&mut tree, &[], stage::INFERENCE, Measure::Timer(Some(Span::from_seconds(3))));
+    // These have columns in some files only.
+    for name in [stage::BATCH_WAIT, stage::BATCH_WAIT, stage::RESTART] {
+        add(&mut tree, &[], name, Measure::Timer(Some(Span::from_seconds(7))));
+    }
     let row = Row::from_iteration(&iteration(1, Ended::Ok, tree));
-    assert_eq!(row.values, [(Column::Borrowed("inference"), 5.0)]);
+    let expected = [("inference", 5.0), ("batch-wait", 14.0), ("restart", 7.0)];
+    assert_eq!(row.values, expected.map(|(name, value)| (Column::Borrowed(name), value)));
+}
+
+#[test]
+fn every_fixed_column_of_node_has_one_value() {
+    let is_bound = |name: &str| name.ends_with("-throughput-lo") || name.ends_with("-throughput-hi");
+    for (name, kind) in FIXED_COLUMNS {
+        let has_node = kind == ColumnKind::Node && !is_bound(name);
+        assert_eq!(
+            IterationValues::has_one_value(name),
+            has_node || ["upload", "download"].contains(&name),
+            "{name}"
+        );
+    }
 }
 
 proptest! {

@@ -20,7 +20,7 @@ use peernet_statistics::SplitMix64;
 use serde::{Deserialize, Serialize};
 
 use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
-use crate::{InferenceError, LoadError, Model, Requester, UNKNOWN_LABEL, Worker};
+use crate::{InferenceError, LoadError, Model, Requester, Worker};
 use data_file::{data_file, read_latencies};
 use latency::{LatencyDistribution, check_ms, describe_stages};
 
@@ -243,9 +243,9 @@ impl Worker for DistributionWorker {
             .wait(Duration::from_nanos(u64::try_from(remaining.nanos()).unwrap_or(0)))
             .map_err(|_| InferenceError::Cancelled { model: self.name.clone() })?;
         drop(inference);
-        if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &UNKNOWN_LABEL]).is_some() {
+        if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
             // The edge looks for it below the root.
-            recorder.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+            recorder.value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
         Ok(answer)
     }

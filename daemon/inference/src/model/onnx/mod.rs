@@ -40,7 +40,7 @@ use std::collections::HashSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use peernet_logger::{Name, Slug};
+use peernet_logger::Slug;
 use peernet_sample::{MaskLabel, ObjectsLabel, list_examples, normalized_label};
 use tokio_util::sync::CancellationToken;
 
@@ -66,9 +66,6 @@ const CARD_HASH: &str = "Card SHA-256";
 
 /// Name of the fact with the number of classes and some of their names.
 const CLASSES: &str = "Classes";
-
-/// Value 1 beside the stages of a sample whose label is not a class of the model, so no answer could be right.
-pub const UNKNOWN_LABEL: Name = Name::from_static("unknown-label");
 
 /// Checks the name of a device.
 ///

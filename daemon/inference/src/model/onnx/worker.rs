@@ -11,7 +11,7 @@ use super::inputs::ModelInputs;
 use super::outputs::{OutputError, Outputs, Row};
 use super::picture::InputError;
 use super::termination::TerminableRun;
-use super::{Plan, UNKNOWN_LABEL, answer, outlets};
+use super::{Plan, answer, outlets};
 use crate::{InferenceError, LoadError, Request, Requester, Worker};
 
 /// Number of samples of a run, below `inference`. Recorded where batches are on.
@@ -165,7 +165,7 @@ impl Worker for OnnxWorker {
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
             if label.is_some_and(|label| !self.plan.has_classes_of(label)) {
-                request.recorder.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+                request.recorder.value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
             }
         }
         results

@@ -2,15 +2,12 @@
 
 use peernet_analysis::actuator_results::EPISODE_VALUES;
 use peernet_clock::{DelaySource, Verdict, WallTime};
-use peernet_logger::{HostId, Measure, NodeId, Transit, Tree, stage};
+use peernet_logger::{HostId, Measure, NodeId, Transit, stage};
 use peernet_stream::{Iteration, Outcome, OutcomeCounts};
 
 use super::{AnchorRow, BatchBuilder, BatchError, IterationRow, NodeRow, RunPart, Step, TransitRow};
 use crate::extent::Extent;
 use crate::rollups::Quantity;
-
-/// Name of the node that counts skipped starts: the starts of an open loop that the agent skipped before this iteration.
-const SKIPPED_STARTS: &str = "skipped-starts";
 
 impl BatchBuilder {
     /// Adds an iteration; returns the time of its start.
@@ -21,7 +18,8 @@ impl BatchBuilder {
         let [edge, other_anchors @ ..] = tree.anchors() else {
             return Err(BatchError::EmptyTree(number));
         };
-        let run = self.run(iteration, edge.wall);
+        let counted_nodes = tree.counted_nodes();
+        let run = self.run(iteration, edge.wall, counted_nodes.get(&stage::SKIPPED_STARTS));
         let index = self.batch.iterations.len() as u32;
         for (position, anchor) in (1..).zip(other_anchors) {
             let (host, wall_ns) = (self.host(anchor.host), anchor.wall.unix_nanos());
@@ -29,38 +27,42 @@ impl BatchBuilder {
         }
         let is_in_statistics = iteration.outcome == Outcome::Ok && !iteration.warm_up;
         let second_s = edge.wall.unix_seconds();
+        let first_node = self.batch.nodes.len();
         for (id, node) in tree.iter() {
-            let name = self.names.position(id.index(), &node.name, &node.measure);
-            let value = node.measure.value().unwrap_or(f64::NAN);
-            let bounds = bounds(&node.measure);
             // SQLite stores NaN as NULL.
-            let (lo, hi) = bounds.unwrap_or((f64::NAN, f64::NAN));
+            let (lo, hi) = bounds(&node.measure).unwrap_or((f64::NAN, f64::NAN));
             self.batch.nodes.push(NodeRow {
                 iteration: index,
                 node: id.0,
                 parent: node.parent.map(|NodeId(parent)| parent),
-                name,
+                name: self.names.position(id.index(), &node.name, &node.measure),
                 host: node.host.0,
                 start_ns: node.start.nanos(),
-                value,
+                value: node.measure.value().unwrap_or(f64::NAN),
                 lo,
                 hi,
             });
-            // The values of an episode count even if the last iteration of the episode has no answer.
-            if is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()) {
-                self.summaries.record(run, name, Quantity::Value, second_s, value);
-            }
             if let Measure::Transit(transit) = &node.measure {
-                let row = transit_row(index, id, transit);
-                if let (true, Some(verdict)) = (is_in_statistics, row.verdict) {
-                    *self.verdicts.entry((run, name, verdict)).or_default() += 1;
-                    let half_width = transit.delay.and_then(|delay| delay.half_width()).unwrap_or(f64::NAN);
-                    self.summaries.record(run, name, Quantity::HalfWidth, second_s, half_width);
-                }
-                self.batch.transits.push(row);
+                self.batch.transits.push(transit_row(index, id, transit));
             }
         }
-        let total = tree.find(&[stage::TOTAL.as_str()]).and_then(|(_, node)| node.measure.value());
+        for (id, node, value) in counted_nodes.iter() {
+            let name = self.batch.nodes[first_node + id.index()].name;
+            // The values of an episode count even if the last iteration of the episode has no answer.
+            if let Some(value) = value
+                && (is_in_statistics || EPISODE_VALUES.contains(&node.name.as_str()))
+            {
+                self.summaries.record(run, name, Quantity::Value, second_s, value);
+            }
+            if let (true, Measure::Transit(transit)) = (is_in_statistics, &node.measure)
+                && let Some(delay) = transit.delay
+                && let Some(verdict) = position(Verdict::ALL, delay.verdict)
+            {
+                *self.verdicts.entry((run, name, verdict)).or_default() += 1;
+                let half_width = delay.half_width().unwrap_or(f64::NAN);
+                self.summaries.record(run, name, Quantity::HalfWidth, second_s, half_width);
+            }
+        }
         self.batch.iterations.push(IterationRow {
             run,
             number,
@@ -70,13 +72,14 @@ impl BatchBuilder {
             outcome: outcome_number(&iteration.outcome),
             reason: iteration.outcome.reason().map(str::to_owned),
             started_ns: edge.wall.unix_nanos(),
-            total: total.unwrap_or(f64::NAN),
+            total: counted_nodes.get(&stage::TOTAL).unwrap_or(f64::NAN),
         });
         Ok(edge.wall)
     }
 
-    /// Adds the iteration to the counters of its run. Returns the position of the run in the batch's runs.
-    fn run(&mut self, iteration: &Iteration, started: WallTime) -> u32 {
+    /// Adds the iteration to the counters of its run. `skipped_starts` is the number of starts that were skipped before it. Returns the
+    /// position of the run in the batch's runs.
+    fn run(&mut self, iteration: &Iteration, started: WallTime, skipped_starts: Option<f64>) -> u32 {
         let numbers = Extent::single(iteration.number.cast_signed());
         let seconds = Extent::single(started.unix_seconds());
         let batch = &mut self.batch;
@@ -100,7 +103,8 @@ impl BatchBuilder {
         part.numbers = part.numbers.hull(numbers);
         part.seconds = part.seconds.hull(seconds);
         if !iteration.warm_up {
-            part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts(&iteration.tree));
+            // The cast saturates: values that are no counts become 0 or the largest count.
+            part.skipped_starts = part.skipped_starts.saturating_add(skipped_starts.unwrap_or(0.0) as u64);
         }
         let outcomes = &mut part.outcomes;
         let counter = match &iteration.outcome {
@@ -121,13 +125,6 @@ impl BatchBuilder {
             self.batch.hosts.len() as u32 - 1
         })
     }
-}
-
-/// Returns the number of starts that were skipped before an iteration.
-fn skipped_starts(tree: &Tree) -> u64 {
-    let value = tree.find(&[SKIPPED_STARTS]).and_then(|(_, node)| node.measure.value());
-    // The cast saturates: values that are no counts become 0 or the largest count.
-    value.unwrap_or(0.0) as u64
 }
 
 /// Returns the number of an outcome in the table `outcome`.

@@ -1,0 +1,240 @@
+//! Values of an iteration by the names of its nodes, as statistics and `data.csv` count them.
+
+use crate::{Node, NodeId, Tree};
+
+macro_rules! names_of_iteration {
+    ($($position:ident = $name:literal;)*) => {
+        /// Names that have one value in each iteration.
+        const NAMES: &[&str] = &[$($name),*];
+
+        enum Position { $($position),* }
+
+        /// Returns the position of a name in [`NAMES`]; `None` for any other name.
+        // A `match`, because this is called for each node that the aggregator stores.
+        fn position(name: &str) -> Option<u8> {
+            match name {
+                $($name => Some(Position::$position as u8),)*
+                _ => None,
+            }
+        }
+    };
+}
+
+names_of_iteration! {
+    Sensing = "sensing";
+    Capture = "capture";
+    Transform = "transform";
+    Encode = "encode";
+    SendQueue = "send-queue";
+    Upload = "upload";
+    Queue = "queue";
+    BatchWait = "batch-wait";
+    Ipc = "ipc";
+    Preprocessing = "preprocessing";
+    Inference = "inference";
+    Postprocessing = "postprocessing";
+    Download = "download";
+    Actuation = "actuation";
+    Total = "total";
+    StagesTotal = "stages-total";
+    Unattributed = "unattributed";
+    Lateness = "lateness";
+    SkippedStarts = "skipped-starts";
+    Restart = "restart";
+    UploadBytes = "upload-bytes";
+    UploadLoggerBytes = "upload-logger-bytes";
+    DownloadBytes = "download-bytes";
+    DownloadLoggerBytes = "download-logger-bytes";
+    UploadThroughput = "upload-throughput";
+    DownloadThroughput = "download-throughput";
+    Top1 = "top-1";
+    Top5 = "top-5";
+    UnknownLabel = "unknown-label";
+}
+
+/// Role of a node in the statistics of its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NodeRole {
+    /// Part of the iteration's one value of a name such as a stage. It contains the position of the name.
+    OfIteration(u8),
+    /// Node with such a name at another place, for example a stage of a model inside another model. Statistics of the name omit it.
+    Nested,
+    /// Node with any other name. Each node is one value.
+    Other,
+}
+
+/// The values of one iteration by name.
+///
+/// A stage, a total, a size, a throughput, a score and a count of skipped starts have one value in each iteration: the sum of the nodes of
+/// the name directly below the root; for `capture` and `transform`, directly below `sensing`. Nodes of these names at other places do not
+/// count. Nodes of all other names are separate values.
+#[derive(Clone, Debug, Default)]
+pub struct IterationValues {
+    /// First node and sum of each name, in the order of [`NAMES`].
+    sums: [Option<(NodeId, f64)>; NAMES.len()],
+    /// The nodes `sensing` below the root.
+    sensing: Vec<NodeId>,
+}
+
+impl IterationValues {
+    /// Returns whether a name has one value in each iteration.
+    pub fn has_one_value(name: &str) -> bool {
+        position(name).is_some()
+    }
+
+    /// Adds a node with its value. Nodes are added in the order of their tree, parents before children. Returns the role of the node.
+    pub fn add(&mut self, id: NodeId, parent: Option<NodeId>, name: &str, value: Option<f64>) -> NodeRole {
+        let (Some(position), Some(parent)) = (position(name), parent) else { return NodeRole::Other };
+        let is_part_of_sensing = position == Position::Capture as u8 || position == Position::Transform as u8;
+        let is_counted =
+            if is_part_of_sensing { self.sensing.contains(&parent) } else { parent == NodeId::ROOT };
+        if !is_counted {
+            return NodeRole::Nested;
+        }
+        if position == Position::Sensing as u8 {
+            self.sensing.push(id);
+        }
+        if let Some(value) = value.filter(|value| !value.is_nan()) {
+            let (_, sum) = self.sums[usize::from(position)].get_or_insert((id, 0.0));
+            *sum += value;
+        }
+        NodeRole::OfIteration(position)
+    }
+
+    /// Returns the value of the iteration with a name that has one value; `None` if the iteration has no such value.
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.sums[usize::from(position(name)?)].map(|(_, sum)| sum)
+    }
+
+    /// Returns the value that statistics count for a node after all nodes were added: the sum for the first node of a name with one value, the
+    /// node's `own` value for other names, and `None` for nodes that are part of a sum or do not count.
+    pub fn counted(&self, id: NodeId, role: NodeRole, own: Option<f64>) -> Option<f64> {
+        match role {
+            NodeRole::OfIteration(position) => {
+                let (first, sum) = self.sums[usize::from(position)]?;
+                (first == id).then_some(sum)
+            }
+            NodeRole::Nested => None,
+            NodeRole::Other => own,
+        }
+    }
+}
+
+/// The nodes of a tree that statistics of their names include.
+#[derive(Clone, Debug)]
+pub struct CountedNodes<'a> {
+    tree: &'a Tree,
+    values: IterationValues,
+    /// Role of each node, in the order of the tree.
+    roles: Vec<NodeRole>,
+}
+
+impl Tree {
+    /// Returns the nodes that statistics of their names include.
+    pub fn counted_nodes(&self) -> CountedNodes<'_> {
+        let mut values = IterationValues::default();
+        let add = |(id, node): (NodeId, &Node)| values.add(id, node.parent, &node.name, node.measure.value());
+        let roles = self.iter().map(add).collect();
+        CountedNodes { tree: self, values, roles }
+    }
+}
+
+impl CountedNodes<'_> {
+    /// Returns the value of the iteration with a name ([`IterationValues::get`]).
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.values.get(name)
+    }
+
+    /// Returns the nodes, each with the value that counts for it ([`IterationValues::counted`]).
+    pub fn iter(&self) -> impl Iterator<Item = (NodeId, &Node, Option<f64>)> {
+        let nodes = self.tree.iter().zip(&self.roles).filter(|(_, role)| **role != NodeRole::Nested);
+        nodes.map(|((id, node), role)| (id, node, self.values.counted(id, *role, node.measure.value())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_clock::{Span, WallTime};
+
+    use super::*;
+    use crate::{Anchor, HostId, Measure, Name, Unit, stage};
+
+    fn tree(nodes: &[(u32, &str, f64)]) -> Tree {
+        let anchor = Anchor { host: HostId::random(), wall: WallTime::from_unix_nanos(0) };
+        let mut tree = Tree::new(stage::ITERATION, anchor);
+        for (parent, name, value) in nodes {
+            tree.add(NodeId(*parent), Name::from(*name), Span::ZERO, Measure::Value(*value, Unit::NONE));
+        }
+        tree
+    }
+
+    #[test]
+    fn nodes_at_place_of_name_are_one_value() {
+        let tree = tree(&[
+            (0, "sensing", 1.0),
+            (1, "capture", 2.0),
+            (0, "capture", 64.0),
+            (0, "inference", 4.0),
+            (4, "inner-model", 5.0),
+            (5, "preprocessing", 6.0),
+            (5, "inference", 7.0),
+            (0, "sensing", 8.0),
+            (8, "capture", 16.0),
+            (0, "inference", f64::NAN),
+            (0, "inference", 32.0),
+            (1, "grasp", 1.0),
+            (0, "grasp", 2.0),
+        ]);
+        let counted_nodes = tree.counted_nodes();
+        let counted: Vec<(u32, &str, f64)> = counted_nodes
+            .iter()
+            .filter_map(|(NodeId(id), node, value)| Some((id, node.name.as_str(), value?)))
+            .collect();
+        let expected = [
+            (1, "sensing", 9.0),
+            (2, "capture", 18.0),
+            (4, "inference", 36.0),
+            (5, "inner-model", 5.0),
+            (12, "grasp", 1.0),
+            (13, "grasp", 2.0),
+        ];
+        assert_eq!(counted, expected);
+        let names = ["sensing", "capture", "inference", "preprocessing", "grasp"];
+        assert_eq!(
+            names.map(|name| counted_nodes.get(name)),
+            [Some(9.0), Some(18.0), Some(36.0), None, None]
+        );
+    }
+
+    #[test]
+    fn every_stage_has_one_value_per_iteration() {
+        let others = [
+            stage::CAPTURE,
+            stage::TRANSFORM,
+            stage::TOTAL,
+            stage::STAGES_TOTAL,
+            stage::UNATTRIBUTED,
+            stage::LATENESS,
+            stage::SKIPPED_STARTS,
+            stage::RESTART,
+            stage::UPLOAD_BYTES,
+            stage::UPLOAD_LOGGER_BYTES,
+            stage::DOWNLOAD_BYTES,
+            stage::DOWNLOAD_LOGGER_BYTES,
+            stage::UPLOAD_THROUGHPUT,
+            stage::DOWNLOAD_THROUGHPUT,
+            stage::TOP_1,
+            stage::TOP_5,
+            stage::UNKNOWN_LABEL,
+        ];
+        let mut expected: Vec<Name> = stage::ORDER.into_iter().chain(others).collect();
+        let mut names: Vec<Name> = NAMES.iter().copied().map(Name::from).collect();
+        expected.sort();
+        names.sort();
+        assert_eq!(names, expected);
+        for (index, name) in NAMES.iter().enumerate() {
+            assert_eq!(position(name).map(usize::from), Some(index));
+        }
+        assert!(!IterationValues::has_one_value("gripper-force"));
+    }
+}
