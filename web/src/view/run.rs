@@ -140,7 +140,7 @@ impl StoredRun<'_> {
 
     /// Returns the starts per second after the warm-up; `None` where the length of the run is unknown.
     pub(crate) fn rate(&self) -> Option<f64> {
-        self.starts.actual_hz.filter(|_| self.standstill().is_none())
+        self.starts.actual_hz().filter(|_| self.standstill().is_none())
     }
 
     /// Returns a scale that holds the slowest iteration.
@@ -308,7 +308,7 @@ mod tests {
     #[test]
     fn run_with_standstill_has_no_rate() {
         let (run, series) = run_with_pause();
-        let starts = Starts { actual_hz: Some(0.25), ..Starts::default() };
+        let starts = Starts { started: 15, missing: Some(0), seconds: Some(56.0), ..Starts::default() };
         let statistics = RunStatistics::default();
         let of = |episodes: &Episodes| {
             let stored = StoredRun {

@@ -5,7 +5,7 @@ use serde::Deserialize;
 
 use crate::record::{Counts, RunRecord};
 use crate::rows::Rows;
-use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, Starts, TrustInput, measured_seconds};
+use crate::trust::{EndedEarly, Limits, Load, MissingEvents, Progress, Starts, TrustInput};
 
 impl TrustInput {
     /// Collects the input from the rows of a run and its record: conditions of both hosts, the end of the run, and missing measurements.
@@ -18,7 +18,7 @@ impl TrustInput {
         };
         let from_rows = Self::from_rows(rows, &conditions);
         Self {
-            starts: Starts { hz: load(record).hz, ..from_rows.starts },
+            starts: Starts { hz: load(record).hz, missing: Some(record.counts.unseen), ..from_rows.starts },
             missing: if unseen.count > 0 { vec![unseen] } else { Vec::new() },
             ended_early: ended_early(record, rows),
             ..from_rows
@@ -44,7 +44,7 @@ fn ended_early(record: &RunRecord, rows: &Rows) -> Option<EndedEarly> {
     let progress = Progress {
         measured: counts.ok + counts.failed + counts.lost + counts.timeout + counts.unseen,
         warm_up: counts.warm_up,
-        seconds: measured_seconds(rows),
+        seconds: Starts::from_rows(rows).seconds.unwrap_or(0.0),
     };
     EndedEarly::from_progress(&limits(record), &progress, &record.reason)
 }

@@ -4,8 +4,6 @@ use peernet_statistics::number::{counted, fixed, significant};
 use peernet_stream::EndReason;
 use serde::Deserialize;
 
-use crate::rows::Rows;
-
 /// Limits of a run: its pipeline's `limit`. A field that is `None` sets no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
 #[serde(default)]
@@ -92,12 +90,6 @@ impl EndedEarly {
             Unit::Seconds => format!("after {} of {}\u{202f}s", fixed(*reached, 1), significant(*limit)),
         }
     }
-}
-
-/// Returns the time from the first to the last iteration that is not warm-up, seconds.
-pub(crate) fn measured_seconds(rows: &Rows) -> f64 {
-    let times = || rows.iter().filter(|row| !row.warm_up() && row.at() > 0.0).map(|row| row.at());
-    times().next_back().zip(times().next()).map_or(0.0, |(last, first)| (last - first).max(0.0))
 }
 
 #[cfg(test)]

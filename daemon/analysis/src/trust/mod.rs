@@ -20,10 +20,9 @@ mod time_series;
 mod trend;
 mod trust_input;
 
-pub(crate) use ended_early::measured_seconds;
 pub use ended_early::{EndedEarly, Limits, Progress, Unit};
 pub use judge::NOTABLE_SHARE;
-pub use load::{Load, Starts, start_rate};
+pub use load::{Load, Starts};
 pub use publication::publication_caveats;
 pub use restarts::Restarts;
 pub use time_series::{Beginning, Outliers, TimeSeries};

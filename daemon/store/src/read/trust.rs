@@ -4,7 +4,7 @@ use peernet_analysis::accuracy::{ACCURACIES, Accuracy, UNKNOWN_LABEL, UnknownLab
 use peernet_analysis::stage_split::StageSplit;
 use peernet_analysis::trust::{
     Clocks, Counts, EndedEarly, Limits, Load, MissingEvents, OVERRUN, Progress, Restarts, Starts, TimeSeries,
-    TrustInput, names_of_distributions, start_rate,
+    TrustInput, names_of_distributions,
 };
 use peernet_clock::WallTime;
 use peernet_logger::stage;
@@ -106,10 +106,8 @@ fn collect(
             .and_then(|configured| ended_early(run, &counts, measured_s, missing_events?, configured.limit)),
         starts: Starts {
             hz: configured.and_then(|configured| configured.load.hz),
-            // Missing iterations were started, too. If their number is not known, the rate is not known either.
-            actual_hz: measured_s.zip(missing_events).and_then(|(seconds, missing_events)| {
-                start_rate(counts.measured() + missing_events, seconds)
-            }),
+            missing: missing_events,
+            seconds: measured_s,
             ..Starts::from(&run.summary)
         },
         missing: run
@@ -164,7 +162,7 @@ struct ConfiguredParts {
     load: Load,
 }
 
-/// Leaves out the rates, which a summary does not contain.
+/// Leaves out the configured rate and the time, which a summary does not contain.
 impl From<&RunSummary> for Starts {
     fn from(run: &RunSummary) -> Self {
         Self { started: run.counts.total(), skipped: run.skipped_starts, ..Self::default() }

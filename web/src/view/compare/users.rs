@@ -4,6 +4,7 @@ use futures::{StreamExt, TryStreamExt};
 use peernet_analysis::users::{Curve, EdgeMeasured, Repeat, Totals, Users, UsersLine, common_time};
 use peernet_clock::WallTime;
 use peernet_figures::drawing::{MOST_CURVES, Sharing, SharingCurve, Unit};
+use peernet_logger::stage;
 use peernet_statistics::Summary;
 use peernet_statistics::number::{NONE, count, duration, length, mean_std_ms, measured, rate};
 use peernet_store::{MeasuredTime, RunSummary, Store};
@@ -119,8 +120,8 @@ async fn measured_repeat(store: &Store, users: &[RunSummary]) -> Result<(Repeat<
 /// Returns the plot and its numbers. `None` unless an experiment is compared and its configurations have different numbers of users.
 pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option<UsersPlot> {
     comparison.experiment.as_ref()?;
-    let line = |(one, repeats): (&Configuration, &Vec<Repeat<Summary>>)| line(comparison, one, repeats);
-    let lines = comparison.configurations.iter().zip(&measured.repeats).map(line);
+    let lines = comparison.configurations.iter().zip(&measured.repeats);
+    let lines = lines.map(|(one, repeats)| line(one, repeats));
     let users = Users { axes: comparison.axes.clone(), lines: lines.collect() };
     let curves = Curve::from_users(&users);
     let users_of_line = |line: Option<&&UsersLine>| line.map(|line| line.edges);
@@ -146,22 +147,16 @@ pub(crate) fn users(comparison: &Comparison, measured: &MeasuredUsers) -> Option
 }
 
 /// Returns the answers per second of each user of a configuration, and the totals of all its users.
-fn line(comparison: &Comparison, one: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
+fn line(one: &Configuration, repeats: &[Repeat<Summary>]) -> UsersLine {
     let edges = complete_repeats(one).first().map_or(0, Vec::len);
     let mut totals = Summary::default();
-    repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
-    let totals = match comparison.total(one).filter(|_| edges == 1) {
-        // A user alone has all its totals, as in the table of all configurations.
-        Some(total) => Totals {
-            count: usize::try_from(total.count).unwrap_or(usize::MAX),
-            mean: Some(total.mean),
-            median: Some(total.p50),
-            p95: total.p95,
-            p99: total.p99,
-        },
-        None => Totals::from_summary(&totals),
-    };
-    UsersLine::new(one.values.clone(), edges, repeats, totals)
+    if edges == 1 {
+        // A user alone has all its totals. They are measured totals, as those of several users, also if the table has sums of stages.
+        one.summary(&stage::TOTAL).into_iter().for_each(|total| totals.merge(total));
+    } else {
+        repeats.iter().flat_map(|repeat| &repeat.edges).for_each(|edge| totals.merge(&edge.totals));
+    }
+    UsersLine::new(one.values.clone(), edges, repeats, Totals::from_summary(&totals))
 }
 
 /// Draws latency and fairness against the number of users, at most [`MOST_CURVES`] curves in a picture.
@@ -205,5 +200,35 @@ fn row(line: &UsersLine, one: &Configuration) -> UsersRow {
             .map_or_else(|| NONE.to_owned(), |(least, most)| format!("{} – {}", rate(least), rate(most))),
         fairness: or_dash(line.fairness, |index| measured(index, 3)),
         total: line.totals.mean.map_or_else(|| NONE.to_owned(), |mean| mean_std_ms(mean, None).0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use peernet_analysis::total_column::TotalColumn;
+    use peernet_stream::PlacementKind;
+
+    use super::*;
+    use crate::view::compare::tests::{comparison, configuration, measured_users, run};
+
+    #[test]
+    fn users_have_measured_totals_whatever_is_compared() {
+        let one = |at: usize| Configuration {
+            values: vec![at.to_string(), "cloud".to_owned()],
+            ..configuration(at, PlacementKind::Remote, 1.0, 1e3)
+        };
+        let mut several = one(2);
+        several.runs.push(run(3, PlacementKind::Remote));
+        let mut comparison = comparison(vec![one(1), several]);
+        for column in [TotalColumn::Measured, TotalColumn::SumOfStages] {
+            comparison.total_column = column;
+            let measured = measured_users(&comparison);
+            let users = users(&comparison, &measured).expect("two numbers of users");
+            let total = comparison.configurations[0].summary(&stage::TOTAL).expect("totals");
+            let mean = mean_std_ms(total.moments.mean, None).0;
+            for row in &users.rows {
+                assert_eq!(row.total, mean, "{} users, {column:?}", row.users);
+            }
+        }
     }
 }

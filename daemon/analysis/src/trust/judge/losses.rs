@@ -134,7 +134,7 @@ fn judge_skipped_starts(starts: &Starts) -> Option<Finding> {
         return text.map(|text| finding(about, Grade::Good, text));
     }
     let share = starts.skipped_share();
-    let achieved = starts.actual_hz.map(|hz| format!(", {}\u{202f}Hz achieved", rate(hz)));
+    let achieved = starts.actual_hz().map(|hz| format!(", {}\u{202f}Hz achieved", rate(hz)));
     let rates = configured_hz.map_or_else(String::new, |hz| {
         format!(": {hz}\u{202f}Hz were configured{}", achieved.unwrap_or_default())
     });

@@ -1,6 +1,7 @@
 //! Tests of the input of a run's judgement.
 
 use peernet_analysis::Passage;
+use peernet_analysis::record::{Counts as RecordedCounts, RunRecord};
 use peernet_analysis::rows::{LATENESS, Outcome, Row, RowRef, Rows};
 use peernet_analysis::trust::Report;
 use peernet_clock::{DelaySource, Interval, OneWayDelay, Span, Verdict, WallTime};
@@ -146,6 +147,27 @@ fn skipped_starts_are_reported_with_ordered_rate() {
     let rates = "40.0\u{202f}Hz were configured, 5.07\u{202f}Hz achieved";
     assert!(grade == Grade::Bad && text.starts_with("300 of 600 starts") && text.contains(rates), "{text}");
     assert_eq!(said(0).0, Grade::Good);
+}
+
+#[test]
+fn missing_events_count_in_rate_as_in_results() {
+    let rows: Rows = (1..=300).map(row).collect();
+    let record = |unseen| RunRecord {
+        counts: RecordedCounts { unseen, ..RecordedCounts::default() },
+        ..RunRecord::default()
+    };
+    for missing in [0, 60] {
+        let mut run = detail("", "finished");
+        let (first, last) = (NOW, NOW + Span::from_seconds(299));
+        run.summary.last_iteration = Some(last);
+        if missing > 0 {
+            run.gaps.push(GapRow { from: first, to: last, count: missing, reason: "full".to_owned() });
+        }
+        let stored = collect(&run, Some(first), &RunStatistics::default(), &[]).starts;
+        let of_files = TrustInput::from_run(&record(missing), &rows).starts;
+        assert_eq!(stored.actual_hz(), of_files.actual_hz());
+        assert_eq!(of_files.actual_hz(), Some((299 + missing) as f64 / 299.0));
+    }
 }
 
 #[test]
