@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use peernet_figures::drawing::Scatter;
 use peernet_figures::plot::{Item, Key, Plot};
 use peernet_figures::scale::{Scale, Tick};
 use peernet_figures::sheet::page;
@@ -30,12 +29,6 @@ impl Picture {
     /// Draws a plot with its axes. `class` names the layout of the plot in the style sheet, and `label` describes the plot in words.
     pub(crate) fn of_plot(plot: &Plot, class: &str, label: &str) -> Self {
         Self(page::plot(plot, class, label))
-    }
-
-    /// Draws points of several series below their legend.
-    pub(crate) fn of_scatter(scatter: &Scatter, label: &str) -> Self {
-        let legend = Self::of_legend(&scatter.legend(), "key plain points");
-        legend.followed_by(&Self::of_plot(&scatter.plot(), "histogram", label))
     }
 
     /// Draws a legend.

@@ -36,6 +36,7 @@ pub mod offset_trend;
 pub mod order;
 pub mod outcomes;
 mod passage;
+pub mod payload_study;
 pub mod quality;
 pub mod record;
 pub mod rows;

@@ -1,12 +1,14 @@
 //! Delay of messages against their size, in one direction of a link: the statistics of each size, and the line through the medians.
 //!
-//! A calibration and the payload study of recorded runs both use them, so that both give equal numbers for equal messages.
+//! A calibration, the payload study of recorded runs and the page that compares runs all use them, so that they give equal numbers for
+//! equal messages.
 
+use peernet_statistics::{Sketch, Summary};
 use serde::Serialize;
 
-use crate::delays::median_bounds;
+use crate::delays::{interval_of_median, median_bounds};
 use crate::fit::{Fit, Point, Weighted, least_squares};
-use crate::order::SortedValues;
+use crate::order::{SortedValues, Z95, ranks_around_median};
 
 /// Resolution of a clock, a tenth of a microsecond: the minimum error of a median.
 const CLOCK_RESOLUTION_S: f64 = 1e-7;
@@ -22,6 +24,20 @@ pub struct Message {
     pub bounds: Option<(f64, f64)>,
 }
 
+/// Messages of a run in one direction, as stored statistics have them. Sketches do not say which delay belongs to which size, so the messages
+/// of a run count as one size.
+#[derive(Clone, Copy, Debug)]
+pub struct MessageSketches<'a> {
+    /// Sizes of the payloads, bytes.
+    pub payload: &'a Summary,
+    /// Sizes of the metadata, bytes; `None` if there is none.
+    pub metadata: Option<&'a Summary>,
+    /// Known one-way delays, seconds; `None` if no delay is known.
+    pub delay: Option<&'a Summary>,
+    /// Half the widths of the clock bounds of the delays, seconds; `None` if no delay has bounds.
+    pub half_width: Option<&'a Summary>,
+}
+
 /// Summary of the messages of one size. Seconds, bytes, bits per second.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SizeSummary {
@@ -33,7 +49,10 @@ pub struct SizeSummary {
     pub count: u64,
     /// Median delay.
     pub median: f64,
-    /// Standard error of the median; `None` with fewer than six values.
+    /// Largest relative error of the medians and percentiles: 0 from single values, [`Sketch::RELATIVE_ERROR`] from sketches.
+    #[serde(skip)]
+    pub relative_error: f64,
+    /// Standard error of the median, which includes the error of a sketch; `None` with fewer than six values.
     pub median_error: Option<f64>,
     /// 5th and 95th percentile; `None` with fewer than 60 values.
     pub tails: Option<(f64, f64)>,
@@ -53,19 +72,66 @@ impl SizeSummary {
         let delays = sorted(|message| message.delay);
         let median = delays.median()?;
         let bounds = median_bounds(messages.iter().map(|message| message.bounds));
-        let rate = |seconds: f64| (seconds > 0.0).then(|| wire_bytes * 8.0 / seconds);
-        Some(Self {
+        let size = Self {
             payload_bytes,
             wire_bytes,
             count: delays.len() as u64,
             median,
+            relative_error: 0.0,
             median_error: delays.median_error(),
             tails: delays.tails(),
             bounds,
-            throughput: rate(median),
+            throughput: None,
+            throughput_bounds: None,
+        };
+        Some(size.with_throughput())
+    }
+
+    /// Returns the summary of the messages of these runs, which have one size; `None` without a known delay.
+    pub fn from_sketches(payload_bytes: u64, runs: &[MessageSketches<'_>]) -> Option<Self> {
+        let mut merged = [(); 4].map(|()| Summary::default());
+        for run in runs {
+            let quantities = [Some(run.payload), run.metadata, run.delay, run.half_width];
+            merged
+                .iter_mut()
+                .zip(quantities)
+                .for_each(|(all, one)| one.iter().for_each(|one| all.merge(one)));
+        }
+        let [payload, metadata, delay, half_width] = merged;
+        let median = delay.quantile(0.5)?;
+        let relative_error = Sketch::RELATIVE_ERROR;
+        let median_error = ranks_around_median(delay.count()).and_then(|[lower, upper]| {
+            let at = |rank: u64| delay.quantile((rank - 1) as f64 / (delay.count() - 1) as f64);
+            let of_sample = (at(upper)? - at(lower)?) / (2.0 * Z95);
+            // Standard deviation of a uniform distribution between the ends of the error.
+            Some(of_sample.hypot(relative_error * median / 3.0_f64.sqrt()))
+        });
+        // A delay without bounds may be anywhere, and so may the median.
+        let half_width = half_width.quantile(0.5).filter(|_| half_width.count() >= delay.count());
+        let size = Self {
+            payload_bytes,
+            wire_bytes: payload.quantile(0.5)? + metadata.quantile(0.5).unwrap_or_default(),
+            count: delay.count(),
+            median,
+            relative_error,
+            median_error,
+            tails: delay.tails(),
+            bounds: half_width.map(|half_width| interval_of_median(median, half_width)),
+            throughput: None,
+            throughput_bounds: None,
+        };
+        Some(size.with_throughput())
+    }
+
+    /// Adds the throughput, which follows from the size, the median delay and its bounds.
+    fn with_throughput(self) -> Self {
+        let rate = |seconds: f64| (seconds > 0.0).then(|| self.wire_bytes * 8.0 / seconds);
+        Self {
+            throughput: rate(self.median),
             // The longest delay gives the lowest throughput. If the shortest is zero or less, the throughput has no upper bound.
-            throughput_bounds: bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
-        })
+            throughput_bounds: self.bounds.and_then(|(lo, hi)| Some((rate(hi)?, rate(lo)))),
+            ..self
+        }
     }
 
     /// Returns the median delay over the median size.
@@ -106,6 +172,43 @@ mod tests {
         let size = SizeSummary::new(90, &[bounded, message(100.0, 9e-3, None)]).expect("messages");
         assert_eq!((size.bounds, size.throughput_bounds), (None, None));
         assert_eq!(SizeSummary::new(90, &[]), None);
+    }
+
+    #[test]
+    fn sketches_give_size_within_their_error() {
+        let delays = (0..200).map(|number| 4e-3 + f64::from(number * 37 % 200) * 1e-5);
+        let messages: Vec<Message> =
+            delays.map(|delay| message(1_120.0, delay, Some((delay - 0.4e-3, delay + 0.4e-3)))).collect();
+        let exact = SizeSummary::new(1_000, &messages).expect("messages");
+        let summary = |values: &dyn Fn(&Message) -> f64| {
+            let mut all = Summary::default();
+            messages.iter().for_each(|one| all.record(values(one)));
+            all
+        };
+        let [payload, metadata] = [1_000.0, 120.0].map(|size| summary(&|_| size));
+        let (delay, half_width) = (summary(&|one| one.delay), summary(&|_| 0.4e-3));
+        let run = MessageSketches {
+            payload: &payload,
+            metadata: Some(&metadata),
+            delay: Some(&delay),
+            half_width: Some(&half_width),
+        };
+        let stored = SizeSummary::from_sketches(1_000, &[run]).expect("delays");
+        assert_eq!((stored.count, stored.wire_bytes, stored.relative_error), (200, 1_120.0, 0.01));
+        let numbers = |size: &SizeSummary| {
+            let (tails, bounds) = (size.tails.expect("enough"), size.bounds.expect("all have bounds"));
+            [size.median, tails.0, tails.1, bounds.0, bounds.1, size.throughput.expect("a median")]
+        };
+        for (stored, exact) in numbers(&stored).into_iter().zip(numbers(&exact)) {
+            assert!((stored / exact - 1.0).abs() < 0.011, "{stored} {exact}");
+        }
+        let error = |size: &SizeSummary| size.median_error.expect("enough");
+        assert!(error(&stored) >= 0.01 * stored.median / 2.0 && error(&stored) < 3.0 * error(&exact));
+        // Some delays have no bounds.
+        let unbounded = MessageSketches { half_width: None, ..run };
+        let two = SizeSummary::from_sketches(1_000, &[run, unbounded]).expect("delays");
+        assert_eq!((two.count, two.bounds), (400, None));
+        assert_eq!(SizeSummary::from_sketches(1_000, &[MessageSketches { delay: None, ..run }]), None);
     }
 
     #[test]

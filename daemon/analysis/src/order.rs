@@ -74,12 +74,17 @@ impl SortedValues {
     /// Returns the standard error of the median, from the two values that bound the median with 95 % confidence (McKean and Schrader 1984).
     /// It does not depend on the shape of the distribution. `None` with fewer than 6 values.
     pub fn median_error(&self) -> Option<f64> {
-        let n = self.0.len();
-        (n >= 6).then_some(())?;
-        // Rank of the lower of the two values, from 1. The upper value has the same rank from the other end.
-        let rank = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as usize;
-        Some((self.0[n - rank] - self.0[rank - 1]) / (2.0 * Z95))
+        let [lower, upper] = ranks_around_median(self.0.len() as u64)?.map(|rank| self.0[rank as usize - 1]);
+        Some((upper - lower) / (2.0 * Z95))
     }
+}
+
+/// Returns the ranks, from 1, of the two of `n` sorted values that bound the median with 95 % confidence. `None` with fewer than 6 values.
+pub(crate) fn ranks_around_median(n: u64) -> Option<[u64; 2]> {
+    (n >= 6).then_some(())?;
+    let lower = ((n as f64 + 1.0) / 2.0 - Z95 * (n as f64 / 4.0).sqrt()).round().max(1.0) as u64;
+    // The upper value has the same rank from the other end.
+    Some([lower, n + 1 - lower])
 }
 
 #[cfg(test)]

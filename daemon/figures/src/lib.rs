@@ -20,4 +20,5 @@ pub mod svg;
 pub mod text;
 
 pub use of_calibration::draw_calibration;
+pub use of_messages::payload_figures;
 pub use of_results::{Columns, Kind, MissingData, PlotError, WrittenFigures, draw, of_experiment, of_run};

@@ -6,6 +6,7 @@ use crate::drawing::{Parts, Scaling, Series, Unit, Value};
 use crate::look::Mark;
 use peernet_analysis::fit::{Fit, rate};
 use peernet_analysis::message_sizes::{SizeSummary, line_through_medians};
+use peernet_analysis::payload_study::{DirectionSizes, PayloadStudy};
 
 /// Messages of one direction.
 #[derive(Clone, Debug)]
@@ -27,6 +28,17 @@ pub(crate) struct MessageFigures {
     pub directions: Vec<MessageSeries>,
     /// Notes on the messages.
     pub notes: Vec<String>,
+}
+
+/// Returns the figures of latency and of throughput against payload.
+pub fn payload_figures(study: &PayloadStudy) -> [Scaling; 2] {
+    let series = |one: &DirectionSizes| MessageSeries::new(one.name, one.sizes.clone());
+    let messages = MessageFigures {
+        link_name: study.link_name.clone(),
+        directions: study.directions.iter().map(series).collect(),
+        notes: study.all_notes(),
+    };
+    [messages.latency(), messages.throughput()]
 }
 
 impl MessageSeries {

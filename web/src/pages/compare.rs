@@ -14,15 +14,14 @@ use super::kind::{NavigationEntry, PageKind};
 use super::shell::Shell;
 use super::{Page, page};
 use crate::parameters::Parameters;
-use crate::picture::Picture;
 use crate::state::App;
 use crate::view::chip::{Chip, Tone};
 use crate::view::compare::{
     Address, Axes, BoxRow, CompareSelection, Comparison, Configuration, DifferenceRow, Differences,
-    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, QualityPlot,
-    RunMeans, Setting, StackRow, StageDifference, Table, Throughput, UsersPlot, answers, boxes, caveats,
+    Distributions, ExcludedRun, Lengths, MAX_EXPERIMENT_RUNS, OverTime, Pair, PairwiseRow, PayloadPlots,
+    QualityPlot, RunMeans, Setting, StackRow, StageDifference, Table, UsersPlot, answers, boxes, caveats,
     commands, distributions, lengths, load_comparison, measured_users, over_time, pairs, pairwise, payload,
-    qualities, run_means, run_time_series, stacks, throughput, title, unknown_labels, users,
+    qualities, run_means, run_time_series, stacks, title, unknown_labels, users,
 };
 use crate::view::counted;
 
@@ -79,8 +78,7 @@ struct Compare {
     /// Settings that do not distinguish configurations.
     settings: Vec<Setting>,
     names: Vec<String>,
-    payload: Option<(Picture, Vec<String>)>,
-    throughput: Option<Throughput>,
+    payload: Vec<PayloadPlots>,
     /// Latency by length of the answer.
     lengths: Option<Lengths>,
     users: Option<UsersPlot>,
@@ -199,7 +197,6 @@ fn assemble(
         settings: comparison.settings.clone(),
         names: comparison.configurations.iter().map(|one| one.name.clone()).collect(),
         payload: payload(comparison),
-        throughput: throughput(comparison),
         lengths: None,
         users: None,
         qualities: qualities(comparison),

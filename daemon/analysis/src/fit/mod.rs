@@ -12,11 +12,9 @@
 //!   intervals only assume that the deviations from the line have the same distribution.
 
 mod least_squares;
-mod means;
 mod theil_sen;
 
 pub use least_squares::{Weighted, least_squares};
-pub use means::{MIN_SIZES, MeanAtSize, distinct_sizes, is_same_size, line_through_means};
 use serde::Serialize;
 pub use theil_sen::theil_sen;
 

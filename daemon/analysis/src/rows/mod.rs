@@ -52,6 +52,14 @@ pub struct Rows {
 /// Column of the flag for warm-up. It is stored with the outcomes, because every statistic reads both.
 const WARM_UP: &str = "warm-up";
 
+/// Largest magnitude that can have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
+const MAX_MAGNITUDE: f64 = 1e18;
+
+/// Returns whether a number can have been measured. Figures show no other numbers.
+pub fn is_plausible(value: f64) -> bool {
+    value.abs() <= MAX_MAGNITUDE
+}
+
 /// Verdict on a delay, and the source of the clock relation that corrected the delay.
 pub type JudgedDelay = (Verdict, DelaySource);
 

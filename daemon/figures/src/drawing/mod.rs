@@ -14,7 +14,6 @@ mod lengths;
 mod paired;
 mod quartiles;
 mod scaling;
-mod scatter;
 mod sharing;
 mod stack;
 mod stacked;
@@ -25,6 +24,7 @@ mod time_series;
 pub use crate::plot::Unit;
 pub use accuracy::{Accuracy, MOST_SCORES, Score};
 pub use binned::BinnedAxis;
+pub(crate) use peernet_analysis::rows::is_plausible as is_drawable;
 
 pub use cumulative::{Cumulative, CumulativeCurve};
 pub use histogram::{Bins, Distribution, Histogram, View};
@@ -34,21 +34,12 @@ pub use lengths::Lengths;
 pub use paired::{Group, MOST_GROUPS, MOST_SIDES, Paired};
 pub use quartiles::Quartiles;
 pub use scaling::{Parts, Scaling, Series, Value};
-pub use scatter::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
 pub use sharing::{MOST_CURVES, Sharing, SharingCurve, SharingPoint};
 pub use stack::{Orientation, Stack};
 pub use stacked::{Bar, Stacked};
 pub use stage_bar::{BarPlace, StageBar, StagePart};
 pub use stages_over_time::{OverTimeAxes, StageBucket, StagesOverTime};
 pub use time_series::{Line, TimeSeries};
-
-/// Largest magnitude that can have been measured: a year is 3·10⁷ s, and the fastest links carry 10¹⁵ bit/s.
-const MAX_MAGNITUDE: f64 = 1e18;
-
-/// Returns whether a number can be drawn in a figure.
-pub(crate) fn is_drawable(value: f64) -> bool {
-    value.abs() <= MAX_MAGNITUDE
-}
 
 #[cfg(test)]
 mod tests;

@@ -2,14 +2,14 @@
 
 use peernet_statistics::number::bytes;
 
-use crate::look::{Fill, Mark, Style, stage};
+use crate::look::{Mark, Style, stage};
 use crate::plot::{At, Figure, Item, Key, Plot, Swatch, Unit};
 use crate::scale::Scale;
 
 /// Half the distance between two series at one size, points.
 const HALF_DISTANCE: f64 = 2.0;
-/// Half the width of a bar, points.
-const BAR_HALF_WIDTH: f64 = 1.35;
+/// Width of a bar, points.
+const BAR_WIDTH: f64 = 2.7;
 /// Half the width of a whisker's cap, points.
 const CAP_HALF_WIDTH: f64 = 1.7;
 /// Approximate width of the plot in a file, points.
@@ -191,16 +191,12 @@ impl Scaling {
             items.push(Item::path(line.within(dx / PLOT_WIDTH).offset_by(dx), line_style));
         }
         let colour = stage(series.stage).line_colour();
-        let bar = Style::area("bar", Fill::of(colour.tint(0.35)));
+        let bar = Style::line(format!("g-{} bar", stage(series.stage).class), colour.tint(0.35), BAR_WIDTH);
         let whisker = Style::line("whisk2", colour, WHISKER_WIDTH);
         for value in series.values.iter().filter(|value| value.value > 0.0) {
             let at = |height: f64| plot.at(value.bytes, in_shown_unit(height)).offset_by(dx, 0.0);
             if let Some((lo, hi)) = value.spread {
-                items.push(Item::rect(
-                    at(lo).offset_by(-BAR_HALF_WIDTH, 0.0),
-                    at(hi).offset_by(BAR_HALF_WIDTH, 0.0),
-                    bar.clone(),
-                ));
+                items.push(Item::line(at(lo), at(hi), bar.clone()));
             }
             if let Some((lo, hi)) = value.whisker() {
                 let top = hi.map_or(At { y: 0.0, ..at(lo) }, at);

@@ -17,9 +17,7 @@ const MAX_MAGNITUDE: f64 = 1e150;
 const MIN_MAGNITUDE: f64 = 1e-150;
 /// Margin beyond the values of a scale from zero, as a share of their range.
 const MARGIN: f64 = 0.04;
-/// Room at both ends of a logarithmic scale of sizes, for the names of points: a factor that is this power of the ratio of the ends.
-const SIZES_MARGIN: f64 = 0.06;
-/// A scale of sizes is logarithmic if the ratio of the largest to the smallest value is more than this.
+/// A scale of [decades](Scale::decades) needs a ratio of the largest to the smallest value of more than this.
 const DECADE: f64 = 10.0;
 /// Maximum distance of a value beyond an end from that end in [`Scale::at_or_outside`], as a share of the length.
 const MAX_OUTSIDE: f64 = 0.05;
@@ -81,15 +79,6 @@ impl Scale {
     pub fn up_to(largest: f64, ticks: usize) -> Self {
         let largest = if largest.is_finite() && largest > 0.0 { largest } else { 1.0 };
         Self::linear((0.0, largest)).widened(ticks)
-    }
-
-    /// Returns a scale of sizes: logarithmic with room at both ends if they span more than a decade, else linear from zero.
-    pub fn of_sizes(values: impl Iterator<Item = f64>) -> Self {
-        let (lo, hi) =
-            values.fold((f64::INFINITY, 0.0_f64), |(lo, hi), value| (lo.min(value), hi.max(value)));
-        let room = (hi / lo).powf(SIZES_MARGIN);
-        let logarithmic = Self::decades((lo, hi)).map(|_| Self::logarithmic((lo / room, hi * room)));
-        logarithmic.unwrap_or_else(|| Self::up_to(hi * (1.0 + MARGIN / 2.0), 6))
     }
 
     /// Returns a logarithmic scale if these values are above zero and span more than a decade.

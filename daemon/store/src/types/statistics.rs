@@ -100,6 +100,11 @@ impl MergeableStatistics {
         self.values.get(name).map(|entry| &entry.summary)
     }
 
+    /// Returns half the widths, in seconds, of the intervals of the delays of one direction; `None` if no delay has an interval.
+    pub fn half_widths(&self, name: &str) -> Option<&Summary> {
+        self.half_widths.get(name)
+    }
+
     /// Adds values of a node name. If nodes with this name have several kinds of measure, their values are merged.
     pub fn add(&mut self, name: Name, unit: &str, values: &Summary) {
         self.values.entry(name).or_insert_with(|| NameSummary::with_unit(unit)).summary.merge(values);

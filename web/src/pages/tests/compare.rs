@@ -35,6 +35,12 @@ async fn asked_for(configurations: &[Configuration], stage: &str) -> Result<Stri
         .inspect(|html| check(html))
 }
 
+/// Returns the panel whose heading has this id.
+fn panel<'a>(html: &'a str, heading: &str) -> &'a str {
+    let rest = html.split(&format!("id=\"{heading}\"")).nth(1).expect("a panel");
+    rest.split("</section>").next().expect("its end")
+}
+
 #[tokio::test]
 async fn two_configurations_have_a_difference_with_its_interval() {
     let two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
@@ -57,12 +63,13 @@ async fn several_configurations_have_a_table_bars_and_a_plot() {
     let html = page_of(many.collect(), false).await;
     let stacked = html.split("How the total spreads").next().expect("what stands before");
     assert_eq!(stacked.matches("class=\"bar\"").count() - 1, 8);
-    assert!(html.contains("Latency against payload") && html.contains("sizes"), "{html}");
-    assert!(html.contains("total: ") && html.contains("more per MB sent"), "{html}");
-    let latency = html.split("id=\"cw-h\"").next().expect("what stands before");
-    assert_eq!(latency.matches(" fit\" d=\"M").count(), 2, "one through the totals, one through the uploads");
+    let latency = panel(&html, "cl-h");
+    assert!(latency.contains("upload: ") && latency.contains(" ms + size ÷ ("), "{latency}");
+    assert_eq!(latency.matches("class=\"g-upload fit\" d=\"M").count(), 1, "a line: {latency}");
+    assert_eq!(latency.matches("class=\"g-upload bar\"").count(), 8, "5th to 95th percentile: {latency}");
+    assert!(latency.contains("point: median") && latency.contains("messages of 8 runs, pooled"), "{latency}");
+    assert!(latency.contains("messages of each size: 300"), "{latency}");
     assert!(!html.contains("id=\"cd-h\""));
-    assert_eq!(latency.matches("<circle class=\"f-upload cut\"").count(), 8);
 }
 
 #[tokio::test]
@@ -212,20 +219,36 @@ async fn throughput_is_drawn_against_payload_with_its_numbers() {
     let many: Vec<_> =
         (0..5).map(|at| configuration(at, Remote, 1.0 + at as f64 * 0.3, 1e5 * (at + 1) as f64)).collect();
     let html = page_of(many.clone(), false).await;
-    let panel = html.split("id=\"cw-h\"").nth(1).expect("a panel");
-    let panel = panel.split("</section>").next().expect("its end");
-    assert_eq!(panel.matches("<circle class=\"f-upload cut\"").count(), 5, "{panel}");
+    let panel = panel(&html, "cw-h");
     // 100 kB in 6.3 ms.
-    assert!(panel.contains("data-h=\"size\">100\u{202f}kB</td>") && panel.contains(">15.9 <span"), "{panel}");
-    assert_eq!(
-        panel.matches("data-h=\"way\">upload</td>").count(),
-        5,
-        "downloads are all of one size: {panel}"
-    );
-    assert!(panel.contains("upload: ") && panel.contains("by the slope of a line"), "{panel}");
+    assert!(panel.contains("data-h=\"size\">100\u{202f}kB</td>") && panel.contains(">15.9</td>"), "{panel}");
+    assert_eq!(panel.matches("<th scope=\"row\">upload</th>").count(), 5, "downloads have no size: {panel}");
+    assert!(panel.contains("point: size ÷ median delay"), "{panel}");
+    let two = page_of(many[..2].to_vec(), false).await;
     assert!(
-        !page_of(many[..2].to_vec(), false).await.contains("Throughput against payload"),
-        "two are no plot"
+        two.contains("Throughput against payload") && !two.contains(" fit\" d=\"M"),
+        "points without a line"
+    );
+    // The largest must be twice the smallest.
+    let similar: Vec<_> = (0..3).map(|at| configuration(at, Remote, 1.0, 1e3 + 3e2 * at as f64)).collect();
+    assert!(!page_of(similar, false).await.contains("against payload"));
+}
+
+#[tokio::test]
+async fn links_are_separate_studies() {
+    let mut four: Vec<_> =
+        (0..4).map(|at| configuration(at, Remote, 1.0, 1e4 * (1 + at % 2) as f64)).collect();
+    for one in &mut four[2..] {
+        one.runs[0].host_name = samples::slug("cam-2");
+    }
+    let html = page_of(four, false).await;
+    let latency = panel(&html, "cl-h");
+    assert_eq!(latency.matches("class=\"histogram\"").count(), 2, "{latency}");
+    assert!(
+        ["cam-1 → ", "cam-2 → "]
+            .iter()
+            .all(|link| latency.contains(&format!("<h3 class=\"quantity\">{link}"))),
+        "{latency}"
     );
 }
 
@@ -237,17 +260,11 @@ async fn totals_and_inferences_are_boxes() {
     assert_eq!(html.matches("class=\"stages thin boxed\"").count(), 4, "two totals, two inferences: {html}");
 }
 
-/// Returns the panel of distributions.
-fn panel(html: &str) -> &str {
-    let panel = html.split("id=\"distributions\"").nth(1).expect("a panel");
-    panel.split("</section>").next().expect("its end")
-}
-
 #[tokio::test]
 async fn few_runs_show_all_distributions_or_selected_one() {
     let mut two = vec![configuration(0, Local, 1.5, 1e3), configuration(1, Remote, 1.0, 1e3)];
     let html = page_of(two.clone(), false).await;
-    let all = panel(&html);
+    let all = panel(&html, "distributions");
     let titles =
         ["Total", "Sensing time", "Upload time", "Inference time", "Download time", "Upload throughput"];
     let found: Vec<&str> = all.split("<h3 class=\"quantity\">").skip(1).collect();
@@ -265,7 +282,7 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     assert!(all.contains("bin f-upload\"") && all.contains("bin f-sensing\""), "{all}");
 
     let html = asked_for(&two, "upload").await.expect("there");
-    let one = panel(&html);
+    let one = panel(&html, "distributions");
     assert_eq!((one.matches("<h3").count(), one.matches("<figcaption>").count()), (1, 2), "{one}");
     assert!(
         one.contains(
@@ -274,14 +291,14 @@ async fn few_runs_show_all_distributions_or_selected_one() {
     );
     // Any stage that a run has can be asked for, whatever it is called.
     let html = asked_for(&two, "preprocessing").await.expect("there");
-    assert!(panel(&html).contains("aria-current=\"true\">preprocessing</a>"), "{html}");
+    assert!(panel(&html, "distributions").contains("aria-current=\"true\">preprocessing</a>"), "{html}");
     let html = asked_for(&two, "download-throughput").await.expect("a usual one");
-    assert!(panel(&html).contains("No run that is compared has measured this."), "{html}");
+    assert!(panel(&html, "distributions").contains("No run that is compared has measured this."), "{html}");
     let refused = asked_for(&two, "<b>").await.expect_err("nobody has it").to_string();
     assert!(refused.contains("none of the compared runs has \"<b>\"; ask for"), "{refused}");
 
     let alone = page_of(two[..1].to_vec(), false).await;
-    assert_eq!(panel(&alone).matches("<figcaption>").count(), 6);
+    assert_eq!(panel(&alone, "distributions").matches("<figcaption>").count(), 6);
     two.iter_mut().for_each(|one| {
         one.stages.clear();
         one.mergeable = Default::default();
@@ -299,7 +316,7 @@ async fn many_runs_show_one_distribution_per_configuration() {
         one.runs.extend(again);
     }
     let html = page_of(many, false).await;
-    let drawn = panel(&html);
+    let drawn = panel(&html, "distributions");
     assert_eq!((drawn.matches("<h3").count(), drawn.matches("<figcaption>").count()), (1, 24), "{drawn}");
     assert!(drawn.contains("24 of 100 runs: ") && drawn.contains("> ms, logarithmic</span>"), "{drawn}");
     assert!(drawn.contains("aria-current=\"true\">total</a>") && !drawn.contains(">all</a>"), "{drawn}");
@@ -322,17 +339,21 @@ async fn delay_with_wide_interval_is_drawn_as_band() {
     };
     let two = vec![of(0, 0.000_65, Verdict::Ok), of(1, 0.004, Verdict::Limited)];
     let html = asked_for(&two, "upload").await.expect("there");
-    let drawn = panel(&html);
+    let drawn = panel(&html, "distributions");
     assert_eq!(drawn.matches("class=\"band\"").count(), 2, "{drawn}");
     assert!(drawn.contains("ms, by the clocks 5.") && drawn.contains("median by the clocks 2."), "{drawn}");
     assert_eq!(drawn.matches("chip warn").count(), 1, "only the second is limited: {drawn}");
     let html = asked_for(&two, "upload-throughput").await.expect("there");
-    assert_eq!(panel(&html).matches("class=\"band\"").count(), 2, "a throughput is no better known: {html}");
+    assert_eq!(
+        panel(&html, "distributions").matches("class=\"band\"").count(),
+        2,
+        "a throughput is no better known: {html}"
+    );
     let mut undetermined = configuration(2, Remote, 1.0, 1e3);
     let mut mergeable = MergeableStatistics::default();
     mergeable.add(stage::TOTAL, "s", undetermined.summary(&stage::TOTAL).expect("measured"));
     mergeable.add_verdicts(stage::UPLOAD, Verdict::Unsynchronised, 300);
     undetermined.mergeable = Arc::new(mergeable);
     let html = asked_for(&[two[0].clone(), undetermined], "upload").await.expect("there");
-    assert!(panel(&html).contains("The clocks do not determine it for 1 run."), "{html}");
+    assert!(panel(&html, "distributions").contains("The clocks do not determine it for 1 run."), "{html}");
 }

@@ -1,11 +1,14 @@
 //! Tests that a page states the same numbers of stored runs as tables and figures state of the files of these runs.
 
 use peernet_analysis::loaded::Loaded;
+use peernet_analysis::message_sizes::line_through_medians;
+use peernet_analysis::payload_study::{DIRECTIONS, DirectionSizes, Link, PayloadStudy};
 use peernet_analysis::quality::Quality;
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, Row, RowRef};
 use peernet_clock::Span;
 use peernet_logger::Name;
+use peernet_statistics::Sketch;
 use peernet_store::{MeanBucket, RunStatistics, StageMeans};
 use peernet_stream::{OutcomeCounts, PlacementKind};
 
@@ -146,4 +149,77 @@ fn page_and_figure_have_equal_qualities() {
         comparison.configurations.iter().map(known).collect::<Vec<_>>(),
         [scored, vec![Quality::Map50]]
     );
+}
+
+/// Returns the studies of the files of these runs, which are over one link.
+fn studies_of_files(runs: &[Loaded]) -> Vec<PayloadStudy> {
+    let rows: Vec<RowRef<'_>> = runs.iter().flat_map(counted).collect();
+    let directions = DIRECTIONS.map(|name| DirectionSizes::from_rows(name, &rows));
+    PayloadStudy::drawn([PayloadStudy::new(&Link::from(&runs[0].record), directions, None)])
+}
+
+#[test]
+fn page_and_figure_have_equal_latencies_against_payload() {
+    // 0.8 ms and 11.2 MB/s; one upload in twenty waits 50 ms.
+    let run = |payload: f64| {
+        loaded("sized", move |at| {
+            let late = if at % 20 == 0 { 50e-3 } else { (at * 37 % 200) as f64 * 1e-6 };
+            let delay = 0.8e-3 + (payload + 120.0) / 11.2e6 + late;
+            vec![("upload", delay), ("upload-bytes", payload), ("upload-logger-bytes", 120.0)]
+        })
+    };
+    let runs = [1e3, 1e4, 1e4, 1e5, 1e6].map(run);
+    let (file, page) = (studies_of_files(&runs), payload::studies(&page(&runs).0));
+    let (file, page) = (&file[0].directions, &page[0].directions);
+    assert_eq!((file.len(), page.len()), (1, 1), "nothing was sent down");
+    let relative = |a: f64, b: f64| (a / b - 1.0).abs();
+    for (file, page) in file[0].sizes.iter().zip(&page[0].sizes) {
+        assert_eq!((file.payload_bytes, file.count), (page.payload_bytes, page.count));
+        assert_eq!(file.wire_bytes, page.wire_bytes);
+        let tolerance = page.relative_error;
+        assert!((tolerance, file.relative_error) == (Sketch::RELATIVE_ERROR, 0.0));
+        assert!(relative(page.median, file.median) <= tolerance, "{file:?} {page:?}");
+        let [file, page] = [file, page].map(|size| size.tails.expect("enough"));
+        assert!(relative(page.0, file.0) <= tolerance && relative(page.1, file.1) <= tolerance);
+    }
+    let line = |study: &[DirectionSizes]| line_through_medians(&study[0].sizes).expect("four sizes");
+    let (file, page) = (line(file), line(page));
+    // Each end of the line is as far from the other line as medians are. The means of the delays give 3.3 ms.
+    assert!(relative(page.at(1_120.0), file.at(1_120.0)) < 0.01, "{file:?} {page:?}");
+    assert!(relative(page.slope.value, file.slope.value) < 0.015, "{file:?} {page:?}");
+    assert!((page.intercept.value - 0.9e-3).abs() < 0.05e-3, "{page:?}");
+}
+
+#[test]
+fn page_and_figure_draw_equal_selections_of_payloads() {
+    let run = |payload: f64| {
+        loaded("sized", move |at| {
+            let download = [1e3, 9e3][usize::from(payload > 1e6)];
+            vec![
+                ("upload", 1e-3 + payload * 1e-7 * (at % 7) as f64),
+                ("upload-bytes", payload),
+                ("download", 1e-3),
+                ("download-bytes", download),
+            ]
+        })
+    };
+    for (sizes, directions) in [
+        // Similar sizes, as those of one camera.
+        (vec![1e3, 1.5e3, 1.9e3], vec![]),
+        (vec![1e6, 4e6], vec!["upload", "download"]),
+        (vec![1e3, 1e3, 5e5], vec!["upload"]),
+        ((1..=30).map(|size| f64::from(size) * 1e3).collect(), vec!["upload"]),
+    ] {
+        let runs: Vec<Loaded> = sizes.into_iter().map(run).collect();
+        let drawn = |studies: &[PayloadStudy]| {
+            let all = studies.iter().flat_map(|study| &study.directions);
+            let sizes = |one: &DirectionSizes| {
+                one.sizes.iter().map(|size| (size.payload_bytes, size.count)).collect()
+            };
+            all.map(|one| (one.name, sizes(one))).collect::<Vec<(&str, Vec<(u64, u64)>)>>()
+        };
+        let (file, page) = (drawn(&studies_of_files(&runs)), drawn(&payload::studies(&page(&runs).0)));
+        assert_eq!(file.iter().map(|(name, _)| *name).collect::<Vec<_>>(), directions);
+        assert_eq!(file, page);
+    }
 }

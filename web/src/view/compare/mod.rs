@@ -21,7 +21,6 @@ mod spread;
 mod table;
 #[cfg(test)]
 pub(crate) mod tests;
-mod throughput;
 mod title;
 mod users;
 
@@ -31,13 +30,12 @@ pub(crate) use distributions::{Address, Distributions, distributions};
 pub(crate) use gather::{CompareSelection, MAX_EXPERIMENT_RUNS, load_comparison};
 pub(crate) use lengths::{Lengths, answers, lengths};
 pub(crate) use pairwise::{PairwiseRow, pairwise};
-pub(crate) use payload::payload;
+pub(crate) use payload::{PayloadPlots, payload};
 pub(crate) use pictures::{Axes, Pair, StackRow, pairs, stacks};
 pub(crate) use qualities::{QualityPlot, qualities};
 pub(crate) use series::{OverTime, over_time, run_time_series};
 pub(crate) use spread::{BoxRow, boxes};
 pub(crate) use table::{DifferenceRow, Table};
-pub(crate) use throughput::{Throughput, throughput};
 pub(crate) use title::title;
 pub(crate) use users::{UsersPlot, measured_users, users};
 

@@ -1,145 +1,115 @@
-//! Latency against payload.
+//! Latency and throughput against payload, as in the figures of the same runs.
 
-use peernet_analysis::compare::readable_name;
-use peernet_analysis::fit::{Fit, MIN_SIZES, MeanAtSize, distinct_sizes, is_same_size, line_through_means};
-use peernet_figures::drawing::{Scatter, ScatterLine, ScatterPoint, ScatterSeries};
-use peernet_figures::plot::Axis;
-use peernet_figures::scale::Scale;
-use peernet_logger::stage;
-use peernet_statistics::number::{SPACE, bytes, interval_ms, within_ms};
-use peernet_store::QuantityStatistics;
+use peernet_analysis::message_sizes::{MessageSketches, SizeSummary};
+use peernet_analysis::payload_study::{
+    DIRECTIONS, DirectionSizes, Link, PayloadStudy, group_by_link, pooled_note,
+};
+use peernet_figures::drawing::Scaling;
+use peernet_figures::payload_figures;
+use peernet_logger::Slug;
+use peernet_statistics::number::{NONE, bytes, count, stage_ms, throughput, throughput_between};
+use peernet_store::RunSummary;
 
-use super::{Comparison, Configuration};
+use super::Comparison;
 use crate::picture::Picture;
 
-/// Maximum number of groups with separate lines; more lines would be hard to distinguish.
-const MAX_GROUPS: usize = 3;
-
-/// Returns the mean size of the payloads that a configuration sent; `None` if it sent none.
-fn payload_size(one: &Configuration) -> Option<f64> {
-    one.figures(&stage::UPLOAD_BYTES).map(|figures| figures.mean).filter(|size| *size > 0.0)
+/// Plots of the messages over one link, and their numbers.
+pub(crate) struct PayloadPlots {
+    /// Name of the link; empty if there is only one.
+    pub link: String,
+    pub latency: PayloadPlot,
+    pub throughput: PayloadPlot,
+    pub rows: Vec<SizeRow>,
 }
 
-/// Returns a plot of latency against payload, and sentences about the lines through the points. `None` if the payloads have fewer than
-/// three sizes.
-pub(crate) fn payload(comparison: &Comparison) -> Option<(Picture, Vec<String>)> {
-    let all: Vec<(&Configuration, f64)> =
-        comparison.configurations.iter().filter_map(|one| Some((one, payload_size(one)?))).collect();
-    let sizes = || all.iter().map(|(_, size)| *size);
-    let (least, most) = sizes().fold((f64::INFINITY, 0.0_f64), |(lo, hi), size| (lo.min(size), hi.max(size)));
-    (distinct_sizes(sizes()) >= MIN_SIZES).then_some(())?;
-    let groups = groups(comparison, &all);
-    let mut sentences = Vec::new();
-    let series = ["total", "upload"].map(|name| {
-        let points = all.iter().filter_map(|(one, size)| {
-            let figures = one.figures(name)?;
-            Some(ScatterPoint {
-                x: size / 1e3,
-                y: figures.mean * 1e3,
-                ends: figures.std.map(|std| ((figures.mean - std) * 1e3, (figures.mean + std) * 1e3)),
-                name: name_in(comparison, &groups, one),
-            })
+/// Plot of a quantity against size, and how to read it.
+pub(crate) struct PayloadPlot {
+    pub picture: Picture,
+    pub notes: Vec<String>,
+}
+
+/// Messages of one size in one direction.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SizeRow {
+    pub way: &'static str,
+    /// Median size on the wire: payload and metadata.
+    pub size: String,
+    /// Number of messages.
+    pub messages: String,
+    /// Median delay, ms.
+    pub delay: String,
+    /// Throughput in MB/s, and its interval by the clock bounds.
+    pub throughput: (String, Option<String>),
+}
+
+/// Returns the studies of all links whose messages have sizes that differ enough.
+pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
+    let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
+    let links = group_by_link(runs.map(|(one, run)| (link_of(run), (one, run))));
+    let studies = links.into_iter().map(|(link, runs)| {
+        let labels: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
+        let directions = DIRECTIONS.map(|name| {
+            let sketches = runs.iter().filter_map(|(_, run)| sketches(comparison, run.number, name));
+            DirectionSizes::from_sketches(name, sketches)
         });
-        let mut lines = Vec::new();
-        for group in &groups {
-            let Some((fit, ends)) = line(group, name) else { continue };
-            lines.push(ScatterLine {
-                intercept: fit.intercept.value * 1e3,
-                slope: fit.slope.value * 1e6,
-                from: ends.0 / 1e3,
-                to: ends.1 / 1e3,
-            });
-            sentences.push(sentence(name, group_name(comparison, group).as_deref(), &fit));
-        }
-        ScatterSeries {
-            stage: peernet_figures::look::stage(name),
-            name: name.to_owned(),
-            points: points.collect(),
-            lines,
-        }
+        PayloadStudy::new(&link, directions, pooled_note(&comparison.axes, &labels))
     });
-    let x = Axis::new(Scale::of_sizes(sizes().map(|size| size / 1e3)), "", "kB sent");
-    let points = || series.iter().flat_map(|one| &one.points);
-    let up = Scale::up_to(points().map(ScatterPoint::top).fold(0.0, f64::max), 5);
-    let label =
-        format!("Mean latency against payload, {} to {}. {}", bytes(least), bytes(most), sentences.join(" "));
-    let scatter = Scatter { x, y: Axis::new(up, "", "ms"), series: series.into() };
-    Some((Picture::of_scatter(&scatter, &label), sentences))
+    PayloadStudy::drawn(studies)
 }
 
-pub(super) type Group<'a> = Vec<(&'a Configuration, f64)>;
-
-/// Groups configurations that differ only in the size of the payload. On the axis that sets the size, equal labels mean equal
-/// sizes. Returns a single group of all configurations if there is no such axis or there would be too many groups.
-pub(super) fn groups<'a>(comparison: &Comparison, all: &[(&'a Configuration, f64)]) -> Vec<Group<'a>> {
-    let sets_the_size = |axis: &usize| {
-        let label = |one: &Configuration| one.values.get(*axis).cloned();
-        all.iter().all(|(one, size)| {
-            let with_same_label = all.iter().filter(|(other, _)| label(other) == label(one));
-            with_same_label.into_iter().all(|(_, other)| is_same_size(*size, *other))
-        })
-    };
-    let Some(axis) = (0..comparison.axes.len()).find(sets_the_size) else { return vec![all.to_vec()] };
-    let others = |one: &Configuration| {
-        let labels = one.values.iter().enumerate().filter(|(index, _)| *index != axis);
-        labels.map(|(_, label)| label.clone()).collect::<Vec<String>>()
-    };
-    let mut groups: Vec<Group<'a>> = Vec::new();
-    for (one, size) in all {
-        match groups.iter_mut().find(|group| others(group[0].0) == others(one)) {
-            Some(group) => group.push((one, *size)),
-            None => groups.push(vec![(one, *size)]),
-        }
+fn link_of(run: &RunSummary) -> Link {
+    let placement = &run.placement;
+    let cloud = placement.peer.as_ref().map_or("", Slug::as_str);
+    Link {
+        hosts: [run.host_name.as_str(), cloud].map(str::to_owned),
+        network: [&placement.network, &placement.address].map(|text| text.clone().unwrap_or_default()),
     }
-    if groups.len() > MAX_GROUPS { vec![all.to_vec()] } else { groups }
 }
 
-/// Returns in words the values that all configurations of a group have in common and some other configuration lacks; `None` if there are
-/// no such values.
-pub(super) fn group_name(comparison: &Comparison, group: &Group<'_>) -> Option<String> {
-    let value = |one: &Configuration, axis: usize| one.values.get(axis).cloned();
-    let first = group.first()?.0;
-    let is_common = |axis: &usize| group.iter().all(|(one, _)| value(one, *axis) == value(first, *axis));
-    let is_distinctive =
-        |axis: &usize| comparison.configurations.iter().any(|one| value(one, *axis) != value(first, *axis));
-    let axes: Vec<usize> = (0..comparison.axes.len()).filter(is_common).filter(is_distinctive).collect();
-    let names: Vec<String> = axes.iter().map(|axis| comparison.axes[*axis].clone()).collect();
-    let values: Vec<String> = axes.iter().filter_map(|axis| value(first, *axis)).collect();
-    Some(readable_name(&names, &values)).filter(|words| !words.is_empty())
+fn sketches<'a>(comparison: &'a Comparison, run: i64, name: &str) -> Option<MessageSketches<'a>> {
+    let statistics = comparison.statistics_by_run.get(&run)?;
+    Some(MessageSketches {
+        payload: statistics.summary(&format!("{name}-bytes"))?,
+        metadata: statistics.summary(&format!("{name}-logger-bytes")),
+        delay: statistics.summary(name),
+        half_width: statistics.half_widths(name),
+    })
 }
 
-/// Returns the name of a point on an axis of sizes. It is the name of the group, because the axis already shows the size.
-pub(super) fn name_in(comparison: &Comparison, groups: &[Group<'_>], one: &Configuration) -> String {
-    let group = groups.iter().find(|group| group.iter().any(|(other, _)| other.name == one.name));
-    group.and_then(|group| group_name(comparison, group)).unwrap_or_default()
-}
-
-/// Fits a line of seconds over bytes through the means of a group. Each mean is weighted by its precision. Returns the line, and the
-/// smallest and the largest size. `None` if there are too few sizes.
-pub(super) fn line(group: &Group<'_>, name: &str) -> Option<(Fit, (f64, f64))> {
-    let means = group.iter().filter_map(|(one, size)| {
-        let QuantityStatistics { count, mean, std, .. } = *one.figures(name)?;
-        Some(MeanAtSize { size: *size, count, mean, std })
+/// Returns the plots of each link. Empty if no direction has sizes that differ enough.
+pub(crate) fn payload(comparison: &Comparison) -> Vec<PayloadPlots> {
+    let studies = studies(comparison);
+    let has_several = studies.len() > 1;
+    let plots = studies.iter().map(|study| {
+        let [latency, throughput] = payload_figures(study).map(|scaling| plot(&scaling));
+        let rows = study.directions.iter().flat_map(|one| one.sizes.iter().map(|size| row(one.name, size)));
+        let link = if has_several { study.link_name.clone() } else { String::new() };
+        PayloadPlots { link, latency, throughput, rows: rows.collect() }
     });
-    let means: Vec<MeanAtSize> = means.collect();
-    let fit = line_through_means(&means)?;
-    let ends =
-        means.iter().fold((f64::INFINITY, 0.0_f64), |(lo, hi), mean| (lo.min(mean.size), hi.max(mean.size)));
-    Some((fit, ends))
+    plots.collect()
 }
 
-/// Returns `total (50 Hz): 0.12 ms (95 %: 0.10 – 0.14) and 0.84 ms (0.80 – 0.88) more per MB.`
-fn sentence(name: &str, group: Option<&str>, fit: &Fit) -> String {
-    let group_text = group.map_or_else(String::new, |group| format!(" ({group})"));
-    let (base, slope) = (fit.intercept.span(), fit.slope.span());
-    let per_megabyte = (slope.0 * 1e6, slope.1 * 1e6);
-    format!(
-        "{name}{group_text}: {}{SPACE}ms (95{SPACE}%: {}) and {}{SPACE}ms ({}) more per MB sent. Line through {} means, \
-         each weighted by how well it is known.",
-        within_ms(fit.intercept.value, base),
-        interval_ms(base.0, base.1),
-        within_ms(fit.slope.value * 1e6, per_megabyte),
-        interval_ms(per_megabyte.0, per_megabyte.1),
-        fit.points
-    )
+fn plot(scaling: &Scaling) -> PayloadPlot {
+    let figure = scaling.figure();
+    let series: Vec<&str> = scaling.series.iter().map(|series| series.name.as_str()).collect();
+    let label = format!("{}. {}", figure.title, series.join("; "));
+    let legend = Picture::of_legend(&figure.legend, "key plain points");
+    let picture = figure
+        .plots
+        .iter()
+        .fold(legend, |all, plot| all.followed_by(&Picture::of_plot(plot, "histogram", &label)));
+    PayloadPlot { picture, notes: figure.notes }
+}
+
+fn row(way: &'static str, size: &SizeSummary) -> SizeRow {
+    SizeRow {
+        way,
+        size: bytes(size.wire_bytes).to_string(),
+        messages: count(size.count),
+        delay: stage_ms(size.median),
+        throughput: (
+            size.throughput.map_or_else(|| NONE.to_owned(), throughput),
+            size.throughput_bounds.map(throughput_between),
+        ),
+    }
 }

@@ -182,7 +182,8 @@ fn font_has_all_characters_of_figures() {
         include_str!("../sharing.rs"),
         include_str!("../stacked.rs"),
         include_str!("../../of_calibration.rs"),
-        include_str!("../../of_results/payload.rs"),
+        include_str!("../../of_messages.rs"),
+        include_str!("../../../../analysis/src/payload_study.rs"),
     ] {
         assert_eq!(source.lines().find_map(missing_glyph), None);
     }

@@ -28,7 +28,7 @@ fn omitted_direction_is_noted_with_sizes() {
     });
     let drawn = draw(Kind::Payload, &[alike], &Columns::default(), folder.path()).expect("downloads vary");
     let expected_note =
-        "payload-latency: not drawn: upload, 106 kB to 157 kB: the largest must be twice the smallest";
+        "payload-latency: not drawn: upload, 106 kB to 158 kB: the largest must be twice the smallest";
     assert_eq!(drawn.missing, [expected_note], "once for both figures");
     let words = std::fs::read_to_string(folder.path().join("payload-throughput-caption.txt")).expect("read");
     assert!(words.contains("not drawn: upload"), "{words}");

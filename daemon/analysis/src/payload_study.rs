@@ -1,0 +1,284 @@
+//! Delay and throughput against payload in recorded runs: which messages are compared, and which of them are drawn.
+//!
+//! A file has every message of a run; a page has the sketches of the run. Both fill [`DirectionSizes`], and the rest is the same.
+
+use std::collections::BTreeMap;
+
+use peernet_statistics::number::{bytes, counted, fixed};
+
+use crate::message_sizes::{Message, MessageSketches, SizeSummary};
+use crate::record::RunRecord;
+use crate::rows::{RowRef, is_plausible};
+
+/// Directions in which messages are sent.
+pub const DIRECTIONS: [&str; 2] = ["upload", "download"];
+/// Maximum number of sizes. If there are more, neighbouring sizes are merged, so that each has enough messages.
+const MAX_SIZES: usize = 24;
+
+/// Link of a run. The address is part of it, because a host has a different address in each network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Link {
+    /// Names of the edge and of the cloud, each empty if it is not known.
+    pub hosts: [String; 2],
+    /// Kind of the network and address of the cloud, each empty if it is not known.
+    pub network: [String; 2],
+}
+
+impl From<&RunRecord> for Link {
+    fn from(record: &RunRecord) -> Self {
+        let cloud = record.cloud.as_ref().map(|cloud| cloud.name.clone());
+        let network = [&record.placement.network, &record.placement.address];
+        Self {
+            hosts: [record.edge.name.clone(), cloud.unwrap_or_default()],
+            network: network.map(|text| text.clone().unwrap_or_default()),
+        }
+    }
+}
+
+impl Link {
+    /// Returns the name of the link: the names of its two hosts, as far as they are known, and the address of the cloud.
+    fn name(&self) -> String {
+        let hosts: Vec<&str> =
+            self.hosts.iter().map(String::as_str).filter(|name| !name.is_empty()).collect();
+        let hosts = hosts.join(" → ");
+        match self.network[1].trim_start_matches("tcp://") {
+            address if !hosts.is_empty() && !address.is_empty() => format!("{hosts} ({address})"),
+            _ => hosts,
+        }
+    }
+}
+
+/// Groups runs by their link, in the order of the first run of each. Runs over the same link are one study.
+pub fn group_by_link<T>(runs: impl IntoIterator<Item = (Link, T)>) -> Vec<(Link, Vec<T>)> {
+    let mut links: Vec<(Link, Vec<T>)> = Vec::new();
+    for (link, run) in runs {
+        match links.iter_mut().find(|(other, _)| *other == link) {
+            Some((_, runs)) => runs.push(run),
+            None => links.push((link, vec![run])),
+        }
+    }
+    links
+}
+
+/// Messages of one direction of a link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DirectionSizes {
+    /// `upload` or `download`.
+    pub name: &'static str,
+    /// Sizes, the smallest first.
+    pub sizes: Vec<SizeSummary>,
+    /// Number of messages that have a size but no delay.
+    unknown_delays: u64,
+    /// Number of runs whose messages have several sizes and count as one size.
+    runs_with_several_sizes: u64,
+}
+
+impl DirectionSizes {
+    /// Returns the messages of counted rows.
+    pub fn from_rows(name: &'static str, rows: &[RowRef<'_>]) -> Self {
+        let [payload, metadata, lower, upper] =
+            ["bytes", "logger-bytes", "lo", "hi"].map(|suffix| format!("{name}-{suffix}"));
+        let mut by_payload: BTreeMap<u64, Vec<Message>> = BTreeMap::new();
+        for row in rows {
+            let plausible = |column: &str| row.value(column).filter(|value| is_plausible(*value));
+            let Some(delay) = plausible(name) else { continue };
+            let Some(bytes) = plausible(&payload).filter(|bytes| *bytes > 0.0) else { continue };
+            let wire_bytes = bytes + plausible(&metadata).unwrap_or_default();
+            let bounds = row.value(&lower).zip(row.value(&upper));
+            by_payload.entry(bytes as u64).or_default().push(Message { wire_bytes, delay, bounds });
+        }
+        let sizes = merge_sizes(by_payload, |_| 1).into_iter();
+        let is_unknown = |row: &&RowRef<'_>| {
+            row.value(&payload).is_some_and(|bytes| bytes > 0.0) && row.value(name).is_none()
+        };
+        Self {
+            name,
+            sizes: sizes.filter_map(|(payload, messages)| SizeSummary::new(payload, &messages)).collect(),
+            unknown_delays: rows.iter().filter(is_unknown).count() as u64,
+            runs_with_several_sizes: 0,
+        }
+    }
+
+    /// Returns the messages of stored runs, each of which is one size: the median of its payloads.
+    pub fn from_sketches<'a>(
+        name: &'static str,
+        runs: impl IntoIterator<Item = MessageSketches<'a>>,
+    ) -> Self {
+        let (mut unknown_delays, mut runs_with_several_sizes) = (0, 0);
+        let mut by_payload: BTreeMap<u64, Vec<MessageSketches<'a>>> = BTreeMap::new();
+        let delays = |run: &MessageSketches<'_>| run.delay.map_or(0, |delay| delay.count());
+        for run in runs {
+            let Some(payload) = run.payload.quantile(0.5).filter(|bytes| *bytes > 0.0) else { continue };
+            unknown_delays += run.payload.count().saturating_sub(delays(&run));
+            runs_with_several_sizes += u64::from(run.payload.moments.max > run.payload.moments.min);
+            by_payload.entry(payload as u64).or_default().push(run);
+        }
+        let sizes = merge_sizes(by_payload, delays).into_iter();
+        let summary = |(payload, runs): (u64, Vec<_>)| SizeSummary::from_sketches(payload, &runs);
+        Self { name, sizes: sizes.filter_map(summary).collect(), unknown_delays, runs_with_several_sizes }
+    }
+
+    /// Returns whether the sizes differ enough to show their effect.
+    fn is_varied(&self) -> bool {
+        let ends = self.sizes.first().zip(self.sizes.last());
+        ends.is_some_and(|(smallest, largest)| largest.wire_bytes >= 2.0 * smallest.wire_bytes)
+    }
+
+    /// Returns the reason why the direction is not drawn; `None` if nothing was sent.
+    fn missing_reason(&self) -> Option<String> {
+        let (smallest, largest) = self.sizes.first().zip(self.sizes.last())?;
+        let ends = [smallest, largest].map(|size| bytes(size.wire_bytes).plain());
+        let sizes = if ends[0] == ends[1] { ends[0].clone() } else { ends.join(" to ") };
+        Some(format!("not drawn: {}, {sizes}: the largest must be twice the smallest", self.name))
+    }
+
+    /// Returns notes on the messages that are in neither figure, and on those that are not told apart.
+    fn notes(&self) -> impl Iterator<Item = String> {
+        let name = self.name;
+        let negative_sizes = self.sizes.iter().filter(|size| size.median <= 0.0).count();
+        let unknown_delays = (self.unknown_delays > 0).then(|| {
+            let messages = counted(self.unknown_delays, "message");
+            format!("left out: {messages} of {name} without a known delay")
+        });
+        let negative_delays = (negative_sizes > 0).then(|| {
+            let sizes = counted(negative_sizes as u64, "size");
+            format!("not drawn: {sizes} of {name} whose median delay is not above zero")
+        });
+        let several_sizes = (self.runs_with_several_sizes > 0).then(|| {
+            let runs = counted(self.runs_with_several_sizes, "run");
+            format!("{runs} with several sizes of {name}: one point each, at the median size")
+        });
+        [unknown_delays, negative_delays, several_sizes].into_iter().flatten()
+    }
+}
+
+/// Merges neighbouring sizes if there are more than [`MAX_SIZES`], into about equal numbers of messages. For example, the compressed images of a
+/// camera all have different sizes. `count` returns the number of messages of an item. Returns the smallest payload of each size, and its items.
+fn merge_sizes<T>(by_payload: BTreeMap<u64, Vec<T>>, count: impl Fn(&T) -> u64) -> Vec<(u64, Vec<T>)> {
+    let messages = |items: &[T]| items.iter().map(&count).sum::<u64>();
+    let total = by_payload.values().map(|items| messages(items)).sum::<u64>().max(1);
+    let is_merged = by_payload.len() > MAX_SIZES;
+    let mut merged: Vec<(u64, Vec<T>)> = Vec::new();
+    let (mut messages_before, mut last_part) = (0, None);
+    for (payload, items) in by_payload {
+        let part = messages_before * MAX_SIZES as u64 / total;
+        messages_before += messages(&items);
+        match merged.last_mut() {
+            Some((_, all)) if is_merged && last_part == Some(part) => all.extend(items),
+            _ => merged.push((payload, items)),
+        }
+        last_part = Some(part);
+    }
+    merged
+}
+
+/// Messages over one link.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PayloadStudy {
+    /// Name of the link, for titles; empty if neither host is known.
+    pub link_name: String,
+    /// Directions that are drawn.
+    pub directions: Vec<DirectionSizes>,
+    /// Notes on the directions and the links that are not drawn.
+    pub missing: Vec<String>,
+    /// Notes on the messages.
+    notes: Vec<String>,
+}
+
+impl PayloadStudy {
+    /// Returns the messages of both directions of a link. `notes` are further notes on them.
+    pub fn new(
+        link: &Link,
+        directions: [DirectionSizes; 2],
+        notes: impl IntoIterator<Item = String>,
+    ) -> Self {
+        let (directions, others): (Vec<DirectionSizes>, Vec<DirectionSizes>) =
+            directions.into_iter().partition(DirectionSizes::is_varied);
+        Self {
+            link_name: link.name(),
+            missing: others.iter().filter_map(DirectionSizes::missing_reason).collect(),
+            notes: notes.into_iter().chain(directions.iter().flat_map(DirectionSizes::notes)).collect(),
+            directions,
+        }
+    }
+
+    /// Returns the studies that are drawn. The first of them has the notes on links that are not drawn.
+    pub fn drawn(studies: impl IntoIterator<Item = Self>) -> Vec<Self> {
+        let (mut drawn, others): (Vec<Self>, Vec<Self>) =
+            studies.into_iter().partition(|study| !study.directions.is_empty());
+        let others = others.into_iter().flat_map(|study| {
+            let name = study.link_name;
+            let with_name = move |missing: String| match name.as_str() {
+                "" => missing,
+                name => format!("{missing} · {name}"),
+            };
+            study.missing.into_iter().map(with_name)
+        });
+        if let Some(first) = drawn.first_mut() {
+            first.missing.extend(others);
+        }
+        drawn
+    }
+
+    /// Returns all notes: what is missing, how the messages were selected, and the number of messages behind each point.
+    pub fn all_notes(&self) -> Vec<String> {
+        self.missing.iter().chain(&self.notes).cloned().chain(self.count_note()).collect()
+    }
+
+    fn count_note(&self) -> Option<String> {
+        let counts = || self.directions.iter().flat_map(|one| &one.sizes).map(|size| size.count);
+        let [fewest, most] = [counts().min()?, counts().max()?].map(|count| fixed(count as f64, 0));
+        let each = if fewest == most { most } else { format!("{fewest} to {most}") };
+        Some(format!("messages of each size: {each}"))
+    }
+}
+
+/// Returns a note that the messages of several runs are pooled, with the names of the axes on which the labels of the runs differ. `None` for a
+/// single run.
+pub fn pooled_note(axes: &[String], labels_of_runs: &[&[String]]) -> Option<String> {
+    let (first, others) = labels_of_runs.split_first()?;
+    (!others.is_empty()).then_some(())?;
+    let differs = |axis: usize| others.iter().any(|labels| labels.get(axis) != first.get(axis));
+    let differing = axes.iter().enumerate().filter(|(axis, name)| *name != "run" && differs(*axis));
+    let differing: Vec<&str> = differing.map(|(_, name)| name.as_str()).collect();
+    let count = labels_of_runs.len();
+    Some(match differing.as_slice() {
+        [] => format!("messages of {count} runs, pooled"),
+        axes => format!("messages of {count} runs, pooled, that differ in {}", axes.join(", ")),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_sizes_are_merged_without_splitting_one() {
+        // A hundred sizes; half of all messages have the size 40.
+        let by_payload: BTreeMap<u64, Vec<u64>> =
+            (0..100).map(|size| (size, vec![if size == 40 { 990 } else { 10 }])).collect();
+        let merged = merge_sizes(by_payload, |count| *count);
+        assert!((12..=MAX_SIZES).contains(&merged.len()), "{merged:?}");
+        assert_eq!(merged.iter().flat_map(|(_, counts)| counts).sum::<u64>(), 1_980);
+        assert!(merged.iter().all(|(_, counts)| counts.iter().sum::<u64>() <= 1_080), "{merged:?}");
+        let few = (0..MAX_SIZES as u64).map(|size| (size, vec![size])).collect();
+        assert_eq!(merge_sizes(few, |count| *count).len(), MAX_SIZES, "few sizes stay separate");
+    }
+
+    #[test]
+    fn runs_over_one_link_are_one_study() {
+        let link = |edge: &str, address: &str| Link {
+            hosts: [edge.to_owned(), "cloud".to_owned()],
+            network: ["zmq-tcp".to_owned(), address.to_owned()],
+        };
+        let runs = [("a", "tcp://x:1"), ("b", "tcp://x:1"), ("a", "tcp://x:1"), ("a", "tcp://y:1")];
+        let links = group_by_link(runs.iter().zip(0..).map(|((edge, at), run)| (link(edge, at), run)));
+        let names: Vec<(String, Vec<i32>)> =
+            links.into_iter().map(|(link, runs)| (link.name(), runs)).collect();
+        let expected =
+            [("a → cloud (x:1)", vec![0, 2]), ("b → cloud (x:1)", vec![1]), ("a → cloud (y:1)", vec![3])];
+        assert_eq!(names, expected.map(|(name, runs)| (name.to_owned(), runs)));
+        let unknown = Link { hosts: Default::default(), network: link("a", "tcp://x:1").network };
+        assert_eq!(unknown.name(), "");
+    }
+}
