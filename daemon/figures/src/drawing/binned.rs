@@ -1,7 +1,7 @@
 //! Distributions of sketches on an axis that several distributions share.
 
-use peernet_statistics::histogram::shown_range;
-use peernet_statistics::{Moments, Summary};
+use peernet_statistics::Summary;
+use peernet_statistics::histogram::{Binning, MAX_BINS, shown_range};
 
 use crate::look::{Stage, Style};
 use crate::plot::{At, Axis, Item, Unit};
@@ -33,26 +33,43 @@ pub struct BinnedAxis {
 }
 
 impl BinnedAxis {
-    /// Returns an axis from the smallest of all values to the largest that is shown in a histogram: a tail that would compress the rest lies
-    /// beyond the end. The axis is logarithmic if it spans more than a decade. `None` without
-    /// values.
+    /// Returns an axis of the values that a histogram shows: tails that would compress the rest lie beyond the ends. A single distribution has
+    /// the bins of its [histogram](Binning). An axis that several share is logarithmic if it spans more than a decade. `None` without values.
     pub fn around<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let ends = Self::ends(all, &unit)?;
-        Some(Self::new(unit, Self::between(ends), ends))
+        let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
+        if let [one] = all.as_slice() {
+            let edges: Vec<f64> =
+                Binning::of(*one, MAX_BINS)?.edges().iter().map(|edge| edge * unit.per_si).collect();
+            let scale = Scale::linear((*edges.first()?, *edges.last()?)).widened(MARKS);
+            return Some(Self { unit, scale, edges });
+        }
+        let ends = Self::ends(&all, &unit)?;
+        let scale = Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(MARKS));
+        Some(Self::new(unit, scale, ends))
     }
 
     /// Returns a linear axis that begins at zero and ends a little above the largest value that is shown in a histogram. It begins near the smallest value instead if zero would squeeze all values into a corner, or if that value is negative.
     // Linear for any range: latency grows in a line with the length of answers, which would be a curve on a logarithmic axis.
     pub fn from_zero<'a>(all: impl Iterator<Item = &'a Summary>, unit: Unit) -> Option<Self> {
-        let (lo, hi) = Self::ends(all, &unit)?;
+        let all: Vec<&Summary> = all.filter(|summary| summary.count() > 0).collect();
+        let (lo, hi) = Self::ends(&all, &unit)?;
         let room = (hi - lo) * ROOM;
         let is_squeezed = lo > hi * ZERO_THRESHOLD;
-        let scale = match lo {
-            _ if lo < 0.0 => Scale::linear((lo, hi.max(0.0))).widened(MARKS),
-            _ if is_squeezed => Scale::linear((lo - room, hi + room)).widened(MARKS),
-            _ => Scale::up_to(hi + room / 2.0, MARKS + 1),
-        };
-        Some(Self::new(unit, scale, (lo, hi)))
+        match lo {
+            _ if lo < 0.0 => {
+                let scale = Scale::linear((lo, hi.max(0.0))).widened(MARKS);
+                Some(Self::new(unit, scale, (lo, hi)))
+            }
+            _ if is_squeezed => {
+                let scale = Scale::linear((lo - room, hi + room)).widened(MARKS);
+                Some(Self::new(unit, scale, (lo, hi)))
+            }
+            _ => {
+                // An axis from zero has a position for each small value, so none is beyond it.
+                let min = all.iter().map(|summary| summary.moments.min * unit.per_si).fold(lo, f64::min);
+                Some(Self::new(unit, Scale::up_to(hi + room / 2.0, MARKS + 1), (min.max(0.0), hi)))
+            }
+        }
     }
 
     fn new(unit: Unit, scale: Scale, (lo, hi): (f64, f64)) -> Self {
@@ -60,18 +77,14 @@ impl BinnedAxis {
         Self { unit, scale, edges: (0..=BINS).map(edge).collect() }
     }
 
-    fn between(ends: (f64, f64)) -> Scale {
-        Scale::decades(ends).unwrap_or_else(|| Scale::linear(ends).widened(MARKS))
-    }
-
-    /// Returns the ends of the values that are shown: from the smallest value to the largest in a [shown range](shown_range).
-    fn ends<'a>(all: impl Iterator<Item = &'a Summary>, unit: &Unit) -> Option<(f64, f64)> {
-        let ends = |summary: &Summary| {
-            let Moments { min, max, .. } = summary.moments;
-            let lo = if min.abs() < max.abs() * ZERO_SHARE { 0.0 } else { min };
-            Some((lo * unit.per_si, shown_range(summary)?.1 * unit.per_si))
+    /// Returns the ends of the values that are shown, which are those of the [shown range](shown_range) of each distribution.
+    fn ends(all: &[&Summary], unit: &Unit) -> Option<(f64, f64)> {
+        let ends = |summary: &&Summary| {
+            let (lo, hi) = shown_range(*summary)?;
+            let lo = if lo.abs() < hi.abs() * ZERO_SHARE { 0.0 } else { lo };
+            Some((lo * unit.per_si, hi * unit.per_si))
         };
-        let (lo, hi) = all.filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        let (lo, hi) = all.iter().filter_map(ends).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
         // If all values are equal, the bins get a width that can be drawn.
         Some((lo, if hi > lo { hi } else { lo + lo.abs().max(1e-6) * 0.01 }))
     }
@@ -81,28 +94,36 @@ impl BinnedAxis {
         self.unit.axis(self.scale).with_grid()
     }
 
-    /// Returns the largest value that has a position on the axis, in SI units.
-    pub fn end(&self) -> f64 {
-        self.edges.last().map_or(f64::INFINITY, |end| (end + end.abs() * ROUNDING) / self.unit.per_si)
+    /// Returns the smallest and the largest value that have a position on the axis, in SI units.
+    pub fn range(&self) -> (f64, f64) {
+        let [lo, hi] = [self.edges.first(), self.edges.last()].map(|edge| edge.copied().unwrap_or_default());
+        ((lo - lo.abs() * ROUNDING) / self.unit.per_si, (hi + hi.abs() * ROUNDING) / self.unit.per_si)
     }
 
-    /// Returns the position of a value in SI units; `None` beyond the end.
+    /// Returns the position of a value in SI units; `None` beyond an end.
     pub fn at(&self, value: f64) -> Option<f64> {
-        (value <= self.end()).then(|| self.scale.at(value * self.unit.per_si))
+        let (lo, hi) = self.range();
+        (lo..=hi).contains(&value).then(|| self.scale.at(value * self.unit.per_si))
     }
 
-    /// Returns the number of values beyond the end.
-    pub fn beyond(&self, values: &Summary) -> u64 {
-        let inside = values.fraction_below(self.end()).unwrap_or(1.0);
-        ((1.0 - inside) * values.count() as f64).round() as u64
+    /// Returns the number of values below and above the ends of the axis.
+    pub fn beyond(&self, values: &Summary) -> (u64, u64) {
+        let (lo, hi) = self.range();
+        let count_below =
+            |x| (values.fraction_below(x).unwrap_or(0.0) * values.count() as f64).round() as u64;
+        (count_below(lo), values.count() - count_below(hi))
     }
 
     /// Returns beginning, end and height of the bars of a distribution, as shares. The bar of the fullest bin has the full height.
     pub fn bars(&self, values: &Summary) -> Vec<[f64; 3]> {
         let mut edges: Vec<f64> = self.edges.iter().map(|edge| edge / self.unit.per_si).collect();
-        // If no value is beyond the end, the last bin must not lose the largest values to rounding.
-        if let Some(end) = edges.last_mut().filter(|_| self.end() >= values.moments.max) {
-            *end = f64::INFINITY;
+        // If no value is beyond an end, the bin at this end must not lose values to rounding.
+        let (lo, hi) = self.range();
+        if let Some(first) = edges.first_mut().filter(|_| lo <= values.moments.min) {
+            *first = f64::NEG_INFINITY;
+        }
+        if let Some(last) = edges.last_mut().filter(|_| hi >= values.moments.max) {
+            *last = f64::INFINITY;
         }
         let counts = values.histogram(&edges);
         let largest_count = counts.iter().copied().fold(0.0, f64::max);

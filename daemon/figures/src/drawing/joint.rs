@@ -69,7 +69,8 @@ impl Joint<'_> {
         if let Some((intercept, slope)) = self.line {
             let Moments { min, max, .. } = self.x.1.moments;
             let [x_per_si, y_per_si] = [x.unit.per_si, y.unit.per_si];
-            let ends = (min * x_per_si, max.min(x.end()) * x_per_si);
+            let (start, end) = x.range();
+            let ends = (min.max(start) * x_per_si, max.min(end) * x_per_si);
             let line = plot.curve(ends, |x| (intercept + slope * x / x_per_si) * y_per_si);
             // The line needs a halo only over cells.
             let styles = [Style::halo(), Style::line("fit", INK.light, LINE_WIDTH)];

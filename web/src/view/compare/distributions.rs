@@ -113,10 +113,10 @@ impl Quantity {
         let look = look::stage(name.trim_end_matches("-throughput"));
         let runs = drawn.iter().filter_map(|(one, run, samples)| {
             let median = Median::of(comparison.statistics_by_run.get(&run.number)?, name, unit)?;
-            let beyond = match axis.beyond(samples) {
-                0 => String::new(),
-                beyond => format!(", {}\u{a0}beyond\u{a0}→", count(beyond)),
-            };
+            let (below, above) = axis.beyond(samples);
+            let below = (below > 0).then(|| format!(", ←\u{a0}{}\u{a0}below", count(below)));
+            let above = (above > 0).then(|| format!(", {}\u{a0}beyond\u{a0}→", count(above)));
+            let beyond: String = below.into_iter().chain(above).collect();
             let caption = format!(
                 "{}, {}{beyond}",
                 counted(samples.count() as usize, "iteration", "iterations"),

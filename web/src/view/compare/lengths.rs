@@ -264,9 +264,13 @@ fn beyond(
     varying_configuration: &VaryingLengths<'_>,
     (across, up): (&BinnedAxis, &BinnedAxis),
 ) -> Option<String> {
+    let outside = |axis: &BinnedAxis, values: &Summary| {
+        let (below, above) = axis.beyond(values);
+        below + above
+    };
     let outside = [
-        (across.beyond(varying_configuration.lengths), "length", "lengths"),
-        (up.beyond(varying_configuration.latencies), "latency", "latencies"),
+        (outside(across, varying_configuration.lengths), "length", "lengths"),
+        (outside(up, varying_configuration.latencies), "latency", "latencies"),
     ];
     let counts: Vec<String> = outside
         .iter()

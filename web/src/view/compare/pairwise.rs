@@ -43,7 +43,8 @@ pub(crate) fn pairwise(comparison: &Comparison, differences: &Differences) -> Ve
         let PairwiseDifference { differences: pairs, share_smaller } = pairwise?;
         let interval = differences.total(*index).and_then(|stage| stage.mean_difference?.interval);
         let faster = percent(share_smaller);
-        let beyond = match axis.beyond(&pairs) as f64 / pairs.count().max(1) as f64 {
+        let (below, above) = axis.beyond(&pairs);
+        let beyond = match (below + above) as f64 / pairs.count().max(1) as f64 {
             0.0 => String::new(),
             beyond => format!(", {} % beyond the axis", percent(beyond)),
         };

@@ -1,6 +1,7 @@
 //! Distributions that pages draw from sketches.
 
 use peernet_statistics::Summary;
+use peernet_statistics::histogram::{Binning, MAX_BINS};
 
 use super::super::{BinnedAxis, Distribution, Joint, Quartiles, View};
 use crate::look::stage;
@@ -70,11 +71,30 @@ fn histograms_share_axis_and_fill_their_height() {
 fn straggler_is_counted_and_does_not_stretch_axis() {
     let summary = seconds((0..1_000).map(|n| if n == 0 { 1_000.0 } else { 10.0 + f64::from(n) / 100.0 }));
     let axis = milliseconds([&summary]).expect("samples");
-    assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&summary)), "{axis:?}");
+    assert!(!axis.scale.is_logarithmic() && (1..=3).contains(&axis.beyond(&summary).1), "{axis:?}");
     assert_eq!(milliseconds([&Summary::default()]), None);
     let equal = seconds([14.0; 10]);
     let axis = milliseconds([&equal]).expect("samples");
-    assert_eq!((axis.beyond(&equal), axis.bars(&equal).len()), (0, 1), "{axis:?}");
+    assert_eq!((axis.beyond(&equal), axis.bars(&equal).len()), ((0, 0), 1), "{axis:?}");
+}
+
+#[test]
+fn axis_has_ends_and_bins_of_the_histogram() {
+    // Uploads of 5 to 6 ms, one of 0.02 ms and one of 300 ms.
+    let late =
+        |n: u32| [0.02, 300.0].get(n as usize).copied().unwrap_or(5.0 + f64::from(n * 37 % 1_000) / 1e3);
+    let uploads = seconds((0..10_000).map(late));
+    let binning = Binning::of(&uploads, MAX_BINS).expect("values");
+    let outside = uploads.count_in(&binning);
+    assert_eq!((outside.below, outside.above), (1, 1));
+    let alone = milliseconds([&uploads]).expect("values");
+    assert!(!alone.scale.is_logarithmic() && alone.bars(&uploads).len() <= binning.count, "{alone:?}");
+    for axis in [&alone, &milliseconds([&uploads, &uploads]).expect("values")] {
+        assert_eq!(axis.beyond(&uploads), (1, 1), "{axis:?}");
+        let (lo, hi) = axis.range();
+        assert!((lo - binning.range.0).abs() < 1e-9 && (hi - binning.range.1).abs() < 1e-9, "{axis:?}");
+        assert!((axis.at(0.02e-3), axis.at(0.3)) == (None, None) && axis.at(5.5e-3).is_some());
+    }
 }
 
 #[test]
@@ -105,7 +125,7 @@ fn joint(points: &[(f64, f64)], line: Option<(f64, f64)>) -> (Plot, bool, u64) {
     let across = BinnedAxis::from_zero([&x].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
     let y_axis = BinnedAxis::from_zero([&y].into_iter(), Unit::symbol("ms", 1e3)).expect("values");
     let joint = Joint { stage: stage("inference"), points, x: (&across, &x), y: (&y_axis, &y), line };
-    (joint.plot(), joint.has_cells(), y_axis.beyond(&y))
+    (joint.plot(), joint.has_cells(), y_axis.beyond(&y).1)
 }
 
 #[test]
@@ -156,7 +176,7 @@ fn negative_lengths_have_places_of_their_own() {
     assert!(page::plot(&plot, "joint", "").contains("\u{2212}40"));
     let all = summary([-40.0, -10.0]);
     let axis = BinnedAxis::from_zero([&all].into_iter(), Unit::symbol("tokens", 1.0)).expect("values");
-    assert_eq!((axis.beyond(&all), axis.at(-40.0), axis.at(-10.0)), (0, Some(0.0), Some(0.75)));
+    assert_eq!((axis.beyond(&all), axis.at(-40.0), axis.at(-10.0)), ((0, 0), Some(0.0), Some(0.75)));
 }
 
 #[test]
