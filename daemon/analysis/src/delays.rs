@@ -1,9 +1,11 @@
 //! Summary of one-way delays and round trips over several seconds: verdict, median, smallest.
 
 use peernet_clock::{Span, Verdict};
+use peernet_statistics::Summary;
 use peernet_stream::{DelayPoint, DelaySecond, RoundTrip};
 
 use crate::order::SortedValues;
+use crate::transfer::speed_between;
 
 /// Summary of the one-way delays of one direction over several seconds.
 #[derive(Clone, Debug, Default)]
@@ -92,6 +94,37 @@ pub fn interval_of_median(median: f64, median_half_width: f64) -> (f64, f64) {
     ((median - median_half_width).max(0.0), median + median_half_width)
 }
 
+/// Stored values of a quantity that depends on two clocks.
+#[derive(Clone, Copy, Debug)]
+pub struct ClockedSummaries<'a> {
+    /// The quantity: the delays themselves, or the throughputs of messages with these delays.
+    pub values: &'a Summary,
+    /// Delays, seconds.
+    pub delays: &'a Summary,
+    /// Half the widths of the bounds of the delays, seconds.
+    pub half_widths: &'a Summary,
+}
+
+impl ClockedSummaries<'_> {
+    /// Returns the interval of the median delay. `None` unless every delay has bounds, as for [`median_bounds`].
+    pub fn interval_of_median_delay(&self) -> Option<(f64, f64)> {
+        Some(interval_of_median(self.delays.quantile(0.5)?, self.median_half_width()?))
+    }
+
+    /// Returns the interval of the median throughput: the number of bytes that the median throughput transfers in the median delay, divided by
+    /// the ends of the delay's interval. It has no upper end if the delay may be zero. It is the interval of [`median_bounds`] of the
+    /// throughputs in a file only if all messages have about the same size and equally wide bounds. `None` unless every delay has bounds.
+    pub fn interval_of_median_throughput(&self) -> Option<(f64, Option<f64>)> {
+        let (throughput, delay) = (self.values.quantile(0.5)?, self.delays.quantile(0.5)?);
+        Some(speed_between(throughput, delay, self.median_half_width()?))
+    }
+
+    fn median_half_width(&self) -> Option<f64> {
+        // A delay without bounds may be anywhere, and so may the median.
+        self.half_widths.quantile(0.5).filter(|_| self.half_widths.count() >= self.delays.count())
+    }
+}
+
 /// Returns the round trips of several seconds as one: the smallest minimum and the median of the medians. If there are two medians in the
 /// middle, the smaller is used. `None` without seconds.
 pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option<RoundTrip> {
@@ -107,7 +140,6 @@ pub fn merged_round_trip(seconds: impl IntoIterator<Item = RoundTrip>) -> Option
 #[cfg(test)]
 mod tests {
     use peernet_clock::Interval;
-    use peernet_statistics::Summary;
 
     use super::*;
 
@@ -134,28 +166,48 @@ mod tests {
         assert_eq!(DelaySummary::default().second(), None);
     }
 
+    fn summary(values: impl Iterator<Item = f64>) -> Summary {
+        let mut summary = Summary::default();
+        values.for_each(|value| summary.record(value));
+        summary
+    }
+
     #[test]
     fn files_and_summaries_agree_on_equally_wide_bounds() {
-        let delays = || (0..1_000).map(|number| 5e-3 + f64::from(number * 37 % 1_000) * 1e-6);
-        let (mut values, mut half_widths) = (Summary::default(), Summary::default());
-        delays().for_each(|delay| {
-            values.record(delay);
-            half_widths.record(0.4e-3);
-        });
-        let (lo, hi) =
-            median_bounds(delays().map(|delay| Some((delay - 0.4e-3, delay + 0.4e-3)))).expect("bounds");
-        let median = |summary: &Summary| summary.quantile(0.5).expect("values");
-        let summed_up = interval_of_median(median(&values), median(&half_widths));
-        // A sketch is within 1 %.
-        assert!(
-            (lo - summed_up.0).abs() < 0.01 * hi && (hi - summed_up.1).abs() < 0.01 * hi,
-            "{lo} {hi} {summed_up:?}"
-        );
+        const HALF_WIDTH: f64 = 0.4e-3;
+        let bits = 8.0 * 40e3;
+        let all: Vec<f64> = (0..1_000).map(|number| 5e-3 + f64::from(number * 37 % 1_000) * 1e-6).collect();
+        let bounds = |delay: &f64| (delay - HALF_WIDTH, delay + HALF_WIDTH);
+        let delays = median_bounds(all.iter().map(|delay| Some(bounds(delay)))).expect("bounds");
+        let throughputs = all.iter().map(bounds).map(|(lo, hi)| Some((bits / hi, bits / lo)));
+        let throughputs = median_bounds(throughputs).expect("bounds");
+        let stored = summary(all.iter().copied());
+        let half_widths = summary(all.iter().map(|_| HALF_WIDTH));
+        let of_delays = ClockedSummaries { values: &stored, delays: &stored, half_widths: &half_widths };
+        let rates = summary(all.iter().map(|delay| bits / delay));
+        let of_throughputs = ClockedSummaries { values: &rates, ..of_delays };
+        let (lo, hi) = of_throughputs.interval_of_median_throughput().expect("bounds");
+        let pairs = [
+            (delays, of_delays.interval_of_median_delay().expect("bounds")),
+            (throughputs, (lo, hi.expect("the delay is above zero"))),
+        ];
+        for (file, page) in pairs {
+            // Each of the sketches is within 1 %.
+            let near = |a: f64, b: f64| (a / b - 1.0).abs() < 0.02;
+            assert!(near(file.0, page.0) && near(file.1, page.1), "{file:?} {page:?}");
+        }
         assert_eq!(interval_of_median(1e-3, 4e-3), (0.0, 5e-3));
+    }
+
+    #[test]
+    fn median_has_no_interval_unless_every_delay_has_bounds() {
         assert_eq!(
             [median_bounds([Some((0.0, 1.0)), None].into_iter()), median_bounds(std::iter::empty())],
             [None, None]
         );
+        let (delays, half_widths) = (summary([1e-3; 40].into_iter()), summary([1e-4; 39].into_iter()));
+        let some = ClockedSummaries { values: &delays, delays: &delays, half_widths: &half_widths };
+        assert_eq!((some.interval_of_median_delay(), some.interval_of_median_throughput()), (None, None));
     }
 
     #[test]

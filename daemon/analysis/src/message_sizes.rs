@@ -6,7 +6,7 @@
 use peernet_statistics::{Sketch, Summary};
 use serde::Serialize;
 
-use crate::delays::{interval_of_median, median_bounds};
+use crate::delays::{ClockedSummaries, median_bounds};
 use crate::fit::{Fit, Point, Weighted, least_squares};
 use crate::order::{SortedValues, Z95, ranks_around_median};
 
@@ -106,8 +106,7 @@ impl SizeSummary {
             // Standard deviation of a uniform distribution between the ends of the error.
             Some(of_sample.hypot(relative_error * median / 3.0_f64.sqrt()))
         });
-        // A delay without bounds may be anywhere, and so may the median.
-        let half_width = half_width.quantile(0.5).filter(|_| half_width.count() >= delay.count());
+        let clocked = ClockedSummaries { values: &delay, delays: &delay, half_widths: &half_width };
         let size = Self {
             payload_bytes,
             wire_bytes: payload.quantile(0.5)? + metadata.quantile(0.5).unwrap_or_default(),
@@ -116,7 +115,7 @@ impl SizeSummary {
             relative_error,
             median_error,
             tails: delay.tails(),
-            bounds: half_width.map(|half_width| interval_of_median(median, half_width)),
+            bounds: clocked.interval_of_median_delay(),
             throughput: None,
             throughput_bounds: None,
         };

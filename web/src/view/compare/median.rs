@@ -1,7 +1,6 @@
 //! The median of a quantity in one run, with its uncertainty by the hosts' clocks.
 
-use peernet_analysis::delays::interval_of_median;
-use peernet_analysis::transfer::speed_between;
+use peernet_analysis::delays::ClockedSummaries;
 use peernet_clock::Verdict;
 use peernet_logger::{Name, stage};
 use peernet_statistics::number::{
@@ -39,14 +38,7 @@ impl Median {
         let delay = DELAY_OF_QUANTITY.iter().find(|(quantity, _)| *quantity == *name).map(|(_, delay)| delay);
         let bound = delay.and_then(|delay| mergeable.bound(delay));
         let verdict = bound.as_ref().and_then(clocks::verdict).filter(|verdict| *verdict != Verdict::Ok);
-        let half = bound.and_then(|bound| bound.median_half_width()).filter(|half| *half > 0.0);
-        let ends = half.zip(delay).and_then(|(half, delay)| {
-            if delay == name {
-                let (lo, hi) = interval_of_median(value, half);
-                return Some((lo, Some(hi)));
-            }
-            Some(speed_between(value, mergeable.summary(delay)?.quantile(0.5)?, half))
-        });
+        let ends = delay.and_then(|delay| interval(mergeable, name, delay));
         let shown = shown_in(unit);
         let text = match (ends, verdict) {
             (None, _) => format!("median {}", with_unit(&without_unit(unit, value), &shown.0)),
@@ -64,6 +56,19 @@ impl Median {
         };
         Some(Self { text, within: ends.map(with_infinite_end), doubt: verdict.map(Chip::verdict) })
     }
+}
+
+/// Returns the interval of the median by the clock bounds of the delay; `None` if it is not known or has no width.
+fn interval(mergeable: &MergeableStatistics, name: &str, delay: &Name) -> Option<(f64, Option<f64>)> {
+    let values = mergeable.summary(name)?;
+    let (delays, half_widths) = (mergeable.summary(delay)?, mergeable.half_widths(delay)?);
+    let clocked = ClockedSummaries { values, delays, half_widths };
+    let ends = if delay == name {
+        clocked.interval_of_median_delay().map(|(lo, hi)| (lo, Some(hi)))
+    } else {
+        clocked.interval_of_median_throughput()
+    };
+    ends.filter(|(lo, hi)| *hi != Some(*lo))
 }
 
 fn with_infinite_end((lo, hi): (f64, Option<f64>)) -> (f64, f64) {
