@@ -35,7 +35,7 @@ fn model_folders_of_command_line_are_searched_first() {
     let folders = |more: &str| {
         let file = File::parse(format!("{COMMON}{more}").parse().expect("TOML"), Path::new("e.toml"));
         let (configurations, _) = file
-            .and_then(|file| Ok(file.configurations(&["/mine".into(), "/b".into()])))
+            .map(|file| file.configurations(&["/mine".into(), "/b".into()]))
             .expect("is parsed")
             .expect("reads");
         configurations[0].agent.bank.folders.clone()
