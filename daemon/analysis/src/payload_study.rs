@@ -5,6 +5,7 @@
 use std::collections::BTreeMap;
 
 use peernet_statistics::number::{bytes, counted, fixed};
+use peernet_stream::ExperimentPlace;
 
 use crate::message_sizes::{Message, MessageSketches, SizeSummary};
 use crate::record::RunRecord;
@@ -48,16 +49,32 @@ impl Link {
     }
 }
 
-/// Groups runs by their link, in the order of the first run of each. Runs over the same link are one study.
-pub fn group_by_link<T>(runs: impl IntoIterator<Item = (Link, T)>) -> Vec<(Link, Vec<T>)> {
+/// Groups runs by their link, in the order of the first run of each. Each run is given with its position in an experiment. Runs over the same
+/// link are one study, and so are the users of an experiment, which are edges `NAME-1`, `NAME-2`, … on one machine.
+pub fn group_by_link<'a, T>(
+    runs: impl IntoIterator<Item = (Link, Option<&'a ExperimentPlace>, T)>,
+) -> Vec<(Link, Vec<T>)> {
+    let runs: Vec<_> = runs.into_iter().collect();
+    let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(_, place, _)| *place).collect();
     let mut links: Vec<(Link, Vec<T>)> = Vec::new();
-    for (link, run) in runs {
+    for (mut link, place, run) in runs {
+        let has_several_users =
+            place.is_some() && places.iter().filter(|other| **other == place).take(2).count() > 1;
+        if has_several_users && let Some(name) = name_without_number(&link.hosts[0]) {
+            link.hosts[0] = name;
+        }
         match links.iter_mut().find(|(other, _)| *other == link) {
             Some((_, runs)) => runs.push(run),
             None => links.push((link, vec![run])),
         }
     }
     links
+}
+
+/// Returns the name of an edge without the number of its user; `None` if it has no number.
+fn name_without_number(edge: &str) -> Option<String> {
+    let (name, number) = edge.rsplit_once('-')?;
+    number.bytes().all(|byte| byte.is_ascii_digit()).then(|| name.to_owned())
 }
 
 /// Messages of one direction of a link.
@@ -272,12 +289,25 @@ mod tests {
             network: ["zmq-tcp".to_owned(), address.to_owned()],
         };
         let runs = [("a", "tcp://x:1"), ("b", "tcp://x:1"), ("a", "tcp://x:1"), ("a", "tcp://y:1")];
-        let links = group_by_link(runs.iter().zip(0..).map(|((edge, at), run)| (link(edge, at), run)));
+        let links = group_by_link(runs.iter().zip(0..).map(|((edge, at), run)| (link(edge, at), None, run)));
         let names: Vec<(String, Vec<i32>)> =
             links.into_iter().map(|(link, runs)| (link.name(), runs)).collect();
         let expected =
             [("a → cloud (x:1)", vec![0, 2]), ("b → cloud (x:1)", vec![1]), ("a → cloud (y:1)", vec![3])];
         assert_eq!(names, expected.map(|(name, runs)| (name.to_owned(), runs)));
+        // One user alone, then two at the same time.
+        let place = |users: &str| ExperimentPlace {
+            name: "line".to_owned(),
+            id: "1".to_owned(),
+            configuration: vec![("Users".to_owned(), users.to_owned())],
+            repeat: 0,
+        };
+        let (alone, together) = (place("1"), place("2"));
+        let users = [("a-7", &alone), ("a-7-1", &together), ("a-7-2", &together)];
+        let users = users.map(|(edge, place)| (link(edge, "tcp://x:1"), Some(place), ()));
+        let links = group_by_link(users);
+        assert_eq!(links.len(), 1, "{links:?}");
+        assert_eq!(links[0].0.name(), "a-7 → cloud (x:1)");
         let unknown = Link { hosts: Default::default(), network: link("a", "tcp://x:1").network };
         assert_eq!(unknown.name(), "");
     }

@@ -45,7 +45,7 @@ pub(crate) struct SizeRow {
 /// Returns the studies of all links whose messages have sizes that differ enough.
 pub(super) fn studies(comparison: &Comparison) -> Vec<PayloadStudy> {
     let runs = comparison.configurations.iter().flat_map(|one| one.runs.iter().map(move |run| (one, run)));
-    let links = group_by_link(runs.map(|(one, run)| (link_of(run), (one, run))));
+    let links = group_by_link(runs.map(|(one, run)| (link_of(run), run.experiment.as_ref(), (one, run))));
     let studies = links.into_iter().map(|(link, runs)| {
         let labels: Vec<&[String]> = runs.iter().map(|(one, _)| one.values.as_slice()).collect();
         let directions = DIRECTIONS.map(|name| {
