@@ -15,7 +15,7 @@ use crate::{ToAggregator, batch_weight, codec};
 /// storing takes time, and because the allowance counts compressed bytes.
 const UNSTORED_PER_ALLOWANCE: u64 = 8;
 
-/// The batches in flight to the aggregator.
+/// The batches in flight to the aggregator, and the flow control of both lanes.
 #[derive(Clone, Debug)]
 pub(super) struct DurableLane {
     config: SendingConfig,
@@ -104,7 +104,7 @@ impl DurableLane {
             return None;
         }
         let frame = partial_batch.next(host, max_bytes);
-        let end = self.flow.hand_over(frame.len() as u64);
+        let end = self.flow.record_durable_sent(frame.len() as u64);
         if self.partial.take_if(|partial_batch| partial_batch.len() == 0).is_some() {
             self.in_flight.record_handed_over(end);
         }

@@ -138,7 +138,7 @@ impl Sending {
         self.spooler.is_appending()
     }
 
-    /// Counts the events that are in memory only as dropped, because the process ends without writing them to the
+    /// Counts as dropped all events that are in memory only, because the process ends without writing them to the
     /// spool. The returned totals are to be written to the spool, so that the next process reports how many events are
     /// missing. Events that were sent and not acknowledged count as dropped, too, because it is unknown whether they
     /// are stored.
@@ -156,8 +156,8 @@ impl Sending {
         self.spooler.unspooled_events()
     }
 
-    /// Returns the goodbye frame; `None` if the aggregator has not accepted this host, so a refused copy cannot
-    /// end the host's session.
+    /// Returns the goodbye frame; `None` if the aggregator has not accepted this agent, so that a refused second agent
+    /// with the same host id cannot end the session of the first.
     pub fn goodbye(&mut self) -> Option<Vec<u8>> {
         // Determined before the connection's state is discarded.
         let was_accepted = self.is_up();
@@ -174,6 +174,8 @@ impl Sending {
     /// is too slow for both lanes the durable lane must have had its share. The next update contains everything that a
     /// skipped update would have contained.
     pub fn may_send_live(&self) -> bool {
+        // The durable lane limits the bytes in flight of both lanes.
+        // The durable lane limits the bytes in flight of both lanes.
         self.is_up() && self.lane.may_send_live()
     }
 
@@ -198,7 +200,7 @@ impl Sending {
         self.spooler.unspooled_events() == 0
     }
 
-    /// Returns whether all accepted events are stored.
+    /// Returns whether no event waits: each is stored or was dropped.
     pub fn is_idle(&self) -> bool {
         self.spooler.is_idle()
     }
@@ -214,7 +216,7 @@ impl Sending {
         self.spooler.settled_runs()
     }
 
-    /// Returns whether no loss is to be reported, now or later.
+    /// Returns whether gaps have reported all losses.
     #[cfg(test)]
     pub(super) fn has_reported_all(&self) -> bool {
         self.spooler.has_reported_all()
@@ -225,8 +227,8 @@ impl Sending {
         self.spooler.settled_events()
     }
 
-    /// Returns the batch that was sent last without being in the spool, because the spool cannot be written. It must be
-    /// recorded outside of the process before its frame is sent.
+    /// Returns the newest batch that [`next`](Self::next) returned for sending although it is not in the spool, because
+    /// the spool cannot be written. The owner records it outside of the process before it sends the frame.
     pub fn sent_unspooled(&self) -> Option<SentUnspooled> {
         self.spooler.sent_unspooled()
     }

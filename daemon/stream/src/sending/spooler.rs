@@ -124,7 +124,7 @@ impl EventSpooler {
         self.intake.usage().events + self.backlog.pending_usage().events
     }
 
-    /// Returns whether all accepted events are stored.
+    /// Returns whether no event waits: each is stored or was dropped.
     pub(super) fn is_idle(&self) -> bool {
         self.intake.usage().events == 0 && self.backlog.waiting_usage().events == 0
     }
@@ -240,7 +240,7 @@ impl EventSpooler {
         self.is_accepted = true;
     }
 
-    /// Continues the held batches in a new stream.
+    /// Continues the unacknowledged batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
         self.backlog.renew(stream);
         self.is_accepted = false;

@@ -46,7 +46,7 @@ pub(super) struct Backlog {
     stored_events: u64,
 }
 
-/// Oldest batch that is held; if no batch is held, `number` is the number after the newest batch.
+/// Oldest unacknowledged batch; if there is none, `number` is the number after the newest batch.
 #[derive(Clone, Copy, Debug)]
 struct OldestBatch {
     number: u64,
@@ -199,15 +199,12 @@ impl Backlog {
         self.pending.next_append(max_batches, max_bytes)
     }
 
-    /// Records that batches up to `through`, which has the chain `chain`, are in the file. Returns the bytes of the held
-    /// batches among them.
-    pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) -> u64 {
-        let mut bytes = 0;
+    /// Records that batches up to `through`, which has the chain `chain`, are in the file.
+    pub(super) fn mark_appended(&mut self, through: u64, chain: Chain) {
         self.advance_file(through, chain);
         while let Some(pending) = self.pending.pop_through(through) {
             let (usage, batch) = (pending.batch.usage(), pending.batch);
             self.settled = pending.totals;
-            bytes += usage.bytes;
             // Batches in flight stay in memory, because they may have to be sent again at once.
             let is_wanted = self.ready.has_capacity(usage.bytes) || batch.number <= self.sent.newest();
             // Ready batches are contiguous: if the previous batch is in the file only, this batch is read from the file
@@ -216,7 +213,6 @@ impl Backlog {
                 self.ready.push(batch);
             }
         }
-        bytes
     }
 
     /// Records that the file advanced to a batch, whether the file contains that batch or not.
@@ -287,7 +283,7 @@ impl Backlog {
         Some((head, body))
     }
 
-    /// Returns the number of events in the held batches before batch `number`. These batches must be in memory.
+    /// Returns the number of events in the unacknowledged batches before batch `number`. These batches must be in memory.
     fn events_before(&self, number: u64) -> u64 {
         let earlier = self.ready.iter().chain(self.pending.iter()).take_while(|batch| batch.number < number);
         earlier.map(|batch| u64::from(batch.events)).sum()
@@ -364,7 +360,7 @@ impl Backlog {
         missing
     }
 
-    /// Continues the held batches in a new stream.
+    /// Continues the unacknowledged batches in a new stream.
     pub(super) const fn renew(&mut self, stream: StreamId) {
         self.origin = self.origin.renewed(stream, self.oldest.number, self.stored_events);
     }

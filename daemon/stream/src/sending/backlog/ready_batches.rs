@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use crate::spool::{SpooledBatch, Usage};
 
-/// Contiguous batches of the spool that are kept in memory, from the oldest held batch on.
+/// Contiguous batches that are in the spool and in memory, from the oldest unacknowledged batch on.
 #[derive(Clone, Debug)]
 pub(super) struct ReadyBatches {
     batches: VecDeque<SpooledBatch>,

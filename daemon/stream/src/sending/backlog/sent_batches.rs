@@ -3,14 +3,14 @@
 use crate::SentUnspooled;
 use crate::spool::SpooledBatch;
 
-/// Position up to which this process has sent, and the number of sent events that are still held.
+/// Position up to which this process has sent, and the number of sent events without an acknowledgement.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct SentBatches {
     /// Number of the newest batch that this process has sent; 0 before the first batch is sent.
     newest: u64,
     /// Last batch that was sent while it was in memory only.
     unspooled: Option<SentUnspooled>,
-    /// Number of events of the batches that were sent and are still held.
+    /// Number of events of the batches that were sent and not acknowledged.
     events: u64,
 }
 
@@ -36,7 +36,7 @@ impl SentBatches {
         }
     }
 
-    /// Records that a batch is no longer held.
+    /// Records that a batch was acknowledged or dropped.
     pub(super) const fn forget(&mut self, batch: &SpooledBatch) {
         if batch.number <= self.newest {
             self.events = self.events.saturating_sub(batch.events as u64);

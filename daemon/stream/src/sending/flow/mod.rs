@@ -112,7 +112,7 @@ impl FlowControl {
     }
 
     /// Records that the durable lane handed over bytes. Returns the position after them.
-    pub(super) const fn hand_over(&mut self, bytes: u64) -> u64 {
+    pub(super) const fn record_durable_sent(&mut self, bytes: u64) -> u64 {
         self.durable_share = self.durable_share.saturating_sub(bytes);
         self.in_flight.add_durable(bytes)
     }

@@ -211,7 +211,7 @@ impl Intake {
         }
     }
 
-    /// Returns whether no loss is to be reported, now or later.
+    /// Returns whether gaps have reported all losses.
     #[cfg(test)]
     pub(super) fn has_reported_all(&self) -> bool {
         self.losses.is_empty()
