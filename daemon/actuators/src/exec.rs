@@ -30,7 +30,7 @@ impl ActuatorKind for ExecConfig {
     }
 
     fn facts(&self) -> Vec<(String, String)> {
-        Self::facts(self, Role::Actuator)
+        self.facts_for(Role::Actuator)
     }
 
     fn is_program(&self) -> bool {
@@ -38,7 +38,7 @@ impl ActuatorKind for ExecConfig {
     }
 
     fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments_fact(self, Role::Actuator, key)
+        self.arguments_fact_for(Role::Actuator, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -47,7 +47,7 @@ impl ActuatorKind for ExecConfig {
 
     fn check(&self, _clock: &SharedClock) -> Result<(), ActuatorError> {
         // This check does not run the program.
-        Self::check(self, Role::Actuator).map_err(ActuatorError::Command)
+        self.check_for(Role::Actuator).map_err(ActuatorError::Command)
     }
 }
 
@@ -72,7 +72,7 @@ impl Actuator for Exec {
             );
         }
         for (name, value, unit) in &program_call.notes.values {
-            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
+            recorder.record_value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         let ReplyNotes { reward, success, episode_ended, .. } = program_call.notes;
         Ok(Feedback { episode_ended, success, reward })

@@ -149,7 +149,7 @@ impl Actuator for Ros {
         for part in &action.answer.parts {
             dropped += self.publish(part)?.dropped;
         }
-        recorder.value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
+        recorder.record_value(DROPPED_ANSWERS, dropped as f64, Unit::NONE);
         Ok(Feedback::default())
     }
 

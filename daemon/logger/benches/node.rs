@@ -127,8 +127,8 @@ fn typical(clock: &SharedClock) -> Tree {
             transit.delay = Some(OneWayDelay::same_clock(Span::from_micros(136)));
         }
     }
-    log.value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
-    log.value(stage::UPLOAD_LOGGER_BYTES, 231.0, Unit::BYTES);
+    log.record_value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
+    log.record_value(stage::UPLOAD_LOGGER_BYTES, 231.0, Unit::BYTES);
     let rate = Rate { value: Some(8.8e9), bounds: Some((8.7e9, 8.9e9)) };
     log.tree_mut().add(NodeId::ROOT, stage::UPLOAD_THROUGHPUT, Span::ZERO, Measure::Throughput(rate));
     log.finish()

@@ -24,7 +24,7 @@ const ITERATION: &str = "iteration";
 /// # use peernet_logger::{HostId, Recorder, Unit, csv, stage};
 /// # let clock = Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("b", "c")));
 /// # let mut log = Recorder::new(clock.clone(), HostId::random());
-/// # log.value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
+/// # log.record_value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
 /// # let tree = log.finish();
 /// let mut table = Vec::new();
 /// csv::write(&mut table, [(1, &tree), (2, &tree)]).unwrap();

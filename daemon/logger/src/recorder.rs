@@ -193,13 +193,13 @@ impl Recorder {
     }
 
     /// Records a number. NaN is recorded as a failed reading.
-    pub fn value(&mut self, name: Name, value: f64, unit: Unit) -> NodeId {
+    pub fn record_value(&mut self, name: Name, value: f64, unit: Unit) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Value(value, unit).without_nan())
     }
 
     /// Records a value of a kind declared by the user.
-    pub fn custom(&mut self, name: Name, kind: Name, unit: Unit, value: f64) -> NodeId {
+    pub fn record_custom(&mut self, name: Name, kind: Name, unit: Unit, value: f64) -> NodeId {
         let now = self.clock.mono();
         self.append_at(name, now, Measure::Custom(kind, unit, Some(value)).without_nan())
     }

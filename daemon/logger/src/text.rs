@@ -25,7 +25,7 @@ impl Tree {
     ///     let _capture = sensing.time(stage::CAPTURE);
     ///     clock.advance(Span::from_micros(123_400));
     /// }
-    /// log.value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
+    /// log.record_value(stage::UPLOAD_BYTES, 150_000.0, Unit::BYTES);
     /// assert_eq!(log.finish().text().to_string(), "\
     /// iteration
     ///     sensing --> Time: 0.1234 s

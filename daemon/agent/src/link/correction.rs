@@ -61,8 +61,8 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let mut log = Recorder::new(Arc::<ManualClock>::clone(&clock), HostId::random());
         let up = log.start_transit(stage::UPLOAD, clock.stamp());
-        log.value(stage::UPLOAD_BYTES, 900.0, Unit::BYTES);
-        log.value(stage::UPLOAD_LOGGER_BYTES, 100.0, Unit::BYTES);
+        log.record_value(stage::UPLOAD_BYTES, 900.0, Unit::BYTES);
+        log.record_value(stage::UPLOAD_LOGGER_BYTES, 100.0, Unit::BYTES);
         clock.advance(UP);
         log.end_transit(up, clock.wall());
         let down = log.start_transit(stage::DOWNLOAD, clock.stamp());

@@ -64,19 +64,19 @@ pub(super) fn record_accuracy(log: &mut Recorder, label: &str, answer: &Sample) 
     let label = normalized_label(label);
     let matches_label = |class: &str| normalized_label(class) == label;
     let is_best = matches_label(&best);
-    log.value(TOP_1, as_number(is_best), Unit::NONE);
+    log.record_value(TOP_1, as_number(is_best), Unit::NONE);
     if let Some(top) = top {
         let is_in_top = is_best || top.iter().take(TOP_5_CLASSES).any(|class| matches_label(&class.label));
-        log.value(TOP_5, as_number(is_in_top), Unit::NONE);
+        log.record_value(TOP_5, as_number(is_in_top), Unit::NONE);
     }
 }
 
 fn record_detection(log: &mut Recorder, label: &str, answer: &[u8]) {
     let Some(objects) = PictureObjects::read(label, answer) else { return };
     let scores = DetectionScores::of(&[objects]);
-    log.value(MAP_50, scores.map_50, Unit::NONE);
+    log.record_value(MAP_50, scores.map_50, Unit::NONE);
     if let Some(iou) = scores.mean_iou {
-        log.value(MEAN_IOU, iou, Unit::NONE);
+        log.record_value(MEAN_IOU, iou, Unit::NONE);
     }
 }
 
@@ -94,7 +94,7 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
     };
     // Only this host has the mask, so that the model cannot mark it.
     if class_count(sample).is_some_and(has_unknown_class) {
-        log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         return;
     }
     let mut pixels = SegmentedPixels::default();
@@ -102,7 +102,7 @@ fn record_segmentation(log: &mut Recorder, label: &MaskLabel, sample: &Sample) {
         pixels.add(mask, answer);
     }
     if let Some(iou) = pixels.mean_iou() {
-        log.value(SEGMENTED_IOU, iou, Unit::NONE);
+        log.record_value(SEGMENTED_IOU, iou, Unit::NONE);
     }
 }
 
@@ -150,7 +150,7 @@ mod tests {
     fn label_unknown_to_model_is_not_scored() {
         let clock = ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system"));
         let mut log = Recorder::new(Arc::new(clock), HostId::random());
-        log.value(UNKNOWN_LABEL, 1.0, Unit::NONE);
+        log.record_value(UNKNOWN_LABEL, 1.0, Unit::NONE);
         let json =
             Sample::from_part(Description::unshaped(MediaType::Json), r#"{"label":"a","top":[]}"#.into());
         record_accuracy(&mut log, "tench", &json);

@@ -98,7 +98,7 @@ impl ActuatorExecutor {
         // An owned guard, because the thread below takes it along.
         let mut ordered_actuator = Arc::clone(&self.ordered_actuator).lock_owned().await;
         if !ordered_actuator.accepts(&origin) {
-            log.value(SUPERSEDED, 1.0, Unit::NONE);
+            log.record_value(SUPERSEDED, 1.0, Unit::NONE);
             return (log, Ok(Feedback::default()));
         }
         if !self.blocks {
@@ -157,12 +157,12 @@ impl OrderedActuator {
 
 fn record_feedback(log: &mut Recorder, feedback: &Feedback) {
     if let Some(reward) = feedback.reward {
-        log.value(REWARD, reward, Unit::NONE);
+        log.record_value(REWARD, reward, Unit::NONE);
     }
     if let Some(success) = feedback.success {
-        log.value(SUCCESS, if success { 1.0 } else { 0.0 }, Unit::NONE);
+        log.record_value(SUCCESS, if success { 1.0 } else { 0.0 }, Unit::NONE);
     }
     if feedback.episode_ended {
-        log.value(EPISODE_ENDED, 1.0, Unit::NONE);
+        log.record_value(EPISODE_ENDED, 1.0, Unit::NONE);
     }
 }

@@ -156,7 +156,7 @@ mod tests {
             Arc::new(ManualClock::new(WallTime::from_unix_nanos(0), ClockIdentity::new("boot", "system")));
         let intended = clock.mono();
         let (mut log, started_at) = start(&clock, HostId::random(), intended);
-        while log.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
+        while log.record_value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
         let position = Position { number: 1, episode: 0, step: 0, warm_up: false };
         let iteration = StartedIteration { position, start: Start { intended, skipped: 7 }, started_at };
         let tree = close(log, &iteration, intended + STEP, false, None);

@@ -74,7 +74,7 @@ impl ExecConfig {
     ///
     /// # Errors
     /// If the program cannot be run with this configuration in this role.
-    pub fn check(&self, role: Role) -> Result<(), CommandError> {
+    pub fn check_for(&self, role: Role) -> Result<(), CommandError> {
         if self.resets && role == Role::Model {
             return Err(CommandError::ModelResets);
         }
@@ -106,7 +106,7 @@ impl ExecConfig {
 
     /// Returns facts for the run's page: the program, and the SHA-256 of each file that the command names. The arguments
     /// are left out, because they may be secret. The name of each fact begins with the role. Reads the files.
-    pub fn facts(&self, role: Role) -> Vec<(String, String)> {
+    pub fn facts_for(&self, role: Role) -> Vec<(String, String)> {
         let heading = role.heading();
         let mut facts = vec![(heading.to_owned(), program_fact(&self.command))];
         facts.extend(digest::files_fact(heading, &self.files(role)));
@@ -115,7 +115,7 @@ impl ExecConfig {
 
     /// Returns the fact that distinguishes runs with different arguments without revealing them (`Sensor arguments`,
     /// `2, fingerprint 8a5e1f0c92d3`); `None` if there are no arguments.
-    pub fn arguments_fact(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
+    pub fn arguments_fact_for(&self, role: Role, key: &FingerprintKey) -> Option<(String, String)> {
         let fingerprint = self.command.fingerprint(key)?;
         Some((format!("{} arguments", role.heading()), fingerprint))
     }
@@ -227,7 +227,7 @@ mod tests {
     fn command_is_shell_line_or_list_of_words() {
         let words = read("command = ['cat', '-u']").expect("reads");
         assert_eq!(words.program_and_arguments(), ("cat".to_owned(), vec!["-u".to_owned()]));
-        assert_eq!((words.check(Role::Actuator), words.timeout()), (Ok(()), Span::from_seconds(10)));
+        assert_eq!((words.check_for(Role::Actuator), words.timeout()), (Ok(()), Span::from_seconds(10)));
         let line = read("command = 'while read x; do :; done'\ntimeout_ms = 5").expect("reads");
         assert_eq!(line.program_and_arguments().1, ["-c", "while read x; do :; done"]);
         assert!(read("comand = 'x'").is_err() && read("command = 3").is_err());
@@ -269,7 +269,7 @@ mod tests {
             ("'cd x && cat'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
-            let facts = config.facts(Role::Sensor);
+            let facts = config.facts_for(Role::Sensor);
             assert!(facts[0].0 == "Sensor" && facts[0].1.starts_with("the program "), "{facts:?}");
             let recorded = facts.get(1).map_or("", |(name, recorded)| {
                 assert_eq!(name, "Sensor files");
@@ -305,7 +305,7 @@ mod tests {
             ("'cd x && tee answers.txt'", &[]),
         ] {
             let config = read(&format!("command = {command}\nfolder = {:?}", folder.path())).expect("reads");
-            let facts = config.facts(Role::Actuator);
+            let facts = config.facts_for(Role::Actuator);
             let recorded = facts.get(1).map_or("", |(_, recorded)| recorded);
             let recorded: Vec<&str> = recorded.split(", ").filter(|part| !part.is_empty()).collect();
             assert_eq!(recorded.len(), files.len(), "{command}: {recorded:?}");
@@ -329,7 +329,7 @@ mod tests {
             ("command = 'x'\ntimeout_ms = 86400001", "86400000"),
             ("command = 'x'\nresets = true", "a model has no episodes"),
         ] {
-            let error = read(text).expect("reads").check(Role::Model).expect_err(text);
+            let error = read(text).expect("reads").check_for(Role::Model).expect_err(text);
             assert!(error.to_string().contains(part), "{error}");
         }
     }

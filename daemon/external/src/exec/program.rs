@@ -55,7 +55,7 @@ impl Program {
         name: &str,
         clock: &SharedClock,
     ) -> Result<Self, ProgramCallError> {
-        config.check(role)?;
+        config.check_for(role)?;
         let (program, arguments) = config.program_and_arguments();
         let mut environment = config.env.clone();
         environment.insert("PEERNET_EXEC".to_owned(), VERSION.to_string());

@@ -37,7 +37,7 @@ impl ModelKind for ExecConfig {
     }
 
     fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments_fact(self, Role::Model, key)
+        self.arguments_fact_for(Role::Model, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -52,7 +52,8 @@ impl ModelKind for ExecConfig {
 
     fn check(&self, shared: &SharedKeys, _context: &LoadContext<'_>) -> Result<(), LoadError> {
         // This check does not run the program.
-        Self::check(&on_device(self, shared), Role::Model)
+        on_device(self, shared)
+            .check_for(Role::Model)
             .map_err(|reason| failed(self, shared, ProgramCallError::Command(reason)))
     }
 
@@ -60,7 +61,7 @@ impl ModelKind for ExecConfig {
     fn load(&self, shared: &SharedKeys, context: &LoadContext<'_>) -> Result<Arc<dyn Model>, LoadError> {
         let config = on_device(self, shared);
         let (shared, clock) = (shared.clone(), SharedClock::clone(context.clock));
-        let facts = config.facts(Role::Model);
+        let facts = config.facts_for(Role::Model);
         let first = Mutex::new(Some(start(&config, &shared, &clock)?));
         Ok(Arc::new(Exec { config, shared, clock, facts, first }))
     }
@@ -133,7 +134,7 @@ impl Worker for ExecWorker {
             recorder.record_timer(Name::from(stage.name), stage.from, stage.to);
         }
         for (name, value, unit) in &program_call.notes.values {
-            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
+            recorder.record_value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         match program_call.outcome {
             ReplyOutcome::Parts(parts) => Ok(Sample { parts, source: String::new(), label: None }),

@@ -157,7 +157,7 @@ impl Drop for TokenGuard<'_> {
             *rate = (elapsed > Span::ZERO).then(|| self.count as f64 / elapsed.seconds());
         }
         // The inner guard is dropped after this, so that these nodes become children of its node.
-        self.guard.recorder.value(stage::TOKENS, self.count as f64, Unit::TOKENS);
+        self.guard.recorder.record_value(stage::TOKENS, self.count as f64, Unit::TOKENS);
         if let Some(first_token) = self.first_token {
             self.guard.recorder.record_timer(stage::TIME_TO_FIRST_TOKEN, self.started_at, first_token);
         }

@@ -88,7 +88,7 @@ fn failed_reading_is_recorded_without_value() {
     }
     let (_, mut log) = recorder();
     drop(log.measure("board".into(), Broken));
-    let force = log.value("force".into(), f64::NAN, Unit::new("N"));
+    let force = log.record_value("force".into(), f64::NAN, Unit::new("N"));
     let tree = log.finish();
     assert_eq!(tree.check(0), Ok(()));
     let board = &tree.find(&["board"]).expect("recorded").1.measure;
@@ -138,12 +138,12 @@ fn nodes_below_depth_limit_are_discarded() {
 fn tree_of_other_host(third: HostId) -> Tree {
     let (clock, mut log) = recorder();
     clock.advance(Span::from_nanos(50));
-    log.value("force".into(), 2.0, Unit::new("N"));
+    log.record_value("force".into(), 2.0, Unit::new("N"));
     let sent = log.clock().stamp();
     let upload = log.start_transit(stage::UPLOAD, sent);
     let tree = log.tree().clone();
     let mut remote = Recorder::resume(log.clock().clone(), third, tree, upload, sent).expect("under way");
-    remote.value("grip".into(), 3.0, Unit::new("N"));
+    remote.record_value("grip".into(), 3.0, Unit::new("N"));
     let delta = remote.into_tree_delta().expect("resumed");
     log.tree_mut().apply_delta(delta).expect("fits");
     log.finish()

@@ -25,7 +25,7 @@ struct Exec {
 impl SensorKind for ExecConfig {
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let command = self.command.to_string();
-        let facts = self.facts(Role::Sensor);
+        let facts = self.facts_for(Role::Sensor);
         let program = Program::start(self, Role::Sensor, &format!("sensor {command}"), clock)
             .map_err(|error| SensorError::Program { command: command.clone(), error })?;
         Ok(Box::new(Exec { command, facts, program, resets: self.resets, last_sequence: None }))
@@ -33,7 +33,7 @@ impl SensorKind for ExecConfig {
 
     fn check(&self, _clock: &SharedClock) -> Result<(), SensorError> {
         // This check does not run the program.
-        Self::check(self, Role::Sensor).map_err(|reason| {
+        self.check_for(Role::Sensor).map_err(|reason| {
             SensorError::Config(format!("cannot run the program of an exec sensor: {reason}"))
         })
     }
@@ -43,7 +43,7 @@ impl SensorKind for ExecConfig {
     }
 
     fn arguments_fact(&self, key: &FingerprintKey) -> Option<(String, String)> {
-        Self::arguments_fact(self, Role::Sensor, key)
+        self.arguments_fact_for(Role::Sensor, key)
     }
 
     fn hide_secrets(&mut self) {
@@ -69,14 +69,14 @@ impl Exec {
             recorder.record_timer(Name::from(name.as_str()), started_at, started_at + *span);
         }
         for (name, value, unit) in &notes.values {
-            recorder.value(Name::from(name.as_str()), *value, Unit::new(unit));
+            recorder.record_value(Name::from(name.as_str()), *value, Unit::new(unit));
         }
         if let Some(sequence) = notes.sequence {
             // Samples that the program captured and did not pass on leave gaps in its numbers. A smaller number than
             // expected means that the program was restarted; then the number of missed samples is unknown.
             let next = self.last_sequence.and_then(|last| last.checked_add(1));
             let dropped = next.and_then(|next| sequence.checked_sub(next)).unwrap_or(0);
-            recorder.value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
+            recorder.record_value(DROPPED_SAMPLES, dropped as f64, Unit::NONE);
             self.last_sequence = Some(sequence);
         }
     }

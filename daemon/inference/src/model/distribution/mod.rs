@@ -227,14 +227,14 @@ impl Worker for DistributionWorker {
         let drawn = self.source.next();
         let started_at = recorder.clock().mono();
         let mut inference = recorder.time(stage::INFERENCE);
-        inference.value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
+        inference.record_value(DRAWN_LATENCY, drawn.seconds(), Unit::SECONDS);
         let answer = match &mut self.inner {
             None => Sample::from_part(Description::bytes(), Bytes::new()),
             Some(inner) => {
                 // Its stages are below a node of their own, so they do not count as stages of the iteration.
                 let answer = inner.infer(sample, &mut inference.time(INNER_MODEL), requester)?;
                 let overrun = (inference.clock().mono() - started_at - drawn).max(Span::ZERO);
-                inference.value(OVERRUN, overrun.seconds(), Unit::SECONDS);
+                inference.record_value(OVERRUN, overrun.seconds(), Unit::SECONDS);
                 answer
             }
         };
@@ -245,7 +245,7 @@ impl Worker for DistributionWorker {
         drop(inference);
         if recorder.tree().find(&[&stage::INFERENCE, &INNER_MODEL, &stage::UNKNOWN_LABEL]).is_some() {
             // The edge looks for it below the root.
-            recorder.value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
+            recorder.record_value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
         }
         Ok(answer)
     }

@@ -86,7 +86,7 @@ impl OnnxWorker {
             let mut stages = time_all(recorders, &stage::INFERENCE);
             if plan.batching.is_on() {
                 for recorder in &mut stages {
-                    recorder.value(BATCH_SIZE, batch as f64, Unit::NONE);
+                    recorder.record_value(BATCH_SIZE, batch as f64, Unit::NONE);
                 }
             }
             // The outputs are in the host's memory when the session returns: it waits for a GPU and copies its outputs. They stay where
@@ -165,7 +165,7 @@ impl Worker for OnnxWorker {
         for (request, _) in requests.iter_mut().zip(&results).filter(|(_, result)| result.is_ok()) {
             let label = request.sample.label.as_ref();
             if label.is_some_and(|label| !self.plan.has_classes_of(label)) {
-                request.recorder.value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
+                request.recorder.record_value(stage::UNKNOWN_LABEL, 1.0, Unit::NONE);
             }
         }
         results

@@ -50,19 +50,27 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     intervals.sort_unstable();
     if let Some(longest) = intervals.last().copied() {
         let sum: f64 = intervals.iter().map(|interval| interval.seconds()).sum();
-        inference.value(INTER_TOKEN_LATENCY, sum / intervals.len() as f64, Unit::SECONDS);
-        inference.value(INTER_TOKEN_LATENCY_P50, median(&intervals), Unit::SECONDS);
-        inference.value(INTER_TOKEN_LATENCY_MAX, longest.seconds(), Unit::SECONDS);
+        inference.record_value(INTER_TOKEN_LATENCY, sum / intervals.len() as f64, Unit::SECONDS);
+        inference.record_value(INTER_TOKEN_LATENCY_P50, median(&intervals), Unit::SECONDS);
+        inference.record_value(INTER_TOKEN_LATENCY_MAX, longest.seconds(), Unit::SECONDS);
     }
-    inference.value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
+    inference.record_value(OUTPUT_CHUNKS, answer.chunk_count() as f64, Unit::NONE);
     let usage = answer.usage.unwrap_or_default();
     if let (Some(tokens), Some(last)) = (usage.completion_tokens, answer.last_chunk_at()) {
         if let Some(time) = answer.decode_time().filter(|_| tokens > 1) {
-            inference.value(TIME_PER_OUTPUT_TOKEN, time.seconds() / (tokens - 1) as f64, Unit::SECONDS);
+            inference.record_value(
+                TIME_PER_OUTPUT_TOKEN,
+                time.seconds() / (tokens - 1) as f64,
+                Unit::SECONDS,
+            );
         }
         let time = last - started_at;
         if time > Span::ZERO {
-            inference.value(OUTPUT_TOKEN_RATE, tokens as f64 / time.seconds(), Unit::TOKENS_PER_SECOND);
+            inference.record_value(
+                OUTPUT_TOKEN_RATE,
+                tokens as f64 / time.seconds(),
+                Unit::TOKENS_PER_SECOND,
+            );
         }
     }
     for (name, tokens) in [
@@ -72,12 +80,12 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
         (CACHED_INPUT_TOKENS, usage.cached_tokens()),
     ] {
         if let Some(tokens) = tokens {
-            inference.value(name, tokens as f64, Unit::TOKENS);
+            inference.record_value(name, tokens as f64, Unit::TOKENS);
         }
     }
     if let Some(reason) = &answer.finish_reason {
         for (name, expected) in [(FINISH_REASON_STOP, "stop"), (FINISH_REASON_LENGTH, "length")] {
-            inference.value(name, if reason == expected { 1.0 } else { 0.0 }, Unit::NONE);
+            inference.record_value(name, if reason == expected { 1.0 } else { 0.0 }, Unit::NONE);
         }
     }
 }
