@@ -206,9 +206,9 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
         let sample = Sample::from_part(Description::bytes(), payload.clone());
         let started_at = clock.mono();
         let recorder = Recorder::new(clock.clone(), host);
-        let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
+        let completed = session.request(recorder, &sample, Duration::from_secs(10)).await;
         // A lost request has no round trip; the statistics at the end count it.
-        if exchange.result.is_ok() {
+        if completed.result.is_ok() {
             spans.push(clock.mono() - started_at);
         }
     }

@@ -295,12 +295,12 @@ async fn round_session(session: Session, payload: Bytes, trips: usize) -> BenchR
         let sample = Sample::from_part(Description::bytes(), payload.clone());
         let start = clock.mono();
         let recorder = Recorder::new(clock.clone(), host);
-        let exchange = session.request(recorder, &sample, Duration::from_secs(10)).await;
+        let completed = session.request(recorder, &sample, Duration::from_secs(10)).await;
         let trip = clock.mono() - start;
-        exchange.result?;
-        let upload = exchange
+        completed.result?;
+        let upload = completed
             .upload
-            .and_then(|upload_id| exchange.recorder.tree().get(upload_id))
+            .and_then(|upload_id| completed.recorder.tree().get(upload_id))
             .map(|node| &node.measure);
         let Some(Measure::Transit(upload)) = upload else { return Err("no upload".into()) };
         let upload = upload.received.ok_or("upload did not end")? - upload.sent;

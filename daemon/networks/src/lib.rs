@@ -19,8 +19,8 @@ pub use message::{
     SESSION_VERSIONS, SessionAccepted, SessionHello, SessionId,
 };
 pub use session::{
-    Announcer, AwaitedEvent, BindError, CloseReason, Exchange, FIRST_PART, FIRST_PART_DOWNLOAD, Failure,
-    Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PartHandler, PartSender,
+    Announcer, AwaitedEvent, BindError, CloseReason, CompletedRequest, FIRST_PART, FIRST_PART_DOWNLOAD,
+    Failure, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PARTS, PartHandler, PartSender,
     RequestCancelled, RequestError, Responder, Session, StatisticsReader,
 };
 pub use settings::{InvalidSettings, Ros2SessionSettings, SessionSettings};

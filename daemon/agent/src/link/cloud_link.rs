@@ -10,7 +10,7 @@ use peernet_clock::{
     RelationSettings, Span, Stamp,
 };
 use peernet_logger::{HostId, Measure, NodeId, Recorder, Slug, Tree};
-use peernet_networks::{Exchange, PeerClock, SessionAccepted};
+use peernet_networks::{CompletedRequest, PeerClock, SessionAccepted};
 use peernet_probes::ProbeResult;
 use peernet_stream::{Event, IncidentKind, LinkLive, NetworkName, Probing};
 use tokio::sync::watch;
@@ -97,27 +97,28 @@ impl CloudLink {
         link
     }
 
-    /// Judges the delays of an answered exchange over a network and sets them in its tree. Returns the sum of both
+    /// Judges the delays of an answered request over a network and sets them in its tree. Returns the sum of both
     /// directions by the hosts' monotonic clocks, which is known even if a wall clock was stepped in the meantime.
-    pub(super) fn correct(&self, network: &NetworkName, exchange: &mut Exchange) -> Option<Span> {
-        let (Some(up), Some(down), Some(arrived)) = (exchange.upload, exchange.download, exchange.arrived_at)
+    pub(super) fn correct(&self, network: &NetworkName, completed: &mut CompletedRequest) -> Option<Span> {
+        let (Some(up), Some(down), Some(arrived)) =
+            (completed.upload, completed.download, completed.arrived_at)
         else {
             // Without an answer neither delay is known.
             return None;
         };
-        let transport = transport(&exchange.recorder, up, down, arrived);
-        let tree = exchange.recorder.tree_mut();
+        let transport = transport(&completed.recorder, up, down, arrived);
+        let tree = completed.recorder.tree_mut();
         let bits = [bits(tree, Direction::Up), bits(tree, Direction::Down)];
         let message_delays = [
             MessageDelay { raw: raw_difference(tree, up)?, bits: bits[0] },
             MessageDelay { raw: raw_difference(tree, down)?, bits: bits[1] },
         ];
         let ([first, second], changes) =
-            self.judge(network, exchange.observation.as_ref(), message_delays, arrived);
+            self.judge(network, completed.observation.as_ref(), message_delays, arrived);
         correct(tree, up, Direction::Up, first);
         correct(tree, down, Direction::Down, second);
-        if let Some(first_part) = exchange.first_part {
-            self.correct_first_part(tree, [up, first_part], exchange.observation.as_ref());
+        if let Some(first_part) = completed.first_part {
+            self.correct_first_part(tree, [up, first_part], completed.observation.as_ref());
         }
         self.report(changes);
         transport

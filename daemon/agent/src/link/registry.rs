@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use futures::FutureExt;
 use peernet_clock::{RelatedClocks, Span};
 use peernet_logger::{HostId, Slug};
-use peernet_networks::{Address, Exchange, SessionAccepted};
+use peernet_networks::{Address, CompletedRequest, SessionAccepted};
 use peernet_stream::{Hardware, LinkLive, NetworkName};
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
@@ -190,10 +190,10 @@ impl Links {
 }
 
 impl LinkedSession {
-    /// Judges the delays of an answered exchange of the session, and sets them in its tree. Returns the sum of both
+    /// Judges the delays of an answered request of the session, and sets them in its tree. Returns the sum of both
     /// directions by the hosts' monotonic clocks.
-    pub(crate) fn correct(&self, exchange: &mut Exchange) -> Option<Span> {
-        self.link.correct(&self.network, exchange)
+    pub(crate) fn correct(&self, completed: &mut CompletedRequest) -> Option<Span> {
+        self.link.correct(&self.network, completed)
     }
 }
 

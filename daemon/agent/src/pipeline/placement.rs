@@ -135,9 +135,9 @@ impl Placement {
         match self {
             Self::Local(pool) => compute_locally(pool, log, sample, timeout).await,
             Self::Remote { session, link, config } => {
-                let mut exchange = session.request(log, sample, timeout).await;
+                let mut completed = session.request(log, sample, timeout).await;
                 // Corrected now and not when the run is read, because live statistics show the delays.
-                let transport = link.correct(&mut exchange);
+                let transport = link.correct(&mut completed);
                 let unanswered = |error| match error {
                     RequestError::Timeout(awaited) => {
                         Outcome::Timeout(describe_timeout(awaited, config, link.name(), timeout))
@@ -145,8 +145,8 @@ impl Placement {
                     error => outcome_from_error(error),
                 };
                 ComputationResult {
-                    log: exchange.recorder,
-                    result: exchange.result.map(Some).map_err(unanswered),
+                    log: completed.recorder,
+                    result: completed.result.map(Some).map_err(unanswered),
                     transport,
                 }
             }
@@ -370,7 +370,7 @@ async fn compute_locally(
 
 /// Advice of a timeout's reason. The commands of the paper have no configuration file, therefore it names their option.
 const RAISE_TIMEOUT: &str =
-    "raise timeout_ms of the pipeline (peernet --client: --timeout) if it needs longer";
+    "if it needs longer, raise timeout_ms of the pipeline (or the option --timeout of peernet --client)";
 
 /// Returns the reason of a timeout: what was waited for, for how long, and what to do.
 fn describe_timeout(awaited: AwaitedEvent, config: &RemoteConfig, cloud: &Slug, timeout: Duration) -> String {

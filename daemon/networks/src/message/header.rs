@@ -32,13 +32,13 @@ const MAX_DEPTH: usize = 32;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum HeaderError {
     #[error("the header would have {0} bytes, more than {MAX_HEADER_BYTES}: shorten source, label or shapes")]
-    TooLong(usize),
+    EncodedTooLong(usize),
     #[error("the sample has {0} parts, more than {MAX_PARTS}")]
     TooManyParts(usize),
     #[error("the header cannot be encoded: {0}")]
     NotEncodable(String),
     #[error("the header has {0} bytes, more than {MAX_HEADER_BYTES}")]
-    Oversize(usize),
+    ReceivedTooLong(usize),
     #[error("the header is invalid: {0}")]
     Unreadable(String),
     #[error("{0} bytes follow the end of the header")]
@@ -256,7 +256,11 @@ impl Header {
         };
         written.map_err(|error| HeaderError::NotEncodable(error.to_string()))?;
         // The peer would refuse the header, so the error is reported where the cause is known.
-        if wire.len() > MAX_HEADER_BYTES { Err(HeaderError::TooLong(wire.len())) } else { Ok(wire.into()) }
+        if wire.len() > MAX_HEADER_BYTES {
+            Err(HeaderError::EncodedTooLong(wire.len()))
+        } else {
+            Ok(wire.into())
+        }
     }
 
     /// Decodes a header from an untrusted peer.
@@ -265,7 +269,7 @@ impl Header {
     /// If the bytes are not exactly one header of this version of the protocol.
     pub(crate) fn decode(wire: &[u8]) -> Result<Self, HeaderError> {
         if wire.len() > MAX_HEADER_BYTES {
-            return Err(HeaderError::Oversize(wire.len()));
+            return Err(HeaderError::ReceivedTooLong(wire.len()));
         }
         let mut reader = rmp_serde::Deserializer::new(wire);
         // A deeply nested header could exhaust the stack.
@@ -403,9 +407,9 @@ mod tests {
             reason: "x".repeat(MAX_HEADER_BYTES),
             planned_iterations: None,
         };
-        assert!(matches!(Header::Goodbye(goodbye).encode(), Err(HeaderError::TooLong(_))));
+        assert!(matches!(Header::Goodbye(goodbye).encode(), Err(HeaderError::EncodedTooLong(_))));
         let oversize = vec![0xc0; MAX_HEADER_BYTES + 1];
-        assert_eq!(Header::decode(&oversize), Err(HeaderError::Oversize(MAX_HEADER_BYTES + 1)));
+        assert_eq!(Header::decode(&oversize), Err(HeaderError::ReceivedTooLong(MAX_HEADER_BYTES + 1)));
         let deep = [vec![0x91; 5_000], vec![0xc0]].concat();
         assert!(matches!(Header::decode(&deep), Err(HeaderError::Unreadable(_))));
     }

@@ -13,10 +13,10 @@ use super::parts::ArrivedParts;
 use crate::message::{Departure, Outcome, Reply, TreeFrameError, decode_tree_delta};
 use crate::transport::Frames;
 
-/// Result of a request. The recorder is returned in every case.
+/// A request that has ended, with or without an answer. The recorder is returned in every case.
 #[derive(Debug)]
-pub struct Exchange {
-    /// Tree of the iteration, with the nodes of the exchange and of the cloud.
+pub struct CompletedRequest {
+    /// Tree of the iteration, with the nodes of the request and of the cloud.
     pub recorder: Recorder,
     /// The answer.
     pub result: Result<Sample, RequestError>,

@@ -10,8 +10,8 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::client::CloseReason;
-use super::exchange::{
-    AbsorbedReply, ArrivedReply, AwaitedEvent, Exchange, RequestError, Sizes, absorb, request_result,
+use super::completed_request::{
+    AbsorbedReply, ArrivedReply, AwaitedEvent, CompletedRequest, RequestError, Sizes, absorb, request_result,
 };
 use super::open::{OpenError, OpenedSession, handshake};
 use super::parts::PartHandler;
@@ -152,7 +152,7 @@ impl Session {
     /// Records in `recorder`: `send-queue` if the request had to wait because too many were in flight, `encode`, `upload`,
     /// `download`, their sizes, and the nodes of the cloud. `timeout` covers all of it. The request is cancelled if
     /// the future is dropped or `timeout` ends. The cloud then stops computing if the model allows it.
-    pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> Exchange {
+    pub async fn request(&self, recorder: Recorder, sample: &Sample, timeout: Duration) -> CompletedRequest {
         self.request_in_parts(recorder, sample, timeout, None).await
     }
 
@@ -166,9 +166,9 @@ impl Session {
         sample: &Sample,
         timeout: Duration,
         handler: Option<PartHandler>,
-    ) -> Exchange {
+    ) -> CompletedRequest {
         let shared = &*self.inner.shared;
-        let mut exchange = Exchange {
+        let mut completed = CompletedRequest {
             recorder,
             result: Err(RequestError::Timeout(AwaitedEvent::Answer)),
             arrived_at: None,
@@ -180,53 +180,58 @@ impl Session {
         let now = tokio::time::Instant::now();
         let deadline = now.checked_add(timeout).unwrap_or(now + MAX_REQUEST_TIMEOUT);
         // The slot is held until the function returns, with the answer or without.
-        let _slot = match shared.requests.acquire_slot(&mut exchange.recorder, deadline).await {
+        let _slot = match shared.requests.acquire_slot(&mut completed.recorder, deadline).await {
             Ok(slot) => slot,
-            Err(error) => return Exchange { result: Err(error), ..exchange },
+            Err(error) => return CompletedRequest { result: Err(error), ..completed },
         };
-        let mut pending = match shared.send(&mut exchange.recorder, sample, deadline, handler) {
+        let mut pending = match shared.send(&mut completed.recorder, sample, deadline, handler) {
             Ok(pending) => pending,
-            Err(error) => return Exchange { result: Err(error), ..exchange },
+            Err(error) => return CompletedRequest { result: Err(error), ..completed },
         };
-        exchange.upload = Some(pending.departed.upload);
+        completed.upload = Some(pending.departed.upload);
         let answer = tokio::time::timeout_at(deadline, &mut pending.answer).await;
         match answer {
-            Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut exchange, &pending, *arrived),
-            Ok(Ok(Answer::Lost(reason))) => exchange.result = Err(RequestError::Lost(reason)),
+            Ok(Ok(Answer::Reply(arrived))) => self.handle_reply(&mut completed, &pending, *arrived),
+            Ok(Ok(Answer::Lost(reason))) => completed.result = Err(RequestError::Lost(reason)),
             Ok(Ok(Answer::SessionEnded(reason))) => {
-                exchange.result = Err(RequestError::Lost(reason.to_string()));
+                completed.result = Err(RequestError::Lost(reason.to_string()));
             }
             Ok(Err(_)) => {
-                exchange.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
+                completed.result = Err(RequestError::Lost("the task that receives answers has ended".into()));
             }
             // The result remains the timeout.
             Err(_) => {}
         }
         // If an answer arrived, `handle_reply` has recorded the sizes after the nodes of the cloud.
-        if exchange.arrived_at.is_none() {
-            pending.sizes.record(&mut exchange.recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
+        if completed.arrived_at.is_none() {
+            pending.sizes.record(&mut completed.recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         }
-        exchange
+        completed
     }
 
     /// Handles an answer: adds the cloud's nodes, `download` and the sizes to the tree, and sets the result.
-    fn handle_reply(&self, exchange: &mut Exchange, sent: &PendingRequest<'_>, arrived: ArrivedReply) {
+    fn handle_reply(
+        &self,
+        completed: &mut CompletedRequest,
+        sent: &PendingRequest<'_>,
+        arrived: ArrivedReply,
+    ) {
         let shared = &*self.inner.shared;
         let sizes = Sizes::from_frames(&arrived.frames);
-        let recorder = &mut exchange.recorder;
-        exchange.arrived_at = Some(arrived.stamp);
+        let recorder = &mut completed.recorder;
+        completed.arrived_at = Some(arrived.stamp);
         let has_raw_stamps = shared.terms.has_raw_stamps();
         // The delta is added before all other nodes, because the node ids in the tree delta refer to the tree as it was sent.
         let absorbed = absorb(recorder, self.inner.accepted.host, has_raw_stamps, &sent.departed, &arrived);
         sent.sizes.record(recorder, stage::UPLOAD_BYTES, stage::UPLOAD_LOGGER_BYTES);
         sizes.record(recorder, stage::DOWNLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES);
-        exchange.result = match absorbed {
+        completed.result = match absorbed {
             Ok(absorbed) => {
                 if let Some(AbsorbedReply { download, first_part, observation }) = absorbed {
-                    exchange.download = Some(download);
-                    exchange.first_part = first_part;
-                    exchange.observation = observation;
-                    arrived.parts.record(&mut exchange.recorder, sent.departed.stamp.mono);
+                    completed.download = Some(download);
+                    completed.first_part = first_part;
+                    completed.observation = observation;
+                    arrived.parts.record(&mut completed.recorder, sent.departed.stamp.mono);
                 }
                 request_result(arrived.reply.outcome, arrived.frames)
             }

@@ -5,7 +5,7 @@ use peernet_stream::VersionMismatch;
 use tokio::time::{Instant, timeout_at};
 
 use super::client::{HelloOutcome, classify_answer};
-use super::exchange::Sizes;
+use super::completed_request::Sizes;
 use crate::message::{Accepted, Header, Open, SessionHello};
 use crate::statistics::Counters;
 use crate::transport::{DialContext, DialFailure, EdgeConnection, EdgeEvent, SendOptions};

@@ -7,7 +7,7 @@ use peernet_clock::Stamp;
 use tokio_util::sync::CancellationToken;
 
 use super::client::{CloseReason, CloudMessage};
-use super::exchange::{ArrivedReply, Sizes};
+use super::completed_request::{ArrivedReply, Sizes};
 use super::parts::PartHandler;
 use super::requests_in_flight::{Answer, end_all};
 use super::state::SessionState;

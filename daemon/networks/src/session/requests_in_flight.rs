@@ -7,7 +7,7 @@ use peernet_logger::{Recorder, stage};
 use tokio::sync::{Semaphore, SemaphorePermit, oneshot, watch};
 
 use super::client::{ClientSession, CloseReason, CloudMessage};
-use super::exchange::{ArrivedReply, AwaitedEvent, RequestError};
+use super::completed_request::{ArrivedReply, AwaitedEvent, RequestError};
 use super::parts::{ArrivedParts, PartHandler};
 use crate::message::{Header, PartialReply, SessionId};
 use crate::statistics::Counters;

@@ -7,7 +7,7 @@ use peernet_logger::{Recorder, stage};
 use peernet_sample::Sample;
 use tokio::sync::{oneshot, watch};
 
-use super::exchange::{DepartedRequest, RequestError, Sizes};
+use super::completed_request::{DepartedRequest, RequestError, Sizes};
 use super::parts::PartHandler;
 use super::remarks::Remarks;
 use super::requests_in_flight::{Answer, RequestsInFlight};

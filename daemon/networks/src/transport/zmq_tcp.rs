@@ -277,6 +277,7 @@ impl CloudSender for ZmtpSender {
         self.try_send(peer.connection, frames)
     }
 
+    // These methods call the methods of the same names that `ZmtpSender` has without the trait.
     fn greet(&self, connection: ConnectionId) {
         Self::greet(self, connection);
     }

@@ -9,7 +9,7 @@ use peernet_clock::{
     RelatedClocks, Span, Stamp, SteppedClock, SystemClock, WallTime,
 };
 use peernet_logger::{Measure, NodeId, Transit};
-use peernet_networks::{AwaitedEvent, Exchange, PeerClock, RawClock, RequestError};
+use peernet_networks::{AwaitedEvent, CompletedRequest, PeerClock, RawClock, RequestError};
 use peernet_stream::VersionRange;
 
 use crate::hostile::plain_session;
@@ -116,8 +116,8 @@ impl Clock for AdjustableClocks {
     }
 }
 
-fn transits(exchange: &Exchange) -> (Transit, Transit) {
-    let transit = |node: Option<NodeId>| match &exchange
+fn transits(completed: &CompletedRequest) -> (Transit, Transit) {
+    let transit = |node: Option<NodeId>| match &completed
         .recorder
         .tree()
         .get(node.expect("on its way"))
@@ -127,7 +127,7 @@ fn transits(exchange: &Exchange) -> (Transit, Transit) {
         Measure::Transit(transit) => (**transit).clone(),
         other => panic!("{other:?}"),
     };
-    (transit(exchange.upload), transit(exchange.download))
+    (transit(completed.upload), transit(completed.download))
 }
 
 #[tokio::test]
@@ -135,9 +135,9 @@ async fn exchange_carries_raw_stamps_beside_wall_stamps() {
     let mut cloud = Cloud::start_with_clock(AdjustableClocks::new(DAY, HOUR)).await;
     let (session, _) = cloud.session(settings()).await;
     assert_eq!(session.clocks(), RelatedClocks::Raw);
-    let exchange = echo(&mut cloud, &session, "four stamps").await;
-    let (upload, download) = transits(&exchange);
-    let observation = exchange.observation.expect("answered");
+    let completed = echo(&mut cloud, &session, "four stamps").await;
+    let (upload, download) = transits(&completed);
+    let observation = completed.observation.expect("answered");
     let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
     assert_eq!(raw(&upload), Some((stamps.sent, stamps.received)));
@@ -165,9 +165,9 @@ async fn session_of_version_four_has_wall_stamps_of_cloud() {
     let mut cloud = Cloud::start_with_clock(cloud_clock.clone()).await;
     let session = cloud.session_with_clock(AdjustableClocks::new(Span::ZERO, Span::ZERO), VERSION_4).await;
     assert_eq!(session.clocks(), RelatedClocks::RawToWall);
-    let exchange = echo(&mut cloud, &session, "four stamps").await;
-    let (upload, download) = transits(&exchange);
-    let observation = exchange.observation.expect("answered");
+    let completed = echo(&mut cloud, &session, "four stamps").await;
+    let (upload, download) = transits(&completed);
+    let observation = completed.observation.expect("answered");
     let stamps = observation.exchange;
     let raw = |transit: &Transit| transit.raw_stamps.map(|stamps| (stamps.sent, stamps.received));
     assert_eq!(raw(&upload), Some((stamps.sent, stamps.received)));
@@ -209,8 +209,8 @@ async fn time_at_cloud_is_measured_despite_clock_steps() {
         // This is not a step that the clock notices by itself, so that only two clocks of the cloud can show it.
         clock.wall.step_unnoticed(Span::from_seconds(3));
         incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-        let exchange = within(pending).await.expect("no panic");
-        let observation = exchange.observation.expect("answered");
+        let completed = within(pending).await.expect("no panic");
+        let observation = completed.observation.expect("answered");
         let time_at_cloud = observation.exchange.replied - observation.exchange.received;
         let round_trip = observation.exchange.returned - observation.exchange.sent;
         if version == 4 {
@@ -243,18 +243,18 @@ async fn moved_cloud_clock_yields_no_observation() {
             let incoming = cloud.next_request().await;
             clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-            let exchange = within(pending).await.expect("no panic");
-            assert!(exchange.result.is_ok() && exchange.download.is_some());
+            let completed = within(pending).await.expect("no panic");
+            assert!(completed.result.is_ok() && completed.download.is_some());
             assert_eq!(
-                exchange.observation.is_none(),
+                completed.observation.is_none(),
                 prevents_observation,
                 "version {version}: {:?}",
-                exchange.observation
+                completed.observation
             );
         }
-        let exchange = echo(&mut cloud, &session, "after").await;
+        let completed = echo(&mut cloud, &session, "after").await;
         let epoch = moved_clock.epoch.load(Ordering::SeqCst);
-        assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(epoch));
+        assert_eq!(completed.observation.expect("answered").cloud_epoch, Some(epoch));
     }
 }
 
@@ -271,9 +271,9 @@ async fn moved_raw_clock_of_edge_yields_no_observation() {
             let incoming = cloud.next_request().await;
             moved_clock.forward(Span::from_seconds(3));
             incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-            let exchange = within(pending).await.expect("no panic");
-            assert!(exchange.result.is_ok());
-            let epoch = exchange.observation.map(|observation| observation.edge_epoch);
+            let completed = within(pending).await.expect("no panic");
+            assert!(completed.result.is_ok());
+            let epoch = completed.observation.map(|observation| observation.edge_epoch);
             assert_eq!(epoch, (!prevents_observation).then_some(1), "version {version}");
         }
     }
@@ -289,15 +289,15 @@ async fn clock_moved_after_first_stamp_yields_no_observation() {
         let session = cloud.session_with_clock(edge.clone(), VersionRange::single(version)).await;
         open_sessions.push(session.clone());
         clock.shift_after_next_stamp(slipping);
-        let exchange = echo(&mut cloud, &session, "moved at the cloud").await;
-        assert_eq!(exchange.observation, None);
-        let exchange = echo(&mut cloud, &session, "after").await;
-        assert_eq!(exchange.observation.expect("answered").cloud_epoch, Some(1));
+        let completed = echo(&mut cloud, &session, "moved at the cloud").await;
+        assert_eq!(completed.observation, None);
+        let completed = echo(&mut cloud, &session, "after").await;
+        assert_eq!(completed.observation.expect("answered").cloud_epoch, Some(1));
         edge.shift_after_next_stamp(SlippingClock::Raw);
-        let exchange = echo(&mut cloud, &session, "moved at the edge").await;
-        assert_eq!((exchange.observation, edge.epoch()), (None, 1));
-        let exchange = echo(&mut cloud, &session, "after").await;
-        assert_eq!(exchange.observation.expect("answered").edge_epoch, 1);
+        let completed = echo(&mut cloud, &session, "moved at the edge").await;
+        assert_eq!((completed.observation, edge.epoch()), (None, 1));
+        let completed = echo(&mut cloud, &session, "after").await;
+        assert_eq!(completed.observation.expect("answered").edge_epoch, 1);
     }
 }
 
@@ -307,12 +307,12 @@ async fn request_without_model_answer_yields_no_observation() {
     let (session, _) = cloud.session(settings()).await;
     let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
-    let exchange = within(pending).await.expect("no panic");
-    assert!(exchange.arrived_at.is_some());
-    assert_eq!(exchange.observation, None);
-    let exchange = within(session.request(recorder(), &sample("x"), Duration::ZERO)).await;
+    let completed = within(pending).await.expect("no panic");
+    assert!(completed.arrived_at.is_some());
+    assert_eq!(completed.observation, None);
+    let completed = within(session.request(recorder(), &sample("x"), Duration::ZERO)).await;
     assert_eq!(
-        (exchange.result, exchange.observation),
+        (completed.result, completed.observation),
         (Err(RequestError::Timeout(AwaitedEvent::Answer)), None)
     );
 }

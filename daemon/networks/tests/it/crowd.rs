@@ -22,9 +22,9 @@ fn payload(seed: usize) -> Bytes {
 async fn send_requests(session: Session, task: usize) -> Result<(), RequestError> {
     for number in 0..REQUESTS {
         let request = Sample::from_part(Description::bytes(), payload(task * REQUESTS + number));
-        let exchange = session.request(recorder(), &request, Duration::from_secs(60)).await;
-        assert_eq!(exchange.result?, request);
-        assert!(exchange.download.is_some());
+        let completed = session.request(recorder(), &request, Duration::from_secs(60)).await;
+        assert_eq!(completed.result?, request);
+        assert!(completed.download.is_some());
     }
     Ok(())
 }

@@ -27,14 +27,14 @@ async fn killed_cloud_fails_requests_in_flight_at_once(network: TestNetwork) {
     }
     drop(cloud);
     for pending in pending {
-        let exchange = within(pending).await.expect("no panic");
-        assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+        let completed = within(pending).await.expect("no panic");
+        assert!(matches!(completed.result, Err(RequestError::Lost(_))), "{:?}", completed.result);
     }
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
     assert_eq!(session.statistics().lost_messages, 5);
 
-    let exchange = within(session.request(recorder(), &sample("too late"), TIME_LIMIT)).await;
-    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    let completed = within(session.request(recorder(), &sample("too late"), TIME_LIMIT)).await;
+    assert!(matches!(completed.result, Err(RequestError::Lost(_))), "{:?}", completed.result);
     // Answers to a listener that is gone are dropped without an error.
     for request in held_requests {
         request.reply.send(request.recorder, Ok(request.sample));
@@ -100,8 +100,8 @@ async fn silent_connection_ends_after_heartbeat_timeout() {
     let pending = request(&session, "the wire is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     relay.cut.notify_waiters();
-    let exchange = within(pending).await.expect("no panic");
-    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    let completed = within(pending).await.expect("no panic");
+    assert!(matches!(completed.result, Err(RequestError::Lost(_))), "{:?}", completed.result);
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
 }
 

@@ -162,8 +162,8 @@ async fn sessions_beyond_limit_are_refused_until_one_closes(network: TestNetwork
     within(first_session.close()).await;
     cloud.next_closed().await;
     let (third_session, _) = within(cloud.session(settings())).await;
-    let exchange = echo(&mut cloud, &third_session, "in").await;
-    assert!(exchange.arrived_at.is_some());
+    let completed = echo(&mut cloud, &third_session, "in").await;
+    assert!(completed.arrived_at.is_some());
 }
 
 #[tokio::test]

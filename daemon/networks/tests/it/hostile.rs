@@ -254,8 +254,8 @@ async fn session_unknown_to_cloud_ends() {
     cloud
         .send_message(&edge_identity, &Header::UnknownSession { session: id, request: number }, Vec::new())
         .await;
-    let exchange = within(pending).await.expect("no panic");
-    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    let completed = within(pending).await.expect("no panic");
+    assert!(matches!(completed.result, Err(RequestError::Lost(_))), "{:?}", completed.result);
     assert_eq!(within(session.closed()).await, CloseReason::UnknownSession);
 }
 
@@ -301,9 +301,9 @@ async fn invalid_answers_change_no_tree() {
                 vec![delta],
             )
             .await;
-        let exchange = within(pending).await.expect("no panic");
-        assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-        assert_eq!((exchange.download, exchange.recorder.tree().anchors().len()), (None, 1));
+        let completed = within(pending).await.expect("no panic");
+        assert!(matches!(completed.result, Err(RequestError::Failed(_))), "{:?}", completed.result);
+        assert_eq!((completed.download, completed.recorder.tree().anchors().len()), (None, 1));
     }
     assert_eq!(session.statistics().malformed_messages, count);
 
@@ -358,8 +358,8 @@ async fn version_five_reply_without_raw_stamps_is_invalid() {
             vec![delta(3, 2, 2, 1)],
         )
         .await;
-    let exchange = within(pending).await.expect("no panic");
-    let Err(RequestError::Failed(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
+    let completed = within(pending).await.expect("no panic");
+    let Err(RequestError::Failed(reason)) = completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("the stamps of the cloud's free-running clock are missing"), "{reason}");
-    assert_eq!((exchange.observation, session.statistics().malformed_messages), (None, 1));
+    assert_eq!((completed.observation, session.statistics().malformed_messages), (None, 1));
 }

@@ -54,26 +54,26 @@ async fn answer_arrives_in_parts_beyond_the_window(network: TestNetwork) {
     };
     assert_eq!(sent, Ok(()));
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok("whole"));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
 
     let mut texts = texts.lock().expect("no panic").clone();
     // Datagrams may overtake each other.
     texts.sort();
     assert_eq!(texts, (0..MANY).map(|number| format!("{number:03}")).collect::<Vec<_>>());
-    let tree = exchange.recorder.tree();
+    let tree = completed.recorder.tree();
     assert_eq!(seconds(tree, PARTS.as_str()), Some(MANY as f64));
     let first = seconds(tree, FIRST_PART.as_str()).expect("is recorded");
     assert!(first > 0.0 && first < TIME_LIMIT.as_secs_f64(), "{first}");
     let (download, node) = tree.find(&[FIRST_PART_DOWNLOAD.as_str()]).expect("is recorded");
-    assert_eq!(exchange.first_part, Some(download));
+    assert_eq!(completed.first_part, Some(download));
     let Measure::Transit(transit) = &node.measure else { panic!("{node:?}") };
     let received = transit.received.expect("has arrived");
     assert!(
         received >= transit.sent && transit.raw_stamps.is_some(),
         "both ends read one clock: {transit:?}"
     );
-    let last = tree.get(exchange.download.expect("answered")).expect("in the tree");
+    let last = tree.get(completed.download.expect("answered")).expect("in the tree");
     let Measure::Transit(last) = &last.measure else { panic!("{last:?}") };
     assert!(transit.sent < last.sent, "the first part leaves before the whole answer");
 }
@@ -88,9 +88,9 @@ async fn edge_without_partial_replies_gets_the_whole_answer(network: TestNetwork
         assert_eq!(incoming.parts.send(&sample(&number.to_string())), Ok(()));
     }
     incoming.reply.send(incoming.recorder, Ok(sample("whole")));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok("whole"));
-    assert!(exchange.first_part.is_none() && exchange.recorder.tree().find(&[PARTS.as_str()]).is_none());
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("whole"));
+    assert!(completed.first_part.is_none() && completed.recorder.tree().find(&[PARTS.as_str()]).is_none());
     assert_eq!(session.statistics().malformed_messages, 0);
     echo(&mut cloud, &session, "next").await;
 }

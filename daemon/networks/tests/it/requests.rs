@@ -30,14 +30,14 @@ async fn full_tree_still_gets_transits_and_sizes(network: TestNetwork) {
     let mut cloud = Cloud::on_network(network).await;
     let (session, _) = cloud.session(settings()).await;
     let mut full_recorder = recorder();
-    while full_recorder.value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
+    while full_recorder.record_value("chatter".into(), 1.0, Unit::NONE) != NodeId::SKIPPED {}
     let pending =
         tokio::spawn(async move { session.request(full_recorder, &sample("hello"), TIME_LIMIT).await });
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(sample("answer")));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
-    let tree = exchange.recorder.tree();
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("answer"));
+    let tree = completed.recorder.tree();
     for name in [stage::UPLOAD, stage::DOWNLOAD, stage::UPLOAD_BYTES, stage::DOWNLOAD_LOGGER_BYTES] {
         assert!(tree.find(&[name.as_str()]).is_some(), "{name}");
     }
@@ -75,14 +75,14 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     incoming.recorder.time(stage::INFERENCE);
     incoming.reply.send(incoming.recorder, Ok(sample("answer")));
 
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok("answer"));
-    let tree = exchange.recorder.tree();
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("answer"));
+    let tree = completed.recorder.tree();
     let anchors: Vec<_> = tree.anchors().iter().map(|anchor| anchor.host).collect();
     assert_eq!(anchors, [edge_host, cloud.host]);
-    assert_eq!(exchange.upload, Some(upload));
+    assert_eq!(completed.upload, Some(upload));
     let (download_id, download) = tree.find(&["download"]).expect("the way back");
-    assert_eq!(exchange.download, Some(download_id));
+    assert_eq!(completed.download, Some(download_id));
     assert_eq!(download.host, HostIndex(1));
     let (_, inference) = tree.find(&["inference"]).expect("the cloud's node");
     assert_eq!((inference.host, inference.parent), (HostIndex(1), Some(NodeId::ROOT)));
@@ -96,7 +96,7 @@ async fn tree_returns_with_both_hosts_and_transits(network: TestNetwork) {
     };
     let ((sent, received), (answered, arrived)) = (transit(upload), transit(download_id));
     assert_eq!(received, incoming.received.wall);
-    assert_eq!(Some(arrived), exchange.arrived_at.map(|stamp| stamp.wall));
+    assert_eq!(Some(arrived), completed.arrived_at.map(|stamp| stamp.wall));
     assert!(sent <= received && received <= answered && answered <= arrived);
 
     let value = |name| tree.find(&[name]).and_then(|(_, node)| node.measure.value()).expect(name);
@@ -126,8 +126,8 @@ async fn answers_out_of_order_reach_their_requests(network: TestNetwork) {
         }
     });
     for (number, pending) in pending.into_iter().enumerate() {
-        let exchange = within(pending).await.expect("no panic");
-        assert_eq!(exchange.result.as_ref().map(text), Ok(number.to_string().as_str()));
+        let completed = within(pending).await.expect("no panic");
+        assert_eq!(completed.result.as_ref().map(text), Ok(number.to_string().as_str()));
     }
     worker.join().expect("no panic");
 }
@@ -141,21 +141,21 @@ async fn failures_return_with_reason_and_measurements(network: TestNetwork) {
     let mut incoming = cloud.next_request().await;
     incoming.recorder.time(stage::PREPROCESSING);
     incoming.reply.send(incoming.recorder, Err(Failure::Failed("not a JPEG".into())));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Failed("not a JPEG".into())));
-    assert!(exchange.download.is_some() && exchange.recorder.tree().find(&["preprocessing"]).is_some());
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result, Err(RequestError::Failed("not a JPEG".into())));
+    assert!(completed.download.is_some() && completed.recorder.tree().find(&["preprocessing"]).is_some());
 
     let pending = request(&session, "one too many", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Err(Failure::Overloaded("16 samples wait".into())));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Overloaded("16 samples wait".into())));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result, Err(RequestError::Overloaded("16 samples wait".into())));
 
     let pending = request(&session, "forgotten", TIME_LIMIT);
     drop(cloud.next_request().await);
-    let exchange = within(pending).await.expect("no panic");
-    assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
-    assert!(exchange.arrived_at.is_some() && exchange.download.is_none());
+    let completed = within(pending).await.expect("no panic");
+    assert!(matches!(completed.result, Err(RequestError::Failed(_))), "{:?}", completed.result);
+    assert!(completed.arrived_at.is_some() && completed.download.is_none());
     echo(&mut cloud, &session, "all is well").await;
 }
 
@@ -192,12 +192,12 @@ async fn late_answer_of_older_version_is_counted(network: TestNetwork) {
     let session = cloud.session_with_clock(clock(), before_cancellation).await;
     let pending = request(&session, "slow", Duration::from_millis(30));
     let slow_request = cloud.next_request().await;
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Timeout(AwaitedEvent::Answer)));
-    assert_eq!((exchange.arrived_at, exchange.download), (None, None));
-    let upload = exchange.recorder.tree().get(exchange.upload.expect("was sent")).expect("in the tree");
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result, Err(RequestError::Timeout(AwaitedEvent::Answer)));
+    assert_eq!((completed.arrived_at, completed.download), (None, None));
+    let upload = completed.recorder.tree().get(completed.upload.expect("was sent")).expect("in the tree");
     assert!(upload.measure.is_open());
-    assert!(exchange.recorder.tree().find(&["upload-bytes"]).is_some());
+    assert!(completed.recorder.tree().find(&["upload-bytes"]).is_some());
 
     slow_request.reply.send(slow_request.recorder, Ok(slow_request.sample));
     // The next answer arrives after the late answer.
@@ -232,15 +232,16 @@ async fn requests_beyond_tighter_limit_wait_and_record_it(network: TestNetwork) 
     }
     let (first, second) = (within(first).await.expect("no panic"), within(second).await.expect("no panic"));
     assert!(first.result.is_ok() && second.result.is_ok());
-    let has_waited =
-        |exchange: &peernet_networks::Exchange| exchange.recorder.tree().find(&["send-queue"]).is_some();
+    let has_waited = |completed: &peernet_networks::CompletedRequest| {
+        completed.recorder.tree().find(&["send-queue"]).is_some()
+    };
     assert_eq!([has_waited(&first), has_waited(&second)].iter().filter(|has_waited| **has_waited).count(), 1);
 
     let first_request = request(&session, "c", TIME_LIMIT);
     let incoming = cloud.next_request().await;
-    let exchange = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
-    assert_eq!(exchange.result, Err(RequestError::Timeout(AwaitedEvent::Slot)));
-    assert_eq!(exchange.upload, None);
+    let completed = within(request(&session, "d", Duration::from_millis(20))).await.expect("no panic");
+    assert_eq!(completed.result, Err(RequestError::Timeout(AwaitedEvent::Slot)));
+    assert_eq!(completed.upload, None);
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
     assert!(within(first_request).await.expect("no panic").result.is_ok());
 }
@@ -250,10 +251,10 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let mut cloud = Cloud::start_at(&unused_address(network), small_limit.clone()).await;
     let (session, _) = cloud.session(settings()).await;
     let oversized_sample = Sample::from_part(Description::bytes(), vec![0; 100_001].into());
-    let exchange = within(session.request(recorder(), &oversized_sample, TIME_LIMIT)).await;
-    let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
+    let completed = within(session.request(recorder(), &oversized_sample, TIME_LIMIT)).await;
+    let Err(RequestError::Failed(reason)) = &completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
-    assert_eq!(exchange.upload, None);
+    assert_eq!(completed.upload, None);
     echo(&mut cloud, &session, "small").await;
 
     let mut cloud = Cloud::on_network(network).await;
@@ -261,8 +262,8 @@ async fn too_large_sample_or_answer_fails_alone(network: TestNetwork) {
     let pending = request(&session, "zoom in", TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(oversized_sample));
-    let exchange = within(pending).await.expect("no panic");
-    let Err(RequestError::Failed(reason)) = &exchange.result else { panic!("{:?}", exchange.result) };
+    let completed = within(pending).await.expect("no panic");
+    let Err(RequestError::Failed(reason)) = &completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("max_message_bytes"), "{reason}");
     echo(&mut cloud, &session, "small").await;
 }
@@ -274,8 +275,8 @@ async fn samples_beyond_header_limits_fail_alone(network: TestNetwork) {
     let sample_with_many_parts = Sample { parts: vec![part; 65], source: String::new(), label: None };
     let sample_with_long_source = Sample { source: "x".repeat(70_000), ..sample("x") };
     for invalid_sample in [sample_with_many_parts, sample_with_long_source] {
-        let exchange = within(session.request(recorder(), &invalid_sample, TIME_LIMIT)).await;
-        assert!(matches!(exchange.result, Err(RequestError::Failed(_))), "{:?}", exchange.result);
+        let completed = within(session.request(recorder(), &invalid_sample, TIME_LIMIT)).await;
+        assert!(matches!(completed.result, Err(RequestError::Failed(_))), "{:?}", completed.result);
     }
     let sample_without_parts = Sample { parts: Vec::new(), source: String::new(), label: None };
     let pending = tokio::spawn({

@@ -72,8 +72,8 @@ async fn closing_waits_for_answer_being_sent() {
     assert!(result.is_err(), "goodbye came before the answer: {result:?}");
     leave_sender.send(()).expect("waited for");
     for pending in pending {
-        let exchange = within(pending).await.expect("no panic");
-        assert!(exchange.result.is_ok(), "{:?}", exchange.result);
+        let completed = within(pending).await.expect("no panic");
+        assert!(completed.result.is_ok(), "{:?}", completed.result);
     }
     assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
     within(close).await.expect("no panic");
@@ -93,8 +93,8 @@ async fn closing_waits_for_answers_and_sends_goodbye(network: TestNetwork) {
     });
     within(closing_receiver).await.expect("the listener closes");
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok("almost done"));
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok("almost done"));
     assert_eq!(within(session.closed()).await, CloseReason::Goodbye("the cloud shuts down".into()));
     within(close).await.expect("no panic");
 }
@@ -106,7 +106,7 @@ async fn closing_ends_after_timeout(network: TestNetwork) {
     let pending = request(&session, "never done", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     within(cloud.listener.close()).await;
-    let exchange = within(pending).await.expect("no panic");
-    let Err(RequestError::Lost(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
+    let completed = within(pending).await.expect("no panic");
+    let Err(RequestError::Lost(reason)) = completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("shuts down"), "{reason}");
 }

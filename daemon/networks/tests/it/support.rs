@@ -8,7 +8,7 @@ use bytes::Bytes;
 use peernet_clock::{ClockIdentity, SharedClock, SystemClock};
 use peernet_logger::{HostId, Recorder};
 use peernet_networks::{
-    Address, Exchange, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PeerClock,
+    Address, CompletedRequest, Incoming, IncomingRequest, Listener, OpenError, OpenRequest, PeerClock,
     Ros2SessionSettings, SESSION_VERSIONS, Session, SessionAccepted, SessionHello, SessionId,
     SessionSettings,
 };
@@ -277,17 +277,21 @@ pub(crate) fn recorder() -> Recorder {
 }
 
 /// Starts a request in a separate task.
-pub(crate) fn request(session: &Session, text: &str, timeout: Duration) -> tokio::task::JoinHandle<Exchange> {
+pub(crate) fn request(
+    session: &Session,
+    text: &str,
+    timeout: Duration,
+) -> tokio::task::JoinHandle<CompletedRequest> {
     let (session, sample) = (session.clone(), sample(text));
     tokio::spawn(async move { session.request(recorder(), &sample, timeout).await })
 }
 
 /// Sends a request and lets the cloud echo it, which shows that the session works.
-pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, content: &str) -> Exchange {
+pub(crate) async fn echo(cloud: &mut Cloud, session: &Session, content: &str) -> CompletedRequest {
     let pending = request(session, content, TIME_LIMIT);
     let incoming = cloud.next_request().await;
     incoming.reply.send(incoming.recorder, Ok(incoming.sample));
-    let exchange = within(pending).await.expect("no panic");
-    assert_eq!(exchange.result.as_ref().map(text), Ok(content));
-    exchange
+    let completed = within(pending).await.expect("no panic");
+    assert_eq!(completed.result.as_ref().map(text), Ok(content));
+    completed
 }

@@ -46,8 +46,8 @@ async fn exchange_all(session: &Session, sizes: Vec<usize>, parallel: usize) -> 
         tasks.spawn(async move {
             let _permit = permits.acquire().await.expect("open");
             let request = sample_of(payload(size, number));
-            let exchange = session.request(recorder(), &request, TIME_LIMIT).await;
-            match exchange.result {
+            let completed = session.request(recorder(), &request, TIME_LIMIT).await;
+            match completed.result {
                 Ok(answer) => {
                     assert_eq!(answer, request);
                     true
@@ -152,8 +152,8 @@ async fn interrupted_path_ends_session_and_next_one_works() {
     let pending = request(&session, "the path is cut", TIME_LIMIT);
     let _unanswered = cloud.next_request().await;
     relay.cut();
-    let exchange = within(pending).await.expect("no panic");
-    assert!(matches!(exchange.result, Err(RequestError::Lost(_))), "{:?}", exchange.result);
+    let completed = within(pending).await.expect("no panic");
+    assert!(matches!(completed.result, Err(RequestError::Lost(_))), "{:?}", completed.result);
     assert!(matches!(within(session.closed()).await, CloseReason::Broken(_)));
     relay.restore();
     let edge = tokio::spawn({
@@ -199,8 +199,8 @@ async fn next_request_notices_restarted_cloud() {
     }
     let _cloud = Cloud::start_at(&address.to_string(), settings()).await;
     relay.restore();
-    let exchange = within(request(&session, "who are you?", TIME_LIMIT)).await.expect("no panic");
-    let Err(RequestError::Lost(reason)) = exchange.result else { panic!("{:?}", exchange.result) };
+    let completed = within(request(&session, "who are you?", TIME_LIMIT)).await.expect("no panic");
+    let Err(RequestError::Lost(reason)) = completed.result else { panic!("{:?}", completed.result) };
     assert!(reason.contains("restarted"), "{reason}");
 }
 
@@ -263,8 +263,8 @@ async fn configured_rate_is_kept() {
     let limited_rate = SessionSettings { max_send_bits_per_second: 8_000_000, ..settings() };
     let session = open(&address, hello(), limited_rate).await.expect("accepted");
     let started_at = tokio::time::Instant::now();
-    let exchange = within(session.request(recorder(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
-    assert!(exchange.result.is_ok(), "{:?}", exchange.result);
+    let completed = within(session.request(recorder(), &sample_of(payload(300_000, 1)), TIME_LIMIT)).await;
+    assert!(completed.result.is_ok(), "{:?}", completed.result);
     let duration = started_at.elapsed();
     assert!(duration >= Duration::from_millis(290), "300 kB at 1 MB/s took {duration:?}");
 }

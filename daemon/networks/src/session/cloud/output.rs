@@ -1,6 +1,6 @@
 //! The sending half of a port.
 
-use crate::session::exchange::Sizes;
+use crate::session::completed_request::Sizes;
 use crate::session::server::Admission;
 use crate::statistics::{ConnectionStatistics, Counters};
 use crate::transport::{CloudSender, ConnectionId, Frames, Peer, SendOptions};

@@ -10,7 +10,7 @@ use super::ListenerState;
 use crate::message::{
     Departure, Header, HeaderError, MAX_FRAMES, Request, TreeFrameError, add_upload, decode_tree,
 };
-use crate::session::exchange::Sizes;
+use crate::session::completed_request::Sizes;
 use crate::session::incoming::{
     ArrivalStamp, Failure, Incoming, IncomingRequest, OpenRequest, RequestKey, Responder,
 };

@@ -42,7 +42,7 @@ const MAX_HELLO_BYTES: usize = 4 * 1024;
 /// Largest number of queued requests. Further requests are dropped, because edges repeat them.
 const MAX_QUEUED_HELLOS: usize = 64;
 
-/// Number of topics of a connection. Each is a TCP connection.
+/// Number of TCP sockets of an edge's connection: one for each of its topics.
 const SOCKETS_PER_CONNECTION: usize = 5;
 
 /// Opens the cloud's node and its topics under the address's name.
@@ -68,7 +68,7 @@ pub(crate) async fn bind(
     };
     let sessions_kind = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     let sessions = node.subscribe(&topic, sessions_kind, options).await.map_err(bind_failure)?;
-    let refusals_kind = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
+    let refusals_kind = (TopicPurpose::Refusals, TopicType::from_message::<MessageInfo>());
     let queue = QueueLimits { messages: MAX_QUEUED_HELLOS, bytes: MAX_QUEUED_HELLOS * MAX_HELLO_BYTES };
     let refusals = node.publish(&refusals_topic(name), refusals_kind, queue).await.map_err(bind_failure)?;
     let caveat = node.caveat().map(str::to_owned);

@@ -134,6 +134,7 @@ async fn open_topics(
 ) -> Result<OpenTopics, NodeFailure> {
     let queue = queue_limits(settings);
     let companions = (TopicPurpose::Companions, TopicType::from_message::<MessageInfo>());
+    let refusals = (TopicPurpose::Refusals, TopicType::from_message::<MessageInfo>());
     let payloads = (TopicPurpose::Payloads, TopicType::any());
     let sessions = (TopicPurpose::Sessions, TopicType::from_message::<SessionHello>());
     // All topics are opened before the hello is sent, so that no answer is missed.
@@ -142,9 +143,7 @@ async fn open_topics(
             .subscribe(&topics.response.info, companions.clone(), subscriber_options.clone())
             .await?,
         response: node.subscribe(&topics.response.payload, payloads, subscriber_options.clone()).await?,
-        refusals: node
-            .subscribe(&refusals_topic(&topics.cloud), companions.clone(), subscriber_options)
-            .await?,
+        refusals: node.subscribe(&refusals_topic(&topics.cloud), refusals, subscriber_options).await?,
         request_info: node.publish(&topics.request.info, companions, queue).await?,
         sessions: node.publish(&sessions_topic(&topics.cloud), sessions, queue).await?,
     })

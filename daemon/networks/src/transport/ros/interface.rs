@@ -81,6 +81,8 @@ pub(super) struct TopicMessage {
 pub(super) enum TopicPurpose {
     /// Requests for connections.
     Sessions,
+    /// Refusals of requests for connections.
+    Refusals,
     /// Companions: messages that carry the frames of one message, except for a payload that is published on its own topic.
     Companions,
     /// Payloads, which other programs may display.

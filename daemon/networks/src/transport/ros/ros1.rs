@@ -194,6 +194,7 @@ impl SessionNode for Ros1Node {
     }
 }
 
+// Calls of `Self::name(self, …)` are of the methods of the same names that the type has without the trait.
 impl SessionPublisher for Publisher {
     fn topic(&self) -> &str {
         Self::topic(self)
@@ -221,6 +222,7 @@ impl SessionPublisher for Publisher {
     }
 }
 
+// As above.
 impl SessionSubscriber for Subscriber {
     fn topic(&self) -> &str {
         Self::topic(self)

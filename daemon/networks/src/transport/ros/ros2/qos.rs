@@ -32,7 +32,7 @@ impl SessionQos {
     pub(super) fn profile(&self, role: EndpointRole, purpose: TopicPurpose) -> QosProfile {
         match (purpose, role) {
             // Companions are always reliable, because they detect the loss of payloads.
-            (TopicPurpose::Sessions | TopicPurpose::Companions, _) => {
+            (TopicPurpose::Sessions | TopicPurpose::Refusals | TopicPurpose::Companions, _) => {
                 QosProfile { depth: COMPANION_DEPTH, ..QosProfile::default() }
             }
             (TopicPurpose::Payloads, EndpointRole::Publisher) => QosProfile {
