@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use peernet_clock::{ClockIdentity, RelatedClocks, SharedClock, Span, SystemClock};
-use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, StampSource};
+use peernet_probes::{Key, ProbeResult, Prober, ProberConfig, Reflector, ReflectorConfig, TimestampSource};
 use rustix::time::{ClockId, clock_gettime};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::{mpsc, oneshot, watch};
@@ -29,9 +29,9 @@ fn main() {
         "", "answers/s", "refined/s", "lost", "probers", "reflector", "round trip, median"
     );
     for (name, stamps, key) in [
-        ("kernel's stamps", StampSource::Kernel, false),
-        ("program's stamps", StampSource::Program, false),
-        ("kernel's, authenticated", StampSource::Kernel, true),
+        ("kernel's stamps", TimestampSource::Kernel, false),
+        ("program's stamps", TimestampSource::Program, false),
+        ("kernel's, authenticated", TimestampSource::Kernel, true),
     ] {
         let key = key.then(|| Key::from_bytes(&[7; 32]));
         let (address, stop, reflector_thread) = start_reflector(stamps, key.clone());
@@ -65,7 +65,7 @@ struct ProbeTotals {
 }
 
 fn start_reflector(
-    stamps: StampSource,
+    stamps: TimestampSource,
     key: Option<Key>,
 ) -> (SocketAddr, CancellationToken, JoinHandle<f64>) {
     let stop = CancellationToken::new();
@@ -93,7 +93,7 @@ fn start_reflector(
     (address_receiver.blocking_recv().expect("it was bound"), stop, thread)
 }
 
-fn probe(target: SocketAddr, stamps: StampSource, key: Option<&Key>) -> ProbeTotals {
+fn probe(target: SocketAddr, stamps: TimestampSource, key: Option<&Key>) -> ProbeTotals {
     runtime().block_on(async {
         let stop = CancellationToken::new();
         let (_rate, rate_hz) = watch::channel(RATE_HZ);

@@ -4,9 +4,9 @@
 //! A [`Prober`] on the edge sends probes and a [`Reflector`] on the cloud answers them. Each answer gives an
 //! [`Exchange`](peernet_clock::Exchange). Both work with other implementations of STAMP and of TWAMP-light.
 //!
-//! - [`stamp`]: the protocol without any I/O. `packet`, `tlv`, `timestamp` and `auth` are the wire forms, `sender` and
+//! - [`stamp`]: the protocol STAMP without any I/O. `packet`, `tlv`, `timestamp` and `auth` are the wire forms, `sender` and
 //!   `reflector` the state machines of the two roles.
-//! - `socket`: UDP with the kernel's stamps, if the kernel supports them and reads the same clock as the program.
+//! - `socket`: UDP with the kernel's timestamps, if the kernel supports them and reads the same clock as the program.
 //! - `prober` and `reflector`: sockets and timers of the two roles. `schedule` has the times of probes, and `refusal_log`
 //!   limits the log lines about refused probes.
 //!
@@ -25,6 +25,6 @@ pub mod stamp;
 
 pub use prober::{OpenError, ProbeResult, Prober, ProberConfig};
 pub use reflector::{BindError, ReceiveError, Reflector, ReflectorConfig};
-pub use socket::StampSource;
+pub use socket::TimestampSource;
 pub use stamp::auth::{Key, KeyError};
 pub use stamp::counters::{ReflectorCounters, ReflectorCounts, Refusal};

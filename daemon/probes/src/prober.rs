@@ -12,7 +12,7 @@ use tokio_util::sync::CancellationToken;
 use crate::schedule::Schedule;
 use crate::socket::{ProbeSocket, ReceivedPacket, Token};
 use crate::stamp::sender::{LATE, ReplyArrival, SenderConfig, SenderState};
-use crate::{Key, StampSource};
+use crate::{Key, TimestampSource};
 
 /// Largest reply without its padding. Bytes.
 const MAX_REPLY_BYTES: usize = 2048;
@@ -43,7 +43,7 @@ pub struct ProberConfig {
     /// Number of padding bytes (value of an Extra Padding TLV, RFC 8972, section 4.1); 0 for none.
     pub padding_bytes: u16,
     /// Source of the packet stamps.
-    pub stamps: StampSource,
+    pub stamps: TimestampSource,
     /// Time after which a probe without an answer counts as lost.
     pub timeout: Duration,
 }
@@ -138,7 +138,7 @@ impl Prober {
     fn ignore_kernel_stamps(&mut self) {
         self.socket.disable_kernel_stamps();
         self.sender.ignore_kernel_stamps();
-        self.config.stamps = StampSource::Program;
+        self.config.stamps = TimestampSource::Program;
     }
 
     /// Sends `rate_hz` probes per second until stopped or until the receiver of `results` is dropped. A rate of 0 sends

@@ -14,7 +14,7 @@ use crate::socket::{ProbeSocket, ReceivedPacket, Token};
 use crate::stamp::kernel::KernelStamp;
 use crate::stamp::reflector::{Arrival, ReflectorState, SessionId};
 use crate::stamp::uncertainty::ORDER_TOLERANCE;
-use crate::{Key, ReflectorCounters, Refusal, StampSource};
+use crate::{Key, ReflectorCounters, Refusal, TimestampSource};
 
 /// Largest packet of UDP. Bytes.
 // An answer is written into its request and has the same length, so that no request may be cut.
@@ -46,7 +46,7 @@ pub struct ReflectorConfig {
     /// without a session ([`Reflector::peers`]) together get at most ten times as many.
     pub max_per_source_hz: u32,
     /// Source of the packet stamps.
-    pub stamps: StampSource,
+    pub stamps: TimestampSource,
     /// `true` if sessions are distinguished (RFC 8762, section 4). Replies then have numbers of their own, so that
     /// losses can be attributed to a direction, and report the true departure of the previous reply.
     pub stateful: bool,

@@ -22,9 +22,9 @@ const LOOPBACK_TIMEOUT: Duration = Duration::from_millis(200);
 // A packet gives no result if the clock is set in the meantime.
 const MAX_LOOPBACK_ATTEMPTS: u32 = 3;
 
-/// Source of the packet stamps.
+/// Source of the timestamps of packets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum StampSource {
+pub enum TimestampSource {
     /// The kernel stamps packets. If it does not support this, the program does.
     #[default]
     Kernel,
@@ -66,16 +66,16 @@ impl ProbeSocket {
     /// also asks for stamps of departures, each of which costs a system call.
     pub(crate) fn bind(
         address: SocketAddr,
-        stamps: StampSource,
+        stamps: TimestampSource,
         with_departures: bool,
         clock: SharedClock,
     ) -> io::Result<Self> {
         let modes: &[GeneralTimestampMode] = match stamps {
-            StampSource::Kernel if with_departures => {
+            TimestampSource::Kernel if with_departures => {
                 &[GeneralTimestampMode::SoftwareAll, GeneralTimestampMode::SoftwareRecv]
             }
-            StampSource::Kernel => &[GeneralTimestampMode::SoftwareRecv],
-            StampSource::Program => &[],
+            TimestampSource::Kernel => &[GeneralTimestampMode::SoftwareRecv],
+            TimestampSource::Program => &[],
         };
         for &mode in modes {
             match open_ip(address, mode, false) {
@@ -96,7 +96,7 @@ impl ProbeSocket {
     /// follows changes of the route.
     pub(crate) fn open_for_target(
         target: SocketAddr,
-        stamps: StampSource,
+        stamps: TimestampSource,
         clock: SharedClock,
     ) -> io::Result<Self> {
         let unspecified = match target {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
-use super::claim::{Claim, MAX_ERROR_GROWTH_PPM, SourceReport};
+use super::claim::{Claim, FREQUENCY_TOLERANCE_PPM, SourceReport};
 
 /// Reference id of a chronyd that follows only its own clock (`local`).
 // 127.127.1.1 in hexadecimal.
@@ -78,7 +78,8 @@ impl Tracking {
             // Positive means "slow of NTP time": the clock's reading is less than true time.
             error: -Span::from_seconds_f64(number("system time", system_time)?),
             bound: Span::from_seconds_f64(dispersion.abs() + delay.abs() / 2.0),
-            growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(MAX_ERROR_GROWTH_PPM),
+            // At least the rate that NTP assumes.
+            growth_ppm: (growth + DEFAULT_MAX_CLOCK_ERROR_PPM).max(FREQUENCY_TOLERANCE_PPM),
             is_synchronised: leap != "Not synchronised",
             is_local: id == LOCAL,
         })
@@ -115,7 +116,7 @@ pub(super) fn report_without_claim(reason: &impl fmt::Display) -> SourceReport {
 /// Decides whether chrony's answers are current. After a step of the clock chrony repeats its last measurement until it
 /// measures again.
 #[derive(Debug, Default)]
-pub(super) struct CurrentAnswers {
+pub(super) struct AnswerFreshness {
     epoch: u32,
     state: AnswerState,
 }
@@ -132,7 +133,7 @@ enum AnswerState {
     Repeating(String),
 }
 
-impl CurrentAnswers {
+impl AnswerFreshness {
     /// Creates a state in which answers are current as long as the clock's epoch is `epoch`.
     pub(super) const fn new(epoch: u32) -> Self {
         Self { epoch, state: AnswerState::Current }
@@ -180,7 +181,7 @@ mod tests {
         let claim = report.claim.expect("chrony was synchronised");
         let bound = Span::from_nanos(7896 + 5846 / 2);
         assert_eq!(claim.error, Interval { lo: Span::from_nanos(-49_999_367) - bound, hi: bound });
-        assert!((claim.growth_ppm - MAX_ERROR_GROWTH_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
+        assert!((claim.growth_ppm - FREQUENCY_TOLERANCE_PPM).abs() < 1e-9, "{}", claim.growth_ppm);
     }
 
     #[test]
@@ -213,11 +214,11 @@ mod tests {
     fn only_measurements_after_step_count() {
         let before = Tracking::parse(BIASED).expect("chronyc printed it");
         let after = Tracking { measured_at: "1795179453.193074185".to_owned(), ..before.clone() };
-        let mut current_answers = CurrentAnswers::new(0);
-        assert!(current_answers.accepts(&before, 0));
-        assert!(!current_answers.accepts(&before, 1), "the clock was stepped");
-        assert!(!current_answers.accepts(&before, 1));
-        assert!(current_answers.accepts(&after, 1));
-        assert!(current_answers.accepts(&after, 1));
+        let mut answer_freshness = AnswerFreshness::new(0);
+        assert!(answer_freshness.accepts(&before, 0));
+        assert!(!answer_freshness.accepts(&before, 1), "the clock was stepped");
+        assert!(!answer_freshness.accepts(&before, 1));
+        assert!(answer_freshness.accepts(&after, 1));
+        assert!(answer_freshness.accepts(&after, 1));
     }
 }

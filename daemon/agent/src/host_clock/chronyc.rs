@@ -8,7 +8,7 @@ use peernet_clock::SharedClock;
 use tokio::io::{AsyncRead, AsyncReadExt};
 use tokio::process::Command;
 
-use super::chrony::{CurrentAnswers, Tracking, TrackingError, report_without_claim};
+use super::chrony::{AnswerFreshness, Tracking, TrackingError, report_without_claim};
 use super::claim::SourceReport;
 use crate::config::ClockConfig;
 
@@ -41,16 +41,16 @@ pub(super) struct Chronyc {
     command: String,
     arguments: Vec<String>,
     clock: SharedClock,
-    current_answers: CurrentAnswers,
+    answer_freshness: AnswerFreshness,
     /// `true` once it was logged that chrony is not installed.
     has_logged_absence: bool,
 }
 
 impl Chronyc {
     pub(super) fn new(config: &ClockConfig, clock: SharedClock) -> Self {
-        let current_answers = CurrentAnswers::new(clock.wall_epoch());
+        let answer_freshness = AnswerFreshness::new(clock.wall_epoch());
         let (command, arguments) = (config.chronyc.clone(), config.chronyc_arguments.clone());
-        Self { command, arguments, clock, current_answers, has_logged_absence: false }
+        Self { command, arguments, clock, answer_freshness, has_logged_absence: false }
     }
 
     /// Queries chrony; `None` if it is not installed on this host.
@@ -87,7 +87,7 @@ impl Chronyc {
         }
         let tracking = Tracking::parse(&output);
         let tracking = tracking.map_err(|source| ChronycError::Output { command: command(), source })?;
-        if self.current_answers.accepts(&tracking, self.clock.wall_epoch()) {
+        if self.answer_freshness.accepts(&tracking, self.clock.wall_epoch()) {
             Ok(tracking.to_report(queried_at))
         } else {
             Err(ChronycError::Outdated)

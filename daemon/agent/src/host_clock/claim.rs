@@ -2,8 +2,9 @@
 
 use peernet_clock::{DelaySource, Discipline, Interval, MonoTime, Span};
 
-/// Largest rate at which the error of a disciplined clock grows: PHI of RFC 5905, section 7.2, parts per million.
-pub(super) const MAX_ERROR_GROWTH_PPM: f64 = 15.0;
+/// Frequency tolerance of a disciplined clock, parts per million: the rate at which the bound of its error grows (PHI of
+/// RFC 5905, section 7.2).
+pub(super) const FREQUENCY_TOLERANCE_PPM: f64 = 15.0;
 
 /// Report of one source, such as chrony, about the wall clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,7 +89,7 @@ mod tests {
         let claim = bounds.map(|(lo, hi)| Claim {
             at: MonoTime::from_nanos(0),
             error: Interval { lo: Span::from_millis(lo), hi: Span::from_millis(hi) },
-            growth_ppm: MAX_ERROR_GROWTH_PPM,
+            growth_ppm: FREQUENCY_TOLERANCE_PPM,
         });
         SourceReport { source, claim, text: source.to_string() }
     }

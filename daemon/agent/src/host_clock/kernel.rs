@@ -4,7 +4,7 @@ use std::io;
 
 use peernet_clock::{DelaySource, Interval, MonoTime, Span};
 
-use super::claim::{Claim, MAX_ERROR_GROWTH_PPM, SourceReport};
+use super::claim::{Claim, FREQUENCY_TOLERANCE_PPM, SourceReport};
 use super::timex::{self, Timex};
 
 /// Microseconds that the kernel adds to its bound each second (`MAXFREQ`) until a daemon sets it again.
@@ -23,7 +23,7 @@ fn report_from(state: io::Result<Timex>, now: MonoTime) -> SourceReport {
     let claim = bound.map(|bound| Claim {
         at: now,
         error: Interval { lo: -bound, hi: bound },
-        growth_ppm: MAX_ERROR_GROWTH_PPM,
+        growth_ppm: FREQUENCY_TOLERANCE_PPM,
     });
     SourceReport { source: DelaySource::Kernel, claim, text }
 }

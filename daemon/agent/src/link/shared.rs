@@ -6,7 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use peernet_clock::{RelationSettings, SharedClock};
 use peernet_logger::Slug;
 use peernet_networks::{PeerClock, ProbeKey, StatisticsReader};
-use peernet_probes::{Key, KeyError, StampSource};
+use peernet_probes::{Key, KeyError, TimestampSource};
 use peernet_stream::NetworkName;
 use tokio::sync::watch;
 
@@ -42,7 +42,7 @@ pub(crate) struct ProbeSettings {
     pub(super) idle_rate_hz: f64,
     pub(crate) key: Option<Key>,
     pub(super) padding_bytes: u16,
-    pub(crate) stamps: StampSource,
+    pub(crate) stamps: TimestampSource,
     /// Reflectors that are named for clouds, by the names of the clouds.
     pub(super) reflectors: BTreeMap<Slug, ReflectorAddress>,
 }
@@ -55,8 +55,8 @@ impl ProbeSettings {
     pub(crate) fn read(probes: &ProbesConfig, clock: &ClockConfig) -> Result<Self, KeyError> {
         let key = probes.key_file.as_deref().map(Key::read).transpose()?;
         let stamps = match clock.timestamps {
-            Timestamps::Kernel => StampSource::Kernel,
-            Timestamps::User => StampSource::Program,
+            Timestamps::Kernel => TimestampSource::Kernel,
+            Timestamps::User => TimestampSource::Program,
         };
         Ok(Self {
             send: probes.send,

@@ -13,14 +13,14 @@ use super::messages::{ClockAnswer, ClockQuery};
 
 /// A connection to the edge of a session, over which the edge queries the readings of this process's clocks.
 #[derive(Debug)]
-pub(crate) struct ClockWitness {
+pub(crate) struct ClockResponder {
     stream: StdStream,
     session: SessionId,
     time_namespace: u64,
     clock: SharedClock,
 }
 
-impl ClockWitness {
+impl ClockResponder {
     /// Connects to the socket in an edge's hello, without waiting. Returns `None` if the hello names no socket, if the two
     /// clocks cannot be the same clock, or if the socket cannot be reached because the edge is on another machine or in another
     /// network namespace.

@@ -24,6 +24,6 @@ mod proof;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use cloud::ClockWitness;
+pub(crate) use cloud::ClockResponder;
 pub(crate) use edge::{ClockPeers, ClockSocket, prove};
 pub(crate) use proof::NotProven;

@@ -16,7 +16,7 @@ use tokio::sync::mpsc;
 use tokio_util::task::AbortOnDropHandle;
 
 use super::messages::{ClockAnswer, ClockQuery};
-use super::{ClockPeers, ClockSocket, ClockWitness, NotProven, prove};
+use super::{ClockPeers, ClockResponder, ClockSocket, NotProven, prove};
 
 const WAIT_TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -67,9 +67,9 @@ async fn receive_result(proofs: &mut mpsc::Receiver<Result<(), NotProven>>) -> R
     tokio::time::timeout(WAIT_TIMEOUT, proofs.recv()).await.expect("in time").expect("the task lives")
 }
 
-fn start_witness(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
-    let witness = ClockWitness::connect(hello, session(number), clock)?;
-    Some(AbortOnDropHandle::new(tokio::spawn(witness.answer())))
+fn start_responder(hello: &SessionHello, number: u8, clock: &SharedClock) -> Option<AbortOnDropHandle<()>> {
+    let responder = ClockResponder::connect(hello, session(number), clock)?;
+    Some(AbortOnDropHandle::new(tokio::spawn(responder.answer())))
 }
 
 fn listen(clock: &SharedClock) -> ClockSocket {
@@ -84,7 +84,7 @@ fn connect(name: ClockSocketName) -> std::io::Result<UnixStream> {
 async fn cloud_of_the_session_proves_one_clock() {
     let clock = system_clock();
     let socket = listen(&clock);
-    let _witness = start_witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let _responder = start_responder(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let name = socket.name();
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
     assert!(receive_result(&mut proofs).await.is_ok());
@@ -95,7 +95,7 @@ async fn cloud_of_the_session_proves_one_clock() {
 async fn cloud_of_another_session_proves_nothing() {
     let clock = system_clock();
     let socket = listen(&clock);
-    let _witness = start_witness(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
+    let _responder = start_responder(&hello(&clock, Some(socket.name())), 2, &clock).expect("connects");
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
     assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::Foreign)));
 }
@@ -105,7 +105,7 @@ async fn process_with_clock_fault_neither_listens_nor_connects() {
     let (kernel_clock, other_clock) = (system_clock(), faulty_clock());
     assert!(ClockSocket::listen(&*other_clock).is_none());
     let socket = listen(&kernel_clock);
-    assert!(start_witness(&hello(&kernel_clock, Some(socket.name())), 1, &other_clock).is_none());
+    assert!(start_responder(&hello(&kernel_clock, Some(socket.name())), 1, &other_clock).is_none());
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), kernel_clock);
     assert!(matches!(receive_result(&mut proofs).await, Err(NotProven::NotConnected)));
 }
@@ -116,20 +116,20 @@ async fn cloud_connects_to_no_edge_of_another_boot() {
     let socket = listen(&clock);
     let other = ClockIdentity::new("another", ClockIdentity::SYSTEM);
     let hello = SessionHello { clock: other, ..hello(&clock, Some(socket.name())) };
-    assert!(start_witness(&hello, 1, &clock).is_none());
+    assert!(start_responder(&hello, 1, &clock).is_none());
 }
 
 #[tokio::test]
 async fn cloud_continues_without_listener_or_with_full_queue() {
     let clock = system_clock();
     let name = ClockSocketName::new([3; ClockSocketName::BYTES]);
-    assert!(start_witness(&hello(&clock, Some(name)), 1, &clock).is_none());
+    assert!(start_responder(&hello(&clock, Some(name)), 1, &clock).is_none());
     // The listener accepts nobody, so connecting would block once its queue is full. It must not block here.
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let _listener = UnixListener::bind_addr(&address).expect("the name is free");
     let mut waiting = Vec::new();
-    while let Some(witness) = start_witness(&hello(&clock, Some(name)), 1, &clock) {
-        waiting.push(witness);
+    while let Some(responder) = start_responder(&hello(&clock, Some(name)), 1, &clock) {
+        waiting.push(responder);
         assert!(waiting.len() < 10_000, "the queue is bounded");
     }
 }
@@ -142,7 +142,7 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
     garbage.write_all(&[0x55; 4 * ClockAnswer::BYTES]).expect("there is room");
     let mut silent = connect(socket.name()).expect("it listens");
     let _closed = connect(socket.name()).map(drop);
-    let _witness = start_witness(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
+    let _responder = start_responder(&hello(&clock, Some(socket.name())), 1, &clock).expect("connects");
     let (mut proofs, _task) = start_proving(socket.into_peers(session(1)), clock);
     assert!(receive_result(&mut proofs).await.is_ok());
     for stream in [&mut garbage, &mut silent] {
@@ -158,15 +158,16 @@ async fn garbage_and_silence_do_not_hide_the_cloud() {
 }
 
 #[tokio::test]
-async fn cloud_closes_connection_that_asks_garbage() {
+async fn cloud_closes_connection_after_invalid_query() {
     let clock = system_clock();
     let name = ClockSocketName::new([4; ClockSocketName::BYTES]);
     let address = SocketAddr::from_abstract_name(name.to_string()).expect("a short name");
     let listener = UnixListener::bind_addr(&address).expect("the name is free");
-    let witness = ClockWitness::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
+    let responder =
+        ClockResponder::connect(&hello(&clock, Some(name)), session(1), &clock).expect("connects");
     let (mut stream, _) = listener.accept().expect("it connected");
     stream.write_all(&[0x55; ClockQuery::BYTES]).expect("there is room");
-    tokio::time::timeout(WAIT_TIMEOUT, witness.answer()).await.expect("it ends");
+    tokio::time::timeout(WAIT_TIMEOUT, responder.answer()).await.expect("it ends");
     let mut bytes = Vec::new();
     assert_eq!(stream.read_to_end(&mut bytes).expect("it is closed"), 0);
 }

@@ -41,7 +41,7 @@ use crate::conditions::InspectionSettings;
 use crate::host::Host;
 use crate::incidents::{IncidentSubject, Incidents, remark};
 use crate::observed::ObservedPipelines;
-use crate::same_clock::ClockWitness;
+use crate::same_clock::ClockResponder;
 use crate::telemetry;
 
 /// The parts of the agent that serving uses.
@@ -240,7 +240,7 @@ struct Peer {
     /// Counters of its requests and their answers; `None` if they are not counted.
     counters: Option<(Arc<AtomicU64>, Arc<watch::Sender<ServedCounts>>)>,
     /// Task that proves to the peer that both processes read one clock, if they do. Dropping it ends the task.
-    _witness: Option<AbortOnDropHandle<()>>,
+    _responder: Option<AbortOnDropHandle<()>>,
 }
 
 struct Server {
@@ -273,8 +273,9 @@ impl Server {
                 let (session, accepted) = (request.session, self.acceptance(listener, &service, conditions));
                 let address = request.address.map(|address| address.ip());
                 // Connected before the session is accepted, because the edge closes its socket after the acceptance.
-                let witness = ClockWitness::connect(hello, session, &self.context.host.clock);
-                let witness = witness.map(|witness| AbortOnDropHandle::new(tokio::spawn(witness.answer())));
+                let responder = ClockResponder::connect(hello, session, &self.context.host.clock);
+                let responder =
+                    responder.map(|responder| AbortOnDropHandle::new(tokio::spawn(responder.answer())));
                 // Updated before the session is accepted: the acceptance contains the port to which the peer sends probes.
                 self.update_reflectors(address);
                 if request.accept(accepted) {
@@ -284,7 +285,8 @@ impl Server {
                     };
                     let counters = counts
                         .then(|| (self.request_counts.counter(host, &pipeline), Arc::clone(&self.served)));
-                    let peer = Peer { host, name, pipeline, address, service, counters, _witness: witness };
+                    let peer =
+                        Peer { host, name, pipeline, address, service, counters, _responder: responder };
                     self.peers.insert(session, peer);
                     self.served.send_modify(|served| served.sessions = self.peers.len());
                     self.report(IncidentKind::Connected, host, text);

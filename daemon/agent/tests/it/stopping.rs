@@ -26,7 +26,7 @@ async fn iterations_in_flight_are_finished_before_stop() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn slow_iterations_are_recorded_as_lost() {
+async fn iterations_beyond_stop_timeout_are_lost() {
     let aggregator = Aggregator::start().await;
     let tables = format!(
         "[agent]\nstop_timeout_ms = 1000\n{}",

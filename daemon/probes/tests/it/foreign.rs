@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use peernet_clock::{ExchangeObservation, RelatedClocks, Span};
 use peernet_probes::stamp::uncertainty;
-use peernet_probes::{Key, ProbeResult, ReflectorConfig, StampSource};
+use peernet_probes::{Key, ProbeResult, ReflectorConfig, TimestampSource};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -70,7 +70,7 @@ fn number(summary: &Value, pointer: &str) -> f64 {
 
 async fn run_foreign_sender(
     key: Option<&SharedKey>,
-    stamps: StampSource,
+    stamps: TimestampSource,
     clock_format: &str,
     more_arguments: &[&str],
 ) -> Value {
@@ -122,7 +122,7 @@ fn assert_accepted(summary: &Value) {
 
 #[tokio::test]
 async fn foreign_sender_accepts_our_replies() {
-    for (stamps, format) in [(StampSource::Kernel, "NTP"), (StampSource::Program, "PTP")] {
+    for (stamps, format) in [(TimestampSource::Kernel, "NTP"), (TimestampSource::Program, "PTP")] {
         assert_accepted(&run_foreign_sender(None, stamps, format, &[]).await);
     }
 }
@@ -131,7 +131,7 @@ async fn foreign_sender_accepts_our_replies() {
 async fn foreign_authenticated_sender_accepts_our_replies() {
     let key = SharedKey::new();
     let summary =
-        run_foreign_sender(Some(&key), StampSource::Kernel, "NTP", &["--extra-padding", "64"]).await;
+        run_foreign_sender(Some(&key), TimestampSource::Kernel, "NTP", &["--extra-padding", "64"]).await;
     assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/hmac/verified"), 20.0, "{summary}");
 }
@@ -139,7 +139,7 @@ async fn foreign_authenticated_sender_accepts_our_replies() {
 #[tokio::test]
 async fn foreign_sender_sees_unrecognized_tlvs_flagged() {
     let more_arguments = ["--direct-measurement", "--location", "--extra-padding", "200"];
-    let summary = run_foreign_sender(None, StampSource::Kernel, "NTP", &more_arguments).await;
+    let summary = run_foreign_sender(None, TimestampSource::Kernel, "NTP", &more_arguments).await;
     assert_accepted(&summary);
     assert_eq!(number(&summary, "/measurements/tlv_validation/flags/unrecognized"), 40.0, "{summary}");
 }

@@ -6,7 +6,7 @@ use peernet_clock::{
     Clock, ClockFaultStep, ClockFaults, ClockIdentity, ExchangeObservation, FaultyClock, Interval, MonoTime,
     RawTime, RelatedClocks, SharedClock, Span, SystemClock, WallTime,
 };
-use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, StampSource};
+use peernet_probes::{BindError, ProbeResult, Prober, Reflector, ReflectorConfig, Refusal, TimestampSource};
 use tokio::net::UdpSocket;
 use tokio_util::sync::CancellationToken;
 
@@ -31,7 +31,7 @@ fn contains_zero(observation: &ExchangeObservation) -> bool {
 
 async fn collect_results(
     reflector: ReflectorConfig,
-    stamps: StampSource,
+    stamps: TimestampSource,
     with_key: bool,
 ) -> Vec<ProbeResult> {
     let running = RunningReflector::start(reflector, system_clock("cloud"));
@@ -54,10 +54,10 @@ async fn collect_results(
 #[tokio::test]
 async fn exchanges_on_one_clock_contain_zero_offset() {
     for (stamps, with_key, stateful) in [
-        (StampSource::Kernel, false, true),
-        (StampSource::Kernel, true, true),
-        (StampSource::Program, false, false),
-        (StampSource::Program, true, true),
+        (TimestampSource::Kernel, false, true),
+        (TimestampSource::Kernel, true, true),
+        (TimestampSource::Program, false, false),
+        (TimestampSource::Program, true, true),
     ] {
         let config =
             ReflectorConfig { stamps, stateful, key: with_key.then(|| key(7)), ..reflector_config() };
@@ -117,9 +117,9 @@ async fn kernel_stamps_are_used_and_refine_reply_time() {
 async fn reflector_without_sessions_or_kernel_stamps_refines_nothing() {
     for config in [
         ReflectorConfig { stateful: false, ..reflector_config() },
-        ReflectorConfig { stamps: StampSource::Program, ..reflector_config() },
+        ReflectorConfig { stamps: TimestampSource::Program, ..reflector_config() },
     ] {
-        let results = collect_results(config, StampSource::Kernel, false).await;
+        let results = collect_results(config, TimestampSource::Kernel, false).await;
         assert_eq!(results.iter().filter_map(refined).count(), 0);
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use peernet_clock::{ClockIdentity, Interval, RelatedClocks, SharedClock, Span, SystemClock};
 use peernet_probes::{
     Key, ProbeResult, Prober, ProberConfig, ReceiveError, Reflector, ReflectorConfig, ReflectorCounters,
-    StampSource,
+    TimestampSource,
 };
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -46,7 +46,7 @@ pub(crate) fn reflector_config() -> ReflectorConfig {
         session_key: None,
         instance: INSTANCE,
         max_per_source_hz: 10_000,
-        stamps: StampSource::Kernel,
+        stamps: TimestampSource::Kernel,
         stateful: true,
     }
 }
@@ -58,7 +58,7 @@ pub(crate) fn prober_config(target: SocketAddr) -> ProberConfig {
         instance: None,
         clocks: RelatedClocks::Raw,
         padding_bytes: 0,
-        stamps: StampSource::Kernel,
+        stamps: TimestampSource::Kernel,
         timeout: Duration::from_secs(20),
     }
 }

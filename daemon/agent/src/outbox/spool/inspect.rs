@@ -27,7 +27,8 @@ pub struct Inspection {
     /// Number of waiting batches.
     pub batches: u64,
     /// Numbers of the first and the last waiting batch.
-    pub waiting: Option<(i64, i64)>,
+    #[serde(rename = "waiting")]
+    pub waiting_range: Option<(i64, i64)>,
     /// Start time of the first waiting batch, nanoseconds since 1970 UTC.
     pub oldest_ns: Option<i64>,
     /// Number of events in the waiting batches.
@@ -236,7 +237,8 @@ impl Inspection {
 
     fn count(&mut self, batch: &Batch) {
         self.batches += 1;
-        self.waiting = Some((self.waiting.map_or(batch.number, |(first, _)| first), batch.number));
+        self.waiting_range =
+            Some((self.waiting_range.map_or(batch.number, |(first, _)| first), batch.number));
         self.oldest_ns = self.oldest_ns.or(Some(batch.since_ns));
         self.events += u64::try_from(batch.events).unwrap_or(0);
         self.bytes += batch.body.len() as u64;

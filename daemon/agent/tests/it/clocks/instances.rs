@@ -3,7 +3,7 @@
 use peernet_clock::{ClockIdentity, SharedClock};
 use peernet_logger::HostId;
 use peernet_networks::{Incoming, Listener, OpenRequest, PeerClock, SessionAccepted, SessionSettings};
-use peernet_probes::{Reflector, ReflectorConfig, StampSource};
+use peernet_probes::{Reflector, ReflectorConfig, TimestampSource};
 use peernet_stream::{EstimateBasis, Hardware, Probing};
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -80,7 +80,7 @@ async fn probes_at_another_process_are_refused_and_reported() {
         session_key: None,
         instance: 2,
         max_per_source_hz: 1000,
-        stamps: StampSource::Kernel,
+        stamps: TimestampSource::Kernel,
         stateful: true,
     };
     let reflector = Reflector::bind(elsewhere, clock("elsewhere")).expect("a free port");

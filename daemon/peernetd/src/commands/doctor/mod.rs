@@ -131,7 +131,7 @@ impl ExaminationResult {
                 Err(error) => result.unavailable.push(error_line(&error)),
             }
         }
-        result.healthy = result.exit() == Exit::Ok;
+        result.healthy = result.exit_code() == Exit::Ok;
         result
     }
 
@@ -140,7 +140,7 @@ impl ExaminationResult {
         database.chain(self.spool.iter().flat_map(|report| &report.findings))
     }
 
-    fn exit(&self) -> Exit {
+    fn exit_code(&self) -> Exit {
         if self.findings().any(|finding| finding.severity == Severity::Problem) {
             Exit::Data
         } else if !self.unavailable.is_empty() {

@@ -136,7 +136,7 @@ fn print_spool(report: &SpoolReport, now: WallTime) {
         fixed(inspection.produced as f64, 0),
         fixed(inspection.dropped as f64, 0)
     ));
-    match (inspection.waiting, inspection.oldest_ns) {
+    match (inspection.waiting_range, inspection.oldest_ns) {
         (Some((first, last)), Some(oldest)) => print_to_stdout(format_args!(
             "  waiting: batches {first} to {last}, {} events, {}, the oldest from {}\n",
             fixed(inspection.events as f64, 0),

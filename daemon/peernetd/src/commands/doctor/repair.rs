@@ -20,7 +20,7 @@ pub(super) async fn repair_database(database: &Path, now: WallTime) -> Result<Ex
         }
     };
     let result = repair(database, now, &stamp, log_progress).await;
-    match result.map_err(|error| Failure::new(exit(&error), error))? {
+    match result.map_err(|error| Failure::new(exit_code(&error), error))? {
         Some(repaired) => print(database, &repaired),
         None => print_to_stdout(format_args!(
             "database {}: not damaged, so it was not repaired",
@@ -64,7 +64,7 @@ fn print(database: &Path, repaired: &RepairResult) {
     }
 }
 
-fn exit(error: &RepairError) -> Exit {
+fn exit_code(error: &RepairError) -> Exit {
     match error {
         RepairError::Unreadable { .. } | RepairError::NewerSchema { .. } | RepairError::Failing { .. } => {
             Exit::Data

@@ -1,4 +1,4 @@
-//! The session with the agent that observes the same messages.
+//! The connection to the agent that observes the same messages.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::pipeline::placement::{OpenFailure, Placement};
 use crate::pipeline::runner::Runner;
 use crate::reconnect_backoff::ReconnectBackoff;
 
-/// Opens sessions with the peer.
+/// Opens connections to the peer.
 pub(super) struct PeerConnector {
     context: PipelineContext,
     /// Pipeline of this host.
@@ -33,7 +33,7 @@ pub(super) struct PeerConnector {
     timeout: Duration,
 }
 
-/// A session with the peer.
+/// A connection to the peer: a session that is used to query stamps.
 pub(super) struct PeerConnection {
     placement: Placement,
     pub(super) host: HostId,
@@ -46,7 +46,7 @@ pub(super) struct PeerConnection {
     timeout: Duration,
 }
 
-/// Reason why there is no session with the peer.
+/// Reason why there is no connection to the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PeerProblem {
     /// `true` if the peer answered and refused.
@@ -106,7 +106,7 @@ impl PeerConnector {
         })
     }
 
-    /// Opens the session that a run waits for. Returns `None` if the agent stops.
+    /// Opens the connection that a run waits for. Returns `None` if the agent stops.
     pub(super) async fn connect_first(&self, runner: &Runner) -> Option<PeerConnection> {
         let mut reconnect_backoff = ReconnectBackoff::new(self.context.host.id);
         let mut reported_problem = None;
@@ -126,7 +126,7 @@ impl PeerConnector {
         }
     }
 
-    /// Opens a session and checks that the peer has the pipeline.
+    /// Opens a connection and checks that the peer has the pipeline.
     pub(super) async fn open(&self) -> Result<PeerConnection, PeerProblem> {
         let settings = self.remote.session.clone();
         let placement = Placement::open_remote(&self.remote, settings, &self.pipeline, &self.context).await;
@@ -258,7 +258,7 @@ impl PeerConnection {
         }
     }
 
-    /// Waits until the session is over and returns the reason.
+    /// Waits until the connection is closed and returns the reason.
     pub(super) async fn closed(&self) -> CloseReason {
         self.placement.closed().await
     }

@@ -1,7 +1,7 @@
 //! The agent on another host that observes the same messages there.
 //!
-//! [`PeerStamps`] is the observer's end of a task. The session runs in that task, so that waiting for the network does
-//! not delay messages; the number of waiting pairs is bounded. `connection` is the session with the peer, `pending` has
+//! [`PeerStamps`] is the observer's end of a task. The connection is used in that task, so that waiting for the network does
+//! not delay messages; the number of waiting pairs is bounded. `connection` is the connection to the peer, `pending` has
 //! the pairs that wait for an answer (without I/O), and `task` drives both.
 //!
 //! The first stamp of an observed message is its reception by another receiver and not its departure. Therefore a message
@@ -59,7 +59,7 @@ pub(super) struct PeerStamps {
     task: JoinHandle<()>,
 }
 
-/// Description of the peer from the opening of the session, for the run's page.
+/// Description of the peer from the opening of the connection, for the run's page.
 #[derive(Clone, Debug)]
 pub(super) struct PeerDescription {
     pub(super) name: Slug,
@@ -78,7 +78,7 @@ impl PeerDescription {
 }
 
 impl PeerStamps {
-    /// Opens a session with the peer of a pipeline, and retries until that succeeds. Returns `None` without a peer, and
+    /// Opens a connection to the peer of a pipeline, and retries until that succeeds. Returns `None` without a peer, and
     /// when the agent stops.
     pub(super) async fn open(runner: &Runner, config: &ObserveConfig) -> Option<Self> {
         let connector = PeerConnector::new(runner, config)?;
@@ -135,7 +135,7 @@ impl PeerStamps {
         settled_pairs
     }
 
-    /// Closes the session with the peer.
+    /// Closes the connection to the peer.
     pub(super) async fn close(mut self) {
         self.queries = None;
         if self.task.await.is_err() {

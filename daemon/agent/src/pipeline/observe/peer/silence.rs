@@ -37,9 +37,9 @@ impl SilenceWatch {
         Some(SilenceReport::Began)
     }
 
-    /// Restarts the measurement of the silence, because the peer cannot answer without a session. A reported silence
+    /// Restarts the measurement of the silence, because the peer cannot answer without a connection. A reported silence
     /// lasts until the peer has received a pair.
-    pub(super) const fn lose_session(&mut self) {
+    pub(super) const fn lose_connection(&mut self) {
         self.since = None;
     }
 }
@@ -61,14 +61,14 @@ mod tests {
     }
 
     #[test]
-    fn time_without_session_is_no_silence_of_the_peer() {
+    fn time_without_connection_is_no_silence_of_the_peer() {
         let mut watch = SilenceWatch::default();
         let at = |seconds: i64| MonoTime::from_nanos(seconds * 1_000_000_000);
         assert_eq!(watch.record(false, at(0)), None);
-        watch.lose_session();
+        watch.lose_connection();
         assert_eq!((watch.record(false, at(60)), watch.record(false, at(69))), (None, None));
         assert_eq!(watch.record(false, at(70)), Some(SilenceReport::Began));
-        watch.lose_session();
+        watch.lose_connection();
         assert_eq!((watch.record(false, at(99)), watch.record(false, at(200))), (None, None), "said already");
         assert_eq!(watch.record(true, at(201)), Some(SilenceReport::Ended));
     }

@@ -1,4 +1,4 @@
-//! The task that queries the peer for the stamps of observed pairs, and owns the session with it.
+//! The task that queries the peer for the stamps of observed pairs, and owns the connection to it.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::reconnect_backoff::ReconnectBackoff;
 /// The task of one pipeline. It ends when the observer closes its channel.
 pub(super) struct PeerTask {
     connector: Arc<PeerConnector>,
-    /// The session, if one is open.
+    /// The connection, if one is open.
     connection: Option<Arc<PeerConnection>>,
     requests: mpsc::Receiver<(i64, Pair)>,
     settle: mpsc::Sender<SettledPair>,
@@ -33,11 +33,11 @@ pub(super) struct PeerTask {
 /// Result of a wait.
 enum WaitResult<T> {
     /// The awaited future is ready.
-    Done(T),
+    Ready(T),
     /// A pair was added, or one has expired.
     Woken,
     /// The observer has closed its channel.
-    Finished,
+    ChannelClosed,
 }
 
 impl PeerTask {
@@ -59,12 +59,12 @@ impl PeerTask {
         }
     }
 
-    /// Queries the peer until the observer closes its channel. A lost session is reopened.
+    /// Queries the peer until the observer closes its channel. A lost connection is reopened.
     pub(super) async fn run(mut self, first: PeerConnection) {
         let mut next = Some(first);
         while let Some(connection) = next.map(Arc::new) {
             self.connection = Some(Arc::clone(&connection));
-            let Some(reason) = self.query_over(&connection).await else {
+            let Some(reason) = self.query_through(&connection).await else {
                 self.abandon();
                 // Dropping the channels lets the observer continue: it need not wait for the goodbye.
                 drop(self);
@@ -72,7 +72,7 @@ impl PeerTask {
                 return;
             };
             self.connection = None;
-            self.silence.lose_session();
+            self.silence.lose_connection();
             let name = &connection.name;
             let text = format!(
                 "lost the connection to {name}: {reason}; until it is reconnected, iterations are recorded without its stamps \
@@ -85,8 +85,8 @@ impl PeerTask {
         self.abandon();
     }
 
-    /// Queries the peer over one session. Returns the reason of its end, or `None` if the observer has closed its channel.
-    async fn query_over(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
+    /// Queries the peer through one connection. Returns the reason of its end, or `None` if the observer has closed its channel.
+    async fn query_through(&mut self, connection: &PeerConnection) -> Option<CloseReason> {
         let connector = Arc::clone(&self.connector);
         let mut closed = pin!(connection.closed());
         loop {
@@ -94,9 +94,10 @@ impl PeerTask {
             let keys = self.pending.take_due(self.now(), MAX_KEYS);
             if !keys.is_empty() {
                 match self.wait_for(connection.query(keys)).await? {
-                    // A peer may send more pairs than were requested: no more than the largest request are used.
-                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|pair| {
-                        self.take_answer(&PeerAnswer { peer: connection.host, seen: *pair });
+                    // A peer may answer with more than was requested; at most the largest number that one request may
+                    // ask for is used.
+                    Ok(answer) => answer.pairs.iter().take(MAX_KEYS).for_each(|seen| {
+                        self.take_answer(&PeerAnswer { peer: connection.host, seen: *seen });
                     }),
                     Err(problem) => self.log(problem.text()),
                 }
@@ -110,14 +111,14 @@ impl PeerTask {
                 }
             };
             match self.wait(idle).await {
-                WaitResult::Done(Some(reason)) => return Some(reason),
-                WaitResult::Done(None) | WaitResult::Woken => {}
-                WaitResult::Finished => return None,
+                WaitResult::Ready(Some(reason)) => return Some(reason),
+                WaitResult::Ready(None) | WaitResult::Woken => {}
+                WaitResult::ChannelClosed => return None,
             }
         }
     }
 
-    /// Reopens the session, and retries until that succeeds. Returns `None` if the observer has closed its channel.
+    /// Reopens the connection, and retries until that succeeds. Returns `None` if the observer has closed its channel.
     async fn reconnect(&mut self) -> Option<PeerConnection> {
         let connector = Arc::clone(&self.connector);
         let mut reconnect_backoff = ReconnectBackoff::new(connector.host().id);
@@ -128,7 +129,7 @@ impl PeerTask {
                 Err(problem) => problem,
             };
             let pause = problem.pause(&mut reconnect_backoff);
-            // The loss of the session has been reported already; only a refusal is new information.
+            // The loss of the connection has been reported already; only a refusal is new information.
             if problem.is_refusal() && reported.as_ref() != Some(&problem) {
                 connector.report(problem.kind(), None, problem.describe());
                 reported = Some(problem);
@@ -143,9 +144,9 @@ impl PeerTask {
         loop {
             self.expire();
             match self.wait(future.as_mut()).await {
-                WaitResult::Done(done) => return Some(done),
+                WaitResult::Ready(output) => return Some(output),
                 WaitResult::Woken => {}
-                WaitResult::Finished => return None,
+                WaitResult::ChannelClosed => return None,
             }
         }
     }
@@ -154,13 +155,13 @@ impl PeerTask {
         let connector = Arc::clone(&self.connector);
         let expiry = self.pending.next_expiry();
         tokio::select! {
-            done = future => WaitResult::Done(done),
+            output = future => WaitResult::Ready(output),
             request = self.requests.recv() => match request {
                 Some((key, pair)) => {
                     self.pending.add(key, pair, self.now());
                     WaitResult::Woken
                 }
-                None => WaitResult::Finished,
+                None => WaitResult::ChannelClosed,
             },
             () = connector.sleep_until(expiry) => WaitResult::Woken,
         }
@@ -202,7 +203,7 @@ impl PeerTask {
     }
 
     fn settle_with(&self, pair: &Pair, answer: &PeerAnswer) {
-        // A delay needs the clock relation, which belongs to a session with this peer. Without a session the stamps are
+        // A delay needs the clock relation, which belongs to a connection to this peer. Without a connection the stamps are
         // recorded without delays.
         let connection = self.connection.as_ref().filter(|connection| connection.host == answer.peer);
         let judge = |up: &Crossing, down: Option<&Crossing>| {
@@ -219,7 +220,7 @@ impl PeerTask {
     }
 
     /// Records whether the peer received both messages of a pair, and reports a change. Nothing is reported without a
-    /// session.
+    /// connection.
     fn record_silence(&mut self, has_both: bool) {
         let Some(connection) = &self.connection else { return };
         let (name, peer) = (connection.name.to_string(), connection.host);
