@@ -25,7 +25,7 @@ pub enum ActuatorError {
     Python(#[from] PythonError),
     /// The feedback cannot be read.
     #[error(
-        "cannot read the feedback of {actuator}: {reason}; it is an object with any of episode_ended, success and reward"
+        "cannot read the feedback of {actuator}: {reason}; feedback must be an object with any of episode_ended, success and reward"
     )]
     Feedback {
         /// Name of the actuator.

@@ -23,7 +23,9 @@ pub enum SocketError {
         error: io::Error,
     },
     /// Sending or receiving failed.
-    #[error("cannot {doing} the controller at {address}: {error}; the next answer connects again")]
+    #[error(
+        "cannot {doing} the controller at {address}: {error}; the connection is opened again for the next answer"
+    )]
     Io {
         /// `send an answer to` or `receive feedback from`.
         doing: &'static str,
@@ -33,11 +35,13 @@ pub enum SocketError {
         error: io::Error,
     },
     /// The controller closed the connection instead of sending feedback.
-    #[error("the controller at {0} closed the connection without feedback; the next answer connects again")]
+    #[error(
+        "the controller at {0} closed the connection without feedback; the connection is opened again for the next answer"
+    )]
     Closed(String),
     /// The action did not end in time.
     #[error(
-        "the controller at {address} did not {waited_for} within {timeout_ms} ms (timeout_ms); the next answer connects again"
+        "the controller at {address} did not {waited_for} within {timeout_ms} ms (timeout_ms); the connection is opened again for the next answer"
     )]
     TimedOut {
         /// Address of the controller.
@@ -66,7 +70,7 @@ pub enum SocketError {
     },
     /// The controller sent a line that is longer than allowed.
     #[error(
-        "the controller at {address} sent a line of more than {limit} bytes; the next answer connects again"
+        "the controller at {address} sent a line of more than {limit} bytes; the connection is opened again for the next answer"
     )]
     FeedbackLength {
         /// Address of the controller.
@@ -76,8 +80,8 @@ pub enum SocketError {
     },
     /// The controller sent something before it got an answer.
     #[error(
-        "the controller at {address} sent {line:?} without an answer to act on; it sends one line for each answer; the next \
-         answer connects again"
+        "the controller at {address} sent {line:?} without an answer to act on; it must send one line for each answer; the \
+         connection is opened again for the next answer"
     )]
     Unsolicited {
         /// Address of the controller.
@@ -87,8 +91,8 @@ pub enum SocketError {
     },
     /// The line is not feedback.
     #[error(
-        "the controller at {address} sent {line:?} as feedback: {reason}; it is an object with any of episode_ended, success \
-         and reward"
+        "the controller at {address} sent {line:?} as feedback: {reason}; feedback must be a JSON object with any of \
+         episode_ended, success and reward"
     )]
     Feedback {
         /// Address of the controller.

@@ -104,6 +104,7 @@ impl TryFrom<UncheckedMoments> for Moments {
 
 impl Merge for Moments {
     fn merge(&mut self, other: &Self) {
+        // The method of the same name without the trait.
         Self::merge(self, other);
     }
 }

@@ -90,6 +90,7 @@ impl Summary {
 
 impl Merge for Summary {
     fn merge(&mut self, other: &Self) {
+        // The method of the same name without the trait.
         Self::merge(self, other);
     }
 }

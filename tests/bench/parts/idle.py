@@ -56,8 +56,8 @@ def _idle(seconds: float) -> dict[str, Cost]:
     with deployment() as it:
         programs = {
             "aggregator with one idle agent": it.aggregator(events=events, web=web),
-            "agent, nothing to do": it.daemon("alone", _agent(it, "alone", "")),
-            "agent, connected to it": it.daemon(
+            "idle agent without aggregator": it.daemon("alone", _agent(it, "alone", "")),
+            "idle agent with aggregator": it.daemon(
                 "agent", _agent(it, "agent", f'aggregator = "tcp://127.0.0.1:{events}"')
             ),
         }

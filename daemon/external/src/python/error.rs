@@ -76,8 +76,8 @@ pub enum PythonError {
     },
     /// The call exceeded its timeout, and the process was killed.
     #[error(
-        "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; raise timeout_ms (peernet \
-         --server: --timeout) if it needs longer", .after.seconds()
+        "{object} did not answer within {} s and was killed{stderr_suffix}; it is restarted; if it needs longer, raise \
+         timeout_ms (or the option --timeout of peernet --server)", .after.seconds()
     )]
     TooSlow {
         /// Name of the object.

@@ -167,8 +167,8 @@ impl NoPeer {
         let peer = role.opposite();
         let seconds = self.waited.as_secs_f64();
         let tried = format!(
-            "no {peer} of topic {topic} ({type_name}) was found within {seconds} s in domain {domain_id} on \
-             {interfaces}; {participants} other participants were discovered"
+            "{topic} ({type_name}) was found within {seconds} s in domain {domain_id} on {interfaces}; {participants} other \
+             participants were discovered"
         );
         if let Some((node, refusal)) = self.refused.first() {
             let other_count = self.refused.len() - 1;
@@ -176,11 +176,11 @@ impl NoPeer {
                 if other_count == 0 { String::new() } else { format!(" (and {other_count} more)") };
             let of_node = node.as_ref().map(|node| format!(" of node {node}")).unwrap_or_default();
             return format!(
-                "{tried}; a {peer}{of_node} exists, but {refusal}{remark_on_others}; use the same settings at both ends"
+                "no matching {peer} of topic {tried}; a {peer}{of_node} exists, but {refusal}{remark_on_others}; use the same settings at both ends"
             );
         }
         let advice = advise(*domain_id, interfaces, *participants, &self.topics);
-        format!("{tried}; {advice}")
+        format!("no {peer} of topic {tried}; {advice}")
     }
 }
 

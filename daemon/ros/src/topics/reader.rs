@@ -199,7 +199,9 @@ async fn describe_missing_publisher(subscriber: &Subscriber, environment: &Envir
                 )
             ),
             Err(error @ NodeError::NoMaster { .. }) => error.to_string(),
-            Err(error) => format!("no node publishes it, and the ROS master cannot be asked: {error}"),
+            Err(error) => format!(
+                "no publisher of it is known, and the ROS master did not answer which topics exist: {error}"
+            ),
         },
         [publisher] => format!("its publisher at {} is connected, but publishes nothing", publisher.uri),
         publishers => format!("its {} publishers are connected, but publish nothing", publishers.len()),

@@ -187,7 +187,7 @@ fn errors_name_the_wrong_file_or_label() {
         ("file,label\n", "contains no label"),
         ("file,label\na.jpg,\n", "contains no label"),
         ("file,label,left,top,right,bottom\na.jpg,cat,1,2,3,\n", "the box of cat in a.jpg is incomplete"),
-        ("file,label,left,top,right,bottom\na.jpg,cat,3,2,1,4\n", "left below right"),
+        ("file,label,left,top,right,bottom\na.jpg,cat,3,2,1,4\n", "left < right"),
     ] {
         let folder = folder(&[("a.jpg", ""), ("labels.csv", labels)]);
         let error = refused(folder.path());

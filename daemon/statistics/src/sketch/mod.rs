@@ -158,6 +158,7 @@ impl Sketch {
 
 impl Merge for Sketch {
     fn merge(&mut self, other: &Self) {
+        // The method of the same name without the trait.
         Self::merge(self, other);
     }
 }

@@ -89,8 +89,8 @@ impl Row {
         match object.filter(LabelledObject::is_valid) {
             Some(object) => Ok(Some(object)),
             None => Err(format!(
-                "the box of {label} in {file} is incomplete; write left, top, right and bottom in pixels, left below right and top \
-                 below bottom"
+                "the box of {label} in {file} is incomplete; write left, top, right and bottom in pixels, with left < right and \
+                 top < bottom"
             )),
         }
     }

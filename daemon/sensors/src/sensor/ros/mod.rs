@@ -80,7 +80,9 @@ impl RosSensorConfig {
             return config_error("queues at most 8192 messages; lower its queue");
         }
         if version == RosVersion::Ros1 && self.reliability.is_some() {
-            return config_error("of ROS 1 has no reliability, because TCP loses no message; remove the key");
+            return config_error(
+                "of ROS 1 takes no key reliability, because TCP loses no message; remove it",
+            );
         }
         Ok(version)
     }
@@ -88,7 +90,7 @@ impl RosSensorConfig {
 
 impl SensorKind for RosSensorConfig {
     /// Opens the sensor. The first sample subscribes to the topic.
-    // A master that starts later then only fails iterations, and not the whole pipeline.
+    // Therefore only iterations fail while the master is missing, and not the whole pipeline.
     fn open(&self, clock: &SharedClock) -> Result<Box<dyn Sensor>, SensorError> {
         let version = self.validated_version()?;
         let options =
@@ -148,7 +150,8 @@ impl Ros {
             StampClock::Host => OneWayDelay::same_clock(raw),
             StampClock::Unknown => OneWayDelay::unsynchronised(raw),
         };
-        // Nodes start by the monotonic clock of this host, in which the capture time is not known.
+        // The node's start is on the monotonic clock of this host. The capture time is not known on it, so the node starts
+        // now.
         let sent = Stamp { wall: stamp, mono: recorder.clock().mono(), ..Stamp::default() };
         let node = recorder.start_transit(CAPTURE_DELAY, sent);
         recorder.end_transit(node, received);
@@ -162,7 +165,7 @@ impl Sensor for Ros {
     fn sample(&mut self, recorder: &mut Recorder) -> Result<Option<Sample>, SensorError> {
         let message = self.read()?;
         // Logged before the message is decoded, so that the number is not lost with an undecodable message.
-        recorder.value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
+        recorder.record_value(DROPPED_SAMPLES, message.dropped as f64, Unit::NONE);
         let payload = Payload::decode(&message).map_err(|error| SensorError::Message {
             topic: self.config.topic.clone(),
             type_name: message.type_name.to_string(),
