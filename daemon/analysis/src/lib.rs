@@ -55,6 +55,7 @@ pub mod transfer;
 pub mod trust;
 pub mod unaccounted_time;
 pub mod users;
+pub mod warm_up;
 
 pub use error::{WriteError, write_file};
 pub use passage::Passage;

@@ -183,9 +183,9 @@ const PEER = (() => {
     };
   }
 
-  // Draws the warm-up as a shade, borders of episodes as dashed lines, and iterations without an answer as crosses above the plot.
+  // Draws periods of warm-up as shades, borders of episodes as dashed lines, and iterations without an answer as crosses above the plot.
   function parts({ borders, warmUp, unanswered }, [top, bottom]) {
-    const rows = (warmUp ? [[...warmUp, "warm-up"]] : []).concat(borders.map((at) => [at, at, "border"]), unanswered.map((at) => [at, at, "cross"]));
+    const rows = warmUp.map((period) => [...period, "warm-up"]).concat(borders.map((at) => [at, at, "border"]), unanswered.map((at) => [at, at, "cross"]));
     const ink = css("--ink"), bad = css("--bad"), size = px(0.5) / 12;
     return {
       type: "custom", name: "parts", silent: true, z: 1, clip: false, tooltip: { show: false }, encode: { x: [0, 1] }, data: rows.map((row) => [row[0], row[1]]),
@@ -193,7 +193,7 @@ const PEER = (() => {
         const kind = rows[params.dataIndex][2], area = params.coordSys, end = area.x + area.width;
         const from = api.coord([api.value(0), 0])[0], to = api.coord([api.value(1), 0])[0];
         if (to < area.x || from > end) return null;
-        if (kind === "warm-up") return { type: "rect", shape: { x: Math.max(from, area.x), y: top, width: Math.min(to, end) - Math.max(from, area.x), height: bottom - top }, style: { fill: ink, opacity: 0.12 } };
+        if (kind === "warm-up") return { type: "rect", shape: { x: Math.max(from, area.x), y: top, width: Math.max(Math.min(to, end) - Math.max(from, area.x), 1), height: bottom - top }, style: { fill: ink, opacity: 0.12 } };
         if (kind === "border") return { type: "line", shape: { x1: from, x2: from, y1: top, y2: bottom }, style: { stroke: ink, lineWidth: 1, lineDash: [4, 3] } };
         // Crosses that would overlap are drawn as one.
         if (from - (params.context.cross ?? -Infinity) < TOUCHING) return null;

@@ -337,7 +337,7 @@ fn assemble(
         time_remarks: stored.time_remarks(),
         marks: MarkKinds {
             borders: !episodes.borders.is_empty(),
-            warm_up: episodes.warm_up_until.is_some(),
+            warm_up: !episodes.warm_up.is_empty(),
             unanswered: !episodes.unanswered_starts.is_empty(),
         },
         axis: Picture::milliseconds_axis(&stored.scale(), ""),

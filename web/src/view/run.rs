@@ -92,7 +92,7 @@ struct Data {
     gaps: Vec<(i64, i64, u64)>,
     /// Starts of episodes, without the first.
     borders: Vec<i64>,
-    warm_up: Option<(i64, i64)>,
+    warm_up: Vec<(i64, i64)>,
     /// Starts of iterations without an answer.
     unanswered: Vec<i64>,
 }
@@ -257,7 +257,7 @@ impl StoredRun<'_> {
         let Self { series, slowest, episodes, .. } = self;
         let milliseconds = |time: WallTime| time.unix_nanos() / 1_000_000;
         let all = |times: &[WallTime]| times.iter().copied().map(milliseconds).collect();
-        let warm_up = episodes.first.zip(episodes.warm_up_until).filter(|(from, until)| until > from);
+        let warm_up = episodes.warm_up.iter().filter(|(from, until)| until > from);
         let points = series.stages.iter().flat_map(|stage| &stage.points).map(|point| {
             (
                 milliseconds(point.at),
@@ -277,7 +277,7 @@ impl StoredRun<'_> {
             slow: slow.collect(),
             gaps: gaps.collect(),
             borders: all(&episodes.borders),
-            warm_up: warm_up.map(|(from, until)| (milliseconds(from), milliseconds(until))),
+            warm_up: warm_up.map(|(from, until)| (milliseconds(*from), milliseconds(*until))).collect(),
             unanswered: all(&episodes.unanswered_starts),
         })
     }

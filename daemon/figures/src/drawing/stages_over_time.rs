@@ -19,6 +19,8 @@ const UNITS: [(f64, f64, &str); 4] = [
 ];
 /// Runs shorter than this share of the axis are reported as short.
 const SHORT: f64 = 0.02;
+/// Minimum width of a period of warm-up, as a share of the axis.
+const MIN_SHADE: f64 = 0.002;
 /// Marks of iterations without an answer become one mark if their distance is less than this share of the axis.
 const MIN_MARK_DISTANCE: f64 = 0.005;
 
@@ -59,8 +61,8 @@ pub struct StagesOverTime {
     pub buckets: Vec<StageBucket>,
     /// Beginnings of episodes, except the first.
     pub borders: Vec<f64>,
-    /// End of the warm-up.
-    pub warm_up: Option<f64>,
+    /// Periods of warm-up, each with its beginning and end.
+    pub warm_up: Vec<(f64, f64)>,
     /// Iterations without an answer.
     pub unanswered: Vec<f64>,
     /// The 95th percentile of the whole run, seconds.
@@ -88,7 +90,8 @@ impl StagesOverTime {
     /// the end of its last bucket.
     fn outline(&self, value: impl Fn(&StageBucket) -> Option<f64>) -> Vec<Option<(f64, f64)>> {
         // A bucket in which the warm-up ends contains only iterations after the warm-up.
-        let start = self.warm_up.unwrap_or(0.0).clamp(0.0, self.length);
+        let at_start = self.warm_up.first().filter(|(from, _)| *from <= 0.0);
+        let start = at_start.map_or(0.0, |(_, until)| until.clamp(0.0, self.length));
         let within_run = |time: f64| time.clamp(start, self.length);
         let mut points = Vec::with_capacity(self.buckets.len() + 4);
         for consecutive in self.buckets.chunk_by(|a, b| b.begin - a.begin < self.width * 1.5) {
@@ -136,10 +139,11 @@ impl StagesOverTime {
             Some(parts.map(|part| part.seconds).sum())
         };
         let mut items = Vec::new();
-        if let Some(end) = self.warm_up {
-            let end = plot.x.scale.at(end / seconds);
-            items.push(Item::rect(At::new(0.0, 0.0), At::new(end, 1.0), Style::shade()));
-        }
+        let shade = |(from, until): &(f64, f64)| {
+            let [from, until] = [from, until].map(|time| plot.x.scale.at(time / seconds));
+            Item::rect(At::new(from, 0.0), At::new(until.max(from + MIN_SHADE), 1.0), Style::shade())
+        };
+        items.extend(self.warm_up.iter().map(shade));
         for name in self.names() {
             let area = Path::area(outline(&|bucket| stack_height(bucket, name)));
             items.push(Item::path(area, stage(name).plain()));
@@ -194,7 +198,7 @@ impl OverTimeAxes {
             (true, line("median"), "median of the total"),
             (any(StagesOverTime::has_p95), line("p95"), "p95 of points with 60 iterations"),
             (any(|run| !run.borders.is_empty()), line("border"), "new episode"),
-            (any(|run| run.warm_up.is_some()), Swatch::Area(Style::shade()), "warm-up"),
+            (any(|run| !run.warm_up.is_empty()), Swatch::Area(Style::shade()), "warm-up"),
             (any(|run| !run.unanswered.is_empty()), line("lost"), "no answer"),
         ];
         let shown = keys.into_iter().filter(|(is_shown, ..)| *is_shown);

@@ -8,6 +8,7 @@ use crate::drawing::{Line, TimeSeries, Unit};
 use peernet_analysis::record::RunRecord;
 use peernet_analysis::rows::{Outcome, RowRef, Rows};
 use peernet_analysis::total_column::TotalColumn;
+use peernet_analysis::warm_up::warm_up_periods;
 
 /// Title of the horizontal axis if times are not known.
 const ITERATION: &str = "Iteration";
@@ -43,7 +44,7 @@ pub(super) fn drawings(record: &RunRecord, rows: &Rows) -> Result<Vec<Drawing>, 
             .collect(),
         total,
         stages: stages.longest.iter().map(|name| line(name)).collect(),
-        warm_up: warm_up_periods(rows, &time),
+        warm_up: warm_up_periods(rows.iter().map(|row| (time(row), row.warm_up()))),
         episodes: rows.iter().zip(rows.iter().skip(1)).filter_map(episode_start).collect(),
         unanswered,
     };
@@ -68,22 +69,4 @@ fn horizontal_axis(rows: &Rows) -> (&'static str, impl Fn(RowRef<'_>) -> f64) {
     let start = rows.iter().map(|row| row.at()).fold(f64::INFINITY, f64::min);
     let title = if has_times { "Time since the start, s" } else { ITERATION };
     (title, move |row: RowRef<'_>| if has_times { row.at() - start } else { row.iteration() as f64 })
-}
-
-/// Returns the periods of consecutive rows of warm-up. A period ends at the next row that is not warm-up, or at the last row.
-fn warm_up_periods(rows: &Rows, time: &impl Fn(RowRef<'_>) -> f64) -> Vec<(f64, f64)> {
-    let mut periods = Vec::new();
-    let mut start: Option<f64> = None;
-    for row in rows {
-        match (row.warm_up(), start) {
-            (true, None) => start = Some(time(row)),
-            (false, Some(from)) => {
-                periods.push((from, time(row)));
-                start = None;
-            }
-            _ => {}
-        }
-    }
-    periods.extend(start.zip(rows.last().map(time)));
-    periods
 }

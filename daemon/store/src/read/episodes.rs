@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 
+use peernet_analysis::warm_up::warm_up_periods;
 use peernet_clock::WallTime;
 
 use super::iterations::Row;
@@ -12,7 +13,7 @@ use crate::readers::Readers;
 use crate::types::Episodes;
 
 const WHAT: &str = "episodes";
-/// Number of iterations among which the end of the warm-up is searched.
+/// Number of iterations among which the end of a period of warm-up is searched.
 const MAX_WARM_UP: i64 = 10_000;
 
 pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, StoreError> {
@@ -38,6 +39,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
             borders.retain(|row| row.step == 0);
         }
     }
+    let warm_up = warm_up(readers, run, &first, &borders, &last).await?;
     let (unanswered_starts, unanswered_count) = unanswered(readers, run, last.number).await?;
     let start_times = |rows: Vec<Row>| rows.iter().map(|row| wall(row.started_ns)).collect();
     Ok(Episodes {
@@ -45,7 +47,7 @@ pub(crate) async fn episodes(readers: &Readers, run: i64) -> Result<Episodes, St
         count: u64::from(last.episode) + 1,
         steps: steps.and_then(|steps| u64::try_from(steps).ok()),
         borders: start_times(borders),
-        warm_up_until: warm_up(readers, run, &first).await?.map(|row| wall(row.started_ns)),
+        warm_up,
         unanswered_starts: start_times(unanswered_starts),
         unanswered_count,
     })
@@ -59,8 +61,11 @@ pub(super) async fn first_measured_start(
     let Some(first) = first_row(readers, run).await?.filter(|first| first.number == 1) else {
         return Ok(None);
     };
-    let first_measured = if first.warm_up { warm_up(readers, run, &first).await? } else { Some(first) };
-    Ok(first_measured.map(|row| wall(row.started_ns)))
+    if !first.warm_up {
+        return Ok(Some(wall(first.started_ns)));
+    }
+    let end = measured_after(readers, run, &[first.number]).await?.into_iter().flatten().collect::<Vec<_>>();
+    Ok(rows_by_number(readers, run, &end).await?.first().map(|row| wall(row.started_ns)))
 }
 
 /// Returns the first stored iteration.
@@ -105,13 +110,41 @@ async fn first_numbers(readers: &Readers, run: i64, last: &Row) -> Result<Vec<i6
     Ok(ends.into_iter().map(|(_, at)| at).collect())
 }
 
-/// Returns the first iteration after the warm-up at the start of a run.
-async fn warm_up(readers: &Readers, run: i64, first: &Row) -> Result<Option<Row>, StoreError> {
-    if first.number != 1 || !first.warm_up {
-        return Ok(None);
-    }
-    let end = sqlx::query_as(sql::WARM_UP_END).bind(run).bind(MAX_WARM_UP);
-    end.fetch_optional(&readers.pool()).await.map_err(readers.failed(WHAT))
+/// Returns the periods of warm-up at the start of a run and of the episodes that begin at `borders`.
+async fn warm_up(
+    readers: &Readers,
+    run: i64,
+    first: &Row,
+    borders: &[Row],
+    last: &Row,
+) -> Result<Vec<(WallTime, WallTime)>, StoreError> {
+    // Without its first iteration, it is not known where the first period begins.
+    let begins = std::iter::once(first).filter(|first| first.number == 1).chain(borders);
+    let begins: Vec<&Row> = begins.filter(|row| row.warm_up).collect();
+    let numbers: Vec<i64> = begins.iter().map(|row| row.number).collect();
+    let ends = measured_after(readers, run, &numbers).await?;
+    let end_rows = rows_by_number(readers, run, &ends.iter().copied().flatten().collect::<Vec<_>>()).await?;
+    let is_known = |end: &Option<i64>| end.is_some() || last.warm_up;
+    let begins = begins.into_iter().zip(&ends).filter(|(_, end)| is_known(end)).map(|(begin, _)| begin);
+    let mut rows: Vec<&Row> = begins.chain(&end_rows).chain([last]).collect();
+    rows.sort_by_key(|row| row.number);
+    Ok(warm_up_periods(rows.into_iter().map(|row| (wall(row.started_ns), row.warm_up))))
+}
+
+/// Returns the number of the first iteration that is not warm-up, from each of these numbers on; `None` if it is not among the next
+/// [`MAX_WARM_UP`] iterations.
+async fn measured_after(
+    readers: &Readers,
+    run: i64,
+    numbers: &[i64],
+) -> Result<Vec<Option<i64>>, StoreError> {
+    sqlx::query_scalar(sql::WARM_UP_ENDS)
+        .bind(run)
+        .bind(json(numbers)?)
+        .bind(MAX_WARM_UP)
+        .fetch_all(&readers.pool())
+        .await
+        .map_err(readers.failed(WHAT))
 }
 
 /// Returns the unanswered iterations that charts mark, and the number of all unanswered iterations. The number is at most one more

@@ -132,10 +132,11 @@ statements! {
         "WHERE run = ?1 AND number > ?2 AND outcome <> 0 ORDER BY number LIMIT ?3");
     /// ?1 run.
     LAST_ITERATION = concat!(iteration_columns!(), "WHERE run = ?1 AND number > 0 ORDER BY number DESC LIMIT 1");
-    /// The first iteration that is not part of the warm-up. `+warm_up` makes SQLite find iterations by number and not by the index
-    /// that contains `warm_up`. ?1 run, ?2 the last number to look at.
-    WARM_UP_END = concat!(iteration_columns!(),
-        "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 ORDER BY number LIMIT 1");
+    /// The number of the first iteration that is not warm-up, from each of these numbers on. `+warm_up` makes SQLite find iterations by
+    /// number and not by the index that contains `warm_up`. ?1 run, ?2 numbers, a JSON array, ?3 how many further numbers to look at.
+    WARM_UP_ENDS = "SELECT (SELECT number FROM iteration \
+                    WHERE run = ?1 AND number BETWEEN start.value AND start.value + ?3 AND +warm_up = 0 \
+                    ORDER BY number LIMIT 1) FROM json_each(?2) AS start";
     /// The first answered iteration after the warm-up: ?1 run, ?2 the last number to look at.
     FIRST_COUNTED = concat!(iteration_columns!(),
         "WHERE run = ?1 AND number BETWEEN 1 AND ?2 AND +warm_up = 0 AND +outcome = 0 ORDER BY number LIMIT 1");

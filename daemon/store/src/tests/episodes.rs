@@ -1,5 +1,6 @@
 //! Episodes of a run, its warm-up, and iterations without an answer.
 
+use peernet_analysis::warm_up::warm_up_periods;
 use peernet_clock::WallTime;
 use peernet_logger::RunId;
 use peernet_stream::{Event, Iteration, Outcome};
@@ -47,7 +48,11 @@ async fn borders_are_at_starts_of_episodes() {
         count: 4,
         steps: Some(30),
         borders: start_times([31, 61, 91]),
-        warm_up_until: Some(generate::at(32.0 * 0.2)),
+        warm_up: vec![
+            (generate::at(0.2), generate::at(32.0 * 0.2)),
+            (generate::at(61.0 * 0.2), generate::at(62.0 * 0.2)),
+            (generate::at(91.0 * 0.2), generate::at(92.0 * 0.2)),
+        ],
         unanswered_starts: Vec::new(),
         unanswered_count: 0,
     };
@@ -60,13 +65,42 @@ async fn borders_are_at_starts_of_episodes() {
 }
 
 #[tokio::test]
+async fn warm_up_has_periods_of_all_rows() {
+    // Iterations, steps of an episode, episodes of warm-up, steps of warm-up in each episode.
+    for (run, (iterations, steps, episodes, warm_up)) in (1..).zip([
+        (95, 30, 1, 1),
+        (95, 30, 0, 4),
+        (61, 30, 0, 2),
+        (40, 10, 9, 0),
+        (93, 3, 1, 1),
+        (90, 30, 0, 30),
+    ]) {
+        let mut test_store = TestStore::new().await;
+        let is_warm_up = |iteration: &Iteration| iteration.episode < episodes || iteration.step < warm_up;
+        let in_order = std::sync::Mutex::new(Vec::new());
+        store_run(&mut test_store, iterations, |iteration| {
+            set_episode(iteration, steps);
+            iteration.warm_up = is_warm_up(iteration);
+            in_order
+                .lock()
+                .expect("alone")
+                .push((generate::at(iteration.number as f64 * 0.2), iteration.warm_up));
+            true
+        })
+        .await;
+        let found = test_store.store.episodes(1).await.expect("answers").warm_up;
+        assert_eq!(found, warm_up_periods(in_order.into_inner().expect("alone")), "{run}");
+    }
+}
+
+#[tokio::test]
 async fn run_of_one_episode_has_no_border() {
     let mut test_store = TestStore::new().await;
     store_run(&mut test_store, 40, |_| true).await;
     let episodes = test_store.store.episodes(1).await.expect("answers");
     assert_eq!(
-        (episodes.count, episodes.steps, episodes.borders.len(), episodes.warm_up_until),
-        (1, None, 0, None)
+        (episodes.count, episodes.steps, episodes.borders.len(), episodes.warm_up),
+        (1, None, 0, Vec::new())
     );
     // The whole run is warm-up.
     store_run(&mut test_store, 5, |iteration| {
@@ -74,7 +108,8 @@ async fn run_of_one_episode_has_no_border() {
         true
     })
     .await;
-    assert_eq!(test_store.store.episodes(2).await.expect("answers").warm_up_until, None);
+    let whole = [(generate::at(0.2), generate::at(5.0 * 0.2))];
+    assert_eq!(test_store.store.episodes(2).await.expect("answers").warm_up, whole);
 }
 
 #[tokio::test]

@@ -14,8 +14,9 @@ pub struct Episodes {
     pub steps: Option<u64>,
     /// Starts of all episodes except the first. Empty if there are more than [`Episodes::MAX_BORDERS`].
     pub borders: Vec<WallTime>,
-    /// Start of the first iteration after the warm-up; `None` if the run has no warm-up, or its end is not stored.
-    pub warm_up_until: Option<WallTime>,
+    /// Periods of warm-up, at the start of the run and of each episode in `borders`: the start of the first iteration, and that of the next
+    /// iteration that is not warm-up, or of the last iteration. Periods whose beginning or end is not stored are left out.
+    pub warm_up: Vec<(WallTime, WallTime)>,
     /// Starts of iterations without an answer, including the warm-up. If there are more than [`Episodes::MAX_UNANSWERED`], the
     /// run is divided into this number of parts, and the list has the first such start of each part.
     pub unanswered_starts: Vec<WallTime>,

@@ -38,7 +38,8 @@ async fn each_run_is_drawn_with_episodes_and_losses() {
         assert_eq!(path("border").split('"').next().expect("its end").matches('M').count(), 3);
         let median = path("median").split('"').next().expect("its end");
         assert_eq!(median.matches('M').count(), 2, "nothing is drawn over the gap: {median}");
-        assert!(picture.contains("class=\"f-upload\"") && picture.contains("class=\"warm-up\""));
+        assert!(picture.contains("class=\"f-upload\""), "{picture}");
+        assert_eq!(picture.matches("class=\"warm-up\"").count(), 2, "{picture}");
     }
     assert!(panel.contains("to a little above the largest p95, over seconds since the first"), "{panel}");
     assert!(panel.contains("encode, ipc</li>"), "{panel}");

@@ -225,7 +225,12 @@ fn data(
         width,
         buckets,
         borders: episodes.borders.iter().filter(|at| is_inside(at)).map(|at| since(*at)).collect(),
-        warm_up: episodes.warm_up_until.map(since).filter(|until| *until > 0.0),
+        warm_up: episodes
+            .warm_up
+            .iter()
+            .map(|(from, until)| (since(*from).max(0.0), since(*until)))
+            .filter(|(from, until)| until > from)
+            .collect(),
         unanswered: episodes
             .unanswered_starts
             .iter()

@@ -112,7 +112,7 @@ pub(crate) fn course(mean: f64, buckets: usize) -> Vec<StageMeans> {
     vec![StageMeans { stage: stage::TOTAL, buckets }]
 }
 
-/// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first is warm-up; the run with
+/// Returns a minute of each run, one point a second but for a gap, in four episodes of which the first and a second of the third are warm-up; the run with
 /// the smallest number has no answer three times.
 pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
     let first = comparison.runs().map(|run| run.number).min();
@@ -138,7 +138,7 @@ pub(crate) fn run_time_series(comparison: &Comparison) -> TimeSeriesByRun {
             count: 4,
             steps: Some(900),
             borders: [15, 30, 45].map(moment).to_vec(),
-            warm_up_until: Some(moment(15)),
+            warm_up: vec![(moment(0), moment(15)), (moment(30), moment(31))],
             unanswered_count: unanswered.len() as u64,
             unanswered_starts: unanswered.into_iter().map(moment).collect(),
         };
