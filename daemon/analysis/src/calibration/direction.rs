@@ -79,11 +79,7 @@ pub struct Throughput {
 impl DirectionStudy {
     /// Returns the statistics of one direction from the counted samples.
     pub(super) fn new(direction: Direction, samples: &[Sample]) -> Self {
-        let passages: Vec<(u64, &Passage)> = samples
-            .iter()
-            .filter(|sample| sample.is_counted())
-            .filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?)))
-            .collect();
+        let passages = counted_passages(direction, samples);
         let mut verdicts = BTreeMap::new();
         for (_, passage) in &passages {
             *verdicts.entry(passage.delay.verdict.name()).or_default() += 1;
@@ -123,6 +119,17 @@ impl DirectionStudy {
     pub(super) fn count_verdicts(&self, verdicts: &[peernet_clock::Verdict]) -> u64 {
         verdicts.iter().filter_map(|verdict| self.verdicts.get(verdict.name())).sum()
     }
+}
+
+/// Returns the median delay of the counted messages with this payload, seconds, as the study has it; `None` if none of their delays is known.
+pub fn median_delay(direction: Direction, samples: &[Sample], payload_bytes: u64) -> Option<f64> {
+    size_summary(payload_bytes, &counted_passages(direction, samples)).map(|size| size.median)
+}
+
+/// Returns the payload and the message of each counted sample.
+fn counted_passages(direction: Direction, samples: &[Sample]) -> Vec<(u64, &Passage)> {
+    let counted = samples.iter().filter(|sample| sample.is_counted());
+    counted.filter_map(|sample| Some((sample.payload_bytes, sample.passage(direction)?))).collect()
 }
 
 /// Returns the summary of all messages with this payload; `None` if none of their delays is known.

@@ -13,7 +13,7 @@ mod tables;
 mod verdict;
 
 pub use clocks::Clocks;
-pub use direction::{Claim, DirectionStudy, FitPair, Fits, Throughput};
+pub use direction::{Claim, DirectionStudy, FitPair, Fits, Throughput, median_delay};
 pub use failures::Failures;
 pub use sample::Sample;
 pub use verdict::{Kind, Verdict};

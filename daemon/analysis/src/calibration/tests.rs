@@ -91,6 +91,24 @@ fn study(samples: Vec<Sample>) -> Study {
 }
 
 #[test]
+fn progress_and_study_have_equal_medians() {
+    let mut samples = sweep(GOOD);
+    // The first answers are late: those of the warm-up, and one that came after its time was over.
+    let slow = passage(Link { curvature: 1e-6, ..GOOD }, SIZES[0], 3, 1.0);
+    for sample in samples.iter_mut().filter(|sample| sample.warm_up) {
+        sample.up = Some(slow);
+    }
+    let late = samples.iter().find(|sample| sample.is_counted()).cloned().expect("counted");
+    samples.extend((0..200).map(|_| Sample { outcome: "timeout", up: Some(slow), ..late.clone() }));
+    let study = study(samples.clone());
+    let [up, _] = study.directions();
+    for size in &up.sizes {
+        assert_eq!(median_delay(up.direction, &samples, size.payload_bytes), Some(size.median));
+    }
+    assert_eq!((up.sizes.len(), median_delay(up.direction, &samples, 7)), (SIZES.len(), None));
+}
+
+#[test]
 fn good_link_is_trusted_and_line_is_fitted() {
     let study = study(sweep(GOOD));
     assert_eq!(study.counts, Counts { measured: 792, warm_up: 8, failed: 0 });

@@ -1,9 +1,8 @@
 //! Progress of the sweep.
 
-use peernet_analysis::calibration::Sample;
-use peernet_analysis::order::SortedValues;
+use peernet_analysis::calibration::{Sample, median_delay};
 use peernet_clock::{Direction, MonoTime};
-use peernet_statistics::number::{bytes, fixed, milliseconds};
+use peernet_statistics::number::{NONE, bytes, fixed, milliseconds};
 
 use super::plan::Plan;
 use crate::foreground::Progress;
@@ -72,7 +71,6 @@ impl Extent {
 
 /// Formats the median delay of one payload's uploads so far.
 fn median(samples: &[Sample], payload_bytes: u64) -> String {
-    let delays = samples.iter().filter(|sample| sample.payload_bytes == payload_bytes);
-    let delays: SortedValues = delays.filter_map(|sample| sample.passage(Direction::Up)?.seconds()).collect();
-    delays.median().map_or_else(|| "—".to_owned(), |median| format!("{} ms", milliseconds(median)))
+    let median = median_delay(Direction::Up, samples, payload_bytes);
+    median.map_or_else(|| NONE.to_owned(), |median| format!("{} ms", milliseconds(median)))
 }
