@@ -198,8 +198,13 @@ mod tests {
     use super::*;
 
     fn run(repeat: u32, edge: HostId, state: RunState, sequence: i64) -> Candidate {
-        let place =
-            ExperimentPlace { name: "x".to_owned(), id: "x1".to_owned(), configuration: Vec::new(), repeat };
+        let place = ExperimentPlace {
+            name: "x".to_owned(),
+            id: "x1".to_owned(),
+            configuration: Vec::new(),
+            repeat,
+            ..ExperimentPlace::default()
+        };
         Candidate {
             id: Some(RunId::random()),
             state: Some(state),

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Place of a run in an experiment.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ExperimentPlace {
     /// Name of the experiment in its file.
@@ -15,6 +15,9 @@ pub struct ExperimentPlace {
     pub configuration: Vec<(String, String)>,
     /// Repetition of the configuration, from 0.
     pub repeat: u32,
+    /// Position of the configuration in the experiment's file, from 0; `None` if an earlier version ran the experiment.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position: Option<u32>,
 }
 
 /// A finding about a host that affects how far a measurement on it can be trusted.

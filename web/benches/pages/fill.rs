@@ -39,6 +39,7 @@ pub(crate) async fn fill(database: &Path, nodes: u64, clock: &SharedClock) {
             id: "1".to_owned(),
             configuration: vec![("size".to_owned(), format!("{} kB", number % CONFIGURATIONS))],
             repeat: number / CONFIGURATIONS,
+            ..ExperimentPlace::default()
         };
         agent.run(ITERATIONS * NODES, Some(place)).await;
     }

@@ -220,6 +220,7 @@ mod tests {
             id: "a".to_owned(),
             configuration: configuration.iter().map(|(a, b)| ((*a).to_owned(), (*b).to_owned())).collect(),
             repeat,
+            ..ExperimentPlace::default()
         };
         let labels = Labels::of(&place(&[("Where", "cloud"), ("Resize", "yes")], 1));
         assert_eq!(labels.text, "Where = cloud, Resize = yes, repeat 2");

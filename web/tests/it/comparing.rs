@@ -202,6 +202,7 @@ async fn page_and_files_state_equal_rates_of_users() {
                 id: id.to_owned(),
                 configuration,
                 repeat: 0,
+                ..ExperimentPlace::default()
             });
             loaded.record.edge.name = run.to_string();
             runs.push(loaded);

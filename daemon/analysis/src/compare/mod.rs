@@ -19,6 +19,7 @@ mod differences;
 mod labels;
 mod latency_bar;
 mod median_bootstrap;
+mod order;
 mod pairwise;
 mod ranking;
 mod render;
@@ -33,6 +34,7 @@ pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
 pub use labels::{RunFacts, readable_name, tabulate};
 pub use latency_bar::{LatencyBar, part_order};
+pub use order::{compare_label, compare_places};
 pub use pairwise::PairwiseDifference;
 pub use ranking::{ConfigurationTotal, Ranking, model_computes};
 

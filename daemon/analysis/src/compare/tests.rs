@@ -55,8 +55,13 @@ fn with_model(model: &str, device: &str, network: Option<&str>, run: Loaded) -> 
 
 fn placed(pairs: &[(&str, &str)], repeat: u32, run: Loaded) -> Loaded {
     let configuration = pairs.iter().map(|(axis, label)| ((*axis).to_owned(), (*label).to_owned())).collect();
-    let place =
-        ExperimentPlace { name: "teleoperation".to_owned(), id: "a1".to_owned(), configuration, repeat };
+    let place = ExperimentPlace {
+        name: "teleoperation".to_owned(),
+        id: "a1".to_owned(),
+        configuration,
+        repeat,
+        ..ExperimentPlace::default()
+    };
     Loaded { record: RunRecord { experiment: Some(place), ..run.record }, ..run }
 }
 

@@ -35,6 +35,7 @@ fn edge(labels: &[(&str, &str)], (name, from): (&str, f64), each: f64, count: u3
         id: "1".to_owned(),
         configuration: configuration.collect(),
         repeat: 0,
+        ..ExperimentPlace::default()
     };
     let host = HostRecord { name: name.to_owned(), ..HostRecord::default() };
     let record = RunRecord { experiment: Some(place), edge: host, ..RunRecord::default() };

@@ -205,6 +205,7 @@ mod tests {
                     id: "x1".to_owned(),
                     configuration: vec![("load".to_owned(), "a".to_owned())],
                     repeat,
+                    ..ExperimentPlace::default()
                 }),
                 ..RunRecord::default()
             },

@@ -112,6 +112,7 @@ impl Plan {
             id: id.to_owned(),
             configuration: self.configuration(run).labels.clone(),
             repeat: run.repeat,
+            position: u32::try_from(run.configuration).ok(),
         }
     }
 

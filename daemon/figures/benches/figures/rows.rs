@@ -144,7 +144,8 @@ pub(crate) fn experiment() -> Vec<Loaded> {
             let configuration =
                 vec![("model".to_owned(), model.to_owned()), ("where".to_owned(), kind.to_owned())];
             let (name, id) = ("efficientnet".to_owned(), "1".to_owned());
-            run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+            run.record.experiment =
+                Some(ExperimentPlace { name, id, configuration, repeat: 0, ..ExperimentPlace::default() });
             runs.push(run);
         }
     }
@@ -176,7 +177,8 @@ pub(crate) fn teleoperation() -> Vec<Loaded> {
         let pair = |axis: &str, label: &str| (axis.to_owned(), label.to_owned());
         let configuration = vec![pair("resize", resize), pair("GPU", gpu), pair("network", network)];
         let (name, id) = ("teleoperation".to_owned(), "1".to_owned());
-        run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+        run.record.experiment =
+            Some(ExperimentPlace { name, id, configuration, repeat: 0, ..ExperimentPlace::default() });
         run
     };
     lines.into_iter().map(run).collect()
@@ -228,7 +230,13 @@ pub(crate) fn users() -> Vec<Loaded> {
                 let pair = |axis: &str, label: String| (axis.to_owned(), label);
                 let configuration = vec![pair("model", model.to_owned()), pair("edges", edges.to_string())];
                 let (name, id) = ("users".to_owned(), "1".to_owned());
-                run.record.experiment = Some(ExperimentPlace { name, id, configuration, repeat: 0 });
+                run.record.experiment = Some(ExperimentPlace {
+                    name,
+                    id,
+                    configuration,
+                    repeat: 0,
+                    ..ExperimentPlace::default()
+                });
                 runs.push(run);
             }
         }

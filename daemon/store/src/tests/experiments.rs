@@ -18,6 +18,7 @@ fn experiment_place(id: &str, size: &str, repeat: u32) -> ExperimentPlace {
         id: id.to_owned(),
         configuration: vec![("size".to_owned(), size.to_owned()), ("where".to_owned(), "cloud".to_owned())],
         repeat,
+        position: Some(3),
     }
 }
 

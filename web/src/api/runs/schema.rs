@@ -80,7 +80,7 @@ pub(crate) struct ExperimentPlace {
 
 impl From<&stream::ExperimentPlace> for ExperimentPlace {
     fn from(place: &stream::ExperimentPlace) -> Self {
-        let stream::ExperimentPlace { name, id, configuration, repeat } = place.clone();
+        let stream::ExperimentPlace { name, id, configuration, repeat, position: _ } = place.clone();
         let fact = |(name, value)| Fact { name, value };
         Self { name, id, configuration: configuration.into_iter().map(fact).collect(), repeat }
     }

@@ -121,6 +121,7 @@ async fn users_that_measured_at_once_are_drawn_against_their_number() {
                 id: "a".to_owned(),
                 configuration: Vec::new(),
                 repeat,
+                ..ExperimentPlace::default()
             };
             one.runs.push(RunSummary { host_name, experiment: Some(place), ..usual.clone() });
         }

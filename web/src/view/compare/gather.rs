@@ -1,19 +1,20 @@
 //! Loading of the runs of a comparison, and of the settings in which they differ.
 
+use std::cmp::Ordering;
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use futures::{StreamExt, TryStreamExt};
-use peernet_analysis::compare::{Column, group_by_labels, model_computes};
+use peernet_analysis::compare::{Column, compare_places, group_by_labels, model_computes};
 use peernet_analysis::run_selection::{Candidate, Exclusion, exclusions};
 use peernet_analysis::trust::Report;
 use peernet_store::{MergeableStatistics, RunDetail, RunStatistics, RunSummary, Store};
-use peernet_stream::Placement;
+use peernet_stream::{ExperimentPlace, Placement};
 
 use super::differences::CONCURRENT_READS;
 use super::differing::DifferingSettings;
 use super::names::configuration_names;
-use super::{Comparison, Configuration, ExcludedRun, Setting, order, total_column};
+use super::{Comparison, Configuration, ExcludedRun, Setting, total_column};
 use crate::error::WebError;
 
 /// Maximum number of runs that a query may name.
@@ -134,7 +135,8 @@ pub(crate) async fn load_comparison(
     };
     let mut groups: Vec<Group> = run_groups.into_iter().map(group).collect();
     if experiment.is_some() {
-        groups.sort_by(|a, b| order::compare_labels(&a.values, &b.values));
+        let places = |a: &Group, b: &Group| Some(compare_places(a.place()?, b.place()?));
+        groups.sort_by(|a, b| places(a, b).unwrap_or(Ordering::Equal));
     }
     let setting = |(index, column): (usize, &Column)| Setting {
         name: column.axis.clone(),
@@ -220,4 +222,11 @@ struct Group {
     settings: Vec<String>,
     runs: Vec<RunSummary>,
     statistics: Vec<RunStatistics>,
+}
+
+impl Group {
+    /// Returns the place of the first run in its experiment.
+    fn place(&self) -> Option<&ExperimentPlace> {
+        self.runs.first()?.experiment.as_ref()
+    }
 }

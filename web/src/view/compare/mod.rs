@@ -11,7 +11,6 @@ pub(crate) mod gather;
 pub(crate) mod lengths;
 mod median;
 mod names;
-mod order;
 mod pairwise;
 mod payload;
 mod pictures;
@@ -64,7 +63,7 @@ pub(crate) struct Comparison {
     pub long_settings: Vec<String>,
     /// Latency by which the configurations are compared.
     pub total_column: TotalColumn,
-    /// Configurations. Those of an experiment are sorted by their labels, axis by axis. Selected runs are in the requested order.
+    /// Configurations. Those of an experiment are in the order of its file. Selected runs are in the requested order.
     pub configurations: Vec<Configuration>,
     /// All stored statistics of each run, by its number.
     pub statistics_by_run: HashMap<i64, Arc<MergeableStatistics>>,

@@ -1,6 +1,6 @@
 //! Pictures of a comparison: stacks, pairs of local and cloud.
 
-use peernet_analysis::compare::{Latency, LatencyBar};
+use peernet_analysis::compare::{Latency, LatencyBar, compare_label};
 use peernet_analysis::model_places::{ModelPlaces, PlacedModel};
 use peernet_figures::drawing::{Quartiles, Stacked};
 use peernet_figures::plot::Item;
@@ -10,10 +10,9 @@ use peernet_statistics::Summary;
 use peernet_statistics::number::{NONE, duration, mean_std_ms};
 use peernet_store::{DelayAccuracy, QuantityStatistics};
 use peernet_stream::Placement;
-use std::slice;
 
 use super::spread::box_plot;
-use super::{Comparison, Configuration, order};
+use super::{Comparison, Configuration};
 use crate::picture::Picture;
 use crate::view::{counted, place};
 
@@ -116,7 +115,7 @@ fn routes(configurations: &[&Configuration]) -> String {
         }
     }
     let route = |(placement, mut hosts): (&Placement, Vec<String>)| {
-        hosts.sort_by(|a, b| order::compare_labels(slice::from_ref(a), slice::from_ref(b)));
+        hosts.sort_by(|a, b| compare_label(a, b));
         let more = hosts.len().saturating_sub(MAX_NAMED_HOSTS);
         hosts.truncate(MAX_NAMED_HOSTS);
         let rest = if more > 0 { format!(" and {more} more") } else { String::new() };

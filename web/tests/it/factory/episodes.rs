@@ -12,8 +12,13 @@ impl Factory {
         let id = RunId::random().to_string();
         for index in 0..self.lines.len() {
             let configuration = vec![("picture".to_owned(), self.lines[index].name.to_owned())];
-            let place =
-                ExperimentPlace { name: "tasks".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let place = ExperimentPlace {
+                name: "tasks".to_owned(),
+                id: id.clone(),
+                configuration,
+                repeat: 0,
+                ..ExperimentPlace::default()
+            };
             let mut events = self.run(index, RunId::random(), iterations, true, Some(place));
             for event in &mut events {
                 if let Event::Iteration(iteration) = event {

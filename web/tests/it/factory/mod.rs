@@ -103,8 +103,13 @@ impl Factory {
                     ("picture".to_owned(), line.name.to_owned()),
                     ("where".to_owned(), place.to_owned()),
                 ];
-                let place =
-                    ExperimentPlace { name: "pictures".to_owned(), id: id.clone(), configuration, repeat };
+                let place = ExperimentPlace {
+                    name: "pictures".to_owned(),
+                    id: id.clone(),
+                    configuration,
+                    repeat,
+                    ..ExperimentPlace::default()
+                };
                 self.store_placed(index, iterations, place).await;
             }
         }
@@ -122,8 +127,13 @@ impl Factory {
             }
             line.bytes = *bytes;
             let configuration = vec![("size".to_owned(), format!("{} kB", bytes / 1e3))];
-            let place =
-                ExperimentPlace { name: "sizes".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let place = ExperimentPlace {
+                name: "sizes".to_owned(),
+                id: id.clone(),
+                configuration,
+                repeat: 0,
+                ..ExperimentPlace::default()
+            };
             self.store_placed(index, iterations, place).await;
         }
         self.lines[index] = usual;
@@ -148,8 +158,13 @@ impl Factory {
                     ..line
                 };
                 let configuration = vec![("Users".to_owned(), users.to_string())];
-                let place =
-                    ExperimentPlace { name: "users".to_owned(), id: id.clone(), configuration, repeat: 0 };
+                let place = ExperimentPlace {
+                    name: "users".to_owned(),
+                    id: id.clone(),
+                    configuration,
+                    repeat: 0,
+                    ..ExperimentPlace::default()
+                };
                 self.store_placed(index, iterations, place).await;
             }
         }
@@ -169,7 +184,13 @@ impl Factory {
                 ("Network".to_owned(), ["zmq-tcp", "zmq-udp", "quic"][at / 3 % 3].to_owned()),
             ];
             let name = "every-model-at-every-size-over-every-network".to_owned();
-            let place = ExperimentPlace { name, id: id.clone(), configuration, repeat: 0 };
+            let place = ExperimentPlace {
+                name,
+                id: id.clone(),
+                configuration,
+                repeat: 0,
+                ..ExperimentPlace::default()
+            };
             self.store_placed(at % self.lines.len(), iterations, place).await;
         }
     }
@@ -179,8 +200,13 @@ impl Factory {
         let id = RunId::random().to_string();
         for reason in reasons {
             let configuration = vec![("rate".to_owned(), "20 Hz".to_owned())];
-            let place =
-                ExperimentPlace { name: "rates".to_owned(), id: id.clone(), configuration, repeat: 0 };
+            let place = ExperimentPlace {
+                name: "rates".to_owned(),
+                id: id.clone(),
+                configuration,
+                repeat: 0,
+                ..ExperimentPlace::default()
+            };
             let mut events = self.run(0, RunId::random(), iterations, true, Some(place));
             for event in &mut events {
                 if let Event::RunEnded(ended) = event {

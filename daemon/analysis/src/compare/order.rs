@@ -1,6 +1,8 @@
-//! Order of configurations. Runs are executed in random order, but readers expect labels in their natural order.
+//! Order of the configurations of an experiment. Runs are executed in random order, but readers expect the order of the file.
 
 use std::cmp::Ordering;
+
+use peernet_stream::ExperimentPlace;
 
 /// Units of labels, each with its value in the smallest unit of its kind.
 const UNITS: [(&str, f64); 14] = [
@@ -20,14 +22,23 @@ const UNITS: [(&str, f64); 14] = [
     ("mhz", 1e6),
 ];
 
-/// Compares the labels of two configurations axis by axis: the first axis in which they differ decides.
-pub(super) fn compare_labels(a: &[String], b: &[String]) -> Ordering {
-    let first_difference = a.iter().zip(b).map(|(a, b)| compare_label(a, b)).find(|order| order.is_ne());
+/// Compares the places of two runs in an experiment: by the position of the configuration in the experiment's file, then by its labels, then by
+/// the repeat. A configuration whose position is not known, because an earlier version ran it, follows those with a position.
+pub fn compare_places(a: &ExperimentPlace, b: &ExperimentPlace) -> Ordering {
+    let position = |place: &ExperimentPlace| (place.position.is_none(), place.position);
+    let labels = || compare_labels(&a.configuration, &b.configuration);
+    position(a).cmp(&position(b)).then_with(labels).then(a.repeat.cmp(&b.repeat))
+}
+
+/// Compares the labels of two configurations axis by axis, each in its natural order: the first axis in which they differ decides.
+fn compare_labels(a: &[(String, String)], b: &[(String, String)]) -> Ordering {
+    let pairs = a.iter().zip(b);
+    let first_difference = pairs.map(|((_, a), (_, b))| compare_label(a, b)).find(|order| order.is_ne());
     first_difference.unwrap_or_else(|| a.len().cmp(&b.len()))
 }
 
-/// Compares two labels. Numbers come first, ordered by value and unit. Words follow, ordered with the numbers in them by value.
-fn compare_label(a: &str, b: &str) -> Ordering {
+/// Compares two labels in their natural order. Numbers come first, ordered by value and unit. Words follow, ordered with the numbers in them by value.
+pub fn compare_label(a: &str, b: &str) -> Ordering {
     match (quantity(a), quantity(b)) {
         (Some(x), Some(y)) => x.total_cmp(&y).then_with(|| a.cmp(b)),
         (Some(_), None) => Ordering::Less,
@@ -75,10 +86,33 @@ mod tests {
     use super::*;
 
     fn sorted(rows: &[&[&str]]) -> Vec<Vec<String>> {
-        let mut rows: Vec<Vec<String>> =
-            rows.iter().map(|row| row.iter().map(|label| (*label).to_owned()).collect()).collect();
-        rows.sort_by(|a, b| compare_labels(a, b));
-        rows
+        let mut places: Vec<ExperimentPlace> = rows.iter().map(|row| place(None, row, 0)).collect();
+        places.sort_by(compare_places);
+        let labels =
+            |place: ExperimentPlace| place.configuration.into_iter().map(|(_, label)| label).collect();
+        places.into_iter().map(labels).collect()
+    }
+
+    fn place(position: Option<u32>, labels: &[&str], repeat: u32) -> ExperimentPlace {
+        let configuration = labels.iter().map(|label| ("axis".to_owned(), (*label).to_owned())).collect();
+        ExperimentPlace { configuration, position, repeat, ..ExperimentPlace::default() }
+    }
+
+    #[test]
+    fn position_in_file_counts_before_labels() {
+        let mut places = [
+            place(None, &["a"], 0),
+            place(Some(1), &["m"], 1),
+            place(Some(0), &["s"], 0),
+            place(Some(2), &["l"], 0),
+            place(Some(1), &["m"], 0),
+        ];
+        places.sort_by(compare_places);
+        let sorted = places.map(|place| (place.configuration[0].1.clone(), place.repeat));
+        assert_eq!(
+            sorted,
+            [("s", 0), ("m", 0), ("m", 1), ("l", 0), ("a", 0)].map(|(a, b)| (a.to_owned(), b))
+        );
     }
 
     #[test]
