@@ -201,7 +201,7 @@ fn card_that_does_not_fit_names_the_field() {
             "yolov8",
             "[\"bolt\", \"nut\", \"washer\"]",
             "[\"bolt\", \"nut\"]",
-            "its card says float32, float16 or float64 of shape [1, 6, n]",
+            "its card says float32, float16 or float64 of shape [1, 6, n], because `labels` has 2; write a label for each",
         ),
         ("detr", "activation = \"softmax\"", "activation = \"sigmoid\"", "its output \"logits\" is"),
         ("nms", "count = \"count\"", "count = \"number\"", "its card names the output \"number\""),

@@ -33,11 +33,9 @@ fn labels(configuration: &Configuration) -> String {
 #[test]
 fn model_folders_of_command_line_are_searched_first() {
     let folders = |more: &str| {
-        let file = File::parse(format!("{COMMON}{more}").parse().expect("TOML"), Path::new("e.toml"));
-        let (configurations, _) = file
-            .map(|file| file.configurations(&["/mine".into(), "/b".into()]))
-            .expect("is parsed")
-            .expect("reads");
+        let document = format!("{COMMON}{more}").parse().expect("TOML");
+        let file = File::parse(document, Path::new("e.toml")).expect("is parsed");
+        let (configurations, _) = file.configurations(&["/mine".into(), "/b".into()]).expect("reads");
         configurations[0].agent.bank.folders.clone()
     };
     let of_bank = folders("[bank]\nfolders = ['/a', '/b']\n");

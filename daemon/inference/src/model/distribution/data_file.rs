@@ -1,8 +1,8 @@
 //! Latencies of a recorded run, from columns of its `data.csv`.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use csv::StringRecord;
 use peernet_logger::stage;
@@ -11,18 +11,11 @@ use super::columns::Columns;
 use super::latency::MAX_LATENCY_S;
 use crate::LoadError;
 
-/// Name of the file in a folder of results.
-const FILE_NAME: &str = "data.csv";
 /// Largest number of latencies (80 MB).
 const MAX_LATENCIES: usize = 10_000_000;
 /// Numbers beyond it count as unknown everywhere in PEERNet.
 const MAX_NUMBER: f64 = 1e140;
 
-/// File in the folder of an experiment, and its folder with the folders of the runs.
-const EXPERIMENT_FILE: &str = "experiment.json";
-const RUNS_FOLDER: &str = "runs";
-/// Largest number of runs that an error names.
-const MAX_NAMED_RUNS: usize = 3;
 /// Smallest share of the mean latency at which a stage that is not part of the latencies is reported.
 const MIN_REPORTED_SHARE: f64 = 0.01;
 
@@ -34,46 +27,6 @@ pub(super) struct RecordedLatencies {
     /// Stages of the model that the latencies do not contain, with their means in seconds, if they are 1 % of the mean latency or
     /// more.
     pub(super) omitted_stages: Vec<(String, f64)>,
-}
-
-/// Returns the file that a path names: the file itself, or `data.csv` in a folder.
-///
-/// # Errors
-/// If the folder is that of an experiment, which has several runs.
-pub(super) fn data_file(path: &Path) -> Result<PathBuf, LoadError> {
-    if !path.is_dir() {
-        return Ok(path.to_owned());
-    }
-    let file = path.join(FILE_NAME);
-    if file.exists() || !path.join(EXPERIMENT_FILE).is_file() {
-        return Ok(file);
-    }
-    let runs = runs_of_experiment(path);
-    let advice = match runs.get(..MAX_NAMED_RUNS) {
-        _ if runs.is_empty() => "it has no finished run yet; name the folder of a run".to_owned(),
-        Some(first) if runs.len() > MAX_NAMED_RUNS => {
-            format!("name one of its {} runs, such as {}", runs.len(), first.join(", "))
-        }
-        _ => format!("name one of its runs: {}", runs.join(", ")),
-    };
-    Err(LoadError::File {
-        file: path.to_owned(),
-        reason: format!("it is the folder of an experiment, and data is one run; {advice}"),
-    })
-}
-
-/// Returns the folders with a `data.csv` of an experiment, sorted. A run with several users has a folder for each.
-fn runs_of_experiment(path: &Path) -> Vec<String> {
-    // A folder that cannot be listed has no runs to name; the error about the path remains.
-    let folders = |path: &Path| -> Vec<PathBuf> {
-        fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
-    };
-    let runs = folders(&path.join(RUNS_FOLDER));
-    let users = runs.iter().flat_map(|run| folders(run));
-    let all = runs.iter().cloned().chain(users).filter(|folder| folder.join(FILE_NAME).is_file());
-    let mut names: Vec<String> = all.map(|folder| folder.display().to_string()).collect();
-    names.sort();
-    names
 }
 
 /// Reads the latencies in a `data.csv`, each the sum of the columns in a row, from the iterations that statistics include:
@@ -203,6 +156,9 @@ fn ends_with_line_feed(file: &mut File) -> std::io::Result<bool> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
+    use super::super::run_folder::{FILE_NAME, data_file};
     use super::*;
 
     fn recorded(text: &str, columns: &[&str]) -> Result<RecordedLatencies, String> {
@@ -278,26 +234,5 @@ mod tests {
         assert_eq!(omitted(&text(0.5, 0.5), &["preprocessing", "inference"]), [named("postprocessing", 0.5)]);
         assert_eq!(omitted(&text(0.5, 0.5), &["total"]), [], "a total contains all stages");
         assert_eq!(omitted("inference\n0.0\n", &["inference"]), []);
-    }
-
-    #[test]
-    fn folder_of_an_experiment_is_refused_with_its_runs() {
-        let experiment = tempfile::tempdir().expect("a folder");
-        let path = experiment.path();
-        fs::write(path.join(EXPERIMENT_FILE), "{}").expect("written");
-        let refused = || data_file(path).expect_err("an experiment").to_string();
-        assert!(refused().contains("it has no finished run yet"), "{}", refused());
-        for run in ["001-local-r1", "002-cloud-r1/user-1", "002-cloud-r1/user-2"] {
-            fs::create_dir_all(path.join("runs").join(run)).expect("created");
-            fs::write(path.join("runs").join(run).join(FILE_NAME), "inference\n").expect("written");
-        }
-        let run = path.join("runs/001-local-r1").display().to_string();
-        assert!(
-            refused().contains("folder of an experiment") && refused().contains(&format!("runs: {run}, "))
-        );
-        fs::create_dir(path.join("runs/003-cloud-r1")).expect("created");
-        fs::write(path.join("runs/003-cloud-r1").join(FILE_NAME), "inference\n").expect("written");
-        assert!(refused().contains(&format!("one of its 4 runs, such as {run}, ")), "{}", refused());
-        assert!(!refused().contains("003-cloud-r1"), "{}", refused());
     }
 }

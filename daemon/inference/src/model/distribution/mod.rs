@@ -3,6 +3,7 @@
 mod columns;
 mod data_file;
 mod latency;
+mod run_folder;
 
 pub use columns::Columns;
 pub use latency::Histogram;
@@ -21,8 +22,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
-use data_file::{data_file, read_latencies};
+use data_file::read_latencies;
 use latency::{LatencyDistribution, check_ms, describe_stages};
+use run_folder::data_file;
 
 /// Name of the fact that marks the latencies of a run as replayed, with their distribution.
 // peernet-analysis reads it by this name.
