@@ -78,6 +78,10 @@ impl<'de, K: ModelKind + DeserializeOwned> Deserialize<'de> for ModelTable<K> {
                 one_of(&known_keys)
             )));
         }
+        // TOML has NaN and infinity, JSON has not, so they were read as null.
+        if let Some((key, _)) = kind_keys.iter().find(|(_, value)| value.is_null()) {
+            return Err(de::Error::custom(format!("`{key}` is nan or inf; write a finite number")));
+        }
         let shared: Keys = K::shared_keys().iter().filter_map(|key| kind_keys.remove_entry(*key)).collect();
         let shared = serde_json::from_value(shared.into()).map_err(de::Error::custom)?;
         // For a kind without keys, serde reads `struct Name {}` from a map and `struct Name;` from null.

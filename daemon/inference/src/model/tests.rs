@@ -27,6 +27,22 @@ fn foreign_or_misspelt_key_is_refused() {
 }
 
 #[test]
+fn number_that_is_not_finite_is_named() {
+    for (lines, named) in [
+        ("'distribution'\nmean_ms = nan\nstd_ms = 1.0", "`mean_ms` is nan or inf; write a finite number"),
+        ("'distribution'\nmean_ms = 1.0\nstd_ms = inf", "`std_ms` is nan or inf; write a finite number"),
+        (
+            "'distribution'\nhistogram = { edges_ms = [0.0, nan], counts = [1] }",
+            "`histogram.edges_ms[1]` is nan or inf; write milliseconds from 0 to 86400000",
+        ),
+        ("'sleep'\ninference_ms = nan", "`inference_ms` is nan or inf"),
+    ] {
+        let error = read(&format!("name = 'm'\nkind = {lines}")).expect_err(named).to_string();
+        assert!(error.contains(named), "{error}");
+    }
+}
+
+#[test]
 fn every_number_has_an_upper_limit() {
     for (kind, key, most) in [
         ("'onnx'\npath = 'x'", "workers", 256_u64),

@@ -1,7 +1,5 @@
 //! Latencies of a recorded run, from columns of its `data.csv`.
 
-use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use csv::StringRecord;
@@ -9,12 +7,15 @@ use peernet_logger::stage;
 
 use super::columns::Columns;
 use super::latency::MAX_LATENCY_S;
+use super::latency_rows::LatencyRows;
 use crate::LoadError;
 
 /// Largest number of latencies (80 MB).
 const MAX_LATENCIES: usize = 10_000_000;
-/// Numbers beyond it count as unknown everywhere in PEERNet.
-const MAX_NUMBER: f64 = 1e140;
+/// Largest number of columns that an error names.
+const MAX_NAMED_COLUMNS: usize = 60;
+/// Longest text of a cell in an error, characters.
+const MAX_SHOWN_CHARS: usize = 40;
 
 /// Smallest share of the mean latency at which a stage that is not part of the latencies is reported.
 const MIN_REPORTED_SHARE: f64 = 0.01;
@@ -34,36 +35,24 @@ pub(super) struct RecordedLatencies {
 /// example, a file of the program that was published with the paper. A row in which a column is empty has no latency.
 ///
 /// # Errors
-/// If the file cannot be read, lacks a column, or no row has a latency.
+/// If the file is not a regular file or cannot be read, lacks a column or has it twice, a row is too long or has a cell that is
+/// neither empty nor a latency, or no row has a latency.
 pub(super) fn read_latencies(file: &Path, columns: &Columns) -> Result<RecordedLatencies, LoadError> {
     let wrong = |reason: String| LoadError::File { file: file.to_owned(), reason };
-    let mut opened = File::open(file).map_err(|error| wrong(error.to_string()))?;
-    let is_complete = ends_with_line_feed(&mut opened).map_err(|error| wrong(error.to_string()))?;
-    // A row with another number of cells is an error only if a running program did not leave it behind.
-    let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(BufReader::new(opened));
-    let header = reader.headers().map_err(|error| wrong(error.to_string()))?.clone();
-    let position = |name: &str| header.iter().position(|cell| cell == name);
+    let mut rows = LatencyRows::open(file).map_err(wrong)?;
+    let header = rows.header().clone();
+    let position = |name: &str| column_position(&header, name);
     let named = columns.names().iter().map(|column| {
-        position(column).ok_or_else(|| {
-            let known: Vec<&str> = header.iter().take(60).collect();
-            wrong(format!("it has no column {column}; it has {}", known.join(", ")))
+        position(column)?.ok_or_else(|| {
+            let known: Vec<&str> = header.iter().take(MAX_NAMED_COLUMNS).collect();
+            format!("it has no column {column}; it has {}", known.join(", "))
         })
     });
-    let value_positions = named.collect::<Result<Vec<usize>, LoadError>>()?;
-    let (outcome_at, warm_up_at) = (position("outcome"), position("warm-up"));
-    let mut omitted: Vec<OmittedStage> = omitted_stages(columns, position);
+    let value_positions = named.collect::<Result<Vec<usize>, String>>().map_err(wrong)?;
+    let (outcome_at, warm_up_at) = (position("outcome").map_err(wrong)?, position("warm-up").map_err(wrong)?);
+    let mut omitted = omitted_stages(columns, position).map_err(wrong)?;
     let mut latencies = Vec::new();
-    let mut records = reader.records().peekable();
-    while let Some(record) = records.next() {
-        // A last line without a line feed was written by a program that was killed meanwhile.
-        if records.peek().is_none() && !is_complete {
-            break;
-        }
-        let record = record.map_err(|error| wrong(error.to_string()))?;
-        let line = record.position().map_or(0, csv::Position::line);
-        if record.len() != header.len() {
-            return Err(wrong(format!("line {line} has {} cells instead of {}", record.len(), header.len())));
-        }
+    while let Some((line, record)) = rows.next_row().map_err(wrong)? {
         let cell = |at: Option<usize>| at.and_then(|at| record.get(at));
         let is_counted = cell(outcome_at).is_none_or(|outcome| outcome == "ok")
             && cell(warm_up_at).is_none_or(|warm_up| warm_up == "0");
@@ -104,13 +93,30 @@ struct OmittedStage {
 }
 
 /// Returns the other stages of a model whose `inference` is drawn. Other columns, such as `total`, may contain them.
-fn omitted_stages(columns: &Columns, position: impl Fn(&str) -> Option<usize>) -> Vec<OmittedStage> {
+fn omitted_stages(
+    columns: &Columns,
+    position: impl Fn(&str) -> Result<Option<usize>, String>,
+) -> Result<Vec<OmittedStage>, String> {
     if !columns.contains(stage::INFERENCE.as_str()) {
-        return Vec::new();
+        return Ok(Vec::new());
     }
     let stages = [stage::PREPROCESSING, stage::POSTPROCESSING].map(|stage| stage.to_string());
     let omitted = stages.into_iter().filter(|stage| !columns.contains(stage));
-    omitted.filter_map(|column| position(&column).map(|at| OmittedStage { column, at, sum_s: 0.0 })).collect()
+    let found =
+        omitted.map(|column| Ok(position(&column)?.map(|at| OmittedStage { column, at, sum_s: 0.0 })));
+    found.filter_map(Result::transpose).collect()
+}
+
+/// Returns the position of a column; `None` if there is none.
+///
+/// # Errors
+/// Returns the reason if several columns have the name.
+fn column_position(header: &StringRecord, name: &str) -> Result<Option<usize>, String> {
+    let mut positions = header.iter().enumerate().filter(|(_, cell)| *cell == name).map(|(at, _)| at);
+    match (positions.next(), positions.next()) {
+        (first, None) => Ok(first),
+        (_, Some(_)) => Err(format!("it has several columns {name}; rename or remove all but one")),
+    }
 }
 
 /// Returns the sum of the latencies in some cells, seconds; `None` if one is unknown.
@@ -131,27 +137,16 @@ fn latency_in_cell(record: &StringRecord, at: usize) -> Result<Option<f64>, Stri
     if cell.is_empty() {
         return Ok(None);
     }
-    let number: f64 = cell.parse().map_err(|_| format!("{cell:?} is not a number"))?;
-    // This is as in `peernet compare`: such a cell is unknown.
-    if !number.is_finite() || number.abs() > MAX_NUMBER {
-        return Ok(None);
-    }
+    let shown = || cell.chars().take(MAX_SHOWN_CHARS).collect::<String>();
+    let number: f64 = cell.parse().map_err(|_| format!("{:?} is not a number", shown()))?;
     if (0.0..=MAX_LATENCY_S).contains(&number) {
         Ok(Some(number))
     } else {
-        Err(format!("{cell} is not a latency in seconds, from 0 to {MAX_LATENCY_S}; name another column"))
+        Err(format!(
+            "{} is not a latency in seconds, from 0 to {MAX_LATENCY_S}; correct or empty the cell, or name another column",
+            shown()
+        ))
     }
-}
-
-fn ends_with_line_feed(file: &mut File) -> std::io::Result<bool> {
-    if file.seek(SeekFrom::End(0))? == 0 {
-        return Ok(true);
-    }
-    let mut last = [0];
-    file.seek(SeekFrom::End(-1))?;
-    file.read_exact(&mut last)?;
-    file.rewind()?;
-    Ok(last == *b"\n")
 }
 
 #[cfg(test)]
@@ -176,7 +171,7 @@ mod tests {
     #[test]
     fn only_answered_iterations_after_warm_up_count() {
         let text = "iteration,inference,total,warm-up,outcome\n\
-                    1,9.0,9.1,1,ok\n2,0.01,0.02,0,ok\n3,0.5,,0,failed\n4,,0.3,0,ok\n5,nan,0.4,0,ok\n6,0.03,0.04,0,ok\n";
+                    1,9.0,9.1,1,ok\n2,0.01,0.02,0,ok\n3,0.5,,0,failed\n4,,0.3,0,ok\n5,,0.4,0,ok\n6,0.03,0.04,0,ok\n";
         assert_eq!(read(text, "inference"), Ok(vec![0.01, 0.03]));
         assert_eq!(read(text, "total"), Ok(vec![0.02, 0.3, 0.4, 0.04]));
     }
@@ -192,6 +187,11 @@ mod tests {
         for (text, reason) in [
             ("iteration,total\n1,0.5\n", "it has no column inference; it has iteration, total"),
             ("iteration,inference\n1,\n", "its column inference has no number"),
+            ("inference,a,inference\n0.1,0,0.2\n", "it has several columns inference"),
+            ("inference,outcome,outcome\n0.1,ok,ok\n", "it has several columns outcome"),
+            ("iteration,inference\n1,nan\n", "line 2: nan is not a latency in seconds"),
+            ("iteration,inference\n1,0.1\n2,inf\n", "line 3: inf is not a latency in seconds"),
+            ("iteration,inference\n1,1e300\n", "line 2: 1e300 is not a latency in seconds"),
             ("iteration,inference\n1,-0.1\n", "line 2: -0.1 is not a latency in seconds"),
             ("iteration,inference\n1,0.1\n2,1000000\n", "line 3: 1000000 is not a latency"),
             ("iteration,inference\n1,fast\n", "line 2: \"fast\" is not a number"),
@@ -217,6 +217,20 @@ mod tests {
         assert!(empty.expect_err("no sum").contains(reason));
         let too_long = recorded("inference,download\n50000,50000\n", &["inference", "download"]);
         assert!(too_long.expect_err("too long").contains("line 2: the sum of the columns, 100000"));
+    }
+
+    #[test]
+    fn endless_rows_are_refused() {
+        let long = "x".repeat(100_000);
+        for (text, line) in [
+            (format!("inference,{long}\n0.1,0\n"), "it is longer than 64 KiB"),
+            (format!("inference\n0.1\n{long}\n"), "line 3: it is longer than 64 KiB"),
+            (format!("inference\n\"{}", "0.1\n".repeat(30_000)), "line 2: it is longer than 64 KiB"),
+        ] {
+            let error = read(&text, "inference").expect_err("too long");
+            assert!(error.contains(line), "{error}");
+        }
+        assert_eq!(read(&format!("inference,a\n0.1,{}\n", "x".repeat(60_000)), "inference"), Ok(vec![0.1]));
     }
 
     #[test]

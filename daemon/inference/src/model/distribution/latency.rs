@@ -4,13 +4,16 @@ use std::f64::consts::TAU;
 
 use peernet_statistics::SplitMix64;
 use peernet_statistics::number::{counted, significant};
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::columns::Columns;
 use super::data_file::RecordedLatencies;
 
 /// Longest latency, seconds: one day.
 pub(super) const MAX_LATENCY_S: f64 = 24.0 * 3600.0;
+/// Longest latency, milliseconds.
+const MAX_MS: f64 = MAX_LATENCY_S * 1e3;
 /// Largest number of bins of a histogram.
 const MAX_BINS: usize = 10_000;
 
@@ -19,9 +22,24 @@ const MAX_BINS: usize = 10_000;
 #[serde(deny_unknown_fields)]
 pub struct Histogram {
     /// Edges of the bins, milliseconds, ascending; one more than bins.
+    #[serde(deserialize_with = "finite_edges")]
     pub edges_ms: Vec<f64>,
     /// Number of latencies in each bin.
     pub counts: Vec<u64>,
+}
+
+/// Reads edges; NaN and infinity of TOML arrive as null, because the table was read as JSON.
+fn finite_edges<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+    let edges = Vec::<Option<f64>>::deserialize(deserializer)?.into_iter().enumerate();
+    let finite = edges.map(|(position, edge)| {
+        edge.ok_or_else(|| {
+            let message = format!(
+                "`histogram.edges_ms[{position}]` is nan or inf; write milliseconds from 0 to {MAX_MS}"
+            );
+            D::Error::custom(message)
+        })
+    });
+    finite.collect()
 }
 
 /// Distribution from which latencies are drawn.
@@ -157,10 +175,10 @@ pub(super) fn describe_stages(stages: &[(String, f64)]) -> String {
 /// # Errors
 /// Returns a description of the defect if it is not a number from 0 to a day.
 pub(super) fn check_ms(latency: f64) -> Result<(), String> {
-    if (0.0..=MAX_LATENCY_S * 1e3).contains(&latency) {
+    if (0.0..=MAX_MS).contains(&latency) {
         Ok(())
     } else {
-        Err(format!("{latency} is not a latency; write milliseconds from 0 to {}", MAX_LATENCY_S * 1e3))
+        Err(format!("{latency} is not a latency; write milliseconds from 0 to {MAX_MS}"))
     }
 }
 

@@ -3,12 +3,12 @@
 mod columns;
 mod data_file;
 mod latency;
+mod latency_rows;
 mod run_folder;
 
 pub use columns::Columns;
 pub use latency::Histogram;
 
-use std::fs::File;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -24,6 +24,7 @@ use super::{LoadContext, ModelConfig, ModelKind, SharedKeys};
 use crate::{InferenceError, LoadError, Model, Requester, Worker};
 use data_file::read_latencies;
 use latency::{LatencyDistribution, check_ms, describe_stages};
+use latency_rows::open;
 use run_folder::data_file;
 
 /// Name of the fact that marks the latencies of a run as replayed, with their distribution.
@@ -98,7 +99,7 @@ impl ModelKind for DistributionConfig {
         let inner = self.inner_model(shared, context)?.map(|inner| inner.load(context)).transpose()?;
         let hash = self.data.as_deref().map(|data| {
             let file = data_file(data)?;
-            let hash = File::open(&file).and_then(peernet_external::sha256);
+            let hash = open(&file).and_then(peernet_external::sha256);
             hash.map_err(|error| LoadError::File { file, reason: error.to_string() })
         });
         let source = LatencySource { distribution, random: Mutex::new(SplitMix64::new(self.seed)) };

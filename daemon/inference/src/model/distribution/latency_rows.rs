@@ -1,0 +1,141 @@
+//! Rows of a `data.csv`, read one after the other in a bounded amount of memory.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+use csv::StringRecord;
+
+/// Longest header and longest row, bytes. A row of PEERNet has some thousand.
+const MAX_ROW_BYTES: usize = 64 << 10;
+
+/// Opens a regular file.
+///
+/// # Errors
+/// If it is not a regular file or cannot be opened.
+pub(super) fn open(file: &Path) -> io::Result<File> {
+    // The type is checked before opening, because opening a named pipe waits for its writer. Devices may have no end.
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("it is not a regular file; name the data.csv of a run"));
+    }
+    File::open(file)
+}
+
+/// Rows of a file, without the header and without an unfinished last line.
+pub(super) struct LatencyRows {
+    reader: csv::Reader<BoundedReader>,
+    header: StringRecord,
+    /// Row that follows; `None` at the end.
+    next: Option<StringRecord>,
+    /// Whether the file ends with a line feed.
+    is_complete: bool,
+}
+
+impl LatencyRows {
+    /// Opens a file and reads its header.
+    ///
+    /// # Errors
+    /// Returns the reason if the file is not regular or cannot be read.
+    pub(super) fn open(file: &Path) -> Result<Self, String> {
+        let mut opened = open(file).map_err(|error| error.to_string())?;
+        let is_complete = ends_with_line_feed(&mut opened).map_err(|error| error.to_string())?;
+        let bounded = BoundedReader { file: opened, remaining: MAX_ROW_BYTES };
+        // A row with another number of cells is an error only if a running program did not leave it behind.
+        let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bounded);
+        let header = reader.headers().map_err(|error| format!("its header: {error}"))?.clone();
+        let mut rows = Self { reader, header, next: None, is_complete };
+        rows.next = rows.read()?;
+        Ok(rows)
+    }
+
+    /// Returns the names of the columns.
+    pub(super) const fn header(&self) -> &StringRecord {
+        &self.header
+    }
+
+    /// Returns the next row with its line number; `None` at the end.
+    ///
+    /// # Errors
+    /// Returns the reason if the row cannot be read, is too long, or has another number of cells than the header.
+    pub(super) fn next_row(&mut self) -> Result<Option<(u64, StringRecord)>, String> {
+        let Some(row) = self.next.take() else { return Ok(None) };
+        let following = self.read();
+        // A last line without a line feed was written by a program that was killed meanwhile.
+        if matches!(following, Ok(None)) && !self.is_complete {
+            return Ok(None);
+        }
+        let line = row.position().map_or(0, csv::Position::line);
+        if row.len() != self.header.len() {
+            return Err(format!("line {line} has {} cells instead of {}", row.len(), self.header.len()));
+        }
+        self.next = following?;
+        Ok(Some((line, row)))
+    }
+
+    fn read(&mut self) -> Result<Option<StringRecord>, String> {
+        let line = self.reader.position().line();
+        // The reader fetches bytes in advance, so that its buffer is added to what the row may have.
+        self.reader.get_mut().remaining = MAX_ROW_BYTES;
+        let mut row = StringRecord::new();
+        match self.reader.read_record(&mut row) {
+            Ok(true) => Ok(Some(row)),
+            Ok(false) => Ok(None),
+            Err(error) if error.is_io_error() => Err(format!("line {line}: {error}")),
+            Err(error) => Err(error.to_string()),
+        }
+    }
+}
+
+/// Reader that fails after a number of bytes.
+// A file without line feeds, or with a quotation mark that nothing closes, would be one row, as large as the file.
+struct BoundedReader {
+    file: File,
+    /// Number of bytes until the failure.
+    remaining: usize,
+}
+
+impl Read for BoundedReader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if self.remaining == 0 {
+            let limit = MAX_ROW_BYTES >> 10;
+            return Err(io::Error::other(format!(
+                "it is longer than {limit} KiB, so the file is no data.csv"
+            )));
+        }
+        let count = self.file.read(buffer)?;
+        self.remaining = self.remaining.saturating_sub(count);
+        Ok(count)
+    }
+}
+
+fn ends_with_line_feed(file: &mut File) -> io::Result<bool> {
+    if file.seek(SeekFrom::End(0))? == 0 {
+        return Ok(true);
+    }
+    let mut last = [0];
+    file.seek(SeekFrom::End(-1))?;
+    file.read_exact(&mut last)?;
+    file.rewind()?;
+    Ok(last == *b"\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use rustix::fs::{CWD, FileType, Mode, mknodat};
+
+    use super::*;
+
+    #[test]
+    fn special_and_sparse_files_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let refused = |file: &Path| LatencyRows::open(file).err().expect("is refused");
+        let pipe = folder.path().join("pipe");
+        mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR, 0).expect("a pipe");
+        for special in [&*pipe, Path::new("/dev/zero"), folder.path()] {
+            assert_eq!(refused(special), "it is not a regular file; name the data.csv of a run");
+        }
+        let sparse = folder.path().join("sparse");
+        File::create(&sparse).and_then(|file| file.set_len(1 << 40)).expect("written");
+        assert_eq!(refused(&sparse), "its header: it is longer than 64 KiB, so the file is no data.csv");
+    }
+}
