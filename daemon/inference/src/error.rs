@@ -353,11 +353,21 @@ impl InferenceError {
     pub fn to_peer(&self) -> String {
         match self {
             Self::Server { model, reason, .. } => {
-                Self::Failed { model: model.clone(), reason: reason.clone() }.to_string()
+                Self::Failed { model: model.clone(), reason: hide_urls(reason) }.to_string()
             }
             error => error.to_string(),
         }
     }
+}
+
+/// Returns a text with `http://…` in place of URLs. A server's text or a redirect may have the address of a server.
+fn hide_urls(text: &str) -> String {
+    let hide = |word: &str| {
+        let schemes = ["http://", "https://"].into_iter();
+        let end = schemes.filter_map(|scheme| Some(word.find(scheme)? + scheme.len())).next()?;
+        (end < word.len()).then(|| format!("{}…", &word[..end]))
+    };
+    text.split(' ').map(|word| hide(word).unwrap_or_else(|| word.to_owned())).collect::<Vec<_>>().join(" ")
 }
 
 fn list_folders(folders: &[PathBuf]) -> String {

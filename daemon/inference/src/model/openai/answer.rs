@@ -29,6 +29,12 @@ pub(super) enum StreamError {
     /// The server reported an error in the stream.
     #[error("its server ended the answer after {}: {text}", chunks(*.after))]
     Server { after: u64, text: String },
+    /// The answer ended without text, reasoning and a finish reason.
+    #[error("its server ended its answer without text")]
+    WithoutText,
+    /// The bytes are no stream of events.
+    #[error("its answer of {0} bytes is no event stream")]
+    NoEvents(usize),
     /// The stream ended without a reason.
     #[error("its server closed the connection after {} without ending the answer", chunks(*.0))]
     EndedEarly(u64),
@@ -65,6 +71,8 @@ pub(super) struct StreamedAnswer {
     pub(super) text: String,
     /// Number of tokens as the server counted them.
     pub(super) usage: Option<Usage>,
+    /// First reported value that cannot be a number of tokens.
+    pub(super) usage_defect: Option<String>,
     /// Reason why the answer ended, such as `stop` or `length`.
     pub(super) finish_reason: Option<String>,
     is_done: bool,
@@ -85,6 +93,7 @@ impl StreamedAnswer {
             chunk_times: Vec::new(),
             text: String::new(),
             usage: None,
+            usage_defect: None,
             finish_reason: None,
             is_done: false,
             events: EventStream::default(),
@@ -134,8 +143,12 @@ impl StreamedAnswer {
         if let Some(error) = &event.error {
             return Err(StreamError::Server { after: self.chunk_count(), text: error_text(error) });
         }
-        self.usage = event.usage.or(self.usage);
-        match event.choices.into_iter().flatten().next() {
+        if let Some(usage) = &event.usage {
+            let (usage, defect) = Usage::read(usage);
+            self.usage = Some(usage);
+            self.usage_defect = self.usage_defect.take().or(defect);
+        }
+        match event.choices.into_iter().flatten().find(Choice::is_first) {
             Some(choice) => self.receive_choice(at, choice, receive_text),
             None => Ok(()),
         }
@@ -177,14 +190,18 @@ impl StreamedAnswer {
         self.is_done
     }
 
-    /// Checks the answer at the end of the connection. A server may leave out the last event if it has given a reason
-    /// for the end.
+    /// Checks the answer at its end or that of the connection. A server may leave out the last event if it has given a reason
+    /// for the end. An answer with a reason may have no text; for example, one that calls a tool.
     ///
     /// # Errors
     /// If the answer is incomplete.
     pub(super) fn end(&self) -> Result<(), StreamError> {
-        if self.is_done || self.finish_reason.is_some() {
+        if self.finish_reason.is_some() || (self.is_done && self.chunk_count() > 0) {
             Ok(())
+        } else if self.is_done {
+            Err(StreamError::WithoutText)
+        } else if self.byte_count > 0 && !self.events.has_field() {
+            Err(StreamError::NoEvents(self.byte_count))
         } else {
             Err(StreamError::EndedEarly(self.chunk_count()))
         }

@@ -1,14 +1,15 @@
 //! The keys of `kind = "openai"`.
 
 use std::num::NonZeroU64;
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 use std::time::Duration;
 
 use peernet_clock::SharedClock;
 use serde::{Deserialize, Serialize};
 
 use super::Openai;
-use super::server::{ApiKey, Server, TimeLimits};
+use super::server::{ApiKey, Server};
+use super::time_limits::TimeLimits;
 use crate::model::{Keys, LoadContext, ModelKind, SharedKeys};
 use crate::{LoadError, Model};
 
@@ -87,6 +88,7 @@ impl ModelKind for OpenaiConfig {
             config: self.clone(),
             server: self.server(shared)?,
             clock: SharedClock::clone(context.clock),
+            usage_warning: Once::new(),
         };
         model.check_server()?;
         Ok(Arc::new(Arc::new(model)))

@@ -15,6 +15,11 @@ pub(super) enum RequestError {
     /// No connection can be opened.
     #[error("cannot connect to its server: {0}; start the server, or correct url")]
     Connect(String),
+    /// The server accepts a connection and does not answer.
+    #[error(
+        "its server accepts connections and did not answer GET {path} within {} ms; restart it, or correct url", .limit.as_millis()
+    )]
+    NoAnswer { path: String, limit: Duration },
     /// The TLS handshake failed.
     #[error("cannot open a TLS connection to its server {server}: {reason}; {remedy}")]
     Tls { server: String, reason: String, remedy: String },
@@ -40,12 +45,12 @@ pub(super) enum RequestError {
     )]
     Total { limit: Duration, after: u64 },
     /// The server refused the request.
-    #[error("its server answered with HTTP status {status}{}; {}", colon(.text), status_remedy(*.status, .retry_after.as_deref()))]
+    #[error("its server answered with HTTP status {status}{}; {}", colon(.text), status_remedy(*.status, .hint.as_deref()))]
     Status {
         status: hyper::StatusCode,
         text: String,
-        /// Value of the header `Retry-After`.
-        retry_after: Option<String>,
+        /// Value of the header `Location` of a redirect, or `Retry-After` of any other answer.
+        hint: Option<String>,
     },
     /// The answer is not streamed.
     #[error(
@@ -53,6 +58,12 @@ pub(super) enum RequestError {
          before /chat/completions"
     )]
     NotStreamed(String),
+    /// The answer is compressed.
+    #[error(
+        "its server answered with Content-Encoding: {0}, although the request allows none; switch compression off in the server or its \
+         proxy"
+    )]
+    Encoded(String),
     /// The stream is no complete answer.
     #[error("{}{}", .0, stream_remedy(.0))]
     Stream(#[from] StreamError),
@@ -63,17 +74,27 @@ impl RequestError {
     /// loading, or is overloaded.
     pub(super) fn is_transient(&self) -> bool {
         match self {
-            Self::Connect(_) | Self::Connection { .. } | Self::FirstToken(_) | Self::Token { .. } => true,
+            Self::Connect(_)
+            | Self::NoAnswer { .. }
+            | Self::Connection { .. }
+            | Self::FirstToken(_)
+            | Self::Token { .. } => true,
             Self::Status { status, .. } => {
                 status.is_server_error() || *status == hyper::StatusCode::TOO_MANY_REQUESTS
             }
-            Self::Stream(StreamError::Server { .. } | StreamError::EndedEarly(_)) => true,
+            Self::Stream(
+                StreamError::Server { .. } | StreamError::EndedEarly(_) | StreamError::WithoutText,
+            ) => true,
             Self::Tls { .. }
             | Self::Total { .. }
             | Self::NotStreamed(_)
-            | Self::Stream(StreamError::Event { .. } | StreamError::EventTooLong | StreamError::TooLong(_)) => {
-                false
-            }
+            | Self::Encoded(_)
+            | Self::Stream(
+                StreamError::Event { .. }
+                | StreamError::NoEvents(_)
+                | StreamError::EventTooLong
+                | StreamError::TooLong(_),
+            ) => false,
         }
     }
 
@@ -85,22 +106,28 @@ impl RequestError {
             *text = shorten(&secret.map_or_else(|| text.clone(), |secret| text.replace(secret, "***")));
         };
         match &mut self {
-            Self::Status { text, retry_after, .. } => {
+            Self::Status { text, hint, .. } => {
                 clean(text);
-                retry_after.iter_mut().for_each(clean);
+                hint.iter_mut().for_each(clean);
             }
             Self::Connect(text)
             | Self::NotStreamed(text)
+            | Self::Encoded(text)
             | Self::Tls { reason: text, .. }
             | Self::Connection { reason: text, .. }
             | Self::Stream(StreamError::Server { text, .. } | StreamError::Event { reason: text, .. }) => {
                 clean(text);
             }
             Self::FirstToken(_)
+            | Self::NoAnswer { .. }
             | Self::Token { .. }
             | Self::Total { .. }
             | Self::Stream(
-                StreamError::EndedEarly(_) | StreamError::EventTooLong | StreamError::TooLong(_),
+                StreamError::EndedEarly(_)
+                | StreamError::WithoutText
+                | StreamError::NoEvents(_)
+                | StreamError::EventTooLong
+                | StreamError::TooLong(_),
             ) => {}
         }
         self.to_string()
@@ -120,10 +147,17 @@ fn colon(text: &str) -> String {
     if text.is_empty() { String::new() } else { format!(": {text}") }
 }
 
-/// Returns what to do about an answer with this status. `retry_after` is the value of the header `Retry-After`.
-fn status_remedy(status: hyper::StatusCode, retry_after: Option<&str>) -> String {
+/// Returns what to do about an answer with this status. `hint` is the value of the header `Location` or `Retry-After`.
+fn status_remedy(status: hyper::StatusCode, hint: Option<&str>) -> String {
     let slower = "lower the rate of the pipeline, or the number of workers";
-    match (retry_after, status.as_u16()) {
+    match (hint, status.as_u16()) {
+        (Some(location), 300..=399) => {
+            format!(
+                "it redirects to {location}, and redirects are not followed: write the address of the API into url"
+            )
+        }
+        (None, 300..=399) => "redirects are not followed: write the address of the API into url".to_owned(),
+        (_, ..=299) => "a chat API answers with 200 and an event stream: check url".to_owned(),
         (Some(after), _) if after.bytes().all(|byte| byte.is_ascii_digit()) => {
             format!("it asks to wait {after} s: {slower}")
         }
@@ -140,8 +174,12 @@ fn status_remedy(status: hyper::StatusCode, retry_after: Option<&str>) -> String
 /// Returns what to do about a stream that is no complete answer; empty if the error says it.
 const fn stream_remedy(error: &StreamError) -> &'static str {
     match error {
-        StreamError::Server { .. } | StreamError::EndedEarly(_) => "; the server's log says why",
-        StreamError::Event { .. } => "; url must name a server with the OpenAI API",
+        StreamError::Server { .. } | StreamError::EndedEarly(_) | StreamError::WithoutText => {
+            "; the server's log says why"
+        }
+        StreamError::Event { .. } | StreamError::NoEvents(_) => {
+            "; url must name a server with the OpenAI API"
+        }
         StreamError::EventTooLong | StreamError::TooLong(_) => "",
     }
 }
@@ -162,9 +200,10 @@ mod tests {
             RequestError::Status {
                 status: hyper::StatusCode::UNAUTHORIZED,
                 text: text(),
-                retry_after: Some(text()),
+                hint: Some(text()),
             },
             RequestError::NotStreamed(text()),
+            RequestError::Encoded(text()),
             RequestError::Stream(StreamError::Server { after: 1, text: text() }),
             RequestError::Stream(StreamError::Event { number: 1, reason: text() }),
         ];
@@ -176,12 +215,14 @@ mod tests {
 
     #[test]
     fn status_has_remedy() {
-        let message = |status: u16, retry_after: Option<&str>| {
+        let message = |status: u16, hint: Option<&str>| {
             let status = hyper::StatusCode::from_u16(status).expect("a status");
-            let retry_after = retry_after.map(str::to_owned);
-            RequestError::Status { status, text: String::new(), retry_after }.message(None)
+            let hint = hint.map(str::to_owned);
+            RequestError::Status { status, text: String::new(), hint }.message(None)
         };
         for (status, remedy) in [
+            (204, "; a chat API answers with 200"),
+            (304, "; redirects are not followed"),
             (400, "; check parameters"),
             (401, "api_key_env"),
             (404, "; check url and model"),

@@ -10,7 +10,8 @@ use serde_json::Value;
 pub(super) struct EventData {
     pub(super) choices: Option<Vec<Choice>>,
     /// Number of tokens of the whole answer in the last event; some servers send the number so far in each event.
-    pub(super) usage: Option<Usage>,
+    // A count that cannot be read must not make the text of the answer unreadable.
+    pub(super) usage: Option<Value>,
     /// Error that ended the answer.
     pub(super) error: Option<Value>,
 }
@@ -18,6 +19,8 @@ pub(super) struct EventData {
 /// Part of one answer; a request asks for one answer only.
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Choice {
+    /// Number of the answer; 0 if it is missing.
+    index: Option<Value>,
     pub(super) delta: Option<Delta>,
     pub(super) finish_reason: Option<String>,
 }
@@ -33,25 +36,27 @@ pub(super) struct Delta {
     reasoning: Option<String>,
 }
 
+/// Largest number of tokens: floating-point numbers have all integers up to it.
+const MAX_TOKENS: u64 = 1 << 53;
+
 /// Number of tokens, as the server counted them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Usage {
     /// Tokens of the request, pictures included.
     pub(super) prompt_tokens: Option<u64>,
+    /// Tokens of the request that the server had in its cache.
+    pub(super) cached_tokens: Option<u64>,
     /// Tokens of reasoning and answer.
     pub(super) completion_tokens: Option<u64>,
-    prompt_tokens_details: Option<PromptDetails>,
-    completion_tokens_details: Option<CompletionDetails>,
+    /// Tokens of the reasoning.
+    pub(super) reasoning_tokens: Option<u64>,
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-struct PromptDetails {
-    cached_tokens: Option<u64>,
-}
-
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
-struct CompletionDetails {
-    reasoning_tokens: Option<u64>,
+impl Choice {
+    /// Returns whether it belongs to the answer that the request asks for.
+    pub(super) fn is_first(&self) -> bool {
+        self.index.as_ref().is_none_or(|index| index.as_f64() == Some(0.0))
+    }
 }
 
 impl Delta {
@@ -62,14 +67,40 @@ impl Delta {
 }
 
 impl Usage {
-    /// Returns the number of tokens of the request that the server had in its cache.
-    pub(super) fn cached_tokens(&self) -> Option<u64> {
-        self.prompt_tokens_details?.cached_tokens
-    }
-
-    /// Returns the number of tokens of the reasoning.
-    pub(super) fn reasoning_tokens(&self) -> Option<u64> {
-        self.completion_tokens_details?.reasoning_tokens
+    /// Reads the object `usage`. A value that cannot be a number of tokens is left out; the first one is returned as text, such as
+    /// `completion_tokens = -5`.
+    pub(super) fn read(usage: &Value) -> (Self, Option<String>) {
+        if !usage.is_object() {
+            return (Self::default(), Some(format!("usage = {usage}")));
+        }
+        let mut defect = None;
+        let mut count = |group: Option<&str>, name: &str| {
+            let table = group.map_or(Some(usage), |group| usage.get(group));
+            let value = table.and_then(|table| table.get(name)).filter(|value| !value.is_null())?;
+            let tokens = value.as_u64().filter(|tokens| *tokens <= MAX_TOKENS);
+            if tokens.is_none() {
+                defect.get_or_insert_with(|| format!("{name} = {value}"));
+            }
+            tokens
+        };
+        let mut read = Self {
+            prompt_tokens: count(None, "prompt_tokens"),
+            cached_tokens: count(Some("prompt_tokens_details"), "cached_tokens"),
+            completion_tokens: count(None, "completion_tokens"),
+            reasoning_tokens: count(Some("completion_tokens_details"), "reasoning_tokens"),
+        };
+        for (part, part_name, whole, whole_name) in [
+            (&mut read.cached_tokens, "cached_tokens", read.prompt_tokens, "prompt_tokens"),
+            (&mut read.reasoning_tokens, "reasoning_tokens", read.completion_tokens, "completion_tokens"),
+        ] {
+            if let (Some(tokens), Some(whole)) = (*part, whole)
+                && tokens > whole
+            {
+                defect.get_or_insert_with(|| format!("{part_name} = {tokens} of {whole_name} = {whole}"));
+                *part = None;
+            }
+        }
+        (read, defect)
     }
 }
 
@@ -108,6 +139,50 @@ mod tests {
             ("", ""),
         ] {
             assert_eq!(error_text_of_body(body.as_bytes()), text);
+        }
+    }
+
+    #[test]
+    fn odd_counts_of_tokens_are_left_out() {
+        let whole = Usage { prompt_tokens: Some(12), completion_tokens: Some(5), ..Usage::default() };
+        for (usage, expected, defect) in [
+            (r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":7}"#, whole, None),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":null}"#,
+                Usage { completion_tokens: None, ..whole },
+                None,
+            ),
+            (
+                r#"{"prompt_tokens":12.0,"completion_tokens":5}"#,
+                Usage { prompt_tokens: None, ..whole },
+                Some("prompt_tokens = 12.0"),
+            ),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":-5}"#,
+                Usage { completion_tokens: None, ..whole },
+                Some("completion_tokens = -5"),
+            ),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":9007199254740993}"#,
+                Usage { completion_tokens: None, ..whole },
+                Some("completion_tokens = 9007199254740993"),
+            ),
+            (r#"{"prompt_tokens":"12"}"#, Usage::default(), Some("prompt_tokens = \"12\"")),
+            (r#"{"completion_tokens":1e30}"#, Usage::default(), Some("completion_tokens = 1e+30")),
+            ("[12]", Usage::default(), Some("usage = [12]")),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":5,"completion_tokens_details":{"reasoning_tokens":99}}"#,
+                whole,
+                Some("reasoning_tokens = 99 of completion_tokens = 5"),
+            ),
+            (
+                r#"{"prompt_tokens":12,"completion_tokens":5,"prompt_tokens_details":{"cached_tokens":13}}"#,
+                whole,
+                Some("cached_tokens = 13 of prompt_tokens = 12"),
+            ),
+        ] {
+            let read = Usage::read(&serde_json::from_str(usage).expect("is JSON"));
+            assert_eq!(read, (expected, defect.map(str::to_owned)), "{usage}");
         }
     }
 

@@ -19,7 +19,12 @@ pub(super) struct EventStream {
     ends_with_return: bool,
     /// Whether the first line has ended.
     has_line: bool,
+    /// Whether a line was a comment or a field of the standard.
+    has_field: bool,
 }
+
+/// Names of the standard's fields; a comment has an empty name.
+const FIELDS: [&[u8]; 5] = [b"", b"data", b"event", b"id", b"retry"];
 
 /// Error: an event is longer than 1 MiB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +59,12 @@ impl EventStream {
         Ok(self.extend_line(bytes)?)
     }
 
+    /// Returns whether the bytes so far have a comment or a field of the standard, as those of every event stream do.
+    pub(super) fn has_field(&self) -> bool {
+        // The last line may have no end yet.
+        self.has_field || is_field(&self.line)
+    }
+
     fn extend_line(&mut self, bytes: &[u8]) -> Result<(), EventTooLong> {
         if self.line.len() + bytes.len() > MAX_EVENT_BYTES {
             return Err(EventTooLong);
@@ -75,6 +86,7 @@ impl EventStream {
             // The standard removes the last line feed, and dispatches no event without data.
             return Ok(data.pop().map(|_| data));
         }
+        self.has_field |= is_field(line);
         let (name, value) = match line.iter().position(|byte| *byte == b':') {
             Some(colon) => (&line[..colon], &line[colon + 1..]),
             None => (line, &line[line.len()..]),
@@ -91,6 +103,11 @@ impl EventStream {
         self.line.clear();
         Ok(None)
     }
+}
+
+/// Returns whether a line begins with the name of a field and a colon.
+fn is_field(line: &[u8]) -> bool {
+    line.iter().position(|byte| *byte == b':').is_some_and(|colon| FIELDS.contains(&&line[..colon]))
 }
 
 #[cfg(test)]

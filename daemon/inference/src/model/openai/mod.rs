@@ -17,11 +17,13 @@ pub mod fuzzing;
 mod nodes;
 mod request;
 mod server;
+mod status_error;
+mod time_limits;
 mod worker;
 
 pub use config::OpenaiConfig;
 
-use std::sync::Arc;
+use std::sync::{Arc, Once};
 
 use peernet_clock::SharedClock;
 use tokio::runtime::{Builder, Runtime};
@@ -37,16 +39,20 @@ struct Openai {
     config: OpenaiConfig,
     server: Server,
     clock: SharedClock,
+    /// Whether a wrong number of tokens has been logged.
+    usage_warning: Once,
 }
 
 impl Openai {
     /// Checks that the server can be reached. Blocks.
     fn check_server(&self) -> Result<(), LoadError> {
-        self.runtime()?.block_on(self.server.check()).map_err(|error| LoadError::Server {
-            model: self.name.clone(),
-            url: self.config.url.clone(),
-            is_transient: error.is_transient(),
-            reason: error.message(self.server.secret()),
+        self.runtime()?.block_on(self.server.check(self.config.time_limits().total)).map_err(|error| {
+            LoadError::Server {
+                model: self.name.clone(),
+                url: self.config.url.clone(),
+                is_transient: error.is_transient(),
+                reason: error.message(self.server.secret()),
+            }
         })
     }
 

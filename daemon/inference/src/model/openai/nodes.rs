@@ -75,9 +75,9 @@ pub(super) fn record(answer: &StreamedAnswer, inference: &mut Recorder) {
     }
     for (name, tokens) in [
         (OUTPUT_TOKENS, usage.completion_tokens),
-        (REASONING_TOKENS, usage.reasoning_tokens()),
+        (REASONING_TOKENS, usage.reasoning_tokens),
         (INPUT_TOKENS, usage.prompt_tokens),
-        (CACHED_INPUT_TOKENS, usage.cached_tokens()),
+        (CACHED_INPUT_TOKENS, usage.cached_tokens),
     ] {
         if let Some(tokens) = tokens {
             inference.record_value(name, tokens as f64, Unit::TOKENS);

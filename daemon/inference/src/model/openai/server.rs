@@ -3,39 +3,26 @@
 use std::time::Duration;
 
 use bytes::Bytes;
-use http_body_util::{BodyExt, Full, Limited};
-use hyper::body::Incoming;
+use http_body_util::{BodyExt, Full};
 use hyper::client::conn::http1::SendRequest;
 use hyper::header::{
-    ACCEPT, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue, InvalidHeaderValue, RETRY_AFTER, USER_AGENT,
+    ACCEPT, ACCEPT_ENCODING, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderValue, InvalidHeaderValue, USER_AGENT,
 };
-use hyper::{Method, Request, Response, StatusCode, Uri};
+use hyper::{Method, Request, StatusCode, Uri};
 use hyper_util::rt::TokioIo;
-use peernet_clock::{MonoTime, SharedClock, Span};
+use peernet_clock::SharedClock;
 use tokio::time::timeout;
 
 use super::answer::StreamedAnswer;
 use super::connection::{Connection, Connector};
 use super::error::RequestError;
-use super::event_data::error_text_of_body;
+use super::status_error::{content_encoding, status_error};
+use super::time_limits::{TimeLimits, Waits};
 
-/// Largest body of an error that is read, bytes.
-const MAX_ERROR_BYTES: usize = 64 << 10;
 /// Time limit for the body of an error.
 const ERROR_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time limit for the check whether the server can be reached.
+/// Longest time limit for the check whether the server can be reached.
 const CHECK_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Time limits of a request.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct TimeLimits {
-    /// From the start of the request to its first token, of the reasoning or of the answer.
-    pub(super) first_token: Duration,
-    /// From one chunk to the next, and from the last to the end of the answer.
-    pub(super) token: Duration,
-    /// From the start of the request to the end of the answer.
-    pub(super) total: Duration,
-}
 
 /// Address of a server, with the key of its user.
 pub(super) struct Server {
@@ -101,28 +88,37 @@ impl Server {
     }
 
     /// Checks that the server can be reached and accepts the key, by the list of its models. A server without this list
-    /// passes.
+    /// passes. The check ends within `limit`, and within ten seconds.
     ///
     /// # Errors
-    /// If it cannot be reached, or refuses the key.
-    pub(super) async fn check(&self) -> Result<(), RequestError> {
+    /// If it cannot be reached, does not answer, or refuses the key.
+    pub(super) async fn check(&self, limit: Duration) -> Result<(), RequestError> {
+        let limit = limit.min(CHECK_TIMEOUT);
         let request = self.request(Method::GET, "/models", Bytes::new())?;
+        let mut is_connected = false;
         let exchange = async {
             let stream = self.connector.connect().await?;
+            is_connected = true;
             exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
                 let response =
                     sender.send_request(request).await.map_err(|error| connection_error(0, &error))?;
                 match response.status() {
                     // Any other status shows that the server is there; some servers have no list of models.
-                    StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => Err(status_error(response).await),
+                    StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => {
+                        Err(status_error(response, ERROR_TIMEOUT.min(limit / 2)).await)
+                    }
                     _ => Ok(()),
                 }
             })
             .await
         };
-        match timeout(CHECK_TIMEOUT, exchange).await {
+        let result = timeout(limit, exchange).await;
+        match result {
             Ok(result) => result,
-            Err(_) => Err(RequestError::Connect(format!("no answer within {} s", CHECK_TIMEOUT.as_secs()))),
+            Err(_) if is_connected => {
+                Err(RequestError::NoAnswer { path: format!("{}/models", self.path), limit })
+            }
+            Err(_) => Err(RequestError::Connect(format!("no connection within {} ms", limit.as_millis()))),
         }
     }
 
@@ -143,13 +139,18 @@ impl Server {
         mut receive_text: impl FnMut(&str),
     ) -> Result<(), RequestError> {
         let request = self.request(Method::POST, "/chat/completions", body)?;
-        let stream = within(limits, clock, answer, self.connector.connect()).await??;
+        let mut waits = Waits::new(limits, clock, answer.started_at);
+        let stream = waits.within(answer, self.connector.connect()).await??;
         answer.connected_at = Some(clock.mono());
         exchange(stream, async |mut sender: SendRequest<Full<Bytes>>| {
-            let response = within(limits, clock, answer, sender.send_request(request)).await?;
+            let response = waits.within(answer, sender.send_request(request)).await?;
             let mut response = response.map_err(|error| connection_error(0, &error))?;
             if response.status() != StatusCode::OK {
-                return Err(status_error(response).await);
+                let remaining = waits.remaining(answer).0.min(ERROR_TIMEOUT);
+                return Err(status_error(response, remaining).await);
+            }
+            if let Some(encoding) = content_encoding(&response) {
+                return Err(RequestError::Encoded(encoding));
             }
             let media = response.headers().get(CONTENT_TYPE).map_or(&b""[..], HeaderValue::as_bytes);
             if !media.to_ascii_lowercase().starts_with(b"text/event-stream") {
@@ -158,14 +159,19 @@ impl Server {
                 return Err(RequestError::NotStreamed(media.to_owned()));
             }
             while !answer.is_done() {
-                let frame = within(limits, clock, answer, response.body_mut().frame()).await?;
+                let frame = waits.within(answer, response.body_mut().frame()).await?;
                 // Stamped before it is parsed.
                 let arrived_at = clock.mono();
                 match frame {
                     None => return Ok(answer.end()?),
                     Some(Ok(frame)) => {
                         if let Some(bytes) = frame.data_ref() {
+                            let earlier = answer.chunk_count();
                             answer.receive(arrived_at, bytes, &mut receive_text)?;
+                            // `receive_text` may have waited for the requester, which is no time of the server.
+                            if answer.chunk_count() > earlier {
+                                waits.waiting_since = clock.mono();
+                            }
                         }
                     }
                     // Some servers close the connection without the end of the last HTTP chunk.
@@ -173,7 +179,7 @@ impl Server {
                     Some(Err(error)) => return Err(connection_error(answer.chunk_count(), &error)),
                 }
             }
-            Ok(())
+            Ok(answer.end()?)
         })
         .await
     }
@@ -185,6 +191,7 @@ impl Server {
             .header(HOST, &self.authority)
             .header(USER_AGENT, concat!("peernet/", env!("CARGO_PKG_VERSION")))
             .header(ACCEPT, "text/event-stream, application/json")
+            .header(ACCEPT_ENCODING, "identity")
             .header(CONTENT_TYPE, "application/json");
         if let Some(key) = &self.key {
             request = request.header(AUTHORIZATION, &key.authorization);
@@ -209,45 +216,6 @@ async fn exchange<R: AsyncFnOnce(SendRequest<Full<Bytes>>) -> Result<(), Request
         // The server closes the connection after its answer, which may not have been read yet.
         _ = &mut connection => requests.await,
     }
-}
-
-/// Waits for a part of the answer, within the limit that ends first.
-async fn within<T>(
-    limits: &TimeLimits,
-    clock: &SharedClock,
-    answer: &StreamedAnswer,
-    part: impl Future<Output = T>,
-) -> Result<T, RequestError> {
-    let after = answer.chunk_count();
-    let end_of = |from: MonoTime, limit: Duration| from + span(limit);
-    let (next, late) = match answer.last_chunk_at() {
-        None => (end_of(answer.started_at, limits.first_token), RequestError::FirstToken(limits.first_token)),
-        Some(last) => (end_of(last, limits.token), RequestError::Token { limit: limits.token, after }),
-    };
-    let total = end_of(answer.started_at, limits.total);
-    let (deadline, late) =
-        if total < next { (total, RequestError::Total { limit: limits.total, after }) } else { (next, late) };
-    let remaining = u64::try_from((deadline - clock.mono()).nanos()).unwrap_or(0);
-    timeout(Duration::from_nanos(remaining), part).await.map_err(|_| late)
-}
-
-fn span(duration: Duration) -> Span {
-    Span::from_nanos(i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX))
-}
-
-/// Reads the body of an error, as far as it arrives.
-async fn status_error(response: Response<Incoming>) -> RequestError {
-    let status = response.status();
-    let retry_after = response
-        .headers()
-        .get(RETRY_AFTER)
-        .map(|value| String::from_utf8_lossy(value.as_bytes()).trim().to_owned());
-    let body = Limited::new(response.into_body(), MAX_ERROR_BYTES).collect();
-    let text = match timeout(ERROR_TIMEOUT, body).await {
-        Ok(Ok(body)) => error_text_of_body(&body.to_bytes()),
-        Ok(Err(_)) | Err(_) => String::new(),
-    };
-    RequestError::Status { status, text, retry_after }
 }
 
 fn connection_error(after: u64, error: &hyper::Error) -> RequestError {

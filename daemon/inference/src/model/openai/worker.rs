@@ -12,6 +12,9 @@ use super::answer::StreamedAnswer;
 use super::{Openai, nodes, request};
 use crate::{Cancelled, InferenceError, Requester, Worker};
 
+/// Longest text of a wrong number of tokens in the log, characters.
+const MAX_DEFECT_CHARS: usize = 100;
+
 /// Thread's state: the runtime that waits for the server.
 pub(super) struct OpenaiWorker {
     model: Arc<Openai>,
@@ -65,6 +68,16 @@ impl Worker for OpenaiWorker {
         // What is known of a failed answer is recorded, too.
         nodes::record(&answer, &mut inference);
         drop(inference);
+        if let Some(defect) = &answer.usage_defect {
+            self.model.usage_warning.call_once(|| {
+                let defect: String = defect.chars().take(MAX_DEFECT_CHARS).collect();
+                tracing::warn!(
+                    model = name, url = config.url, defect,
+                    "the server reports a number of tokens that cannot be one; the columns of such numbers stay empty. Further such \
+                     answers are not logged"
+                );
+            });
+        }
         let result = result.ok_or_else(|| InferenceError::Cancelled { model: name.clone() })?;
         result.map_err(|error| InferenceError::Server {
             model: name.clone(),
@@ -88,7 +101,7 @@ fn into_sample(answer: StreamedAnswer) -> Sample {
         finish_reason: answer.finish_reason.as_deref(),
         input_tokens: usage.prompt_tokens,
         output_tokens: usage.completion_tokens,
-        reasoning_tokens: usage.reasoning_tokens(),
+        reasoning_tokens: usage.reasoning_tokens,
         output_chunks: answer.chunk_count(),
     };
     let details = serde_json::to_vec(&details).expect("texts and numbers can be written as JSON");

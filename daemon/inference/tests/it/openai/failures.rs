@@ -11,7 +11,7 @@ fn failure(script: Vec<Step>, more: &str) -> (String, Tree) {
     let finished = ask(script, more);
     let reason = match finished.result {
         Err(error @ InferenceError::Server { .. }) => {
-            assert!(!error.to_peer().contains("http://"), "a peer does not see the address");
+            assert!(!error.to_peer().contains("http://127.0.0.1"), "a peer does not see the address");
             let text = error.to_string();
             let (model_and_url, reason) = text.split_once(" failed: ").expect("the server is named");
             assert!(model_and_url.starts_with("model vlm at http://127.0.0.1:"), "{text}");
@@ -94,6 +94,45 @@ fn refusal_is_reported_with_text_of_server() {
             "its server answered with HTTP status 404 Not Found: The model `llava` does not exist.; check url and model",
         ),
         (
+            "429 Too Many Requests",
+            "Retry-After: -5\r\n",
+            "slow down",
+            "its server answered with HTTP status 429 Too Many Requests: slow down; lower the rate of the pipeline, or the \
+             number of workers",
+        ),
+        (
+            "307 Temporary Redirect",
+            "Location: http://127.0.0.1:1/v1/chat/completions\r\n",
+            "",
+            "its server answered with HTTP status 307 Temporary Redirect; it redirects to \
+             http://127.0.0.1:1/v1/chat/completions, and redirects are not followed: write the address of the API into url",
+        ),
+        (
+            "201 Created",
+            "Content-Type: text/event-stream\r\n",
+            "",
+            "its server answered with HTTP status 201 Created; a chat API answers with 200 and an event stream: check url",
+        ),
+        (
+            "200 OK",
+            "Content-Type: text/event-stream\r\nContent-Encoding: gzip\r\n",
+            "compressed",
+            "its server answered with Content-Encoding: gzip, although the request allows none; switch compression off in the \
+             server or its proxy",
+        ),
+        (
+            "200 OK",
+            "Content-Type: text/event-stream\r\n",
+            "{\"choices\": []}\n",
+            "its answer of 16 bytes is no event stream; url must name a server with the OpenAI API",
+        ),
+        (
+            "200 OK",
+            "Content-Type: text/event-stream\r\n",
+            "data: [DONE]\n\n",
+            "its server ended its answer without text; the server's log says why",
+        ),
+        (
             "200 OK",
             "Content-Type: application/json\r\n",
             "{}",
@@ -124,6 +163,32 @@ fn answer_broken_off_is_no_answer() {
     assert_eq!(reason, "its server ended the answer after 1 chunk: out of memory; the server's log says why");
     let (reason, _) = failure(vec![head(), event("{\"choices\":["), Step::Stall], "");
     assert!(reason.starts_with("event 1 of its answer cannot be read: "), "{reason}");
+}
+
+#[test]
+fn slow_text_of_refusal_is_reported_at_limit() {
+    let part = "HTTP/1.1 500 Internal Server Error\r\nContent-Length: 100\r\n\r\nout of mem";
+    let script = vec![Step::Send(part.as_bytes().to_vec()), Step::Stall];
+    let (reason, tree) = failure(script, "timeout_ms = 400");
+    let expected =
+        "its server answered with HTTP status 500 Internal Server Error: out of mem; its log says why";
+    assert_eq!(reason, expected);
+    // Without the limit of the request, the text is awaited for five seconds.
+    assert!(tree.find(&["inference"]).is_some_and(|(_, node)| node.measure.value() < Some(5.0)));
+}
+
+#[test]
+fn server_that_does_not_answer_is_refused_at_load() {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port is free");
+    let url = format!("http://{}/v1", listener.local_addr().expect("is bound"));
+    let table = format!("name = 'vlm'\nkind = 'openai'\nurl = {url:?}\nmodel = 'llava'\ntimeout_ms = 200");
+    let error = bank(&[&table]).load(&"vlm".parse().expect("is a name"), None).expect_err("no answer");
+    assert!(matches!(error, LoadError::Server { .. }) && error.is_transient(), "{error}");
+    let expected = format!(
+        "model vlm at {url}: its server accepts connections and did not answer GET /v1/models within 200 ms; restart it, or \
+         correct url"
+    );
+    assert_eq!(error.to_string(), expected);
 }
 
 #[test]

@@ -159,6 +159,47 @@ fn reasoning_counts_apart_from_first_content_token() {
 }
 
 #[test]
+fn other_choices_are_left_out() {
+    let choices = |choices: serde_json::Value| event(&json!({ "choices": choices }).to_string());
+    let other = json!([{ "index": 1, "delta": { "content": "B" }, "finish_reason": "length" }]);
+    let both = json!([
+        { "index": 1, "delta": { "content": "B" } },
+        { "index": 0, "delta": { "content": "A" }, "finish_reason": "stop" },
+    ]);
+    let finished = ask(vec![head(), choices(other), choices(both), done()], "");
+    let answer = finished.result.expect("answers");
+    assert_eq!((parts(&answer).0, &parts(&answer).1["finish_reason"]), ("A", &json!("stop")));
+    assert_eq!(value(&finished.recorder.finish(), "output-chunks"), Some(1.0));
+}
+
+#[test]
+fn call_of_a_tool_is_an_answer_without_text() {
+    let call = json!({ "choices": [{ "index": 0, "delta": { "tool_calls": [{ "index": 0 }] } }] });
+    let finished = ask(vec![head(), event(&call.to_string()), finish("tool_calls"), done()], "");
+    let answer = finished.result.expect("answers");
+    assert_eq!((parts(&answer).0, &parts(&answer).1["finish_reason"]), ("", &json!("tool_calls")));
+}
+
+#[test]
+fn odd_usage_leaves_columns_empty() {
+    for usage in [
+        json!({ "prompt_tokens": 12.0, "completion_tokens": -5 }),
+        json!({ "prompt_tokens": "12", "completion_tokens": u64::MAX }),
+        json!("many"),
+    ] {
+        let counts = event(&json!({ "choices": [], "usage": usage }).to_string());
+        let finished = ask(vec![head(), content("a"), content("b"), finish("stop"), counts, done()], "");
+        let answer = finished.result.expect("answers");
+        assert_eq!((parts(&answer).0, &parts(&answer).1["output_tokens"]), ("ab", &json!(null)), "{usage}");
+        let tree = finished.recorder.finish();
+        for name in ["input-tokens", "output-tokens", "output-token-rate", "time-per-output-token"] {
+            assert_eq!(value(&tree, name), None, "{name} of {usage}");
+        }
+        assert_eq!(value(&tree, "output-chunks"), Some(2.0));
+    }
+}
+
+#[test]
 fn character_cut_between_chunks_is_complete() {
     let stream =
         "data: {\"choices\":[{\"delta\":{\"content\":\"grün 漢\"},\"finish_reason\":\"stop\"}]}\r\n\r\n";
