@@ -301,6 +301,7 @@ mod tests {
             id: "1".to_owned(),
             configuration: vec![("Users".to_owned(), users.to_owned())],
             repeat: 0,
+            position: None,
         };
         let (alone, together) = (place("1"), place("2"));
         let users = [("a-7", &alone), ("a-7-1", &together), ("a-7-2", &together)];
