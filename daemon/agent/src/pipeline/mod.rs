@@ -4,7 +4,7 @@
 //! machine of the inner loop, also without I/O, and `drive` waits for its events. `runner` sets a pipeline up, connects
 //! it, and runs it to its end. `observe` is the loop of a pipeline that only observes a ROS system.
 //!
-//! Before the first sample of an episode the actuator and the sensor are reset. Before each other sample a simulated
+//! Before the first sample of an episode the actuator and the sensor are reset. Before every further sample a simulated
 //! sensor is advanced by the time of the last iteration. Both happen outside of iterations (`preparation`). The feedback of the actuator may end an
 //! episode early, and is summed up over the episode (`episode_scores`).
 //!

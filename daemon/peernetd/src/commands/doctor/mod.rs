@@ -74,7 +74,7 @@ pub(crate) fn doctor(arguments: Arguments) -> Exit {
         let result =
             runtime.block_on(ExaminationResult::examine_files(data_files, Examination { full, now }));
         print_result(&result, now, json)?;
-        Ok(result.exit())
+        Ok(result.exit_code())
     });
     exit.unwrap_or_else(|failure| {
         print_to_stderr(&failure);
