@@ -3,10 +3,11 @@
 use std::path::PathBuf;
 
 use peernet_statistics::number::counted;
-use peernet_stream::ExperimentPlace;
 
 use super::columns::{self, ChosenColumns, Column};
-use super::labels::{EMPTY_CELL, RunFacts, tabulate};
+use super::labels::{
+    EMPTY_CELL, RunFacts, declared_labels, differ, distinguishing_pairs, executions, tabulate,
+};
 use crate::loaded::Loaded;
 use crate::record::RunRecord;
 
@@ -47,14 +48,14 @@ impl Configurations {
     /// Returns the configurations, and sentences about the other differences between the runs.
     pub(super) fn with_other_differences(runs: &[Loaded]) -> (Self, Vec<String>) {
         let declared: Vec<Vec<(String, String)>> =
-            runs.iter().map(|run| declared_labels(&run.record)).collect();
+            runs.iter().map(|run| declared_labels(run.record.experiment.as_ref())).collect();
         let names =
             |labels: &Vec<(String, String)>| labels.iter().map(|(axis, _)| axis.clone()).collect::<Vec<_>>();
         let same_axes = declared.windows(2).all(|pair| names(&pair[0]) == names(&pair[1]));
         if same_axes && runs.iter().all(|run| run.record.experiment.is_some()) {
             (Self::from_experiment_fields(runs, &declared), Vec::new())
         } else {
-            Self::from_records(runs, &declared)
+            Self::from_records(runs)
         }
     }
 
@@ -63,7 +64,8 @@ impl Configurations {
         for Column { axis, labels } in tabulate(declared) {
             configurations.add(&axis, labels);
         }
-        let executions = executions(runs);
+        let places: Vec<_> = runs.iter().map(|run| run.record.experiment.as_ref()).collect();
+        let executions = executions(&places);
         if differ(&executions) {
             configurations.add("execution", executions);
         }
@@ -76,18 +78,16 @@ impl Configurations {
         configurations
     }
 
-    fn from_records(runs: &[Loaded], declared: &[Vec<(String, String)>]) -> (Self, Vec<String>) {
+    fn from_records(runs: &[Loaded]) -> (Self, Vec<String>) {
         let groups = groups(runs);
-        let pairs = runs.iter().zip(declared).zip(executions(runs)).map(|((run, declared), execution)| {
-            let execution = vec![("execution".to_owned(), execution)];
-            [declared.clone(), execution, facts_of(&run.record).pairs()].concat()
-        });
+        let facts = runs.iter().map(|run| (run.record.experiment.as_ref(), facts_of(&run.record)));
+        let pairs = distinguishing_pairs(&facts.collect::<Vec<_>>());
         let column = |Column { axis, labels: labels_of_runs }: Column| {
             let labels =
                 groups.iter().map(|group| join_labels(group.iter().map(|run| &labels_of_runs[*run])));
             Column { axis, labels: labels.collect() }
         };
-        let columns = tabulate(&pairs.collect::<Vec<_>>()).into_iter().map(column);
+        let columns = tabulate(&pairs).into_iter().map(column);
         let ChosenColumns { mut columns, rest } =
             columns::choose_columns(columns.filter(|column| differ(&column.labels)).collect());
         let is_unlabelled = |group: usize| columns.iter().all(|column| column.labels[group] == EMPTY_CELL);
@@ -179,11 +179,6 @@ fn are_repeats(a: &RunRecord, b: &RunRecord) -> bool {
         && (a.repeat != b.repeat || have_different_edges)
 }
 
-/// Returns the fields that the experiment of a run declares, as pairs of name and label; empty outside of experiments.
-fn declared_labels(record: &RunRecord) -> Vec<(String, String)> {
-    record.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
-}
-
 /// Returns the facts about the configuration in the record of a run.
 fn facts_of(record: &RunRecord) -> RunFacts<'_> {
     let model = record.model.as_ref();
@@ -195,23 +190,8 @@ fn facts_of(record: &RunRecord) -> RunFacts<'_> {
         edge: &record.edge.name,
         cloud: record.cloud.as_ref().map(|cloud| cloud.name.as_str()),
         facts: &record.facts,
+        pipeline: record.pipeline.get("name").and_then(|name| name.as_str()),
     }
-}
-
-/// Returns a label for the experiment of each run. If all runs are of experiments with the same name, the label is the short id of the
-/// execution.
-fn executions(runs: &[Loaded]) -> Vec<String> {
-    let experiments = || runs.iter().map(|run| run.record.experiment.as_ref());
-    let names: Vec<String> =
-        experiments().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();
-    if differ(&names) {
-        return names;
-    }
-    let short_id = |id: &str| id.chars().take(8).collect::<String>();
-    let label = |place: Option<&ExperimentPlace>| {
-        place.map_or_else(|| EMPTY_CELL.to_owned(), |place| short_id(&place.id))
-    };
-    experiments().map(label).collect()
 }
 
 /// Returns groups of the indexes of runs. A group has all repeats and edges of one configuration.
@@ -282,10 +262,6 @@ fn folders(runs: &[Loaded], groups: &[Vec<usize>]) -> Vec<String> {
 fn common_prefix_len(paths: &[Vec<String>]) -> usize {
     let shortest = paths.iter().map(Vec::len).min().unwrap_or_default();
     (0..shortest).take_while(|index| paths.iter().all(|parts| parts[*index] == paths[0][*index])).count()
-}
-
-pub(super) fn differ(labels: &[String]) -> bool {
-    labels.windows(2).any(|pair| pair[0] != pair[1])
 }
 
 #[cfg(test)]

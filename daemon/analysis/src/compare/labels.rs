@@ -1,5 +1,7 @@
 //! Labels of runs: facts that distinguish them, as columns and as names.
 
+use peernet_stream::ExperimentPlace;
+
 use super::columns::Column;
 
 /// Cell of a run that does not have the fact of the column.
@@ -37,11 +39,45 @@ pub struct RunFacts<'a> {
     pub cloud: Option<&'a str>,
     /// Facts about sensor, transforms, load and so on, as pairs of name and text.
     pub facts: &'a [(String, String)],
+    /// Name of the pipeline; `None` if it is not known.
+    pub pipeline: Option<&'a str>,
+}
+
+/// Returns everything that may distinguish runs, as pairs of name and label for each run: the fields that its experiment declares, the execution of
+/// the experiment, and the facts. Columns are chosen from them ([`tabulate`], [`choose_columns`](super::choose_columns)).
+pub fn distinguishing_pairs(runs: &[(Option<&ExperimentPlace>, RunFacts<'_>)]) -> Vec<Vec<(String, String)>> {
+    let places: Vec<Option<&ExperimentPlace>> = runs.iter().map(|(place, _)| *place).collect();
+    let pairs = runs.iter().zip(executions(&places)).map(|((place, facts), execution)| {
+        let execution = vec![("execution".to_owned(), execution)];
+        [declared_labels(*place), execution, facts.pairs()].concat()
+    });
+    pairs.collect()
+}
+
+/// Returns the fields that an experiment declares, as pairs of name and label; empty outside of experiments.
+pub fn declared_labels(place: Option<&ExperimentPlace>) -> Vec<(String, String)> {
+    place.map(|place| place.configuration.clone()).unwrap_or_default()
+}
+
+pub(super) fn differ(labels: &[String]) -> bool {
+    labels.windows(2).any(|pair| pair[0] != pair[1])
+}
+
+/// Returns a label for the experiment of each run. If all runs are of experiments with the same name, the label is the short id of the
+/// execution.
+pub(super) fn executions(places: &[Option<&ExperimentPlace>]) -> Vec<String> {
+    let names: Vec<String> =
+        places.iter().map(|place| place.map_or(EMPTY_CELL, |place| &place.name).to_owned()).collect();
+    if differ(&names) {
+        return names;
+    }
+    let short_id = |place: &ExperimentPlace| place.id.chars().take(8).collect::<String>();
+    places.iter().map(|place| place.map_or_else(|| EMPTY_CELL.to_owned(), short_id)).collect()
 }
 
 impl RunFacts<'_> {
     /// Returns pairs of name and label. The columns of the paper come first.
-    pub fn pairs(&self) -> Vec<(String, String)> {
+    fn pairs(&self) -> Vec<(String, String)> {
         let pair = |axis: &str, label: Option<&str>| (axis.to_owned(), label.unwrap_or_default().to_owned());
         let mut pairs = vec![
             pair("model", self.model),
@@ -53,6 +89,7 @@ impl RunFacts<'_> {
         ];
         let is_implied = |fact: &str| IMPLIED_FACTS.iter().any(|name| name.eq_ignore_ascii_case(fact));
         pairs.extend(self.facts.iter().filter(|(fact, _)| !is_implied(fact)).cloned());
+        pairs.push(pair("pipeline", self.pipeline));
         pairs
     }
 }

@@ -32,7 +32,7 @@ pub use columns::{ChosenColumns, Column, choose_columns};
 pub use configuration::{Configurations, group_by_labels};
 pub use difference::{Difference, MIN_BATCHES, MIN_VALUES, MeanEstimate};
 pub use differences::{Differences, StageDifference};
-pub use labels::{RunFacts, readable_name, tabulate};
+pub use labels::{RunFacts, declared_labels, distinguishing_pairs, readable_name, tabulate};
 pub use latency_bar::{LatencyBar, part_order};
 pub use order::{compare_label, compare_places};
 pub use pairwise::PairwiseDifference;

@@ -1,6 +1,8 @@
 //! Settings in which the runs of a comparison differ.
 
-use peernet_analysis::compare::{ChosenColumns, Column, RunFacts, choose_columns, tabulate};
+use peernet_analysis::compare::{
+    ChosenColumns, Column, RunFacts, choose_columns, declared_labels, distinguishing_pairs, tabulate,
+};
 use peernet_logger::Slug;
 use peernet_store::RunDetail;
 use peernet_stream::PlacementKind;
@@ -21,16 +23,18 @@ pub(super) struct DifferingSettings {
 impl DifferingSettings {
     /// Returns the axes of the experiment's file.
     pub(super) fn of_experiment(runs: &[RunDetail]) -> Self {
-        let all = tabulate(&runs.iter().map(declared_values).collect::<Vec<_>>());
+        let declared = runs.iter().map(|run| declared_labels(run.summary.experiment.as_ref()));
+        let all = tabulate(&declared.collect::<Vec<_>>());
         // A single configuration has no differences; it is identified by its declared values.
         let has_several = all.iter().any(Column::differs);
         let (columns, settings) = all.into_iter().partition(|column| !has_several || column.differs());
         Self::from_columns(runs.len(), ChosenColumns { columns, rest: settings })
     }
 
-    /// Returns the smallest set of facts that distinguishes the runs.
+    /// Returns the smallest set of facts that distinguishes the runs, as `peernet compare` does.
     pub(super) fn of_runs(runs: &[RunDetail]) -> Self {
-        let all = tabulate(&runs.iter().map(run_facts).collect::<Vec<_>>());
+        let facts = runs.iter().map(|run| (run.summary.experiment.as_ref(), run_facts(run)));
+        let all = tabulate(&distinguishing_pairs(&facts.collect::<Vec<_>>()));
         Self::from_columns(runs.len(), choose_columns(all.into_iter().filter(Column::differs).collect()))
     }
 
@@ -47,15 +51,10 @@ impl DifferingSettings {
     }
 }
 
-fn declared_values(run: &RunDetail) -> Vec<(String, String)> {
-    run.summary.experiment.as_ref().map(|place| place.configuration.clone()).unwrap_or_default()
-}
-
-/// Returns the declared values of a run and the facts about it, as `peernet compare` does, and the name of its pipeline.
-fn run_facts(run: &RunDetail) -> Vec<(String, String)> {
-    let RunDetail { summary, facts, .. } = run;
+/// Returns the facts about a run that may distinguish it.
+fn run_facts(RunDetail { summary, facts, .. }: &RunDetail) -> RunFacts<'_> {
     let placement = &summary.placement;
-    let facts = RunFacts {
+    RunFacts {
         model: Some(placement.model.as_str()).filter(|_| placement.kind != PlacementKind::None),
         device: placement.device.as_deref(),
         placement: placement.kind.name(),
@@ -63,14 +62,17 @@ fn run_facts(run: &RunDetail) -> Vec<(String, String)> {
         edge: summary.host_name.as_str(),
         cloud: placement.peer.as_ref().map(Slug::as_str),
         facts,
-    };
-    let pipeline = vec![("pipeline".to_owned(), summary.pipeline.to_string())];
-    [declared_values(run), facts.pairs(), pipeline].concat()
+        pipeline: Some(summary.pipeline.as_str()),
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use peernet_stream::PlacementKind;
+    use peernet_analysis::compare::Configurations;
+    use peernet_analysis::loaded::Loaded;
+    use peernet_analysis::record::RunRecord;
+    use peernet_analysis::rows::Rows;
+    use peernet_stream::{ExperimentPlace, PlacementKind};
 
     use super::super::tests::run;
     use super::*;
@@ -94,6 +96,50 @@ mod tests {
         assert_eq!(settings.axes, ["Load"]);
         assert_eq!(settings.values, [["closed"], ["20 Hz"]]);
         assert_eq!(settings.long_settings, ["Model files", "Model libraries"]);
+    }
+
+    /// Returns the columns of a page and of `peernet compare` for two runs.
+    fn of_page_and_table(change: impl Fn(usize, &mut RunDetail)) -> [(Vec<String>, Vec<Vec<String>>); 2] {
+        let runs = [0, 1].map(|at| {
+            let mut run = detail(at as i64, &[("Load", "closed")]);
+            change(at, &mut run);
+            run
+        });
+        let of_page = DifferingSettings::of_runs(&runs);
+        let loaded = runs.map(|RunDetail { summary, facts, .. }| Loaded {
+            folder: format!("folder-{}", summary.number).into(),
+            record: RunRecord {
+                format: 1,
+                facts,
+                experiment: summary.experiment.clone(),
+                pipeline: serde_json::json!({ "name": summary.pipeline }),
+                ..RunRecord::default()
+            },
+            rows: Rows::default(),
+        });
+        let of_table = Configurations::from_runs(&loaded);
+        [(of_page.axes, of_page.values), (of_table.axes, of_table.labels)]
+    }
+
+    #[test]
+    fn page_and_table_name_runs_by_same_facts() {
+        let labels = |labels: [&str; 2]| labels.map(|label| vec![label.to_owned()]).to_vec();
+        let of_pipelines = of_page_and_table(|at, run| {
+            run.summary.pipeline = ["cam-a", "cam-b"][at].parse().expect("a name");
+        });
+        let expected = (vec!["pipeline".to_owned()], labels(["cam-a", "cam-b"]));
+        assert_eq!(of_pipelines, [expected.clone(), expected]);
+
+        let of_executions = of_page_and_table(|at, run| {
+            run.summary.experiment = Some(ExperimentPlace {
+                name: "sizes".to_owned(),
+                id: ["0123456789", "9876543210"][at].to_owned(),
+                configuration: Vec::new(),
+                repeat: 0,
+            });
+        });
+        let expected = (vec!["execution".to_owned()], labels(["01234567", "98765432"]));
+        assert_eq!(of_executions, [expected.clone(), expected]);
     }
 
     #[test]
