@@ -52,7 +52,8 @@ impl DelaySummary {
         median.map(|(point, _)| point)
     }
 
-    /// Returns the verdict on all delays; `None` if none was judged.
+    /// Returns the worst verdict that the seconds with at least a twentieth of the delays have; `None` if no delay was judged. Single delays may
+    /// have a better verdict that prevails, because a second has the verdict of a twentieth of its delays.
     pub fn verdict(&self) -> Option<Verdict> {
         Verdict::prevailing(self.verdicts.iter().copied())
     }
@@ -170,6 +171,17 @@ mod tests {
         let mut summary = Summary::default();
         values.for_each(|value| summary.record(value));
         summary
+    }
+
+    #[test]
+    fn verdict_on_several_seconds_judges_whole_seconds() {
+        // Agents report one verdict per second: 10 delays of which 1 is limited are a limited second.
+        let verdicts = [(Verdict::Ok, 9), (Verdict::Limited, 1)];
+        let limited = second(10, Some(3), Verdict::prevailing(verdicts).expect("delays"));
+        let seconds = [vec![limited; 4], vec![second(10, Some(3), Verdict::Ok); 6]].concat();
+        assert_eq!(seconds.iter().collect::<DelaySummary>().verdict(), Some(Verdict::Limited));
+        let single_delays = [(Verdict::Ok, 96), (Verdict::Limited, 4)];
+        assert_eq!(Verdict::prevailing(single_delays), Some(Verdict::Ok));
     }
 
     #[test]

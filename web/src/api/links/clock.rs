@@ -94,7 +94,7 @@ impl From<stream::RoundTrip> for RoundTrip {
 pub(crate) struct Delay {
     /// Number of delays.
     pub count: u32,
-    /// The worst verdict that at least 5 % of the delays have.
+    /// The worst verdict that at least 5 % of the delays have; of several seconds, that the seconds with 5 % of the delays have.
     pub verdict: &'static str,
     /// The median of the delays that have a value, with the bounds of the same delay; null if no delay has a value.
     pub median: Option<MedianDelay>,

@@ -18,7 +18,8 @@ pub(crate) struct Delays {
     pub count: u64,
     /// Median, with the bounds of the same delay.
     pub median: Option<DelayPoint>,
-    /// Worst verdict that at least 5 % of the delays have.
+    /// Worst verdict that the seconds with at least 5 % of the delays have. A second has the worst verdict that 5 % of its delays have, because
+    /// the verdicts of single delays are not reported.
     pub verdict: Option<Verdict>,
 }
 
