@@ -244,7 +244,7 @@ async fn links_are_separate_studies() {
     }
     let html = page_of(four, false).await;
     let latency = panel(&html, "cl-h");
-    assert_eq!(latency.matches("class=\"histogram\"").count(), 2, "{latency}");
+    assert_eq!(latency.matches("class=\"histogram sizes\"").count(), 2, "{latency}");
     assert!(
         ["cam-1 → ", "cam-2 → "]
             .iter()

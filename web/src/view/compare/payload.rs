@@ -97,7 +97,7 @@ fn plot(scaling: &Scaling) -> PayloadPlot {
     let picture = figure
         .plots
         .iter()
-        .fold(legend, |all, plot| all.followed_by(&Picture::of_plot(plot, "histogram", &label)));
+        .fold(legend, |all, plot| all.followed_by(&Picture::of_plot(plot, "histogram sizes", &label)));
     PayloadPlot { picture, notes: figure.notes }
 }
 
