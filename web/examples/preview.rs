@@ -100,7 +100,8 @@ async fn produce(address: String, clock: SharedClock, lines: Vec<Line>, backlog:
     }
     factory.store_experiment(600, 2).await;
     factory.store_episodes(2_000, 250).await;
-    factory.store_sizes(2.min(factory.lines.len() - 1), 300, &[30e3, 150e3, 400e3, 800e3]).await;
+    let sizes = [30e3, 150e3, 400e3, 800e3].map(|bytes| (bytes, None));
+    factory.store_sizes(2.min(factory.lines.len() - 1), 300, &sizes).await;
     if grid {
         factory.store_grid(100, 50).await;
         factory.store_skipping(0, 600, 3).await;

@@ -142,17 +142,25 @@ async fn repeats_of_an_experiment_are_combined() {
     assert!(dashboard.get("/runs").await.text().contains(">pictures</a>"));
     assert!(dashboard.get("/compare").await.text().contains(">pictures</a>"));
 
-    factory.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3]).await;
+    factory.store_sizes(2, 100, &[600e3, 30e3, 2_000e3, 150e3].map(|bytes| (bytes, None))).await;
     let listed = dashboard.get("/api/v1/experiments").await.json();
     let id = listed["experiments"][0]["id"].as_str().expect("an id");
     let page = dashboard.get(&format!("/compare?experiment={id}")).await;
     assert!(page.text().contains("Latency against payload"), "{}", page.text());
-    assert!(page.text().contains("kB sent, logarithmic"), "{}", page.text());
+    assert!(page.text().contains("ms, logarithmic"), "{}", page.text());
     let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
     let sizes: Vec<_> =
         compared["configurations"].as_array().expect("some").iter().map(|one| &one["values"][0]).collect();
     assert_eq!(sizes, ["30 kB", "150 kB", "600 kB", "2000 kB"], "by value, not by when they ran: {compared}");
     assert!(dashboard.get("/runs").await.text().contains("size = 2000 kB, repeat 1"));
+
+    factory.store_sizes(2, 100, &[(600e3, Some(1)), (30e3, Some(2)), (150e3, Some(0))]).await;
+    let listed = dashboard.get("/api/v1/experiments").await.json();
+    let id = listed["experiments"][0]["id"].as_str().expect("an id");
+    let compared = dashboard.get(&format!("/api/v1/compare?experiment={id}")).await.json();
+    let sizes: Vec<_> =
+        compared["configurations"].as_array().expect("some").iter().map(|one| &one["values"][0]).collect();
+    assert_eq!(sizes, ["150 kB", "600 kB", "30 kB"], "in the order of the file: {compared}");
 }
 
 #[tokio::test]

@@ -115,10 +115,11 @@ impl Factory {
         }
     }
 
-    /// Stores an experiment with a run of one line for each sample size. The upload time is proportional to the size.
-    pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[f64]) {
+    /// Stores an experiment with a run of one line for each sample size and its position in the experiment's file. The upload time is
+    /// proportional to the size.
+    pub(crate) async fn store_sizes(&mut self, index: usize, iterations: u64, sizes: &[(f64, Option<u32>)]) {
         let (id, usual) = (RunId::random().to_string(), self.lines[index].clone());
-        for bytes in sizes {
+        for (bytes, position) in sizes {
             let line = &mut self.lines[index];
             for (name, mean, _) in &mut line.stages {
                 if *name == stage::UPLOAD {
@@ -132,7 +133,7 @@ impl Factory {
                 id: id.clone(),
                 configuration,
                 repeat: 0,
-                ..ExperimentPlace::default()
+                position: *position,
             };
             self.store_placed(index, iterations, place).await;
         }
