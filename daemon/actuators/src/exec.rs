@@ -61,6 +61,7 @@ impl Actuator for Exec {
     fn act(&mut self, action: Action<'_>, recorder: &mut Recorder) -> Result<Feedback, ActuatorError> {
         let request = Request::Answer { answer: action.answer, source: action.source };
         let program_call = self.program.call(request).map_err(|error| self.failed(error))?;
+        program_call.check_stages_of_action().map_err(|error| self.failed(error))?;
         if let Some((from, to)) = program_call.restart_interval() {
             recorder.record_timer(stage::ACTUATION_RESTART, from, to);
         }
@@ -162,6 +163,23 @@ mod tests {
         };
         assert_eq!(act(), Feedback { reward: Some(0.1), ..Feedback::default() });
         assert_eq!(act(), Feedback { episode_ended: true, success: Some(true), reward: Some(0.2) });
+    }
+
+    #[test]
+    fn stage_longer_than_action_is_refused() {
+        let script = "while read -r word bytes rest; do head -c \"$bytes\" > /dev/null; echo stage grip 1000; echo done; done";
+        let config = ActuatorConfig::Exec(ExecConfig::new(CommandLine::Shell(script.to_owned())));
+        let clock: SharedClock = Arc::new(SystemClock::new(ClockIdentity::new("boot", "system")));
+        let mut actuator = config.build(&clock).expect("sh is there");
+        let mut recorder = Recorder::new(SharedClock::clone(&clock), HostId::random());
+        let answer = Sample::from_part(Description::unshaped(MediaType::Text), "left".into());
+        let error =
+            actuator.act(Action::first(&answer, "door"), &mut recorder).expect_err("too long").to_string();
+        assert!(
+            error.contains("the stage grip that it reported takes 1000s, but it replied within "),
+            "{error}"
+        );
+        assert!(recorder.tree().find(&["grip"]).is_none());
     }
 
     #[test]

@@ -34,7 +34,17 @@ mod tests {
         assert_eq!(read(r#"{"reward": -1.5, "episode_ended": true, "success": false}"#), Ok(all));
         let error = read(r#"{"sucess": true}"#).expect_err("is misspelt");
         assert!(error.contains("unknown field `sucess`, expected one of `episode_ended`"), "{error}");
-        for wrong in ["", "3", r#"{"success": 1}"#, r#"{"reward": 1e999}"#, r#"{"reward": NaN}"#, "{} {}"] {
+        assert_eq!(read(r#"{"reward": null, "success": null}"#), Ok(Feedback::default()));
+        for wrong in [
+            "",
+            "3",
+            r#"{"success": 1}"#,
+            r#"{"reward": "1"}"#,
+            r#"{"reward": true}"#,
+            r#"{"reward": 1e999}"#,
+            r#"{"reward": NaN}"#,
+            "{} {}",
+        ] {
             assert!(read(wrong).is_err(), "{wrong}");
         }
     }

@@ -51,6 +51,21 @@ pub enum SocketError {
         /// The configured timeout, milliseconds.
         timeout_ms: NonZeroU64,
     },
+    /// No feedback on the action arrived in time, but feedback on another iteration.
+    #[error(
+        "the controller at {address} sent feedback on iteration {other} and none on iteration {iteration} within {timeout_ms} ms \
+         (timeout_ms); it sends back the iteration of the line that it answers; the next answer connects again"
+    )]
+    OtherIteration {
+        /// Address of the controller.
+        address: String,
+        /// Number of the iteration that the last feedback named.
+        other: u64,
+        /// Number of the iteration whose action was sent.
+        iteration: u64,
+        /// The configured timeout, milliseconds.
+        timeout_ms: NonZeroU64,
+    },
     /// The answer has no form in JSON.
     #[error(
         "cannot send an answer of the type {0} as JSON; use a model that answers with text, JSON or an array of numbers"

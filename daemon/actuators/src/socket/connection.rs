@@ -131,10 +131,16 @@ impl Connection {
         iteration: u64,
         deadline: &Deadline,
     ) -> Result<Feedback, SocketError> {
+        let mut other_iteration = None;
         loop {
-            let line = self.receive_line(deadline)?;
+            let line = self.receive_line(deadline).map_err(|error| match (error, other_iteration) {
+                (SocketError::TimedOut { address, timeout_ms, .. }, Some(other)) => {
+                    SocketError::OtherIteration { address, other, iteration, timeout_ms }
+                }
+                (error, _) => error,
+            })?;
             match line::decode(&line) {
-                Ok((Some(other), _)) if other != iteration => {}
+                Ok((Some(other), _)) if other != iteration => other_iteration = Some(other),
                 Ok((_, feedback)) => return Ok(feedback),
                 Err(reason) => {
                     let (address, line) = (self.address.clone(), line::quote(&line));

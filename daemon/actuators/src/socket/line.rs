@@ -8,6 +8,8 @@ use crate::{Action, Feedback, SocketError};
 
 /// Longest line in both directions with its line feed, bytes: the largest payload of a UDP datagram over IPv4.
 pub(super) const MAX_LINE_BYTES: usize = 65_507;
+/// Media type of values of Python that JSON lacks: numbers that are not finite, and dictionaries whose keys are no texts.
+const PYTHON_TREE: &str = "application/x-python-tree";
 /// Longest part of a line that an error quotes, bytes.
 const MAX_QUOTED_BYTES: usize = 120;
 
@@ -76,8 +78,30 @@ fn part_value(part: &Part) -> Result<Value, SocketError> {
             let shape: Vec<usize> = description.shape.iter().map(|length| *length as usize).collect();
             array(element, &shape, &part.bytes)
         }
+        (media, _) if media.iana() == PYTHON_TREE => match non_finite_number(&part.bytes) {
+            Some(number) => Err(SocketError::NotFinite(number)),
+            None => Err(SocketError::AnswerType(media.iana().into_owned())),
+        },
         (media, _) => Err(SocketError::AnswerType(media.iana().into_owned())),
     }
+}
+
+/// Returns a number that JSON lacks in a tree. Python writes it as `NaN`, `Infinity` or `-Infinity`.
+fn non_finite_number(tree: &[u8]) -> Option<f64> {
+    let (mut is_text, mut is_escaped, mut is_negative) = (false, false, false);
+    for byte in tree {
+        match byte {
+            _ if std::mem::take(&mut is_escaped) => {}
+            b'\\' => is_escaped = is_text,
+            b'"' => is_text = !is_text,
+            // Outside of texts, JSON has letters in lower case only.
+            b'N' if !is_text => return Some(f64::NAN),
+            b'I' if !is_text => return Some(if is_negative { f64::NEG_INFINITY } else { f64::INFINITY }),
+            _ => {}
+        }
+        is_negative = *byte == b'-';
+    }
+    None
 }
 
 /// Returns an array as nested lists.
@@ -188,6 +212,10 @@ mod tests {
             assert!(error.contains(part), "{error}");
         };
         refused(&tensor(ElementType::F32, &[1], f32::NAN.to_le_bytes().to_vec()), "contains NaN");
+        let tree = |json: &str| unshaped(MediaType::from_iana(PYTHON_TREE), json);
+        refused(&tree(r#"{"dict":[["x",NaN]]}"#), "the answer contains NaN, which JSON does not have");
+        refused(&tree("[1.5,-Infinity]"), "the answer contains -inf, which JSON does not have");
+        refused(&tree(r#"{"dict":[[1,"NaN \"N"]]}"#), "type application/x-python-tree");
         refused(&tensor(ElementType::F16, &[1], vec![0, 0]), "type array of F16");
         refused(&tensor(ElementType::F32, &[3], vec![0; 4]), "does not match its shape");
         refused(&unshaped(MediaType::Jpeg, "abc"), "type image/jpeg");

@@ -178,6 +178,20 @@ fn udp_controller_gets_datagrams_and_answers() {
 }
 
 #[test]
+fn feedback_on_other_iteration_is_named() {
+    let (address, serving) = tcp_controller(1, |_, mut stream| {
+        read_line(&mut stream);
+        stream.get_mut().write_all(b"{\"iteration\": 7, \"reward\": 1}\n").expect("is read");
+        let _ = stream.read(&mut [0; 1]);
+    });
+    let mut actuator = actuator(&address, "feedback = true\ntimeout_ms = 1000");
+    let error = act(&mut *actuator, "go").expect_err("iteration 1 has no feedback");
+    assert!(error.contains("sent feedback on iteration 7 and none on iteration 1 within 1000 ms"), "{error}");
+    drop(actuator);
+    serving.join().expect("ends");
+}
+
+#[test]
 fn missing_controller_fails_each_action() {
     let port = TcpListener::bind("127.0.0.1:0").expect("there is a port").local_addr().expect("it has one");
     let mut actuator = actuator(&format!("tcp://{port}"), "");

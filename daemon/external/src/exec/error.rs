@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::{MAX_LINES, MAX_PARTS, MAX_SAMPLE_BYTES, VERSION};
-use crate::process::{MAX_TIMEOUT_MS, ProcessError};
+use crate::process::{MAX_TIMEOUT_MS, ProcessEnd, ProcessError};
 
 /// Reply that does not follow the framing.
 // The program is killed, because the start of its next message cannot be found.
@@ -18,13 +18,13 @@ pub enum FramingError {
     NotText(String),
     /// The first word of the line has no meaning for this role.
     #[error(
-        "it wrote {line:?}; a {role} writes one of: {words}. Write only replies to standard output, and everything else to \
+        "it wrote {line:?}; {role} writes one of: {words}. Write only replies to standard output, and everything else to \
          standard error"
     )]
     Word {
         /// The line.
         line: String,
-        /// Role of the program.
+        /// Role of the program, with its article.
         role: &'static str,
         /// Words that a line may begin with.
         words: String,
@@ -60,6 +60,17 @@ pub enum FramingError {
          inference and postprocessing"
     )]
     Name(String),
+    /// The name is that of feedback, for which an actuator has a line.
+    #[error("it reported {name:?}, which is a reserved name; an actuator writes the line: {form}")]
+    FeedbackName {
+        /// The name.
+        name: String,
+        /// Form of the line.
+        form: &'static str,
+    },
+    /// A line that a reply has at most once occurs again.
+    #[error("it wrote the line {0} more than once in one reply; write it once")]
+    Repeated(&'static str),
     /// The program uses an unknown version of the framing.
     #[error("it uses version {0} of the framing; this peernet supports version {VERSION}")]
     Version(u32),
@@ -110,7 +121,7 @@ pub enum ProgramCallError {
     #[error(transparent)]
     Command(#[from] CommandError),
     /// The program replied with an error and still runs.
-    #[error("the program says: {0}")]
+    #[error("{}", refusal_text(.0))]
     Refused(String),
     /// The program cannot be started.
     #[error("{0}")]
@@ -118,6 +129,16 @@ pub enum ProgramCallError {
     /// The program ended, or its pipe failed.
     #[error("{0}; it is restarted")]
     Process(#[from] ProcessError),
+    /// The program ended in the middle of a payload.
+    #[error("it had sent {received} of the {announced} bytes that it announced when {end}; it is restarted")]
+    Incomplete {
+        /// Number of bytes that arrived.
+        received: usize,
+        /// Number of bytes that it announced.
+        announced: usize,
+        /// End of the process.
+        end: ProcessEnd,
+    },
     /// The program did not follow the framing.
     #[error("{0} (it is killed and restarted; docs/external-programs.md describes the framing)")]
     Framing(#[from] FramingError),
@@ -156,4 +177,25 @@ pub enum ProgramCallError {
         /// Time from the request to the reply.
         whole: Duration,
     },
+    /// A reported stage is longer than the whole call.
+    #[error(
+        "the stage {name} that it reported takes {stage:?}, but it replied within {whole:?}; report seconds"
+    )]
+    LongStage {
+        /// Name of the stage.
+        name: String,
+        /// Duration of the stage.
+        stage: Duration,
+        /// Time from the request to the reply.
+        whole: Duration,
+    },
+}
+
+/// Returns the message about a reply that reports an error.
+fn refusal_text(text: &str) -> String {
+    if text.trim().is_empty() {
+        "the program reported an error without a text; write its reason as: error TEXT".to_owned()
+    } else {
+        format!("the program says: {text}")
+    }
 }

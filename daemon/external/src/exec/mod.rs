@@ -71,6 +71,15 @@ impl Role {
         }
     }
 
+    /// Returns the role's name with its article, for messages.
+    pub(crate) const fn with_article(self) -> &'static str {
+        match self {
+            Self::Sensor => "a sensor",
+            Self::Model => "a model",
+            Self::Actuator => "an actuator",
+        }
+    }
+
     /// Returns the role's name as the first word of the names of facts.
     const fn heading(self) -> &'static str {
         match self {

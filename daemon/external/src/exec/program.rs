@@ -228,7 +228,16 @@ fn send_and_receive(
             }
             ReplyInput::Bytes(0) => assembler.push_bytes(Bytes::new()),
             // The count is at most `MAX_SAMPLE_BYTES`, which fits into a usize.
-            ReplyInput::Bytes(count) => assembler.push_bytes(process.read_exact(count as usize, until)?),
+            ReplyInput::Bytes(count) => {
+                let announced = count as usize;
+                let bytes = process.read_exact(announced, until).map_err(|error| match error {
+                    ProcessError::ProcessEnd(end) => {
+                        ProgramCallError::Incomplete { received: process.incomplete_bytes(), announced, end }
+                    }
+                    error => error.into(),
+                });
+                assembler.push_bytes(bytes?)
+            }
             ReplyInput::Reply(reply) => return Ok(reply),
         }
     }

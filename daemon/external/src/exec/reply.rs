@@ -11,7 +11,7 @@ use peernet_sample::printable_lines;
 
 /// Names of nodes that PEERNet itself records, which programs must not use.
 // Statistics group nodes by name: the figures of a program would be mixed with PEERNet's own.
-const RESERVED_NAMES: [&str; 39] = [
+const RESERVED_NAMES: [&str; 50] = [
     "iteration",
     "sensing",
     "capture",
@@ -45,13 +45,27 @@ const RESERVED_NAMES: [&str; 39] = [
     "dropped-samples",
     "capture-delay",
     "dropped-answers",
+    "parts",
+    "first-part",
+    "first-part-download",
+    "batch-size",
+    "outcome",
+    "warm-up",
+    "map-50",
+    "mean-iou",
     "top-1",
     "top-5",
     "unknown-label",
     "superseded",
     "episode-success",
     "episode-return",
+    "reward",
+    "success",
+    "episode-ended",
 ];
+/// Reserved names that an actuator reports with a line of their own, with the form of this line.
+const FEEDBACK_FORMS: [(&str, &str); 3] =
+    [("reward", REWARD_FORM), ("success", SUCCESS_FORM), ("episode-ended", "episode-ended")];
 /// Stages of a model. Only models may report them, and only as durations.
 const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
 
@@ -196,13 +210,21 @@ impl ReplyAssembler {
             ("end", Role::Sensor) => return Ok(self.finish(ReplyOutcome::End)),
             ("reward", Role::Actuator) => {
                 let reward = rest.parse().ok().filter(|reward: &f64| reward.is_finite());
-                notes.reward = Some(reward.ok_or_else(|| form_error("reward NUMBER"))?);
+                let reward = reward.ok_or_else(|| form_error(REWARD_FORM))?;
+                if notes.reward.replace(reward).is_some() {
+                    return Err(FramingError::Repeated("reward"));
+                }
             }
-            ("success", Role::Actuator) => match rest {
-                "0" => notes.success = Some(false),
-                "1" => notes.success = Some(true),
-                _ => return Err(form_error("success 0, or success 1")),
-            },
+            ("success", Role::Actuator) => {
+                let success = match rest {
+                    "0" => false,
+                    "1" => true,
+                    _ => return Err(form_error(SUCCESS_FORM)),
+                };
+                if notes.success.replace(success).is_some() {
+                    return Err(FramingError::Repeated("success"));
+                }
+            }
             ("episode-ended", Role::Actuator) => notes.episode_ended = true,
             ("done", Role::Actuator) => return Ok(self.finish(ReplyOutcome::Done)),
             ("answer" | "part", Role::Sensor | Role::Model) | ("partial", Role::Model) => {
@@ -277,19 +299,27 @@ impl ReplyAssembler {
             Role::Model => "answer, part, partial, error, stage, value, version",
             Role::Actuator => "done, error, stage, value, reward, success, episode-ended, version",
         };
-        FramingError::Word { line: shorten(line), role: self.role.word(), words: words.to_owned() }
+        FramingError::Word { line: shorten(line), role: self.role.with_article(), words: words.to_owned() }
     }
 }
 
 /// Forms of lines, which errors quote.
 const STAGE_FORM: &str = "stage NAME SECONDS";
+const REWARD_FORM: &str = "reward NUMBER";
+const SUCCESS_FORM: &str = "success 0, or success 1";
 const VALUE_FORM: &str = "value NAME NUMBER [UNIT]";
 const ANSWER_FORM: &str = "answer BYTES [MEDIA-TYPE [SHAPE]] (a shape such as 480x640x3:u8)";
 
 /// Returns `name` if programs may use it.
 fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
     let is_reserved = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
-    if is_reserved { Err(FramingError::Name(name.to_owned())) } else { Ok(name.to_owned()) }
+    if !is_reserved {
+        return Ok(name.to_owned());
+    }
+    match FEEDBACK_FORMS.iter().find(|(reserved, _)| *reserved == name) {
+        Some((_, form)) => Err(FramingError::FeedbackName { name: name.to_owned(), form }),
+        None => Err(FramingError::Name(name.to_owned())),
+    }
 }
 
 /// Parses `NAME SECONDS`.

@@ -36,6 +36,22 @@ impl ProgramCall {
         self.restarted_at.map(|from| (from, self.ended_at))
     }
 
+    /// Checks the stages of an actuator, all of which are parts of its action.
+    ///
+    /// # Errors
+    /// [`ProgramCallError::LongStage`] if a stage is longer than the whole.
+    pub fn check_stages_of_action(&self) -> Result<(), ProgramCallError> {
+        let limit = self.duration() + ROUNDING_TOLERANCE;
+        match self.notes.stages.iter().find(|(_, span)| *span > limit) {
+            Some((name, span)) => Err(ProgramCallError::LongStage {
+                name: name.clone(),
+                stage: span.to_duration(),
+                whole: self.duration().to_duration(),
+            }),
+            None => Ok(()),
+        }
+    }
+
     /// Returns the stages of a model.
     ///
     /// If the program reports none of `preprocessing`, `inference` and `postprocessing`, the whole time from request

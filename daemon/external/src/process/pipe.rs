@@ -154,11 +154,13 @@ pub(super) struct Reader {
     buffer: Vec<u8>,
     /// Number of bytes of `buffer` that were returned already.
     consumed: usize,
+    /// Number of bytes that the last `read_exact` got.
+    incomplete_bytes: usize,
 }
 
 impl Reader {
     pub(super) fn new(fd: OwnedFd) -> Self {
-        Self { fd, buffer: Vec::with_capacity(READ_CHUNK_BYTES), consumed: 0 }
+        Self { fd, buffer: Vec::with_capacity(READ_CHUNK_BYTES), consumed: 0, incomplete_bytes: 0 }
     }
 
     /// Returns whether the limit of read-ahead is reached.
@@ -218,9 +220,21 @@ impl Reader {
         self.buffered_bytes().split(|byte| *byte == b'\n').next().unwrap_or_default()
     }
 
+    /// Returns the number of bytes that the last [`read_exact`](Self::read_exact) got before it failed.
+    pub(super) const fn incomplete_bytes(&self) -> usize {
+        self.incomplete_bytes
+    }
+
     /// Reads exactly `length` bytes.
     pub(super) fn read_exact(&mut self, length: usize, wait: Wait<'_>) -> Result<Bytes, PipeError> {
         let mut bytes = Vec::with_capacity(length);
+        let result = self.fill(&mut bytes, length, wait);
+        self.incomplete_bytes = bytes.len();
+        result.map(|()| bytes.into())
+    }
+
+    /// Reads until a vector has `length` bytes.
+    fn fill(&mut self, bytes: &mut Vec<u8>, length: usize, wait: Wait<'_>) -> Result<(), PipeError> {
         let buffered = self.buffered_bytes().len().min(length);
         bytes.extend_from_slice(&self.buffered_bytes()[..buffered]);
         self.consumed += buffered;
@@ -232,10 +246,10 @@ impl Reader {
                 bytes.extend_from_slice(&self.buffered_bytes()[..available]);
                 self.consumed += available;
             } else {
-                Self::read_into(&self.fd, &mut bytes, wait)?;
+                Self::read_into(&self.fd, bytes, wait)?;
             }
         }
-        Ok(bytes.into())
+        Ok(())
     }
 
     /// Reads the bytes before the next `delimiter`, at most `max_length`. The delimiter is read but not returned.

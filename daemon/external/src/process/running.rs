@@ -108,6 +108,11 @@ impl Process {
         self.output.read_exact(length, wait).map_err(|error| self.convert_pipe_error(error))
     }
 
+    /// Returns the number of bytes that arrived for the last [`read_exact`](Self::read_exact), if it failed.
+    pub const fn incomplete_bytes(&self) -> usize {
+        self.output.incomplete_bytes()
+    }
+
     /// Reads the next line of the standard output, without the line feed. The line has at most `max_length` bytes.
     ///
     /// # Errors

@@ -81,6 +81,27 @@ fn error_reply_is_returned_and_program_continues() {
 }
 
 #[test]
+fn error_without_text_says_what_to_write() {
+    let mut program = start(Role::Sensor, "while read -r line; do echo error; done", LONG_TIMEOUT_MS);
+    let error = program.call(Request::Next).expect_err("an error").to_string();
+    assert_eq!(error, "the program reported an error without a text; write its reason as: error TEXT");
+}
+
+#[test]
+fn end_within_answer_says_how_much_came() {
+    for (length, printed) in [(100, "abcde"), (100_000, "abcde"), (100, "")] {
+        let script = format!("read -r line; echo answer {length}; printf '{printed}'; exit 0");
+        let mut program = start(Role::Sensor, &script, LONG_TIMEOUT_MS);
+        let error = program.call(Request::Next).expect_err("is incomplete").to_string();
+        let expected = format!(
+            "it had sent {} of the {length} bytes that it announced when the process ended with exit status 0; it is restarted",
+            printed.len()
+        );
+        assert_eq!(error, expected);
+    }
+}
+
+#[test]
 fn ended_program_is_restarted() {
     let folder = tempfile::tempdir().expect("a folder");
     let marker = folder.path().join("mark");

@@ -72,10 +72,10 @@ fn reply_has_parts_with_their_shapes() {
 
 #[test]
 fn notes_before_the_answer_are_returned() {
-    let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warm-up 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
+    let written = "version 1\nsequence 7\nlabel golden retriever\nsource a b.jpg\nstage warming 0.25\nvalue exposure 1e-3 s\nanswer 0\n";
     let notes = reply(Role::Sensor, written).notes;
     let expected = ReplyNotes {
-        stages: vec![("warm-up".to_owned(), Span::from_millis(250))],
+        stages: vec![("warming".to_owned(), Span::from_millis(250))],
         values: vec![("exposure".to_owned(), 0.001, "s".to_owned())],
         sequence: Some(7),
         label: Some("golden retriever".to_owned()),
@@ -94,6 +94,13 @@ fn actuator_reports_feedback_before_it_is_done() {
         ("reward\n", "reward NUMBER"),
         ("success true\n", "success 0, or success 1"),
         ("value episode-return 1\n", "a reserved name"),
+        ("value reward 5\n", "an actuator writes the line: reward NUMBER"),
+        ("value success 1\n", "an actuator writes the line: success 0, or success 1"),
+        ("value episode-ended 1\n", "an actuator writes the line: episode-ended"),
+        ("stage parts 1\n", "a reserved name"),
+        ("reward 1\nreward 2\n", "it wrote the line reward more than once in one reply"),
+        ("success 0\nsuccess 1\n", "it wrote the line success more than once in one reply"),
+        ("hello\n", "an actuator writes one of: done"),
     ] {
         let text = error(Role::Actuator, written);
         assert!(text.contains(part), "{written:?}: {text}");
@@ -107,10 +114,7 @@ fn roles_accept_different_words() {
     assert_eq!(reply(Role::Actuator, "done\n").outcome, ReplyOutcome::Done);
     assert_eq!(reply(Role::Model, "error too dark\n").outcome, ReplyOutcome::Error("too dark".to_owned()));
     assert!(error(Role::Model, "end\n").contains("a model writes one of: answer"));
-    assert!(
-        error(Role::Actuator, "answer 3\nabc").contains("an actuator")
-            || error(Role::Actuator, "answer 3\nabc").contains("actuator writes")
-    );
+    assert!(error(Role::Actuator, "answer 3\nabc").contains("an actuator writes one of"));
     assert!(error(Role::Model, "label a\n").contains("label a"));
 }
 
@@ -142,6 +146,10 @@ fn errors_show_the_expected_form() {
         ("stage upload 1\n", "a reserved name"),
         ("value inference 3 bar\n", "a reserved name"),
         ("value skipped-starts 1\n", "a reserved name"),
+        ("value map-50 1\n", "a reserved name"),
+        ("value batch-size 1\n", "a reserved name"),
+        ("value outcome 1\n", "a reserved name"),
+        ("value warm-up 1\n", "a reserved name"),
         ("value x inf\n", "value NAME NUMBER"),
         ("version 2\n", "version 2"),
         ("version x\n", "version NUMBER"),
