@@ -74,15 +74,18 @@ class Cancelled(Exception):
 
 
 def streamed(generator, send_part):
-    """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded."""
+    """Sends what infer() yields as parts of the answer. Returns the whole answer: what it returns, or else all that it yielded,
+    and whether it is a list of what it yielded."""
     yielded = []
     while True:
         try:
             part = next(generator)
         except StopIteration as end:
             if end.value is not None:
-                return end.value
-            return "".join(yielded) if all(isinstance(part, str) for part in yielded) else yielded
+                return end.value, False
+            if all(isinstance(part, str) for part in yielded):
+                return "".join(yielded), False
+            return yielded, True
         yielded.append(part)
         if not send_part(part):
             generator.close()
@@ -163,6 +166,8 @@ class Model:
         steps = (("preprocess", "preprocess"), ("infer", "infer"), ("postprocess", "postprocess"))
         methods = ((stage, getattr(user_object, name, None)) for stage, name in steps)
         self.steps = [(stage, method) for stage, method in methods if callable(method)]
+        # The list of what infer() yielded last, if that is the whole answer.
+        self.yielded = None
 
     def call(self, value, stages, send_part):
         for stage, step in self.steps:
@@ -170,7 +175,8 @@ class Model:
             try:
                 value = step(value)
                 if stage == "infer" and inspect.isgenerator(value):
-                    value = streamed(value, send_part)
+                    value, is_list = streamed(value, send_part)
+                    self.yielded = value if is_list else None
                 wait_for_gpu()
             finally:
                 stages.append((stage, started_at, now()))
@@ -230,7 +236,7 @@ def start(request):
 
 
 def answer(channel, request, role, encoder, decoder):
-    stages = []
+    stages, value = [], None
 
     def send_part(value):
         """Sends a part of the answer. Returns whether somebody still waits for the answer."""
@@ -252,7 +258,10 @@ def answer(channel, request, role, encoder, decoder):
     except (PipeClosed, *EXITS):
         raise
     except UnsupportedValue as error:
-        write_failure(channel, "refused", str(error), stages)
+        text = str(error)
+        if value is not None and value is getattr(role, "yielded", None):
+            text += "; infer() yielded %d values and returned none, so they are the whole answer: return it" % len(value)
+        write_failure(channel, "refused", text, stages)
     except BaseException as error:
         if isinstance(error, StopIteration) and isinstance(role, Sensor) and "call" in request:
             channel.write("over", {"stages": stages})

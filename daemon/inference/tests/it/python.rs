@@ -77,6 +77,9 @@ class Count:
         yield bytes(50000)
         yield b'1' * 50000
         return {'words': len(x.split())}
+class Many:
+    def infer(self, x):
+        for part in range(64): yield b'part'
 class Broken:
     def infer(self, x):
         yield 'a'
@@ -94,7 +97,7 @@ fn run_generator(
     let pool = loaded(&bank, "p");
     let (result, partial_answers) = run_until_partial_answer(&pool, text("one two three"), limit);
     // The process serves the next sample as well, whatever became of the last one.
-    assert_eq!(run(&pool, text("one two three")).result.is_ok(), object != "Broken");
+    assert_eq!(run(&pool, text("one two three")).result.is_ok(), !["Broken", "Many"].contains(&object));
     (result, partial_answers)
 }
 
@@ -117,6 +120,10 @@ fn values_that_infer_yields_are_partial_answers() {
         .collect();
     assert_eq!(ends, [(0, 50_000), (b'1', 50_000)]);
     assert_eq!(result.expect("answers").parts[0].bytes, r#"{"words":3}"#);
+    let (result, _) = run_generator(&folder, "Many", 100);
+    let advice = "at most 63 can be transferred; infer() yielded 64 values and returned none, so they are the whole answer: return it";
+    let error = result.expect_err("has too many parts").to_string();
+    assert!(error.contains(advice), "{error}");
     let (result, partial_answers) = run_generator(&folder, "Broken", 10);
     assert!(result.expect_err("raises").to_string().contains("ValueError: lost the thread"));
     assert_eq!(partial_answers.len(), 1);
