@@ -136,6 +136,7 @@ mod tests {
                 id: ["0123456789", "9876543210"][at].to_owned(),
                 configuration: Vec::new(),
                 repeat: 0,
+                position: None,
             });
         });
         let expected = (vec!["execution".to_owned()], labels(["01234567", "98765432"]));
