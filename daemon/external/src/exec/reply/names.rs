@@ -1,0 +1,75 @@
+//! Names that a program may not use for its stages and values.
+
+use super::{FramingError, REWARD_FORM, SUCCESS_FORM};
+
+/// Names of nodes that PEERNet itself records, which programs must not use.
+// Statistics group nodes by name: the figures of a program would be mixed with PEERNet's own.
+const RESERVED_NAMES: [&str; 50] = [
+    "iteration",
+    "sensing",
+    "capture",
+    "transform",
+    "encode",
+    "send-queue",
+    "upload",
+    "queue",
+    "batch-wait",
+    "download",
+    "actuation",
+    "total",
+    "stages-total",
+    "unattributed",
+    "ipc",
+    "capture-ipc",
+    "actuation-ipc",
+    "restart",
+    "capture-restart",
+    "actuation-restart",
+    "upload-bytes",
+    "upload-logger-bytes",
+    "download-bytes",
+    "download-logger-bytes",
+    "upload-throughput",
+    "download-throughput",
+    "skipped-nodes",
+    "skipped-starts",
+    "lateness",
+    "deadline-missed",
+    "dropped-samples",
+    "capture-delay",
+    "dropped-answers",
+    "parts",
+    "first-part",
+    "first-part-download",
+    "batch-size",
+    "outcome",
+    "warm-up",
+    "map-50",
+    "mean-iou",
+    "top-1",
+    "top-5",
+    "unknown-label",
+    "superseded",
+    "episode-success",
+    "episode-return",
+    "reward",
+    "success",
+    "episode-ended",
+];
+/// Reserved names that an actuator reports with a line of their own, with the form of this line.
+const FEEDBACK_FORMS: [(&str, &str); 3] =
+    [("reward", REWARD_FORM), ("success", SUCCESS_FORM), ("episode-ended", "episode-ended")];
+/// Stages of a model. Only models may report them, and only as durations.
+const MODEL_STAGES: [&str; 3] = ["preprocessing", "inference", "postprocessing"];
+
+/// Returns `name` if programs may use it.
+pub(super) fn check_name(name: &str, is_model: bool) -> Result<String, FramingError> {
+    let is_reserved = RESERVED_NAMES.contains(&name) || !is_model && MODEL_STAGES.contains(&name);
+    if !is_reserved {
+        return Ok(name.to_owned());
+    }
+    match FEEDBACK_FORMS.iter().find(|(reserved, _)| *reserved == name) {
+        Some((_, form)) => Err(FramingError::FeedbackName { name: name.to_owned(), form }),
+        None => Err(FramingError::Name(name.to_owned())),
+    }
+}
