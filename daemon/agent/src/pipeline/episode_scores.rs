@@ -60,7 +60,8 @@ impl EpisodeScores {
         let at = self.open.iter().position(|episode| episode.number == number)?;
         let OpenEpisode { is_counted, success, total_reward, .. } = self.open.remove(at);
         let success = self.reports_success.then(|| success.unwrap_or(false));
-        let total_reward = self.reports_reward.then_some(total_reward);
+        // Finite rewards may have an infinite sum, which no statistic accepts.
+        let total_reward = self.reports_reward.then_some(total_reward).filter(|total| total.is_finite());
         (is_counted && (success.is_some() || total_reward.is_some()))
             .then_some(EpisodeResult { success, total_reward })
     }
@@ -105,6 +106,10 @@ mod tests {
         scores.begin(1, true);
         let nothing_reported = Some(EpisodeResult { success: Some(false), total_reward: Some(0.0) });
         assert_eq!(scores.close(1), nothing_reported);
+        scores.begin(2, true);
+        [1e308, 1e308].iter().for_each(|each| scores.add(2, &reward(*each)));
+        let without_return = Some(EpisodeResult { success: Some(false), total_reward: None });
+        assert_eq!(scores.close(2), without_return, "the sum is infinite");
     }
 
     #[test]

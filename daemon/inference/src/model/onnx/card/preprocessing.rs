@@ -229,6 +229,10 @@ impl Preprocessing {
         if !mean.iter().chain(&std).chain([&scale]).all(|number| number.is_finite()) {
             return Err(CardError::NotFinite);
         }
+        // All pixels would be the same number.
+        if scale == 0.0 {
+            return Err(CardError::NoScale);
+        }
         if let Some(deviation) = std.iter().find(|deviation| **deviation <= 0.0) {
             return Err(CardError::Deviation(*deviation));
         }
